@@ -20,9 +20,9 @@ from threadline.dynamics.values import Values
 from threadline.files import ChannelKind, tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
+from threadline.proof.judge_runs import AT_ONCE, RunsJudge, kept_in_memory
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import plan_job
-from threadline.search.judge_runs import AT_ONCE, RunsJudge, kept_in_memory
 from threadline.twin import simulate, simulate_batch, simulate_runs
 from threadline.verdict import Spec, judge, load_spec, needed_channels
 

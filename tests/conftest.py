@@ -172,7 +172,7 @@ def pytest_collection_finish() -> None:
     Looking took a twentieth of the time of the tests; nothing in them waits for it. Freed memory is
     kept, as where many machines are judged: every second page was asked for anew.
     """
-    from threadline.search.judge_runs import keep_freed_memory
+    from threadline.proof.judge_runs import keep_freed_memory
 
     keep_freed_memory()
     gc.freeze()

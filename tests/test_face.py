@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
@@ -84,6 +85,47 @@ def test_mistakes_are_told_as_on_the_command_line() -> None:
         tl.compile(example, "lathe-winder", "st", "x.st")
     with pytest.raises(OptionError, match="needs feed-forward"):
         tl.prove(example, "lathe-winder", smoothing="40 ms")
+
+
+def test_errors_speak_of_arguments() -> None:
+    """No message of the face has an option of the command line in it."""
+    example = ROOT / "examples" / "x-180.prg"
+    wrong = [
+        ({"smoothing": "40 ms"}, "Give feed_forward=True too"),
+        ({"interpolation": "optimal", "low": "1 m/s"}, "low='1 m/s' does not apply"),
+        ({"low": "5 m/s", "high": "1 m/s"}, "Give a low= below high="),
+    ]
+    for words, said in wrong:
+        with pytest.raises(OptionError, match=re.escape(said)) as caught:
+            tl.fastest(example, "lathe-winder", level="nominal", **words)  # type: ignore[arg-type]
+        assert "--" not in str(caught.value) and "--" not in repr(caught.value)
+
+
+def test_the_best_is_proved_in_one_call(tmp_path: Path) -> None:
+    """With the words of the search, unless others are given."""
+    machine, job = limits_alone(tmp_path, "G1 X20 A90 F1000\nG1 X0")
+    found = tl.fastest(job, machine, level="nominal", radius="A=40 mm")
+    proof = found.prove()
+    assert proof.passed and proof.plan.options["radius"] == "A=40 mm"
+    assert proof.plan.duration_s == found.of.best.duration_s
+    slow = found.prove(feed="F 60")
+    assert slow.plan.duration_s > 2.0 * proof.plan.duration_s
+    with pytest.raises(OptionError, match="there is no best to prove"):
+        replace(found, best=None, best_options=None).prove()
+
+
+def test_a_run_has_columns_for_plots() -> None:
+    """Those of the recording, with units, and of equal length, as a data frame takes them."""
+    proof = tl.prove(ROOT / "examples" / "x-180.prg", "lathe-winder", repeats=2)
+    first, second = proof.columns(), proof.columns(run=2)
+    times_s, load = proof.of.run(1).samples("X.load")
+    assert next(iter(first)) == "time [s]"
+    assert {len(one) for one in first.values()} == {len(times_s)}
+    np.testing.assert_array_equal(first["X.load [m]"], load)
+    np.testing.assert_array_equal(first["time [s]"], times_s)
+    assert (first["X.load [m]"] != second["X.load [m]"]).any()
+    with pytest.raises(OptionError, match="run=3 is none of the 2 judged"):
+        proof.columns(3)
 
 
 KINDS = {
@@ -203,7 +245,7 @@ def test_a_search_is_asked_to_hold_at_the_ends_of_tolerances(
 
 
 def test_a_search_of_commands_and_waits_has_no_ends_of_loads() -> None:
-    with pytest.raises(OptionError, match=r"--robust '100 %' does not apply to letter-cycle"):
+    with pytest.raises(OptionError, match=r"robust='100 %' does not apply to letter-cycle"):
         tl.fastest(ROOT / "examples" / "letter-cycle.toml", "letter-placer", robust="100 %")
 
 

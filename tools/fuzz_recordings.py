@@ -44,6 +44,7 @@ _LIMITS = {
     "velocity_ripple": ("5 %", "300 %"),
     "stitch_speed_error": ("5 %", "0.5"),
     "stitches_to_speed": ("2 stitch", "9 stitch"),
+    "stitches_from_needle": ("2 stitch", "9 stitch"),
     "stitch_placement_error": ("0.5 mm", "5 mm"),
     "needle_time_error": ("5 %",),
     "seam_error": ("0.5 mm", "5 mm"),
@@ -59,6 +60,7 @@ _STITCHED = {
 _OF_TOOL = {
     "settling_time", "cycle_time", "switching_dwell", "contour_error", "progress_error",
     "stitch_length_error", "velocity_ripple", "stitch_speed_error", "stitches_to_speed",
+    "stitches_from_needle",
     "stitch_placement_error", "needle_time_error", "seam_error", "window_use", "fetch_use",
 }  # fmt: skip
 _OF_AXIS = {

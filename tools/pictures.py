@@ -27,6 +27,8 @@ from threadline.machine import load_machine
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, plan_job, prove_plan
+from threadline.report.animation import still
+from threadline.report.scenes import scene_of
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, figure_style
 from threadline.report.traces import Traces, collect
 from threadline.verdict import load_spec
@@ -70,6 +72,7 @@ def main() -> None:
     with figure_style():
         save(reversal(), "reversal.png")
         save(winder(), "machine.png")
+        save(animated(), "animate.png")
     for name, (words, figure) in OF_REPORTS.items():
         with TemporaryDirectory() as folder:
             with suppress(SystemExit), redirect_stdout(io.StringIO()):
@@ -143,6 +146,13 @@ def winder() -> Figure:
     bar.ax.axvline(LIMIT_MM, color="black", linewidth=2.0)
     bar.ax.text(LIMIT_MM, 1.25, "limit", ha="center", transform=bar.ax.get_xaxis_transform())
     return figure
+
+
+def animated() -> Figure:
+    """A frame of the animation of a winder."""
+    options = Options(interpolation="linear", feed=parse_feed("200 mm/s"), radius="A=50 mm")
+    scene = scene_of(proven("helix.gcode", options))
+    return still(scene, round(0.9 * scene.frames))
 
 
 def contour(traces: Traces) -> tuple[FloatArray, FloatArray]:

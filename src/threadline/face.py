@@ -10,17 +10,27 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial, wraps
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from threadline.base.arguments import checked
+from threadline.base.arrays import FloatArray
 from threadline.base.option_defaults import DEFAULT_INTERPOLATION
 from threadline.base.wording import plain
-from threadline.errors import OptionError
+from threadline.errors import OptionError, ThreadlineError
+from threadline.files.recording import columns_of
 from threadline.machine import Machine
 from threadline.motion.timing import retime
-from threadline.proof.asked import Words, check_target, chosen_machine, python_type, with_radii_of
+from threadline.proof.asked import (
+    Words,
+    as_arguments,
+    check_target,
+    chosen_machine,
+    python_type,
+    with_radii_of,
+)
 from threadline.proof.option_form import Door, Word
 from threadline.proof.option_table import options_for
 from threadline.verdict import Result, Verdict, closing, verdict_json, verdict_rows
@@ -127,6 +137,25 @@ class Proved(Answer):
         return self.of.recording
 
     @checked
+    def columns(self, run: int = 1) -> dict[str, FloatArray]:
+        """Return the channels of a judged run as columns, for plots and data frames.
+
+        ``time [s]`` is the first one; all are of equal length. The others have the name and the
+        unit of their channel, such as ``X.load [m]``. A channel with fewer samples holds each value
+        until its next one, and is NaN before its first.
+
+        Raises
+        ------
+        OptionError
+            If there is no such run.
+        """
+        if not 1 <= run <= self.of.runs:
+            raise OptionError(
+                f"run={run} is none of the {self.of.runs} judged", remedy="Give run=1."
+            )
+        return columns_of(self.of.run(run))
+
+    @checked
     def report(self, folder: PathLike) -> Path:
         """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
         from threadline.report import write_report
@@ -188,6 +217,31 @@ class Found:
     best_options: Mapping[str, Any] | None = None
     certainty: Certainty | None = None
     mismatch: tuple[Mismatch, ...] = ()
+    _asked: Callable[..., Proved] | None = None
+
+    def prove(self, **words: Word) -> Proved:
+        """Prove the best: the same job on the same machine, with ``best_options``.
+
+        Parameters
+        ----------
+        **words
+            Options of ``prove`` that replace those of the search, such as ``level="nominal"``.
+
+        Raises
+        ------
+        OptionError
+            If nothing was in spec, or where only a move list can say the best.
+        """
+        if self._asked is None or self.best_options is None:
+            raise OptionError(
+                "there is no best to prove: nothing was in spec"
+                if self.best is None
+                else "the best is commands that only a move list can say",
+                remedy="Prove with a lower feed, or with less asked."
+                if self.best is None
+                else "threadline fastest -o FILE writes the move list; prove that.",
+            )
+        return self._asked(**{**self.best_options, **words})
 
 
 __all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
@@ -195,9 +249,22 @@ __all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "r
 VerbT = TypeVar("VerbT", bound=Callable[..., object])
 
 
-def _with_options(verb: VerbT) -> VerbT:
-    """Give a function the signature that lists every option of its verb, with its default."""
-    own = inspect.signature(verb)
+def _with_options(function: VerbT) -> VerbT:
+    """Give a function the signature that lists every option of its verb, with its default.
+
+    Its errors name arguments of the function where the command line names options.
+    """
+
+    @wraps(function)
+    def verb(*positional: Any, **named: Any) -> object:
+        try:
+            return function(*positional, **named)
+        except ThreadlineError as error:
+            error.message, error.remedy = as_arguments(error.message), as_arguments(error.remedy)
+            error.args = (error.message, *error.args[1:])
+            raise
+
+    own = inspect.signature(function)
     first = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
     listed = [
         inspect.Parameter(
@@ -211,7 +278,7 @@ def _with_options(verb: VerbT) -> VerbT:
     ]
     verb.__signature__ = own.replace(parameters=[*first, *listed])  # type: ignore[attr-defined]
     verb.words = tuple(one.name for one in listed)  # type: ignore[attr-defined]
-    return verb
+    return cast(VerbT, verb)
 
 
 @checked
@@ -289,6 +356,8 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
     from threadline.search.question import question_of
 
     found = answered(question_of(Words.of("fastest", Door.PYTHON, words), Path(job), machine))
+    proving = {one.word for one in options_for("prove", Door.PYTHON)}
+    kept = {word: value for word, value in words.items() if word in proving}
     return Found(
         found.best if found.over_band is None else found.over_band.cycle_s,
         found.unit,
@@ -297,7 +366,14 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
         found.again,
         found.certainty,
         found.mismatch,
+        partial(_prove_again, job, machine, kept),
     )
+
+
+def _prove_again(
+    job: PathLike, machine: PathLike | Machine, kept: Mapping[str, Word], **words: Word
+) -> Proved:
+    return prove(job, machine, **{**kept, **words})
 
 
 @_with_options

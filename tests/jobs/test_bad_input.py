@@ -257,10 +257,15 @@ def test_other_files_and_options(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="has no option 'speed'"):
         read_job(good, MACHINE, speed=1)
     seam = write(tmp_path, "[stitching]\n", "a.seam.toml")
-    for option in ("feed_mode", "dialect"):
+    of_both = "part programs and axis tables"
+    for option, formats in (
+        ("feed_mode", of_both),
+        ("dialect", "part programs"),
+        ("axes", of_both),
+    ):
         typed = f"--{option.replace('_', '-')}"
         told = refused(seam, **{option: "grbl"})
-        assert f"a.seam.toml is a seam, and {typed} is of part programs. Leave {typed} out." in told
+        assert f"a.seam.toml is a seam, and {typed} is of {formats}. Leave {typed} out." in told
     with pytest.raises(OptionError, match="F cannot be read as 'fast'"):
         read_job(good, MACHINE, feed_mode="fast")
     with pytest.raises(OptionError, match="base axes go with"):

@@ -201,7 +201,7 @@ def test_what_makes_no_curve_is_refused(
     tmp_path: Path, xyza: Machine, block: str, said: str
 ) -> None:
     with pytest.raises(JobError, match=re.escape(said)) as caught:
-        list(read(tmp_path, xyza, f"G1 F600 X0\n{block}\nM2\n", "linuxcnc"))
+        list(read(tmp_path, xyza, f"G1 F600 X0 Z0\n{block}\nM2\n", "linuxcnc"))
     assert caught.value.place is not None and caught.value.place.line in (2, 3)
 
 

@@ -163,14 +163,14 @@ def _words(job: Job) -> list[str]:
     ("text", "said"),
     [
         (
-            "G0 X1\nG43 H1\nX2\nM2\n",
+            "G0 Z1\nG43 H1\nZ2\nM2\n",
             "a.nc:2: G43 is compensation of the tool's length",
         ),
-        ("G43 H1\nG0 X1\nG43 H2\nX2\nM2\n", "G43 H2 begins it between moves"),
-        ("G43 H1\nG0 X1\nG49\nX2\nM2\n", "G49 on line 3 ends it between moves"),
+        ("G43 H1\nG0 Z1\nG43 H2\nZ2\nM2\n", "G43 H2 begins it between moves"),
+        ("G43 H1\nG0 Z1\nG49\nZ2\nM2\n", "G49 on line 3 ends it between moves"),
         ("M98 P2\nG43\nG0 X1\nM2\nO2\nG0 X2\nM99\n", "a.nc:2: G43 is compensation"),
         ("G0 X1\nM98 P2\nX2\nM2\nO2\nG43 H1\nM99\n", "G43 H1 begins it between moves"),
-        ("G43 H1\nG0 X1\n#1=2\nG49\nX#1\nM2\n", "G49 on line 4 ends"),
+        ("G43 H1\nG0 Z1\n#1=2\nG49\nZ#1\nM2\n", "G49 on line 4 ends"),
         ("H1 G0 X1\nM2\n", "H has no use in this block"),
         ("G43 H1.5\nG0 X1\nM2\n", "H 1.5 must be a whole number"),
     ],

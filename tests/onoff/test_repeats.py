@@ -18,11 +18,12 @@ from threadline.files import Recording
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.variants import uncertain, variant
-from threadline.proof import pipeline
+from threadline.proof import over_tolerances
 from threadline.proof.kinds import kind_of
 from threadline.proof.kinds.variants import with_machine_hash
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Trials, plan_job, prove_plan, simulate
+from threadline.proof.worst_search import WorstSearch
 from threadline.verdict import Criterion, Spec, Status, judge, load_spec
 
 CYCLE = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"
@@ -179,12 +180,15 @@ def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
     stuck = [why for why in alone if why]
     assert len(stuck) == 1 and "'x_is_right' did not become on" in stuck[0]
 
-    monkeypatch.setattr(pipeline, "ends_then_drawn", lambda *_: parts)
+    monkeypatch.setattr(over_tolerances, "drawn", lambda *_: parts)
+    monkeypatch.setattr(WorstSearch, "begin", lambda _: None)
+    monkeypatch.setattr(WorstSearch, "go_on", lambda _: None)
     spec = load_spec(None, machine)
     verdict = prove_plan(plan, spec, trials=Trials(repeats=2, machines=3)).verdict
     told = verdict.result("unanswered")
     assert (told.measured, told.status) == (pytest.approx(1 / 3), Status.FAILED)
     assert told.note == f"1 of 3 machines within the tolerances never end: {stuck[0]}"
     assert verdict.machines == 3 and not verdict.passed
+    assert verdict.tolerances is not None and verdict.tolerances.share is None
     # What the others come to is told all the same.
     assert verdict.result("residual_vibration").measured is not None

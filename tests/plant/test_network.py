@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from threadline.dynamics.linear_model import linear_model
 from threadline.dynamics.network import connected_groups, piecewise_linear
+from threadline.dynamics.suspicions import suspicions
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
 from threadline.files import Stream, TickBlock, TickTable
@@ -212,3 +214,29 @@ def test_variants_fill_their_own_equations():
         + piece.elements[0].direction[:, :, None] * (piece.elements[0].modes[0].law[:, None, :])
     )
     assert free[:, 1, 1] == pytest.approx([-46.687, -23.344], abs=1e-3)
+
+
+def test_a_current_amplifier_with_supply_and_coil_is_taken_and_said(tmp_path: Path) -> None:
+    """The voltage limit holds against resistance and back EMF; the coil changes no current."""
+    changes = """base = "lathe-winder"
+name = "torque-mode"
+[drives.x]
+{coil}
+[drives.x.amplifier]
+mode = "current"
+gain = "1.2 A/V exact, assumed"
+voltage_limit = "9 V exact, assumed"
+"""
+    coil = 'inductance = "12 mH exact, assumed"'
+    made = []
+    for name, extra in (("with", coil), ("without", "")):
+        (tmp_path / f"{name}.toml").write_text(changes.format(coil=extra))
+        made.append(load_machine(tmp_path / f"{name}.toml"))
+    for ours, theirs in zip(*map(piecewise_linear, made), strict=True):
+        assert ours.states == theirs.states
+        np.testing.assert_array_equal(ours.base, theirs.base)
+        for one, other in zip(ours.elements, theirs.elements, strict=True):
+            for mode, like in zip(one.modes, other.modes, strict=True):
+                np.testing.assert_array_equal(mode.law, like.law)
+    said = "1.3 ms for each ampere at 9 V, is not simulated"
+    assert [any(said in one for one in suspicions(machine)) for machine in made] == [True, False]

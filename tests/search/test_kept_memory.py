@@ -17,7 +17,7 @@ from threadline.machine import load_machine
 from threadline.machine.variants import drawn
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
-from threadline.search import judge_runs
+from threadline.proof import judge_runs
 from threadline.search.machine_yield import MachineYield
 from threadline.verdict import load_spec
 

@@ -17,10 +17,11 @@ from threadline.commands.plan import Plan
 from threadline.files import tick_table
 from threadline.machine import load_machine
 from threadline.machine.variants import drawn, uncertain, variant
-from threadline.proof import pipeline
+from threadline.proof import judge_runs, pipeline, worst_search
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
-from threadline.search import judge_runs, machine_yield
+from threadline.proof.worst_search import WorstSearch
+from threadline.search import machine_yield
 from threadline.search.machine_yield import MachineYield
 from threadline.twin import simulate
 from threadline.verdict import Spec, judge, load_spec
@@ -151,6 +152,9 @@ def test_a_climb_comes_to_the_worst_of_all_corners(
     found = study.worst()
     assert found.of_corners
     monkeypatch.setattr(machine_yield, "MOST_CORNERS", 0)
+    monkeypatch.setattr(worst_search, "_CORNERS", 0)
+    monkeypatch.setattr(worst_search, "_LEANING", 0)
+    monkeypatch.setattr(WorstSearch, "_inside", lambda *_: [])
     tried: list[int] = []
     climbed = study.worst(None, tried.append)
     assert not climbed.of_corners
@@ -247,7 +251,8 @@ def test_the_command_that_is_told_proves_the_worst_machine(
     job: str, name: str, more: list[str], tmp_path: Path, capsys, monkeypatch
 ) -> None:
     """It runs the commands that were planned for the machine as its file says, to the bit."""
-    monkeypatch.setattr(machine_yield, "_ROUNDS", 0)
+    monkeypatch.setattr(WorstSearch, "begin", lambda _: None)
+    monkeypatch.setattr(WorstSearch, "go_on", lambda _: None)
     worst = str(tmp_path / "worst machine.toml")
     words = ["yield", str(JOB.parent / job), "-m", name, *more, "--variants", "2"]
     with pytest.raises(SystemExit):
@@ -294,9 +299,11 @@ def test_a_worst_machine_beyond_a_limit_of_0_is_told_by_what_it_does(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """One sample at the clamp has no share of a limit of 0: it "cannot be simulated", it said."""
-    worst = tmp_path / "worst.toml"
+    worst, spec = tmp_path / "worst.toml", tmp_path / "wide.spec.toml"
+    spec.write_text('name = "wide"\n[[criteria]]\nname = "dac_saturation"\nlimit = "0 %"\n')
     words = [
         str(JOB), "-m", "lathe-winder", "--limits", "19 %", "--feed", "1000 count/tick",
+        "-s", str(spec),
     ]  # fmt: skip
     with pytest.raises(SystemExit):
         main(["yield", *words, "--variants", "20", "--seed", "3", "--worst", str(worst)])

@@ -203,6 +203,23 @@ def test_a_g0_with_its_planned_time_is_told_and_is_dark(
     assert not (tmp_path / "no.ngc").exists()
 
 
+@pytest.mark.parametrize("spindle", ["M3 S12000", "M4 S12000"])
+def test_a_mill_goes_in_g0_with_its_spindle_on(tmp_path: Path, spindle: str) -> None:
+    """It plunges along Z, which no laser does; an output that is on stays on, too.
+
+    The same moves along X and Y alone may be those of a laser, and so may Z moves with it off.
+    """
+    text = f"G0 Z5\n{spindle}\nM64 P1\nG0 X10\nG1 Z-1 F300\nG1 Y10 F600\nG0 Z5\nG0 X0\nM5\nM2\n"
+    machine = made_machine(tmp_path, "XYZ", "", '[programs]\ndialect = "linuxcnc"\n')
+    (file,) = write(plan(tmp_path, machine, text), "nc", tmp_path / "out.ngc")
+    assert "4 G0 are G1 with the planned time (G93)" in file.warnings[0]
+    made = (tmp_path / "out.ngc").read_text()
+    assert spindle in made and "M64 P1" in made and "M65" not in made
+    for laser in (text.replace("Z-1", "Y1"), f"G1 Z-2 F300\n{text.replace('Z-1', 'Z7')}"):
+        with pytest.raises(PlanError, match=r"is on in a G0.*no feed move goes down along Z"):
+            write(plan(tmp_path, machine, laser), "nc", tmp_path / "no.ngc")
+
+
 def test_lines_for_fluidnc_and_linuxcnc_are_as_long_as_these_take(
     tmp_path: Path, machines: dict[str, Machine]
 ) -> None:

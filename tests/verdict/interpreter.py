@@ -37,6 +37,7 @@ NEEDS: dict[str, list[tuple[tuple[str, ...], bool]]] = {
     "stitch_length_error": [(("tool", "load"), True)],
     "stitch_speed_error": [(("tool", "load"), True)],
     "stitches_to_speed": [(("tool", "load"), True), (("commanded",), True)],
+    "stitches_from_needle": [(("tool", "load"), True), (("commanded",), True)],
     "stitch_placement_error": [(("tool", "load"), True)],
     "seam_error": [(("tool", "load"), True)],
     "needle_time_error": [(("tool", "load"), True)],

@@ -20,10 +20,10 @@ from threadline.files import ChannelKind, Recording, tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.numbers import with_numbers
+from threadline.proof import judge_runs
+from threadline.proof.judge_runs import RunsJudge
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
-from threadline.search import judge_runs
-from threadline.search.judge_runs import RunsJudge
 from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Judge, Spec, judge, load_spec
 from threadline.verdict.measure import MeasureKind, OfPlan, RunReading

@@ -116,3 +116,18 @@ def test_without_a_position_the_plan_is_told_and_marked() -> None:
     verdict = judge([run], plan_of(), SPEC)
     assert {r.of for r in verdict.results if r.name in ("travel", "velocity")} == {"plan"}
     assert np.isfinite(verdict.result("travel", "X").measured or 0.0)
+
+
+def test_a_jump_is_told_as_missing_samples_may_look() -> None:
+    """3.2 m/s needed is 3 times the limit of X, 1 m/s; a fifth over the limit is no jump."""
+    load = positions()
+    load[50:, 0] -= 3.2 * 0.02
+    found = judged(load, ChannelKind.MEASURED).result("velocity", "X")
+    assert found.status is Status.FAILED
+    assert "a jump, as where lines of a file without times are missing" in found.note
+    load = positions()
+    load[50:60, 0] -= 1.3 * TICK_S * np.arange(10)
+    load[60:, 0] -= 1.3 * TICK_S * 9
+    found = judged(load, ChannelKind.MEASURED).result("velocity", "X")
+    assert found.status is Status.FAILED
+    assert "jump" not in found.note

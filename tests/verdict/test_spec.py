@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -14,7 +15,7 @@ from threadline.errors import SpecError
 from threadline.files import ChannelKind
 from threadline.machine import load_machine
 from threadline.search.design_files import spec_toml
-from threadline.verdict import Status, judge, load_spec
+from threadline.verdict import Status, is_assumed, judge, load_spec
 from threadline.verdict.registry import MEASURES
 
 from .builders import follow, plan_through, record, winder
@@ -174,18 +175,8 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         read(tmp_path, 'name = "m"\ncriteria = [1]')
     with pytest.raises(SpecError, match="bytes"):
         read(tmp_path, "#" * 1_000_001)
-    with pytest.raises(SpecError, match="no default"):
-        load_spec(None, replace(winder(), name="mine", reference=""))
-    with pytest.raises(SpecError, match="no default"):
-        load_spec(None, replace(winder(), name="../lathe-winder", reference=""))
-
-
-def test_a_copy_of_a_library_machine_is_told_how_to_be_asked_for_the_same(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    library = resources.files("threadline.machine") / "library" / "lathe-winder.toml"
-    file.write_text(library.read_text().replace('name = "lathe-winder"', 'name = "mine"'))
-    with pytest.raises(SpecError, match=r'mine.spec.toml .* base = "NAME"'):
-        load_spec(None, load_machine(file))
+    for name in ("mine", "../lathe-winder"):  # no name leads out of the library
+        assert is_assumed(load_spec(None, replace(winder(), name=name, reference="")))
 
 
 def test_the_default_of_a_machine_file_lies_beside_it(tmp_path: Path) -> None:
@@ -335,3 +326,22 @@ def test_a_specification_written_beside_a_design_reads_the_same(tmp_path: Path) 
 
     assert every(again.criteria) == every(spec.criteria)
     assert len(again.criteria) == len(spec.criteria)
+
+
+@pytest.mark.parametrize(
+    ("library", "place"),
+    [("lathe-winder", True), ("letter-placer", False), ("table-embroiderer", False)],
+)
+def test_a_machine_without_a_specification_gets_one_that_says_so(
+    tmp_path: Path, library: str, place: bool
+) -> None:
+    """A copy of a library's file under another name: its limits, and of axes their place."""
+    text = (resources.files("threadline.machine") / "library" / f"{library}.toml").read_text(
+        "utf-8"
+    )
+    (tmp_path / "own.toml").write_text(re.sub(r"(?m)^name = .*", 'name = "own"', text, count=1))
+    spec = load_spec(None, load_machine(tmp_path / "own.toml"))
+    assert is_assumed(spec) and "no specification" in spec.name
+    asked = [one for one in spec.criteria if one.name == "contour_error" and one.limit == 0.5e-3]
+    assert bool(asked) == place
+    assert not is_assumed(load_spec(None, load_machine(library)))

@@ -14,6 +14,7 @@ import pytest
 from threadline.base.arrays import FloatArray
 from threadline.files import ChannelKind, Stream
 from threadline.jobs.operations import Feed, FeedMode, Move, Source, ToolEvent
+from threadline.machine import load_machine
 from threadline.verdict import Criterion, Status, judge
 from threadline.verdict.blocks import setting_of
 from threadline.verdict.samples import Block
@@ -190,8 +191,9 @@ def test_stitches_to_speed_are_those_from_the_command_to_95_per_cent(
 ) -> None:
     """Command and head at one acceleration for 0.06 s, the head ``lag`` behind: 95 % in 0.057 s.
 
-    The command departs at 0. Speeds are means over one sample of 5 ms, told at its end: they reach
-    95 % at the first sample after 0.057 + 0.0025 + lag.
+    Speeds are means over one sample of 5 ms, told at its end, so 2.5 ms late, and straight between
+    samples. The command departs at 0; it has moved where it passes the levels from 0.5 to
+    1.5 % of the speed, beyond what one count of it makes.
     """
     ramp_s = 0.06
 
@@ -200,13 +202,65 @@ def test_stitches_to_speed_are_those_from_the_command_to_95_per_cent(
         return SPEED_M_S * (rising**2 / (2 * ramp_s) + np.maximum(time_s - ramp_s, 0.0))
 
     commanded, actual = at(TIME_S), at(TIME_S - lag)
-    found = sewn(
-        actual, names=("stitches_to_speed",), options={"over": TICK_S}, per_block=per_block,
-        commanded=commanded,
-    ).result("stitches_to_speed")  # fmt: skip
-    assert found.measured == pytest.approx((0.06 + lag) / PERIOD_S, abs=1e-9)
+    names = ("stitches_to_speed", "stitches_from_needle")
+    verdict = sewn(
+        actual, names=names, options={"over": TICK_S}, per_block=per_block, commanded=commanded,
+    )  # fmt: skip
+    found, needle = (verdict.result(name) for name in names)
+    there_s = 0.0595 + lag
+    assert needle.measured == pytest.approx(there_s / PERIOD_S, abs=1e-9)
+    assert needle.note == "from the first needle-down"
+    assert found.measured == pytest.approx((there_s - moved_s(commanded)) / PERIOD_S, abs=1e-4)
     assert found.time_s == pytest.approx(0.06 + lag, abs=1e-12)
-    assert found.note == "from the start"
+    assert found.note == "from the first movement"
+
+
+def moved_s(commanded: FloatArray) -> float:
+    """Return the mean instant at which means over a sample pass the levels of 0.5 to 1.5 %."""
+    count_m = 1.0 / load_machine("lathe-winder").axes["X"].counts.si
+    speed = np.abs(np.diff(commanded, prepend=commanded[0])) / TICK_S
+    most = np.maximum.accumulate(speed - count_m / TICK_S) / SPEED_M_S
+    levels = np.linspace(0.005, 0.015, 20001)[1:]
+    after = np.searchsorted(most, levels, side="left")
+    low, high = most[after - 1], most[after]
+    return float((TIME_S[after - 1] + (levels - low) / (high - low) * TICK_S).mean())
+
+
+def swung(share: float) -> FloatArray:
+    """Return a command that swings back for a stitch and a half, stands, and then departs."""
+    fine_s = np.arange(0.0, TIME_S[-1] + 1e-9, 1e-4)
+    back = np.where((fine_s > 0.02) & (fine_s < 0.05), np.sin(np.pi * (fine_s - 0.02) / 0.03), 0.0)
+    speed = np.clip((fine_s - 0.06) / 0.02, 0.0, 1.0) - share * back
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 1e-4)])
+    return SPEED_M_S * np.interp(TIME_S, fine_s, way)
+
+
+def counted(command: FloatArray) -> float:
+    found = sewn(
+        command, names=("stitches_to_speed",), options={"over": TICK_S}, commanded=command
+    ).result("stitches_to_speed")
+    return float(found.measured)
+
+
+def test_a_swing_before_the_start_does_not_reset_the_clock() -> None:
+    """It stands from 0.05 s to 0.06 s; from there on it would take 1.1 stitches."""
+    there_s = 0.083  # means of 87.5 % at 0.08 s, and of all at 0.085 s
+    plain, swinging = counted(swung(0.0)), counted(swung(0.25))
+    assert plain == pytest.approx((there_s - moved_s(swung(0.0))) / PERIOD_S, abs=0.03)
+    assert plain < 1.2
+    assert swinging == pytest.approx((there_s - moved_s(swung(0.25))) / PERIOD_S, abs=0.03)
+    assert swinging > 2.6
+
+
+def test_the_count_grows_little_by_little_with_a_swing() -> None:
+    """Two stitches lie between the swing and the departure: no step of 0.1 % jumps by a half.
+
+    The level rises by 1 % of the speed while the count rises by the time in between.
+    """
+    counts = [counted(swung(share)) for share in np.arange(0.0, 0.08, 1e-3)]
+    assert counts[-1] - counts[0] > 1.5
+    assert np.diff(counts).min() > -1e-9
+    assert np.abs(np.diff(counts)).max() < 0.3
 
 
 def test_a_corner_that_is_not_stopped_in_is_left_where_it_is_slowest() -> None:

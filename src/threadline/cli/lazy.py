@@ -47,6 +47,7 @@ COMMANDS = {
     "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),
     "report": LazyCommand("report_", "Judge the recording of a run again, and write a report."),
     "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
+    "animate": LazyCommand("animate", "Show a job on the machine: a page, a gif or a film."),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
     "size": LazyCommand("size", "Size a machine from what its product asks for."),

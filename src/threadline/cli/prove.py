@@ -19,8 +19,10 @@ from threadline.cli.arguments import (
     keep_inputs,
     key_of,
 )
+from threadline.cli.found import command_line
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell
+from threadline.errors import OptionError
 from threadline.files.formats import write_recording
 from threadline.machine import Machine
 from threadline.proof.asked import Words
@@ -29,6 +31,7 @@ from threadline.proof.pipeline import Proof, with_shaping
 from threadline.proof.pipeline import prove as prove_job
 from threadline.proof.proof_file import write_proof
 from threadline.proof.recorded import warnings_of
+from threadline.proof.worst_machine import worst_toml
 from threadline.report import about, write_report
 from threadline.verdict import (
     Verdict,
@@ -55,12 +58,20 @@ def prove(
         ),
     ] = None,
     sign: SignOption = None,
+    worst: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --tolerances: write the worst machine found within them to this machine "
+            "file, for --actual. A report has it as worst.toml.",
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
 
     Twenty runs are judged, each with other encoder phases, friction and supply, and the worst
-    counts; --nominal judges one run, --tolerances other machines as well.
+    counts; --nominal judges one run, --tolerances the worst machine within the tolerances and
+    drawn ones as well.
 
     Exit status: 0 in spec, 1 out of spec, 2 wrong input.
 
@@ -75,20 +86,28 @@ def prove(
     trials = words.trials()
     key = key_of("--sign", sign, proof_file)
     chosen = words.machine(machine)
-    for output in (recording, proof_file):
+    if worst is not None and (not trials.machines or trials.wished is not None):
+        raise OptionError(
+            f"--worst {str(worst)!r} is the worst machine within the tolerances, and this level "
+            "searches none",
+            remedy="Give --tolerances as well, or use threadline yield --worst.",
+        )
+    for output in (recording, proof_file, worst):
         keep_inputs(output, job, chosen.file, *words.files(), sign)
         check_outputs(file=output, folder=report)
     options = words.options()
     asked = with_shaping(words.spec(chosen), chosen, options)
     with progress_bar(not json) as progress:
         proof = prove_job(job, chosen, asked, options, progress, trials, words.actual())
-        with together(recording, proof_file):
+        with together(recording, proof_file, worst):
             if recording is not None:
                 # A recording is a recipe: writing it simulates that run again.
                 watched = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
                 write_recording(watched[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
                 write_proof(proof, proof_file, key)
+            if worst is not None:
+                write_worst(proof, worst)
             written = None
             if report is not None:
                 # Searches take a while to load, and most proofs have no report.
@@ -96,6 +115,9 @@ def prove(
 
                 progress("drawing the report", 0.0)
                 written = write_report(studied(proof), report)
+                if proof.worst is not None:
+                    worst = worst or report / "worst.toml"
+                    write_worst(proof, report / "worst.toml")
     tell(warnings_of(proof))
     if json:
         content = verdict_json(proof.verdict, proof.plan)
@@ -103,6 +125,8 @@ def prove(
             content["report"] = str(written)
         if proof_file is not None:
             content["proof"] = str(proof_file)
+        if worst is not None:
+            content["worst"] = {"file": str(worst), "command": again(job, machine, words, worst)}
         print_json(content)
     else:
         show_proof(proof)
@@ -110,7 +134,24 @@ def prove(
             say(f"Report: {written}")
         if proof_file is not None:
             say(f"Proof: {proof_file}")
+        if worst is not None:
+            say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
+            say(f"  {again(job, machine, words, worst)}")
     raise typer.Exit(0 if proof.verdict.passed else 1)
+
+
+def write_worst(proof: Proof, file: Path) -> None:
+    """Write the machine file of the worst machine within the tolerances that a proof found."""
+    assert proof.worst is not None
+    machine = proof.plan.machine if proof.actual is None else proof.actual
+    text = worst_toml(machine, proof.worst, file.parent, "prove --tolerances")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text, encoding="utf-8")
+
+
+def again(job: Path, machine: str, words: Words, worst: Path) -> str:
+    """Return the command that proves the plan on the worst machine, in as many runs."""
+    return command_line("prove", job, {"-m": machine, **words.typed(), "--actual": worst})
 
 
 def plot_every(machine: Machine) -> int | None:

@@ -42,14 +42,13 @@ from threadline.proof.asked import Words
 from threadline.proof.option_words import parse_yield
 from threadline.proof.pipeline import check_machine, open_job, plan_job
 from threadline.proof.proof_file import spec_sha256
+from threadline.proof.worst_machine import Worst, worst_toml
 from threadline.search.influence import MACHINES, cheapest_set
 from threadline.search.machine_yield import (
     MachineYield,
-    Worst,
     Yield,
     limited_rows,
     quantile,
-    worst_toml,
 )
 from threadline.search.yield_state import YieldState
 from threadline.verdict import CriterionRow, Spec
@@ -140,7 +139,7 @@ def yield_(
         drawn = None
         with together(worst):
             if worst is not None:
-                worst.write_text(worst_toml(chosen, bad, chosen.reference), encoding="utf-8")
+                worst.write_text(worst_toml(chosen, bad, worst.parent, "yield"), encoding="utf-8")
             if report is not None:
                 drawn = _drawn(found, title, report)
     again = command_line(
@@ -301,7 +300,7 @@ def _content(
             for row in limited_rows(found)
         ],
         "worst": {
-            "share_of_limit": bad.share if np.isfinite(bad.share) else None,
+            "share_of_limit": bad.share if np.isfinite(bad.share) and not bad.beyond_zero else None,
             "criterion": bad.binding,
             "measured": None if bad.row is None else finite(float(bad.row.values[0])),
             "limit": None if bad.row is None else bad.row.limit,

@@ -12,8 +12,9 @@ from threadline.base.arrays import FloatArray
 from threadline.base.progress import Progress
 from threadline.cli.output import print_table, say
 from threadline.machine.numbers import number_at
+from threadline.proof.worst_machine import Done, shares_of
 from threadline.search.influence import MACHINES, CheapestSet, Influence, influence, judgements
-from threadline.search.machine_yield import Done, MachineYield, shares_of
+from threadline.search.machine_yield import MachineYield
 
 _MACHINES = MACHINES
 SAMPLES = 256

@@ -137,7 +137,7 @@ def robust_averages(
             )
         )
     program = _Program(planned.axes, axes, change_s=change_s, grid_s=grid_s, samples=samples)
-    leads, wanted = leads_of(planned), _shares(job)
+    leads, wanted, swing = leads_of(planned), _shares(job), _swing(job)
     of = _SOONER if len(machines) > 1 else 1.0
     turn_s = change_s / TURNS if smoothing_s is None else None
     own: dict[bool, list[RobustWeights]] = {}
@@ -145,12 +145,25 @@ def robust_averages(
     for stop, leads_s in ((False, leads.starts_s), (True, leads.stops_s)):
         ways = [
             [
-                [_change(change_s, early_s, stop=stop, leads_s=leads_s, share=wanted, of=of)]
+                [
+                    _change(
+                        change_s,
+                        early_s,
+                        stop=stop,
+                        leads_s=leads_s,
+                        share=wanted,
+                        of=of,
+                        swing=swing,
+                    )
+                ]
                 for early_s in alike
             ]
             for alike in _departures_s(change_s, leads_s[0])
         ]
-        own[stop], told = program.speed_or_length(ways, turn_s)
+        try:
+            own[stop], told = program.speed_or_length(ways, turn_s)
+        except PlanError as error:
+            raise _without_limit(program, ways, turn_s, swing) or error from None
         warnings += told
     even = own[False]
     if steps.bent or steps.bends.any():
@@ -167,6 +180,27 @@ def robust_averages(
         stops=_acting(own[True]),
     )
     return averages, tuple(warnings)
+
+
+def _without_limit(
+    program: _Program, ways: _Ways, turn_s: float | None, swing: float
+) -> PlanError | None:
+    """Return an error that says what a limit on the swing costs; None if it costs nothing."""
+    if not np.isfinite(swing):
+        return None
+    free = [[[replace(one, swing=np.inf) for one in way] for way in alike] for alike in ways]
+    try:
+        found, _ = program.speed_or_length(free, turn_s)
+    except PlanError:
+        return None
+    own = program.swing(found, stop=ways[0][0][0].stop)
+    name, most = max(own.items(), key=lambda item: item[1])
+    return PlanError(
+        f"axes.{name}: the head cannot change its speed in time while it swings by at most "
+        f"{swing:.2%} of it; without that limit it swings by {most:.0%}",
+        remedy="Raise swing of the seam, or lower needle_speed. A swing before the head departs "
+        "counts in stitches_to_speed.",
+    )
 
 
 _Ways = Sequence[Sequence[Sequence[ChangeOfSpeed]]]
@@ -220,6 +254,20 @@ class _Program:
             "machines, so the length of stitches is kept in its place, to "
             f"{error:.1%} as planned; a slower needle keeps both"
         ]
+
+    def swing(self, found: Sequence[RobustWeights], *, stop: bool) -> dict[str, float]:
+        """Return the largest speed of each nominal load before all departures, by axis."""
+        count = self._samples
+        before = (np.arange(count) - count // 2) * self._grid_s < -0.5 * _DEPARTURES[
+            -1
+        ] * self._change_s
+        most = {}
+        for name, axis, weights in zip(self._names, self.axes, found, strict=True):
+            speed = self._answers[axis.machines[0]][0] @ weights.weights
+            # A stop is a start in reversed time.
+            speed = 1.0 - speed[::-1] if stop else speed
+            most[name] = float(np.abs(speed[before]).max())
+        return most
 
     @overload
     def least(self, ways: _Ways) -> list[RobustWeights]: ...
@@ -323,6 +371,7 @@ def _change(
     leads_s: tuple[float, float] = (0.0, 0.0),
     share: tuple[float, float] = (1.0, 1.0),
     of: float = 1.0,
+    swing: float = np.inf,
 ) -> ChangeOfSpeed:
     """Return the conditions on a load that may depart ``early_s`` before the step.
 
@@ -338,6 +387,7 @@ def _change(
         even_s=half_s - leads_s[1],
         aside_s=leads_s[0],
         share=share,
+        swing=swing,
     )
 
 
@@ -354,6 +404,12 @@ def _shares(job: Job) -> tuple[float, float]:
             share = float(move.tags["length_m"]) / float(move.tags["target_m"])
             least, most = min(least, share), max(most, share)
     return (least, most) if least <= most else (1.0, 1.0)
+
+
+def _swing(job: Job) -> float:
+    """Return the smallest swing that a seam of the job allows, as a share of the speed."""
+    swings = (move.tags.get("swing", np.inf) for move in job if isinstance(move, Move))
+    return float(min(swings, default=np.inf))
 
 
 def _steps(stepped: Trajectory) -> _Steps:

@@ -16,7 +16,7 @@ from threadline.commands.schedule import Scheduled
 from threadline.commands.step_files import write_steps, write_t15
 from threadline.commands.stitched import Stitched
 from threadline.commands.structured_text import write_structured_text
-from threadline.errors import PlanError
+from threadline.errors import Place, PlanError
 from threadline.files import Commands, TickTable
 from threadline.files.formats.common import Written, written
 from threadline.files.formats.tick_table import Beside, write_table_csv, write_table_npz
@@ -125,13 +125,16 @@ def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> 
     """Write the planned motion as a part program: chords with their times (G93), blended (G64).
 
     A G0 becomes a G1 with its planned time, because LinuxCNC would choose its own time for a G0,
-    and the program would no longer match the plan. A G0 with a spindle or a laser on is refused:
-    HAL tells G0 from G1 (``motion.motion-type``), and a laser may burn in G1 only.
+    and the program would no longer match the plan. A G0 with a laser on is refused: HAL tells G0
+    from G1 (``motion.motion-type``), and a laser may burn in G1 only. A tool that goes down into
+    the material is no laser, and its spindle turns in a G0 as in a G1. Outputs (M62, M64) have the
+    state that the program gives them in either.
 
     Raises
     ------
     PlanError
-        If LinuxCNC reads a word of the job differently, or a G0 has the spindle on.
+        If LinuxCNC reads a word of the job differently, or a G0 has a spindle on that may be a
+        laser.
     """
     refuse_lost(job, machine, NcStyle.LINUXCNC)
     rapids = _dark_rapids(job)
@@ -142,13 +145,19 @@ def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> 
     if not rapids:
         return written(path)
     count = "1 G0 is a G1" if rapids == 1 else f"{rapids} G0 are G1"
-    told = f"{count} with the planned time (G93), and the spindle is off in what was G0"
+    told = f"{count} with the planned time (G93)"
     return written(path, (f"{path.name}: {told}; --target linuxcnc keeps G0",))
 
 
 def _dark_rapids(job: Job) -> int:
-    """Return the number of moves at G0; refuse a G0 with the spindle on."""
+    """Return the number of moves at G0; refuse a G0 with a spindle on that may be a laser.
+
+    It is none if a feed move with the spindle on goes down along Z.
+    """
     spindle, power, count, at = "", 1.0, 0, job.start
+    lit: tuple[str, Place] | None = None  # the first G0 with the spindle on
+    height = job.axes.index("Z") if "Z" in job.axes else None
+    plunges = False
     for operation in job:
         acts: tuple[ToolEvent | Stop, ...] = ()
         if isinstance(operation, Move):
@@ -164,17 +173,20 @@ def _dark_rapids(job: Job) -> int:
         if not isinstance(operation, Move):
             continue
         before, at = at, operation.target
-        feed = operation.feed
-        if feed is None or feed.mode is not FeedMode.RAPID or before == at:
-            continue
-        count += 1
-        if spindle and power:
-            raise PlanError(
-                f"{spindle} is on in a G0, which the target nc writes as a G1 with its planned "
-                "time: a laser that HAL switches off in G0 would burn there",
-                place=operation.source.place,
-                remedy="Write M5 before the G0, or choose --target linuxcnc, which keeps G0.",
-            )
+        feed, lights = operation.feed, bool(spindle and power)
+        if feed is None or feed.mode is not FeedMode.RAPID:
+            plunges |= lights and height is not None and at[height] < before[height]
+        elif before != at:
+            count += 1
+            lit = lit or ((spindle, operation.source.place) if lights else None)
+    if lit is not None and not plunges:
+        raise PlanError(
+            f"{lit[0]} is on in a G0, which the target nc writes as a G1 with its planned time, "
+            "and no feed move goes down along Z: a laser that HAL switches off in G0 would burn "
+            "there",
+            place=lit[1],
+            remedy="Write M5 before the G0, or choose --target linuxcnc, which keeps G0.",
+        )
     return count
 
 

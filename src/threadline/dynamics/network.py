@@ -375,11 +375,7 @@ class _Builder:
             free, limit_on_current = held, None
             limit_on_input = no_limit if amps is None else amps
             if volts is not None:
-                if drive.inductance is not None:
-                    raise self._refuse(
-                        f"{path}: a current amplifier with both a voltage limit and an inductance",
-                        "Omit one of them; the loop inside the amplifier is not modelled.",
-                    )
+                # Without the loop inside the amplifier: the inductance takes none of the voltage.
                 supply = [
                     (sign * volts[:, None] * one - emf[:, None] * turning) / resistance[:, None]
                     for sign in (1.0, -1.0)

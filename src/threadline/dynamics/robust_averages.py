@@ -178,6 +178,8 @@ class ChangeOfSpeed:
     mean_s
         Time over which the mean speed must be constant, 0 for the speed itself. If above 0, the
         time to reach the speed and the rest before the start are not constrained.
+    swing
+        Largest speed of the nominal load before its departure, as a share of the intended speed.
     """
 
     stop: bool
@@ -188,6 +190,7 @@ class ChangeOfSpeed:
     aside_s: float = 0.0
     share: tuple[float, float] = (1.0, 1.0)
     mean_s: float = 0.0
+    swing: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -417,6 +420,9 @@ def _bands(
     if planned and not change.mean_s:
         still = np.flatnonzero((t >= -change.still_s) & (t <= -change.early_s))
         bands.append(_Band(S[still], *_within(STILL, len(still))))
+    if planned and np.isfinite(change.swing):
+        before = np.flatnonzero(t <= -change.early_s)
+        bands.append(_Band(S[before], *_within(change.swing, len(before))))
     # While another axis has its constant speed, motion across the path makes the load faster.
     across = S[t <= -(change.aside_s + change.within_s)]
     bands.append(_Band(across, *_within(ACROSS, len(across))))

@@ -34,6 +34,7 @@ def suspicions(machine: Machine) -> list[str]:
     - torque and back-emf constants that differ by more than 5 % (in SI they are equal),
     - counts of an axis that differ from its sensor's counts through belt and gear by more than 1 %
       plus tolerances,
+    - an inductance beside the voltage limit of a current amplifier, whose loop is not simulated,
     - friction that takes at least half of a motor's current at the axis' working speed,
     - a velocity or acceleration limit of an axis more than 5 % above the capability of its motor
       and amplifier,
@@ -44,6 +45,7 @@ def suspicions(machine: Machine) -> list[str]:
     if machine.without_dynamics:
         return []
     found = [text for name in machine.motors for text in _constants(machine, name)]
+    found += [text for name in machine.motors for text in _coil_left_out(machine, name)]
     for name in machine.axes:
         if machine.source_of(name) is not None:
             found += _beyond_torque(machine, name)
@@ -67,6 +69,20 @@ def _constants(machine: Machine, name: str) -> list[str]:
     return [
         f"drives.{name}: torque_constant {torque.si:.4g} N m/A and back_emf {emf.si:.4g} V s/rad "
         f"should be the same number; they disagree by {abs(apart) * 100:.0f} %"
+    ]
+
+
+def _coil_left_out(machine: Machine, name: str) -> list[str]:
+    """Return a warning where the loop inside a current amplifier would need its voltage limit."""
+    drive = machine.motors[name]
+    volts = drive.amplifier.voltage_limit
+    if drive.amplifier.mode != "current" or volts is None or drive.inductance is None:
+        return []
+    rise_s = drive.inductance.si / volts.si
+    return [
+        f"drives.{name}: its current follows at once where voltage_limit suffices for resistance "
+        f"and back EMF; the rise against the inductance, {1e3 * rise_s:.2g} ms for each ampere at "
+        f"{volts.si:.4g} V, is not simulated"
     ]
 
 

@@ -289,6 +289,25 @@ class Recording:
         return np.concatenate(times), np.concatenate(values)
 
 
+def columns_of(recording: Recording) -> dict[str, FloatArray]:
+    """Return the channels of one run as (n,) columns over the times of the finest channel.
+
+    Keys are ``time [s]``, then the name of each channel with its unit: ``X.load [m]``. A channel
+    with fewer samples holds each value until its next one, and is NaN before its first.
+    """
+    found = {channel.name: recording.samples(channel.name) for channel in recording.channels}
+    times_s = max((times for times, _ in found.values()), key=len, default=np.empty(0))
+    columns = {"time [s]": times_s}
+    for channel in recording.channels:
+        own_s, values = found[channel.name]
+        if len(own_s) != len(times_s) or not np.array_equal(own_s, times_s):
+            at = np.searchsorted(own_s, times_s, side="right") - 1
+            held = values[np.maximum(at, 0)] if len(values) else np.zeros(len(times_s))
+            values = np.where(at >= 0, held, np.nan)
+        columns[f"{channel.name} [{channel.unit}]" if channel.unit else channel.name] = values
+    return columns
+
+
 def _of_one_run(blocks: Iterable[RecordingBlock], run: int) -> Iterator[RecordingBlock]:
     """Yield blocks with the samples of one run; channels common to all runs are (n,) already."""
     for block in blocks:

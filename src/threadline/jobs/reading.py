@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from threadline.errors import JobError, OptionError, Place
 from threadline.jobs import embroidery
+from threadline.jobs.axis_table import is_axis_table, read_axis_table
 from threadline.jobs.gcode import read_part_program
 from threadline.jobs.gcode.dialects import dialect_of
+from threadline.jobs.gcode.foreign import guesses
 from threadline.jobs.moves import read_moves
 from threadline.jobs.operations import Job
 from threadline.jobs.seam import STITCHING_KEYS, SUFFIXES, read_seam
@@ -18,6 +21,8 @@ from threadline.jobs.xwinder import begins_as_x_winder, read_x_winder
 from threadline.machine import Machine
 
 X_WINDER = "x-winder"
+DEFAULT_DIALECT = "winder"
+"""Dialect of a machine file that names none."""
 
 
 def read_program(
@@ -27,8 +32,12 @@ def read_program(
     dialect: str | None = None,
     feed_mode: str | None = None,
     base_axes: tuple[str, ...] = (),
+    axes: str | None = None,
 ) -> Job:
     """Return the job of a program; the first line identifies an X-Winder program.
+
+    Where neither an option nor the machine file names a dialect, the dialect is guessed from the
+    program, and a warning says so.
 
     Raises
     ------
@@ -42,9 +51,16 @@ def read_program(
     path = Path(path)
     theirs = begins_as_x_winder(path)
     if dialect_of(machine, dialect) != X_WINDER and not theirs:
-        return read_part_program(
-            path, machine=machine, dialect=dialect, feed_mode=feed_mode, base_axes=base_axes
+        read = partial(
+            read_part_program,
+            path,
+            machine=machine,
+            feed_mode=feed_mode,
+            base_axes=base_axes,
+            axes=axes,
         )
+        guessed = dialect is None and machine.programs.dialect == DEFAULT_DIALECT
+        return _read_guessed(path, read) if guessed else read(dialect=dialect)
     if dialect not in (None, X_WINDER):
         raise OptionError(
             f"{Place(str(path))} is an X-Winder Designer program, and no {dialect} one",
@@ -55,7 +71,31 @@ def read_program(
             "X-Winder programs say what F means: inches or millimetres a second of the carriage",
             remedy="Leave --feed-mode out.",
         )
-    return read_x_winder(path, machine=machine)
+    return read_x_winder(path, machine=machine, axes=axes)
+
+
+def _read_guessed(path: Path, read: Callable[..., Job]) -> Job:
+    """Return the job of a program in the default dialect, else in one that the program shows."""
+    try:
+        return read(dialect=DEFAULT_DIALECT)
+    except JobError as error:
+        refused = [error]
+    likely = guesses(path)
+    for guess in likely:
+        try:
+            job = read(dialect=guess.dialect)
+        except JobError as error:
+            refused.append(error)
+            continue
+        said = (
+            f"{Place(str(path))}: read in the dialect {guess.dialect}, guessed from the file "
+            f"(it has {guess.mark!r}); --dialect names another."
+        )
+        return replace(job, warnings=(said, *job.warnings))
+    # The dialect that the file names explains best what is wrong, else the one that read furthest.
+    if likely and likely[0].named:
+        raise refused[1]
+    raise max(refused, key=lambda error: error.place.line if error.place is not None else 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +113,15 @@ class Format:
         Reader of the format; its arguments are the path, ``machine=`` and the options.
     options
         Names of the options that ``read`` takes.
+    has
+        Whether a file with such an ending has this format; None: always.
     """
 
     name: str
     extensions: tuple[str, ...]
     read: Callable[..., Job]
     options: tuple[str, ...] = ()
+    has: Callable[[Path], bool] | None = None
 
     @property
     def article(self) -> str:
@@ -88,7 +131,7 @@ class Format:
 
 _TYPED = {
     "dialect": "--dialect", "feed_mode": "--feed-mode", "base_axes": "--feed-mode",
-    "needle_speed": "--needle",
+    "needle_speed": "--needle", "axes": "--axes",
 }  # fmt: skip
 """Command-line option for each reader option that has one."""
 
@@ -110,12 +153,25 @@ FORMATS: tuple[Format, ...] = (
             ".x2g",
         ),
         read_program,
-        ("dialect", "feed_mode", "base_axes"),
+        ("dialect", "feed_mode", "base_axes", "axes"),
+    ),
+    Format(
+        "axis table",
+        (".csv",),
+        read_axis_table,
+        ("feed_mode", "base_axes", "axes"),
+        is_axis_table,
     ),
     Format("seam", SUFFIXES, read_seam, STITCHING_KEYS),
     Format("move list", (".toml",), read_moves),
     Format("embroidery design", embroidery.SUFFIXES, embroidery.read_design),
 )
+
+_PLANNED_ELSEWHERE = {
+    ".wind": "a winding definition of FiberPath: mandrel, fibre and layers, from which a planner "
+    "makes the moves; it has none itself",
+}
+"""Files that belong to a job and hold no moves, by their ending."""
 
 
 def read_job(path: str | Path, machine: Machine, **options: Any) -> Job:
@@ -140,11 +196,18 @@ def read_job(path: str | Path, machine: Machine, **options: Any) -> Job:
     path = Path(path)
     extension = path.suffix.lower()
     for known in FORMATS:
-        if path.name.lower().endswith(known.extensions):
+        fits = path.name.lower().endswith(known.extensions)
+        if fits and (known.has is None or known.has(path)):
             for name in options:
                 if name not in known.options:
                     raise _refused(path, known, name)
             return known.read(path, machine=machine, **options)
+    if extension in _PLANNED_ELSEWHERE:
+        raise JobError(
+            _PLANNED_ELSEWHERE[extension],
+            place=Place(str(path)),
+            remedy="Have that planner write its program (.gcode), and give the program.",
+        )
     extensions = ", ".join(e for known in FORMATS for e in known.extensions)
     raise JobError(
         f"{extension or 'no extension'!r} is not a format of jobs that is known",

@@ -32,6 +32,7 @@ from pathlib import Path
 from threadline.base.reading import open_binary
 from threadline.errors import BudgetError, JobError, Place
 from threadline.files import Stream
+from threadline.jobs.gcode.foreign import letters_of
 from threadline.jobs.gcode.textfile import Lines, SourceFile, identify
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Source, Stop
 from threadline.machine import Machine
@@ -56,8 +57,13 @@ def begins_as_x_winder(path: Path) -> bool:
     return head.lstrip().startswith(_BEGINS)
 
 
-def read_x_winder(path: Path, *, machine: Machine) -> Job:
+def read_x_winder(path: Path, *, machine: Machine, axes: str | None = None) -> Job:
     """Return the job of an X-Winder Designer program.
+
+    Parameters
+    ----------
+    axes
+        Letters of the program for axes of the machine, like ``"C=A,Z=X"``; None: their own.
 
     Raises
     ------
@@ -67,17 +73,23 @@ def read_x_winder(path: Path, *, machine: Machine) -> Job:
     BudgetError
         If the program has more operations than the machine's tick budget.
     """
+    letters = letters_of(machine, axes)
+    kinds = _kinds(machine)
     for name in "CZ":
-        axis = machine.axes.get(name)
-        if axis is None or axis.kind != _AXES[name]:
+        index = letters.axes.get(name)
+        if index is None or kinds[index] != _AXES[name]:
             raise JobError(
                 f"an X-Winder program turns the mandrel C and moves the carriage Z; "
                 f"{machine.name!r} has no {_AXES[name]} axis {name}",
                 place=Place(str(path)),
-                remedy="Name the axes so in the machine file.",
+                remedy=f"Rename the program's axes (--axes {_renaming(machine)}), or the machine's "
+                "in its file.",
             )
     file = identify(path)
-    program = XWinderProgram(file, machine.name, machine.axis_names, _kinds(machine))
+    named = {index: letter for letter, index in letters.axes.items()}
+    # An axis without a letter stays where it is; no word has its name in brackets.
+    spelt = tuple(named.get(i, f"({name})") for i, name in enumerate(machine.axis_names))
+    program = XWinderProgram(file, machine.name, spelt, kinds, letters.dropped)
     reading = _Reading(program)
     moves = 0
     budget = int(machine.tick_budget.si)
@@ -104,6 +116,13 @@ def read_x_winder(path: Path, *, machine: Machine) -> Job:
     )
 
 
+def _renaming(machine: Machine) -> str:
+    """Return the pairs that name the mandrel and the carriage of a machine, as to be typed."""
+    turning = next((n for n, axis in machine.axes.items() if axis.kind == "rotary"), "A")
+    going = next((n for n, axis in machine.axes.items() if axis.kind == "linear"), "X")
+    return f'"C={turning},Z={going}"'
+
+
 def _kinds(machine: Machine) -> tuple[str, ...]:
     return tuple(axis.kind for axis in machine.axes.values())
 
@@ -116,6 +135,7 @@ class XWinderProgram:
     machine: str
     axes: tuple[str, ...]
     kinds: tuple[str, ...]
+    dropped: frozenset[str] = frozenset()
 
     def operations(self) -> Iterator[Operation]:
         """Return the operations from the start position."""
@@ -284,11 +304,15 @@ class _Reading:
             if letter not in rest:
                 continue
             value = self._signed(rest, letter)
+            if letter in self.program.dropped:
+                self._note(letter)
+                continue
             if letter not in self.at:
                 if value:
                     raise self._error(
                         f"the machine {self.program.machine!r} has no axis {letter}",
-                        "Choose another machine (-m).",
+                        f"Leave its words out (--axes {letter}=none), or choose another machine "
+                        "(-m).",
                     )
                 continue
             linear = self.program.kinds[self.program.axes.index(letter)] == "linear"

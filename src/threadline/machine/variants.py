@@ -205,12 +205,6 @@ def one_at_a_time(machine: Machine) -> FloatArray:
     return parts
 
 
-def ends_then_drawn(machine: Machine, count: int, seed: int) -> FloatArray:
-    """Return (count, n) parts: ``one_at_a_time`` first, then random variants."""
-    ends = one_at_a_time(machine)[:count]
-    return np.concatenate([ends, drawn(machine, seed, np.arange(count - len(ends)))])
-
-
 def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
     """Return the numbers of a batch of variants: dotted name -> (k,) SI values.
 

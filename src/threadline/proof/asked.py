@@ -6,6 +6,7 @@ read, plan and judge a job in the same way.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -21,7 +22,7 @@ from threadline.machine.radii import with_radii
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
 from threadline.proof.option_form import Door, Group, Option, Type, Word
-from threadline.proof.option_table import known_words, options_for
+from threadline.proof.option_table import PYTHON_VERBS, known_words, options_for
 from threadline.proof.option_words import parse_band, parse_ends, parse_yield
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
@@ -309,6 +310,32 @@ def python_type(one: Option, verb: str) -> str:
         return f"Literal[{', '.join(repr(text).replace(chr(39), chr(34)) for text in one.choices)}]"
     plain, _ = _PYTHON[one.type]
     return plain if one.default_of(verb) is not None else f"{plain} | None"
+
+
+_TYPED_OPTION = re.compile(r"""(?<![\w-])--([a-z][a-z-]*)(?:[ =]?("[^"]*"|'[^']*'))?""")
+_OTHER_ARGUMENTS = {
+    "nominal": 'level="nominal"', "tolerances": 'level="over tolerances"', "slower": "slower=True",
+    "target": "target=", "out": "out=", "job": "job=", "machine": "machine=", "sign": "sign=",
+}  # fmt: skip
+
+
+def as_arguments(text: str) -> str:
+    """Return a message with the arguments of Python in place of the options of the command line.
+
+    >>> as_arguments('--low "1 m/s" is above --high. Leave --feed-forward out.')
+    'low="1 m/s" is above high=. Leave feed_forward=True out.'
+    """
+    words = {one.name: one for verb in PYTHON_VERBS for one in options_for(verb, Door.PYTHON)}
+
+    def spoken(found: re.Match[str]) -> str:
+        one, value = words.get(found[1]), found[2]
+        if one is None:
+            return _OTHER_ARGUMENTS.get(found[1], found[0])
+        if one.type is Type.FLAG:
+            return f"{one.word}=True"
+        return f"{one.word}={value or ''}"
+
+    return _TYPED_OPTION.sub(spoken, text).replace("(-m)", "(machine=)").replace(" -s,", " spec=,")
 
 
 def _taken(one: Option, verb: str) -> Any:

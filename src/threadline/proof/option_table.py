@@ -48,7 +48,9 @@ from threadline.proof.option_words import (
     parse_width_s,
 )
 
-PLANNERS = ("prove", "run", "compile", "compare", "fastest", "yield", "design", "judge", "panel")
+PLANNERS = (
+    "prove", "run", "compile", "compare", "fastest", "yield", "design", "animate", "judge", "panel",
+)  # fmt: skip
 """The verbs that plan a job; ``panel`` is a calculation on the panel."""
 PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile")
 """The verbs of ``import threadline as tl``."""
@@ -79,21 +81,21 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="spec", short="s", group=Group.INPUT, type=Type.SPEC,
         help="Specification file (.toml); default: the machine's own.",
-        verbs=("prove", "run", "compare", "fastest", "yield", "design", "judge"),
+        verbs=("prove", "run", "compare", "fastest", "yield", "design", "animate", "judge"),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="par", group=Group.INPUT, type=Type.FILE,
         help="FW-CNC.PAR whose settings replace those of the machine file.",
         helps={"judge": "FW-CNC.PAR; default: the one that the recording names."},
-        verbs=("prove", "run", "compile", "compare", "fastest", "yield", "judge"),
+        verbs=("prove", "run", "compile", "compare", "fastest", "yield", "animate", "judge"),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="actual", group=Group.INPUT, type=Type.MACHINE,
         help="Machine that runs the plan made for --machine: a file or a library name.",
         helps={"judge": "The machine that ran the plan; default: the recording's."},
-        verbs=("prove", "fastest", "judge"),
+        verbs=("prove", "fastest", "animate", "judge"),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
@@ -149,6 +151,15 @@ TABLE: tuple[Option, ...] = (
         label="Rule of F", placeholder="the machine's",
     ),
     Option(
+        name="axes", group=Group.PLAN, kinds=(TICKS,),
+        verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
+        help="Axes of the program by their names on the machine, if the program was made for "
+        'another one: "C=A,Z=X" moves A where the program has C, and X where it has Z; '
+        'B=none leaves the words of B out.',
+        attribute="axes", parse=str,
+        recorded=FileForm(key="axes", write=_same, read=str),
+    ),
+    Option(
         name="radius", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),
         help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm diameter, '
         '"A=20 mm at X 0 mm; 50 mm at X 100 mm" for a cone, or "A=mandrel.csv". Default: the '
@@ -184,7 +195,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="limits", group=Group.PLAN, kinds=(TICKS,),
-        verbs=("prove", "run", "compile", "compare", "yield", "design", "judge", "panel"),
+        verbs=tuple(verb for verb in PLANNERS if verb != "fastest"),
         help="Share of the acceleration and jerk limits that the planner uses.",
         default=DEFAULT_LIMITS, attribute="limit_share", parse=parse_share,
         recorded=FileForm(key="limits", write=_exact("%", 100.0), read=parse_share),
@@ -205,14 +216,14 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="mode", group=Group.PLAN, unit="Hz", kinds=(SWITCHES,),
-        verbs=("prove", "run", "compile", "compare", "yield", "judge"),
+        verbs=("prove", "run", "compile", "compare", "yield", "animate", "judge"),
         help='On an on/off machine: design mode of its shaper, "3.04 Hz"; default: the machine\'s.',
         attribute="shaper_mode", parse=str,
         recorded=FileForm(key="mode", write=_same, read=str),
     ),
     Option(
         name="damping", group=Group.PLAN, type=Type.RATIO, kinds=(SWITCHES,),
-        verbs=("prove", "run", "compile", "compare", "yield", "judge"),
+        verbs=("prove", "run", "compile", "compare", "yield", "animate", "judge"),
         help="Damping ratio of that mode; default: the machine's.",
         attribute="shaper_damping", parse=parse_damping,
         recorded=FileForm(

@@ -107,6 +107,8 @@ class Options:
     feed_mode
         Text of the rule for F of a part program if axes of several kinds move together; None: the
         reader's default.
+    axes
+        Text of the letters of a program for axes of the machine, ``"C=A,Z=X"``; None: their own.
     radius
         Text of the radii at which rotary axes act in this job, ``"A=40 mm, B=2 mm"``; None: the
         machine's.
@@ -142,6 +144,7 @@ class Options:
     feed: Feed | None = None
     dialect: str | None = None
     feed_mode: str | None = None
+    axes: str | None = None
     radius: str | None = None
     offset: str | None = None
     needle: str | None = None

@@ -13,7 +13,7 @@ from threadline.base.wording import nearest
 from threadline.base.writing import together
 from threadline.commands.plan import Plan
 from threadline.commands.write import Target
-from threadline.errors import MachineError, OptionError, RecordingError
+from threadline.errors import OptionError
 from threadline.files import Commands, Recording
 from threadline.files.formats.common import Written
 from threadline.jobs import read_job
@@ -23,12 +23,14 @@ from threadline.jobs.shifted import shifted
 from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.machine.radii import with_radii
-from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
+from threadline.machine.variants import check_uncertain, drawn
 from threadline.machine.vary import Others, band_of, ends_of
 from threadline.proof.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.proof.kinds.kind import Share
-from threadline.proof.kinds.variants import answering, played_by, rejects, unanswered
+from threadline.proof.kinds.variants import played_by, rejects
 from threadline.proof.options import Options
+from threadline.proof.over_tolerances import VARIANT_SEED, Suspects, over_tolerances
+from threadline.proof.worst_machine import Worst
 from threadline.verdict import Judge, Spec, Status, Verdict
 from threadline.verdict.deviation import measure_motion_deviation
 from threadline.verdict.each_run import worst_of
@@ -56,7 +58,6 @@ __all__ = [
 ]
 
 REPEAT_SEED = 1994
-VARIANT_SEED = 1994
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,11 +72,11 @@ class Trials:
         (encoders, the PLC's scan), from a fixed seed. The spread of these runs is the
         repeatability.
     machines
-        Number of other machines within the tolerances of the file: each number at either end of
-        its tolerance alone, the rest drawn over all tolerances from a fixed seed.
+        Number of other machines that are drawn over the tolerances of the file from a fixed seed;
+        without ``wished`` the worst machine within the tolerances is searched as well.
     wished
-        Wanted yield: the share of the machines, all drawn at random, that must be in spec. None
-        requires every machine.
+        Wanted yield: the share of the drawn machines that must be in spec. None requires every
+        machine that is drawn or searched.
     ends
         Share of the tolerances of loads and springs: machines at its ends are judged as well, in
         one run each.
@@ -135,11 +136,14 @@ class Proof:
     recording
         The first run: the nominal machine, with every channel.
     judged
-        All judged recordings, those of other machines last; one may hold several runs.
+        All judged recordings that are kept, those of the worst machine within the tolerances last;
+        one may hold several runs.
     runs
         Number of judged runs.
     actual
         The machine that ran, if it is not the planned one.
+    worst
+        The worst machine within the tolerances that was found; None if it was not searched.
     """
 
     plan: Plan
@@ -149,6 +153,7 @@ class Proof:
     judged: tuple[Recording, ...]
     runs: int = 1
     actual: Machine | None = None
+    worst: Worst | None = None
 
     def run(self, number: int) -> Recording:
         """Return a judged run by its number, as in ``Result.run``.
@@ -191,6 +196,8 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
     told = {} if options.dialect is None else {"dialect": options.dialect}
     if options.feed_mode is not None:
         told |= parse_feed_mode(options.feed_mode)
+    if options.axes is not None:
+        told["axes"] = options.axes
     if options.needle is not None:
         told["needle_speed"] = options.needle
     known = with_radii(machine, options.radius)
@@ -338,6 +345,7 @@ def prove_plan(
     trials: Trials = NOMINAL,
     actual: Machine | None = None,
     judge: Judge | None = None,
+    suspects: Suspects | None = None,
 ) -> Proof:
     """Simulate and judge a plan.
 
@@ -350,6 +358,9 @@ def prove_plan(
         or stiffnesses than feed-forward assumes.
     judge
         A judge that has judged this plan by this spec before, to reuse its measures of the plan.
+    suspects
+        For a search: machines that were out of specification before, as ``over_tolerances`` takes
+        them; the proof ends at the first machine that is out of specification.
 
     Raises
     ------
@@ -358,7 +369,7 @@ def prove_plan(
     """
     judge = Judge(plan, spec) if judge is None else judge
     if trials != trials.alone:
-        return _with_others(plan, spec, progress, trials, actual, judge)
+        return _with_others(plan, spec, progress, trials, actual, judge, suspects)
     if actual is not None or trials.machines:
         check_dynamics("what another machine makes of the plan", plan.machine, actual)
     kind = kind_of_commands(plan.commands)
@@ -367,25 +378,23 @@ def prove_plan(
     origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
     commands = plan.commands if actual is None else played_by(plan.commands, plan.machine, actual)
     recordings = kind.days(commands, machine, trials.repeats, random)
-    parts = np.empty((0, 0))
+    if trials.machines:
+        check_uncertain(machine)
+    share = Share(plan, progress, len(recordings))
+    verdict, worst = judge.verdict(share.of(recordings)), None
+    others: tuple[Recording, ...] = ()
     if trials.machines and trials.wished is None:
-        check_uncertain(machine)
-        parts = ends_then_drawn(machine, trials.machines, VARIANT_SEED)
-    others = kind.others(commands, machine, parts, random) if len(parts) else ()
 
-    share = Share(plan, progress, len(recordings) + len(others))
-    try:
-        verdict = judge.verdict(share.of(recordings), share.of(others, len(recordings)))
-    except (MachineError, RecordingError):
-        if not len(parts):
-            raise
-        # A drawn machine may never reach the end: the others are judged without it.
-        others, why = answering(kind, commands, machine, parts, random)
-        verdict = judge.verdict(share.of(recordings), share.of(others, len(recordings)))
-        stuck = unanswered(len(parts), why)
-        verdict = replace(verdict, results=(*verdict.results, stuck), machines=len(parts))
+        def runs_of(other: Machine) -> tuple[Verdict, tuple[Recording, ...]]:
+            proof = prove_plan(plan, spec, None, replace(trials, machines=0), other, judge)
+            return proof.verdict, proof.judged
+
+        of_machine = replace(plan, machine=machine, commands=commands)
+        over = over_tolerances(
+            of_machine, spec, verdict, trials.machines, runs_of, progress, suspects
+        )
+        verdict, worst, others = over.verdict, over.worst, over.judged
     if trials.wished is not None:
-        check_uncertain(machine)
         parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
         of_them = plan if actual is None else replace(plan, machine=machine)
         found, tried = rejects(kind, of_them, judge, parts, trials.wished, random)
@@ -399,15 +408,16 @@ def prove_plan(
         judged=(*recordings, *others),
         runs=verdict.runs,
         actual=actual,
+        worst=worst,
     )
 
 
 def _with_others(
     plan: Plan, spec: Spec, progress: Progress | None, trials: Trials, actual: Machine | None,
-    judge: Judge,
+    judge: Judge, suspects: Suspects | None,
 ) -> Proof:  # fmt: skip
     """Prove a plan, and judge it on the other machines that must pass as well."""
-    proof = prove_plan(plan, spec, progress, trials.alone, actual, judge)
+    proof = prove_plan(plan, spec, progress, trials.alone, actual, judge, suspects)
     verdict = proof.verdict
     for name, others in trials.others(plan.machine if actual is None else actual).items():
         found = []
@@ -420,12 +430,22 @@ def _with_others(
 
 
 def try_plan(
-    plan: Plan, spec: Spec, trials: Trials = NOMINAL, actual: Machine | None = None
+    plan: Plan,
+    spec: Spec,
+    trials: Trials = NOMINAL,
+    actual: Machine | None = None,
+    suspects: Suspects | None = None,
 ) -> Proof:
-    """Prove a plan for a search; stop after one run that is out of spec."""
+    """Prove a plan for a search; stop after runs that are out of spec.
+
+    The machine of the file comes first, in one run, and then in all. Of the machines within its
+    tolerances ``suspects`` come first; the list takes the machine that is out of spec.
+    """
     judge = Judge(plan, spec)
-    nominal = prove_plan(plan, spec, None, NOMINAL, actual, judge)
-    failed = any(result.status is Status.FAILED for result in nominal.verdict.results)
-    if trials == NOMINAL or failed:
-        return nominal
-    return prove_plan(plan, spec, None, trials, actual, judge)
+    for some in dict.fromkeys((NOMINAL, Trials(repeats=trials.repeats))):
+        proof = prove_plan(plan, spec, None, some, actual, judge)
+        failed = any(result.status is Status.FAILED for result in proof.verdict.results)
+        if some == trials or failed:
+            return proof
+    known = [] if suspects is None else suspects
+    return prove_plan(plan, spec, None, trials, actual, judge, known)

@@ -31,7 +31,7 @@ from threadline.proof.options import options_from
 from threadline.proof.pipeline import Proof, open_job, plan_job, with_shaping
 from threadline.proof.proof_form import contradiction, criteria_difference, in_spec, malformed_entry
 from threadline.verdict import Spec, load_spec
-from threadline.verdict.rendering import criteria_json
+from threadline.verdict.rendering import criteria_json, tolerances_json
 
 FORMAT = "threadline proof 1"
 _MAX_BYTES = 64 << 20
@@ -136,6 +136,7 @@ def proof_content(proof: Proof, folder: Path, key: bytes | None = None) -> dict[
         "level": proof.verdict.level.value,
         "runs": proof.runs,
         "machines": proof.verdict.machines,
+        **tolerances_json(proof.verdict),
         "job": {
             "name": plan.job.name,
             "file": _beside(plan.job.file, folder),

@@ -35,7 +35,7 @@ from threadline.report.strips import binding_lines, binding_of, strips_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.units import without_noise
-from threadline.verdict import closing, verdict_rows
+from threadline.verdict import closing, is_assumed, verdict_rows
 
 if TYPE_CHECKING:
     from threadline.search.studied import Studied
@@ -230,7 +230,6 @@ def about_motion(proof: Proof) -> list[str]:
     plan = proof.plan
     added = plan.motion.path.summary.get("points_added")
     return [
-        *specification_lines(proof),
         *feed_forward_lines(plan.motion.demands),
         *feed_lines(plan),
         *motion_lines(plan),
@@ -261,8 +260,8 @@ def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
 
 
 def specification_lines(proof: Proof) -> list[str]:
-    """Return a line with the specification, for a machine file that has only limits."""
-    if not proof.plan.machine.without_dynamics:
+    """Return a line with the specification, for limits alone and for an assumed one."""
+    if not (proof.plan.machine.without_dynamics or is_assumed(proof.spec)):
         return []
     return [f"Asked:                {proof.spec.name}"]
 

@@ -11,7 +11,7 @@ from threadline.commands.plan import Motion, Scheduled, Stitched
 from threadline.proof.pipeline import Proof
 from threadline.report.comparison import write_motion_comparison
 from threadline.report.document import Printed
-from threadline.report.motion import about_motion, write_motion
+from threadline.report.motion import about_motion, specification_lines, write_motion
 from threadline.report.stitched import about_stitched, write_stitched, write_stitched_comparison
 from threadline.report.switching import about_switching, write_switching, write_switching_comparison
 
@@ -66,7 +66,7 @@ def write_report(studied: Studied, folder: Path) -> Path:
 
 def about(proof: Proof) -> list[str]:
     """Return the lines of text below the verdict of a proof."""
-    return REPORTS[type(proof.plan.intent)].about(proof)
+    return [*specification_lines(proof), *REPORTS[type(proof.plan.intent)].about(proof)]
 
 
 def write_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:

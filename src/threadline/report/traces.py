@@ -31,7 +31,7 @@ class DrawnRun:
     recording
         Recording of this run alone.
     number
-        Number of the run, as in ``Result.run``: from 1, runs of other machines last.
+        Number of the run, as in ``Result.run``: from 1, runs of the worst machine last.
     worst_of
         The criterion that is worst in this run; empty if all runs are equal, and the first is
         drawn.
@@ -53,7 +53,7 @@ def run_words(verdict: Verdict, number: int) -> str:
     """Return the name of a run for a caption: a run of the machine, or a machine in tolerance."""
     if number <= verdict.runs:
         return f"run {number} of {verdict.runs}"
-    return f"machine {number - verdict.runs} of {verdict.machines} within the tolerances"
+    return f"run {number - verdict.runs} of the worst machine found within the tolerances"
 
 
 def drawn_run(proof: Proof, names: Sequence[str]) -> DrawnRun:

@@ -84,7 +84,9 @@ def fastest_cycle(asked: Question) -> FastestCycle:
     machine, spec, until = asked.machine, asked.spec, asked.until
 
     def proved(job: Job) -> Proof:
-        return try_plan(plan_job(job, machine, Options()), spec, asked.trials, asked.actual)
+        return try_plan(
+            plan_job(job, machine, Options()), spec, asked.trials, asked.actual, asked.suspects
+        )
 
     plain = with_choices(asked.job, {}, {})
     unshaped = proved(plain)

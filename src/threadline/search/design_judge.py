@@ -12,9 +12,9 @@ from threadline.commands.plan import Plan
 from threadline.machine import Machine
 from threadline.machine.numbers import number_at
 from threadline.machine.vary import Days, drawn_days, varied_numbers
+from threadline.proof.judge_runs import RunsJudge, kept_in_memory
 from threadline.proof.pipeline import REPEAT_SEED, Trials
 from threadline.search.design_space import Space
-from threadline.search.judge_runs import RunsJudge, kept_in_memory
 from threadline.verdict import Criterion, EachRun, Spec
 from threadline.verdict.measure import OfRun
 from threadline.verdict.needle import has_stitches

@@ -11,7 +11,8 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.machine.variants import FARTHEST, drawn
-from threadline.search.machine_yield import MachineYield, shares_of
+from threadline.proof.worst_machine import shares_of
+from threadline.search.machine_yield import MachineYield
 from threadline.verdict.each_run import clopper_pearson
 
 _PER_PART = 2.0  # standard deviations per tolerance

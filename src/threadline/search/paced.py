@@ -17,6 +17,7 @@ from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.proof.option_form import Word
 from threadline.proof.options import Options
+from threadline.proof.over_tolerances import Suspects
 from threadline.proof.pipeline import NOMINAL, Trials, try_plan
 from threadline.search.fastest import FINE, Fastest, Grid, check_range, find_fastest
 from threadline.search.forbidden import used
@@ -51,6 +52,9 @@ class Question:
         Whether to search on machines at the ends of the tolerances, too.
     words
         Planning options of the same plan, by word, without the options that the search finds.
+    suspects
+        Machines within the tolerances that were out of specification at another pace: they are
+        tried first. The search adds to them.
     """
 
     job: Job
@@ -68,6 +72,7 @@ class Question:
     band: float | None = None
     mismatch: bool = False
     words: Mapping[str, Word] = field(default_factory=dict)
+    suspects: Suspects = field(default_factory=list)
 
     @property
     def file(self) -> Path:
@@ -76,7 +81,7 @@ class Question:
 
     def judged(self, plan: Plan) -> Verdict:
         """Return the verdict on a plan."""
-        return try_plan(plan, self.spec, self.trials, self.actual).verdict
+        return try_plan(plan, self.spec, self.trials, self.actual, self.suspects).verdict
 
 
 _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}

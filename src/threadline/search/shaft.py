@@ -195,7 +195,7 @@ def _schedule(asked: Question) -> Proof | None:
         # The found tolerance is typed in millimetres, and must give the same plan.
         chosen = replace(options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit)))
         plan = plan_job(asked.job, asked.machine, chosen)
-        proof = try_plan(plan, spec, asked.trials, asked.actual)
+        proof = try_plan(plan, spec, asked.trials, asked.actual, asked.suspects)
         tried += 1
         if asked.progress is not None:
             asked.progress("searching schedules", tried / (_HALVINGS + 2.0))

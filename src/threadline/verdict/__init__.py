@@ -17,7 +17,7 @@ from threadline.verdict.rendering import (
     verdict_rows,
 )
 from threadline.verdict.sewn import SewnStitches, sewn_stitches
-from threadline.verdict.spec import load_spec
+from threadline.verdict.spec import is_assumed, load_spec
 from threadline.verdict.tracking import as_intended
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
 
@@ -38,6 +38,7 @@ __all__ = [
     "happened_lines",
     "happened_rows",
     "in_a_word",
+    "is_assumed",
     "judge",
     "load_spec",
     "needed_channels",

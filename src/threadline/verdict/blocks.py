@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
-from threadline.verdict.progress import PlanClock, chords_under_way
+from threadline.verdict.progress import PlanClock, chords_under_way, shares_of
 from threadline.verdict.samples import (
     MOST_WAITING,
     Block,
@@ -38,7 +39,7 @@ _COLUMNS: Mapping[str, tuple[ChannelKind, ...]] = {
 _LARGEST = ("voltage", "current", "current_peak", "torque_share")
 # The value of largest magnitude since the previous sample: a second channel of the same kind.
 _PEAK_NAME = "{axis}.current_peak"
-_CHORDS = ("low", "high", "safe")
+_CHORDS = ("low", "high", "safe", "share")
 FEW = 1024  # samples: a smaller block waits for more, since each block costs every measure a call,
 _OF_RUNS = 1 << 18  # unless the samples of all runs are this many, as in a block of the twin
 COPIED = 60_000  # values of a column
@@ -105,13 +106,17 @@ def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
     )
 
 
+_Places = dict[str, NDArray[Any]]
+"""(n,) operations, chords of the path as in ``_CHORDS``, and the share of the chord ``low``."""
+
+
 @dataclass(slots=True)
 class _Held:
-    """Buffered samples: instants, columns of all axes, integer columns, and the plan's time."""
+    """Buffered samples: instants, columns of all axes, places on the path, and the plan's time."""
 
     time_s: FloatArray
     columns: dict[str, FloatArray]
-    whole: dict[str, IntArray]
+    whole: _Places
     plan_s: FloatArray | None = None  # if it differs from the clock
     slow: NDArray[np.bool_] | None = None
 
@@ -303,7 +308,7 @@ def judged_blocks(
     """
     held = None if resolution is None else Steady(resolution)
     waiting: list[_Held] = []  # samples that were not yielded yet, the oldest first
-    past: dict[str, IntArray] = {}  # chords of the samples before them, as far as the lag reaches
+    past: _Places = {}  # chords of the samples before them, as far as the lag reaches
     last: FloatArray | None = None  # the command before the next samples
     first, few = 0, min(FEW, _OF_RUNS // recording.runs)
     for fresh in _samples(recording, axes):
@@ -335,7 +340,7 @@ def judged_blocks(
         first, at = first + len(part), at + len(part)
 
 
-def _joined(parts: Sequence[Mapping[str, IntArray]]) -> dict[str, IntArray]:
+def _joined(parts: Sequence[_Places]) -> _Places:
     """Return the chords of consecutive samples joined; empty if they are unknown."""
     known = [part for part in parts if "low" in part]
     return {
@@ -345,18 +350,20 @@ def _joined(parts: Sequence[Mapping[str, IntArray]]) -> dict[str, IntArray]:
 
 def _block(
     part: _Held,
-    chords: Mapping[str, IntArray],
+    chords: _Places,
     at: int,
     first: int,
     lag_samples: int,
     path: PathWindow | None,
 ) -> Block:
     """Return a block of ``part``, whose first sample has row ``at`` of ``chords``."""
-    chord_begin = chord_end = None
+    chord_begin = chord_end = left = None
     if path is not None and chords:
         low, high = chords["low"], chords["high"]
         rows = np.arange(at, at + len(part))
-        chord_begin = np.minimum(low[np.maximum(rows - lag_samples, 0)], low[rows])
+        before = np.maximum(rows - lag_samples, 0)
+        chord_begin = np.minimum(low[before], low[rows])
+        left = np.where(low[before] == chord_begin, chords["share"][before], 0.0)
         chord_end = np.maximum(high[np.minimum(rows + lag_samples, len(high) - 1)], high[rows])
         # One sample earlier: the segment from the last sample to this one still counts there.
         path.drop(int(chords["safe"][max(at - 1 - lag_samples, 0)]))
@@ -378,15 +385,19 @@ def _block(
         plan_s=part.plan_s,
         slow=part.slow,
         steady=part.columns.get("steady"),
+        left=left,
     )
 
 
 def _chords(
     fresh: _Held, path: PathWindow, at_tool: FloatArray | None, before: FloatArray | None
-) -> dict[str, IntArray]:
+) -> _Places:
     """Return the chords that the samples are on, and the first chord of any later sample."""
     operation = fresh.whole["operation"]
     path.reach(int(operation[-1]))
     own = path.chords(operation)
     low, high = chords_under_way(path, own, at_tool, before)
-    return {"low": low, "high": high, "safe": own[0] - 1 + path.first}
+    share = path.begins(operation, low - path.first)
+    if at_tool is not None and np.isfinite(at_tool).all():
+        share = shares_of(at_tool, low, path)
+    return {"low": low, "high": high, "safe": own[0] - 1 + path.first, "share": share}

@@ -116,6 +116,8 @@ class Contour(SweptMeasure):
         self._time_s = 0.0
         self._part: ContourPart | None = None
         self._left: _Left | None = None
+        # The vertex that the last operation does not lead to yet, though its chord does.
+        self._on_its_way: int | None = None
 
     def part(self, block: Block) -> ContourPart:
         """Return the arrays for the sweep; vertices behind the window are put aside."""
@@ -159,11 +161,15 @@ class Contour(SweptMeasure):
                 distance_m,
                 time_s=time_s[at] + part * (time_s[at + 1] - time_s[at]),
                 operation=block.operations_at(sample),
-                line=path.line[found.nearest],
+                line=path.lines_at(found.nearest, block.at_tool[at].diagonal(axis1=0, axis2=2).T),
                 position=block.positions_at(sample),
             )
         self._settle(self._left)
         self._chord += path.first
+        assert block.end is not None
+        self._on_its_way = None
+        if block.operation is not None and path.is_on_its_way(int(block.operation[-1])):
+            self._on_its_way = int(block.end[-1])
 
     def finish(self) -> Sequence[Found]:
         """Return the worst sample and the worst programmed point that the run came to."""
@@ -176,6 +182,9 @@ class Contour(SweptMeasure):
             rest = self._vertices[reached:, :, None] - point
             self._best[reached:] = (rest**2).sum(axis=1)
             self._best_time_s[reached:] = time_s
+            if self._on_its_way is not None:
+                reached = min(reached, max(self._on_its_way - self._first, 0))
+                self._best_time_s[reached:] = time_s
             self._settle(self._leave(reached))
             self._settle(self._leave(len(self._best)), _UNREACHED)
             left = self._path.remainder(point)

@@ -15,8 +15,10 @@ from threadline.motion.path.types import Timing
 from threadline.verdict.demands import BRAKING, PATH_USE
 from threadline.verdict.finding import Found
 from threadline.verdict.measure import MeasureKind
-from threadline.verdict.types import Criterion, Result, Status, Verdict
+from threadline.verdict.registry import MEASURES
+from threadline.verdict.types import Criterion, Result, Status, Verdict, is_measured
 
+_WITHIN = "a machine within the tolerances"
 _EXCUSED = ("acceleration", BRAKING, "jerk", PATH_USE)
 
 
@@ -187,7 +189,7 @@ def exceeded(kind: MeasureKind, limit: float | None, values: FloatArray) -> NDAr
 def worst_of(
     verdict: Verdict,
     others: Sequence[tuple[str, Verdict]],
-    over: Literal["ends", "band"] = "ends",
+    over: Literal["ends", "band"] | None = "ends",
 ) -> Verdict:
     """Return ``verdict`` with every result replaced by the worst of all machines.
 
@@ -199,7 +201,8 @@ def worst_of(
         For each other machine, how it differs, and its verdict by the same specification. A
         criterion that is not measured there (repeatability in one run) keeps its result.
     over
-        Which machines they are: the attribute of a verdict that counts them.
+        Which machines they are: the attribute of a verdict that counts them. None: they are not
+        counted, and their results keep the number of the run.
     """
     results = list(verdict.results)
     for told, other in others:
@@ -208,9 +211,50 @@ def worst_of(
             one = found.get((result.name, result.axis, result.step))
             if one is not None and _worse(one, result):
                 note = ", ".join(filter(None, (one.note, told)))
-                results[k] = replace(one, note=note, run=None)
+                results[k] = replace(one, note=note, run=None if over else one.run)
     worst, count = replace(verdict, results=tuple(results)), len(others)
+    if over is None:
+        return worst
     return replace(worst, ends=count) if over == "ends" else replace(worst, band=count)
+
+
+def in_others(verdict: Verdict, others: EachRun, told: str = _WITHIN) -> Verdict:
+    """Return ``verdict`` with every result replaced by the worst of other machines, if it is worse.
+
+    Their places in the job are not known. A machine that could not be simulated is left out.
+
+    Parameters
+    ----------
+    others
+        The results of other machines by the same specification, one run each.
+    told
+        Note of a replaced result.
+    """
+    rows = {(row.name, row.axis, row.step): row for row in others.rows if not row.of_plan}
+    results = list(verdict.results)
+    for k, result in enumerate(results):
+        row = rows.get((result.name, result.axis, result.step))
+        if row is None:
+            continue
+        kind = MEASURES[row.name]
+        known = row.values[[is_measured(value, row.unit) for value in row.values.tolist()]]
+        other = replace(
+            result,
+            measured=float(known.max()) if len(known) else None,
+            status=kind.status(float(known.max()) if len(known) else None, row.limit),
+            time_s=None,
+            operation=None,
+            job_line=None,
+            position=None,
+            passes=(),
+            run=None,
+            note=told,
+        )
+        if len(known) and _worse(other, results[k]):
+            results[k] = other
+        if row.missed.any() and results[k].status is not Status.FAILED:
+            results[k] = replace(other, measured=None, status=Status.NOT_MEASURED)
+    return replace(verdict, results=tuple(results))
 
 
 def _worse(one: Result, than: Result) -> bool:
@@ -236,3 +280,14 @@ def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> 
     low = 0.0 if not passed else float(betaincinv(passed, tried - passed + 1, tail))
     high = 1.0 if passed == tried else float(betaincinv(passed + 1, tried - passed, 1.0 - tail))
     return low, high
+
+
+def at_least(passed: int, tried: int, confidence: float = CONFIDENCE) -> float:
+    """Return the exact one-sided lower bound of a proportion, ``passed`` of ``tried``.
+
+    >>> f"{at_least(200, 200):.4f}", f"{at_least(199, 200):.4f}", at_least(0, 200)
+    ('0.9851', '0.9765', 0.0)
+    """
+    if passed == tried:
+        return float((1.0 - confidence) ** (1.0 / tried)) if tried else 0.0
+    return clopper_pearson(passed, tried, 2.0 * confidence - 1.0)[0]

@@ -32,9 +32,14 @@ class PeakPart(NamedTuple):
 
 
 class RmsPart(NamedTuple):
-    """Arrays of a sweep for the mean current: squares are added to ``total``, (axes, runs)."""
+    """Arrays of a sweep for the mean current: mean squares are added to ``total``, (axes, runs).
+
+    ``before``, (axes, runs), is the sample before the block; with ``fresh`` there is none.
+    """
 
     current: FloatArray
+    before: FloatArray
+    fresh: bool
     total: FloatArray
 
 
@@ -127,17 +132,21 @@ class _CurrentPeak(SweptMeasure):
 
 
 class _CurrentRms(SweptMeasure):
-    """Per axis: the root mean square of the motor's current over the recording, in A."""
+    """Per axis: the root mean square of the motor's current over the recording, in A.
+
+    Between two samples the current is a straight line.
+    """
 
     def __init__(self, setting: Setting) -> None:
         self._axes = setting.axes
         self._sum: FloatArray = np.zeros((len(setting.axes), setting.runs))
+        self._last: FloatArray = np.zeros((len(setting.axes), setting.runs))
         self._count = 0
 
     def part(self, block: Block) -> RmsPart:
         """Return the arrays for the sweep."""
         assert block.current is not None
-        return RmsPart(lanes(block.current), self._sum)
+        return RmsPart(lanes(block.current), self._last, self._count == 0, self._sum)
 
     def feed(self, block: Block) -> None:
         """Count the samples that the sweep has added."""
@@ -145,7 +154,7 @@ class _CurrentRms(SweptMeasure):
 
     def finish(self) -> Sequence[Found]:
         """Return the findings of every axis."""
-        mean = self._sum / max(self._count, 1)
+        mean = self._sum / (self._count - 1) if self._count > 1 else self._last**2
         return [
             _plain(axis, np.sqrt(row))
             for axis, row in zip(self._axes, mean, strict=True)
@@ -161,9 +170,10 @@ def _plain(axis: str, values: FloatArray) -> Found:
 
 
 class _DacSaturation(SweptMeasure):
-    """Per axis: the fraction of samples at which the controller's output is at its clamp.
+    """Per axis: the share of the time in which the controller's output is at its clamp.
 
-    At the clamp the loop is open. The clamp is ``range`` minus one level on the positive side and
+    A controller holds its output, so each sample stands for one interval, the last one too. At the
+    clamp the loop is open. The clamp is ``range`` minus one level on the positive side and
     at most ``range`` on the negative one; values within half a level of either count.
     """
 

@@ -306,13 +306,20 @@ def _largest(
                     at[a, r] = begin + i if larger else at[a, r]
 
 
-def _add_squares(values: FloatArray, total: FloatArray) -> None:
-    """Add the squares of all samples to ``total``, in their order."""
+def _add_squares(values: FloatArray, before: FloatArray, fresh: bool, total: FloatArray) -> None:
+    """Add the mean squares of all sample intervals to ``total``, in their order.
+
+    Between two samples a and b the values are a straight line: its mean square is a third of
+    a^2 + a b + b^2. ``before``, (axes, runs), is the sample before, and becomes the last one; with
+    ``fresh`` there is none.
+    """
     samples, axes, runs = values.shape
     for i in range(samples):
         for a in range(axes):
             for r in range(runs):
-                total[a, r] += values[i, a, r] * values[i, a, r]
+                one, two = before[a, r], values[i, a, r]
+                total[a, r] += 0.0 if fresh and i == 0 else (one * one + one * two + two * two) / 3
+                before[a, r] = two
 
 
 def _count_beyond(

@@ -305,7 +305,53 @@ def _between(
             )  # fmt: skip
 
 
+def _charge_trailing(
+    points: FloatArray,
+    begin: IntArray,
+    end: IntArray,
+    left: FloatArray,
+    vertices: FloatArray,
+    share: FloatArray,
+    squared: FloatArray,
+    chord: IntArray,
+    only: IntArray,
+) -> None:
+    """Raise ``squared``, (n, runs), where the nearest place is one that the command left too early.
+
+    ``left`` is the share of chord ``begin[i]`` that the command had left behind by the lag before
+    sample i. ``only`` is the nearest chord of all runs, or -1 if ``chord`` has one for each run.
+    ``share``, (n, axes, runs), weighs the axes; empty means equal weights.
+    """
+    axes = points.shape[1]
+    point, of, start = np.empty(axes), np.ones(axes), np.empty(axes)
+    for i in range(len(points)):
+        first = begin[i]
+        if left[i] <= 0.0 or only[i] > first:
+            continue
+        for r in range(points.shape[2]):
+            if only[i] < 0 and chord[i, r] != first:
+                continue
+            along, length = 0.0, 0.0
+            for a in range(axes):
+                if len(share):
+                    of[a] = share[i, a, r]
+                way = of[a] * (vertices[first, a] - vertices[first - 1, a])
+                along += of[a] * (points[i, a, r] - vertices[first - 1, a]) * way
+                length += way * way
+            if along >= left[i] * length:
+                continue
+            for a in range(axes):
+                point[a] = points[i, a, r]
+                way = vertices[first, a] - vertices[first - 1, a]
+                start[a] = vertices[first - 1, a] + left[i] * way
+            least = weighed_to_segment(point, start, vertices[first], of)
+            for c in range(first + 1, end[i] + 1):
+                least = min(least, weighed_to_segment(point, vertices[c - 1], vertices[c], of))
+            squared[i, r] = max(least, squared[i, r])
+
+
 nearest_chords_each = njit(nogil=True)(_nearest_chords)
+charge_trailing = njit(nogil=True)(_charge_trailing)
 between = njit(nogil=True)(_between)
 
 

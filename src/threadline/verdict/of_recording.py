@@ -26,6 +26,7 @@ ALLOWED_SHARE = 0.1
 """Share of a velocity limit by which a recording may exceed it."""
 OVER_S = 0.02
 """Time over which the velocity of a recording is averaged, against noise of its positions."""
+_JUMP = 2.0  # times a velocity limit: no machine is that fast, but missing samples look so
 _PLACEMENT = "contour_error"
 _PLACED_M = 1e-3  # placement tolerance at the tool, without a specification
 _POSITIONS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED)
@@ -182,6 +183,8 @@ def with_recording(
         return of_plan
     beyond = worst.value is not None and worst.value > 0.0
     note = worst.note or ("beyond, more than placement may be off" if beyond else "room left")
+    if kind is VELOCITY and worst.value is not None and worst.value > _JUMP * limit:
+        note += "; a jump, as where lines of a file without times are missing"
     return replace(
         result,
         measured=worst.value,

@@ -11,6 +11,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.errors import RecordingError
 from threadline.files import Clock, Event
+from threadline.verdict.nearest import lengths_squared
 from threadline.verdict.window import PathWindow
 
 _SAME_M = 1e-6  # chords whose distances from the command differ by less are the same line there
@@ -84,6 +85,15 @@ def _refine(
 
 
 _refine_fast = njit(nogil=True)(_refine)
+
+
+def shares_of(points: FloatArray, chord: IntArray, path: PathWindow) -> FloatArray:
+    """Return (n,) shares of the chords to the places nearest to (n, axes) points, at the tool."""
+    start = path.vertices[chord - path.first - 1]
+    way = path.vertices[chord - path.first] - start
+    length = lengths_squared(way)
+    along = ((points - start) * way).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+    return np.asarray(np.clip(along, 0.0, 1.0))
 
 
 def chords_under_way(

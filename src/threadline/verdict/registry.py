@@ -33,10 +33,10 @@ from threadline.verdict.measure import (
     whole_runs,
 )
 from threadline.verdict.samples import Setting
-from threadline.verdict.seam import OPTIONS as RISE_OPTIONS
-from threadline.verdict.seam import start_rise
 from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
+from threadline.verdict.to_speed import NEEDLE_OPTIONS, start_from_needle, start_to_speed
+from threadline.verdict.to_speed import OPTIONS as RISE_OPTIONS
 from threadline.verdict.tracking import start_tracking
 from threadline.verdict.types import Spec
 
@@ -201,8 +201,15 @@ _KINDS = (
         name="stitches_to_speed",
         dimension="stitch",
         per_axis=False,
-        reads=(_moved(start_rise, _ACTUAL, _COMMANDED),),
+        reads=(_moved(start_to_speed, _ACTUAL, _COMMANDED),),
         options=RISE_OPTIONS,
+    ),
+    MeasureKind(
+        name="stitches_from_needle",
+        dimension="stitch",
+        per_axis=False,
+        reads=(_moved(start_from_needle, _ACTUAL, _COMMANDED),),
+        options=NEEDLE_OPTIONS,
     ),
     MeasureKind(
         name="stitch_placement_error",

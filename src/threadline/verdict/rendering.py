@@ -12,7 +12,15 @@ from threadline.base.arrays import finite
 from threadline.commands.plan import Plan
 from threadline.units import without_noise
 from threadline.verdict.demands import VELOCITY_STEPS
-from threadline.verdict.types import Change, Disturbance, Level, Result, Status, Verdict
+from threadline.verdict.types import (
+    Change,
+    Disturbance,
+    Level,
+    OverTolerances,
+    Result,
+    Status,
+    Verdict,
+)
 
 _TOLD_SHARE = 10.0  # of a limit
 HAPPENED = "What changed the motion"
@@ -47,6 +55,7 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "level": verdict.level.value,
         "runs": verdict.runs,
         "machines": verdict.machines,
+        **tolerances_json(verdict),
         **({"ends": verdict.ends} if verdict.ends else {}),
         **({"band": verdict.band} if verdict.band else {}),
         "tightest": _tightest_json(verdict.tightest),
@@ -63,6 +72,24 @@ def _tightest_json(result: Result | None) -> dict[str, Any] | None:
         return None
     share = finite(result.measured / result.limit)
     return {"name": result.name, "axis": result.axis, "share_of_limit": share}
+
+
+def tolerances_json(verdict: Verdict) -> dict[str, Any]:
+    """Return what a search and draws tell of machines within the tolerances, as one entry."""
+    found = verdict.tolerances
+    if found is None:
+        return {}
+    return {
+        "tolerances": {
+            "worst_share": finite(found.share),
+            "worst_criterion": found.criterion,
+            "searched": found.searched,
+            "drawn": found.drawn,
+            "passed": found.passed,
+            "at_least": found.least,
+            "confidence": found.confidence,
+        }
+    }
 
 
 def criteria_json(verdict: Verdict) -> list[dict[str, Any]]:
@@ -143,7 +170,7 @@ def closing(verdict: Verdict) -> str:
             about.append(_unasked(verdict))
         about += _not_kept(verdict)
         if verdict.tightest is not None:
-            about.append(_used(verdict.tightest))
+            about += _used_beside(verdict.tightest, verdict)
         about += _cuts(verdict)
         if missing:
             plural = "criterion" if len(missing) == 1 else "criteria"
@@ -155,7 +182,7 @@ def closing(verdict: Verdict) -> str:
         worst = verdict.tightest
         about = [level]
         if worst is not None and worst.status is Status.FAILED:
-            about.append(_used(worst))
+            about += _used_beside(worst, verdict)
         about += _cuts(verdict)
         return f"OUT OF SPEC ({'; '.join(about)})"
     if verdict.incomplete:
@@ -200,7 +227,9 @@ def _level(verdict: Verdict) -> str:
     if verdict.level is Level.LIMITS:
         return f"{verdict.level}: placement is not proven, the machine file has no dynamics"
     told = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
-    if verdict.machines:
+    if verdict.tolerances is not None:
+        told += f"; {'; '.join(_of_machines(verdict.tolerances))}"
+    elif verdict.machines:
         told += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
     if verdict.ends:
         told += f", {verdict.ends} at the ends of the tolerances of loads and springs, one run each"
@@ -209,6 +238,35 @@ def _level(verdict: Verdict) -> str:
     if verdict.wished is not None:
         told += f", {100.0 * verdict.wished:.6g} % of all to pass"
     return told
+
+
+def _of_machines(found: OverTolerances) -> list[str]:
+    """Return what the search for the worst machine and the drawn machines tell."""
+    told = f"the worst of {found.searched} machines searched"
+    if not found.criterion:
+        about = [f"{told} is in spec"]
+    elif found.share is None:
+        about = [f"{told} fails {found.criterion}"]
+    else:
+        about = [f"{told} uses {percent_used(found.share)} of {found.criterion}"]
+    if found.drawn:
+        least = math.floor(1000.0 * found.least + 1e-9) / 10.0
+        about.append(
+            f"{found.passed} of {found.drawn} drawn machines in spec, so at least {least:g} % of "
+            f"all, with {100.0 * found.confidence:g} % confidence"
+        )
+    return about
+
+
+def _used_beside(result: Result, verdict: Verdict) -> list[str]:
+    """Return the used share of a result's limit, unless it is that of the worst machine."""
+    of_worst = verdict.tolerances and verdict.tolerances.share
+    return [] if of_worst and of_worst == _share(result) else [_used(result)]
+
+
+def _share(result: Result) -> float:
+    assert result.measured is not None and result.limit
+    return result.measured / result.limit
 
 
 def _used(result: Result) -> str:

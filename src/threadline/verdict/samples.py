@@ -16,7 +16,7 @@ from threadline.base.compiled import njit
 from threadline.commands.plan import Plan
 from threadline.errors import BudgetError, RecordingError
 from threadline.files import Channel, Recording, RecordingBlock
-from threadline.verdict.nearest import nearest_chords
+from threadline.verdict.nearest import charge_trailing, nearest_chords
 from threadline.verdict.window import PathWindow
 
 MOST_WAITING = 1 << 16
@@ -223,6 +223,9 @@ class Block:
         (n,) chord that the command is on, counted from the start of the path, or None.
     begin, end
         (n,) first and last chord that the command is on within the lag around each sample.
+    left
+        (n,) share of the chord ``begin`` that the command had left behind by the lag before; None
+        if its place on the chord is unknown.
     path
         The programmed path around these operations, or None without an operation channel.
     torque_share
@@ -252,6 +255,7 @@ class Block:
     plan_s: FloatArray | None = None
     slow: NDArray[np.bool_] | None = None
     steady: FloatArray | None = None
+    left: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -305,11 +309,18 @@ class Block:
 
     @cached_property
     def nearest_on_surface(self) -> tuple[FloatArray, IntArray]:
-        """As ``nearest``, with lengths at the mandrel's radius at each sample."""
-        if self.shares is None:
-            return self.nearest
+        """As ``nearest``, at the mandrel's radius, and a tool that trails by more is charged."""
         path, begin, end = self.window()
-        return nearest_chords(self.at_tool, begin, end, path.vertices, self.shares)
+        points, shares = self.at_tool, self.shares
+        squared, chord = self.nearest
+        if shares is not None:
+            squared, chord = nearest_chords(points, begin, end, path.vertices, shares)
+        if self.left is None:
+            return squared, chord
+        squared, each = squared.copy(), np.full(len(self), -1)
+        weighed = points[:0] if shares is None else shares
+        charge_trailing(points, begin, end, self.left, path.vertices, weighed, squared, chord, each)
+        return squared, chord
 
     def every(self, count: int) -> Block:
         """Return each ``count``-th sample of the recording, without the peaks between them."""
@@ -338,6 +349,7 @@ class Block:
             plan_s=those(self.plan_s),
             slow=None if self.slow is None else _any_since(self.slow, rows),
             steady=those(self.steady),
+            left=those(self.left),
         )
 
     def operations_at(self, index: IntArray) -> IntArray | None:

@@ -58,8 +58,8 @@ def _last_change(commanded: FloatArray, before: FloatArray | None) -> int | None
 class _Residual:
     """Per axis: half the peak-to-peak motion of the load after the command's end, at the tool.
 
-    From ``after`` the end of the command, for ``window``. With ``after`` 0 the distance that the
-    load still has to go counts too.
+    From ``after`` the end of the command, for ``window``, both included. Between two samples the
+    load moves in a straight line. With ``after`` 0 the distance that it still has to go counts too.
     """
 
     def __init__(self, setting: Setting, after_s: float, window_s: float) -> None:
@@ -67,28 +67,35 @@ class _Residual:
         self._lengths = setting.lengths
         self._after_s, self._window_s = after_s, window_s
         self._end = CommandEnd()
+        self._time_of_last_s = np.nan
+        self._last: FloatArray = np.full((setting.runs, len(setting.axes)), np.nan)
         self._clear()
 
     def _clear(self) -> None:
         shape = self._runs, len(self._axes)
         self._low, self._high = np.full(shape, np.inf), np.full(shape, -np.inf)
         self._time_s = np.zeros(shape)
+        self._lasts = False  # whether the recording goes on after the command
 
     def feed(self, block: Block) -> None:
         assert block.actual is not None
         begin = self._end.begins_at(block)
         if begin is not None:
             self._clear()
-        if block.time_s[-1] <= self._end.time_s:
+        end_s = self._end.time_s
+        self._lasts |= bool(block.time_s[-1] > end_s)
+        begin_s, stop_s = end_s + self._after_s, end_s + self._after_s + self._window_s
+        inside = (block.time_s >= begin_s) & (block.time_s <= stop_s)
+        time_s, part = block.time_s[inside], block.actual[inside]
+        # Ends of the window between two samples.
+        for at_s in (begin_s, stop_s):
+            place = self._between(block, at_s)
+            if place is not None:
+                time_s = np.append(time_s, at_s)
+                part = np.concatenate([part, place[None]])
+        self._time_of_last_s, self._last = float(block.time_s[-1]), block.actual[-1]
+        if not len(time_s):
             return
-        since = block.time_s - self._end.time_s
-        after = self._after_s
-        # At the first instant the command has just arrived: only later samples show ringing of the
-        # load.
-        inside = (since > 0) & (since >= after) & (since <= after + self._window_s)
-        if not inside.any():
-            return
-        part, time_s = block.actual[inside], block.time_s[inside]
         low, high = part.min(axis=0), part.max(axis=0)
         # The instant at which the whole window has been seen, wherever blocks begin.
         for grown, far in (
@@ -97,6 +104,19 @@ class _Residual:
         ):
             self._time_s = np.where(grown, np.maximum(time_s[far], self._time_s), self._time_s)
         self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
+
+    def _between(self, block: Block, at_s: float) -> FloatArray | None:
+        """Return the (runs, axes) places at an instant between two samples up to this block's."""
+        assert block.actual is not None
+        after = int(np.searchsorted(block.time_s, at_s))
+        if after == len(block) or block.time_s[after] == at_s:
+            return None
+        before_s = block.time_s[after - 1] if after else self._time_of_last_s
+        before = block.actual[after - 1] if after else self._last
+        if not before_s < at_s:  # nor before the first sample
+            return None
+        share = (at_s - before_s) / (block.time_s[after] - before_s)
+        return np.asarray(before + share * (block.actual[after] - before))
 
     def finish(self) -> Sequence[Found]:
         found = []
@@ -107,7 +127,7 @@ class _Residual:
                 self._runs, len(self._axes), axis, note="the recording ends with the command"
             )
             worst.offer(
-                np.where(np.isfinite(values), values, np.nan),
+                np.where(np.isfinite(values) & self._lasts, values, np.nan),
                 time_s=self._time_s[:, column],
                 operation=self._end.operation,
                 position=self._end.position,
@@ -116,11 +136,25 @@ class _Residual:
         return found
 
 
+def _enters(before: FloatArray, after: FloatArray, radius: float) -> FloatArray:
+    """Return (n,) share of the way from (n, axes) ``before`` at which a ball about 0 is entered.
+
+    ``before`` lies outside, ``after`` inside or on it; elsewhere the result means nothing.
+    """
+    way = after - before
+    square, half = (way**2).sum(axis=1), (before * way).sum(axis=1)
+    beyond = (before**2).sum(axis=1) - radius**2
+    root = np.sqrt(np.maximum(half**2 - square * beyond, 0.0))
+    # The smaller root, in the form that does not cancel: half is below 0.
+    return np.asarray(np.clip(beyond / np.maximum(root - half, 1e-300), 0.0, 1.0))
+
+
 class _Settling:
     """Time from the command's end until the tool stays within ``band`` of the commanded end.
 
-    The distance is at the tool, over all axes. A tool that is still outside when the recording
-    ends has not settled: the value is infinite.
+    The distance is at the tool, over all axes. Between two samples the tool moves in a straight
+    line, so it comes into the band between the last sample outside and the next one. A tool that is
+    still outside when the recording ends has not settled: the value is infinite.
     """
 
     def __init__(self, setting: Setting, band_m: float) -> None:
@@ -130,22 +164,31 @@ class _Settling:
         self._end = CommandEnd()
         self._settled_s: FloatArray = np.full(setting.runs, np.nan)  # NaN: not settled
         self._seen_s = 0.0
+        self._outside: FloatArray | None = None  # (runs, axes) the last sample
 
     def feed(self, block: Block) -> None:
         assert block.actual is not None and block.commanded is not None
-        begin = self._end.begins_at(block)
+        begin_at = begin = self._end.begins_at(block)
         if begin is not None:
             self._settled_s[:] = np.nan
         begin = begin or 0
-        away = self._lengths(block.actual[begin:] - block.commanded[-1], block.actual[begin:])
+        actual, time_s = block.actual[begin:], block.time_s[begin:]
+        if self._outside is not None and begin_at is None:
+            # The segment from the last sample of the block before to the first one here.
+            actual = np.concatenate([self._outside[None], actual])
+            time_s = np.concatenate([[self._seen_s], time_s])
+        away = self._lengths(actual - block.commanded[-1], actual)
         outside = np.linalg.norm(away, axis=2) > self._band_m
-        self._seen_s = float(block.time_s[-1])
+        self._seen_s, self._outside = float(block.time_s[-1]), block.actual[-1]
         left = outside.any(axis=0)
-        # The sample after the last one outside; it may lie in the next block.
-        inside = len(block) - outside[::-1].argmax(axis=0)
-        after_s = np.append(block.time_s, np.nan)[inside]
-        begun_s = np.where(np.isnan(self._settled_s), block.time_s[begin], self._settled_s)
-        self._settled_s = np.where(left, after_s, begun_s)
+        last = len(outside) - 1 - outside[::-1].argmax(axis=0)  # the last sample outside
+        runs = np.arange(self._runs)
+        after = np.minimum(last + 1, len(outside) - 1)
+        share = _enters(away[last, runs], away[after, runs], self._band_m)
+        inside_s = time_s[last] + share * (time_s[after] - time_s[last])
+        inside_s = np.where(last + 1 < len(outside), inside_s, np.nan)
+        begun_s = np.where(np.isnan(self._settled_s), time_s[0], self._settled_s)
+        self._settled_s = np.where(left, inside_s, begun_s)
 
     def finish(self) -> Sequence[Found]:
         worst = Worst(self._runs, self._axes, note="the recording ends with the command")

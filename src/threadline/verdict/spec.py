@@ -32,11 +32,27 @@ _ROUNDING = 1e-12  # relative: a limit this close to the machine's is the machin
 _LAG_S = 0.1
 _FEWEST = 2  # recordings for a spread
 _MOST_LAG_S = 3600.0
-_LIMITS_ALONE = """
-name = "the limits of the machine file, which has no specification beside it"
+_LIMITS_NAME = "the limits of the machine file, which has no specification beside it"
+_ASSUMED_NAME = "0.5 mm off the path, assumed, and the limits of the machine file: no specification"
+_LIMITS_ALONE = f"""
+name = "{_LIMITS_NAME}"
 [[criteria]]
 name = "path_deviation"
 """
+_ASSUMED = f"""
+name = "{_ASSUMED_NAME}"
+[[criteria]]
+name = "contour_error"
+limit = "0.5 mm"
+[[criteria]]
+name = "path_deviation"
+"""
+_ITS_LIMITS = f'name = "{_LIMITS_NAME}"\n'
+
+
+def is_assumed(spec: Spec) -> bool:
+    """Return whether a specification stands in for a missing file, with criteria that are said."""
+    return spec.name in (_LIMITS_NAME, _ASSUMED_NAME)
 
 
 def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
@@ -54,7 +70,8 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     reference
         A file; None for the default: beside a machine file ``NAME.toml`` the file
         ``NAME.spec.toml`` or ``spec.toml``, else the library's for its name or for its base
-        machine. A machine without dynamics needs none: its own limits are the criteria.
+        machine. Without any, the machine's own limits are the criteria; of axes with dynamics also
+        0.5 mm of contour error. The name of the specification says so.
     machine
         The machine with its axes, units and limits.
 
@@ -95,11 +112,7 @@ def _default(machine: Machine) -> tuple[str, str]:
         file = here / base if base.endswith(".toml") else None
     if machine.without_dynamics:
         return _LIMITS_ALONE, ""
-    raise SpecError(
-        f"machine {name!r} has no default specification",
-        remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file; a copy "
-        'of a library machine has its specification once its file has base = "NAME".',
-    )
+    return (_ASSUMED if machine.commanded_by == "ticks" else _ITS_LIMITS), ""
 
 
 def _read(path: Path) -> str:
@@ -126,7 +139,9 @@ class _Reader:
         if not isinstance(name, str) or not name:
             self._refuse('name must be a text, like name = "winding at 0.5 mm"', None, "name")
         rows = content.get("criteria")
-        if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) for r in rows):
+        if rows is None and not self._file:  # the machine's own criteria are all
+            rows = []
+        elif not isinstance(rows, list) or not rows or not all(isinstance(r, dict) for r in rows):
             self._refuse(
                 "there are no criteria", None, "criteria", "Write [[criteria]] tables, one each."
             )

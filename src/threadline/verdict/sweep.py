@@ -26,7 +26,12 @@ from threadline.verdict.contour import ContourPart, raise_to_samples
 from threadline.verdict.electrical import DacPart, PeakPart, RmsPart
 from threadline.verdict.finding import add_squares, count_beyond, raise_to_farthest
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import between, chord_vectors, nearest_chords_each
+from threadline.verdict.nearest import (
+    between,
+    charge_trailing,
+    chord_vectors,
+    nearest_chords_each,
+)
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, lanes
 from threadline.verdict.single_run import contour_of_one, nearest_of_one, progress_of_one
@@ -43,12 +48,14 @@ AT_ONCE = 1 << 14
 class _Chords(NamedTuple):
     """The programmed path around a block: (m, axes) vertices, chord vectors, squared lengths.
 
-    ``begin`` and ``end``, (n,), are the first and the last candidate chord for each sample.
+    ``begin`` and ``end``, (n,), are the first and the last candidate chord for each sample;
+    ``left``, (n,), is the share of the first that the command had left by the lag before.
     ``axes`` is a tuple with one entry per axis.
     """
 
     begin: IntArray
     end: IntArray
+    left: FloatArray
     vertices: FloatArray
     way: FloatArray
     length: FloatArray
@@ -127,6 +134,10 @@ def _sweep(
                 nearest_chords_each(here, begin, end, *path, of_place, away, near)
             if low == 0 and contour.fresh:
                 chord[0], only[0] = chord[1], only[1]
+            charge_trailing(
+                here, begin, end, chords.left[low:high], chords.vertices, of_place, away, near,
+                only[1:],
+            )  # fmt: skip
             begin, end = contour.begin[low : high + 1], contour.end[low : high + 1]
             raise_to_samples(
                 away, near, only[1:], low, contour.worst, contour.at, contour.part, contour.nearest
@@ -156,7 +167,8 @@ def _sweep_drives(peak: PeakPart, rms: RmsPart, dac: DacPart, at_once: int) -> N
             if len(peak.between):
                 raise_to_farthest(peak.between[own], zero, peak.size[1], peak.at[1], low)
         if len(rms.current):
-            add_squares(rms.current[own], rms.total)
+            fresh = rms.fresh and low == 0
+            add_squares(rms.current[own], rms.before, fresh, rms.total)
         if len(dac.voltage):
             count_beyond(dac.voltage[own], dac.limit, dac.beyond, dac.first, dac.begin + low)
 
@@ -187,7 +199,7 @@ _NO_PEAK = PeakPart(
     current=_NO_SAMPLES, between=_NO_SAMPLES, zero=_NO_ROWS, size=_NO_SAMPLES,
     at=np.empty((0, 0, 0), dtype=np.int64),
 )  # fmt: skip
-_NO_RMS = RmsPart(current=_NO_SAMPLES, total=_NO_ROWS)
+_NO_RMS = RmsPart(current=_NO_SAMPLES, before=_NO_ROWS, fresh=True, total=_NO_ROWS)
 _NO_DAC = DacPart(
     voltage=_NO_SAMPLES, limit=_NONE, beyond=_NO_ROWS_OF_NUMBERS, first=_NO_ROWS_OF_NUMBERS, begin=0
 )
@@ -244,6 +256,12 @@ def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     if shares is not None and path.shares is not None:
         share, vertex_share = shares[:, :, 0], path.shares
         nearest_of_one(points, begin, end, path.vertices, way, length, share, squared, chord)
+    if block.left is not None:
+        charge_trailing(
+            block.at_tool, begin, end, block.left, path.vertices,
+            none[:, :, None] if shares is None else shares, squared[:, None], chord[:, None],
+            np.full(len(points), -1),
+        )  # fmt: skip
     contour_of_one(points, squared, chord, path.vertices, share, vertex_share, contour)
 
 
@@ -257,12 +275,13 @@ def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -
     if path is None:  # without operations no measure of the place on the path takes part
         nowhere = np.empty((0, len(axes)))
         chords = _Chords(
-            _NO_NUMBERS, _NO_NUMBERS, nowhere, nowhere, _NONE, np.ones(len(axes)), axes
+            _NO_NUMBERS, _NO_NUMBERS, _NONE, nowhere, nowhere, _NONE, np.ones(len(axes)), axes
         )
     else:
         _, begin, end = block.window()
         way, length = chord_vectors(path.vertices)
-        chords = _Chords(begin, end, path.vertices, way, length, path.radius_m, axes)
+        left = np.zeros(len(block)) if block.left is None else block.left
+        chords = _Chords(begin, end, left, path.vertices, way, length, path.radius_m, axes)
         shares, vertex_share = block.shares, path.shares
     _sweep(
         actual,

@@ -32,7 +32,7 @@ class Level(StrEnum):
     NOMINAL = "nominal"  # few runs of one machine: no claim about others
     REPEATED = "repeated"  # enough runs to contain the variation from run to run
     YIELD = "yield over tolerances"  # a share of the machines within the tolerances of the file
-    TOLERANCES = "over tolerances"  # every other machine that was drawn within them
+    TOLERANCES = "over tolerances"  # the worst machine that is found within them, and drawn ones
     DRAWN = "drawn machines"  # machines that were all drawn within them, in one run each
 
 
@@ -249,6 +249,35 @@ class Disturbance:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OverTolerances:
+    """What is known of the machines within the tolerances of a machine file.
+
+    Parameters
+    ----------
+    searched
+        Number of machines that the search for the worst tried, in one run each.
+    criterion
+        The criterion that the worst of them exceeds or comes closest to; empty if none has a limit.
+    share
+        Share of the limit that the worst machine uses, over as many runs as the machine of the
+        file; None if the limit is 0, or the machine cannot be simulated.
+    drawn, passed
+        Number of machines drawn at random, in one run each, and how many are in specification.
+    least
+        Share of all machines that are in specification at least, with ``confidence``; the exact
+        one-sided bound of Clopper and Pearson for the drawn machines.
+    """
+
+    searched: int
+    criterion: str
+    share: float | None
+    drawn: int
+    passed: int
+    least: float
+    confidence: float = 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """Every criterion's result, in the order of the specification.
 
@@ -261,7 +290,10 @@ class Verdict:
     runs
         Number of judged runs of the machine.
     machines
-        Number of other judged machines within its tolerances.
+        Number of other machines within its tolerances, drawn at random.
+    tolerances
+        What a search for the worst machine and the drawn machines tell of all machines within the
+        tolerances; None if neither was asked for.
     wished
         Share of these machines that must be in specification; None: every one.
     ends
@@ -285,6 +317,7 @@ class Verdict:
     simulated: bool
     runs: int = 1
     machines: int = 0
+    tolerances: OverTolerances | None = None
     wished: float | None = None
     ends: int = 0
     band: int = 0
@@ -299,6 +332,8 @@ class Verdict:
         """How far the verdict reaches."""
         if self.limits_alone:
             return Level.LIMITS
+        if self.tolerances is not None:
+            return Level.TOLERANCES
         return level_of(self.runs, self.machines, self.wished)
 
     @property

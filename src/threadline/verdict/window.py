@@ -14,8 +14,9 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.motion.path.types import ProgrammedPath, VertexBlock
+from threadline.motion.path.types import ProgrammedPath
 from threadline.motion.timing.types import TrajectoryBlock
+from threadline.verdict.straight_runs import Runs, straight_runs
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +50,14 @@ def _farther(known: Remainder, fresh: Remainder) -> Remainder:
 class PathWindow:
     """A stretch of consecutive programmed vertices that moves along the path.
 
+    Moves along one straight line are one chord, see ``straight_runs``.
+
     Attributes
     ----------
     vertices
         (m, axes) lengths at the tool: rotary axes times their radius.
-    operation, line
-        (m,) operation that moves to each vertex, and its job line.
+    begun, operation, line
+        (m,) first and last operation of the chord into each vertex, and the job line of the last.
     speed_m_s
         (m,) programmed speed of the chord into each vertex, at the tool; NaN without one.
     radius_m, local
@@ -66,13 +69,19 @@ class PathWindow:
     """
 
     def __init__(self, path: ProgrammedPath) -> None:
-        self._source: Iterator[VertexBlock] = iter(path)
+        self._source: Iterator[Runs] = straight_runs(path, path.radius_m)
         self.radius_m = path.radius_m
         self.local = path.local
         self.vertices: FloatArray = np.empty((0, len(path.axes)))
+        self.begun: IntArray = np.empty(0, dtype=np.int64)
         self.operation: IntArray = np.empty(0, dtype=np.int64)
         self.line: IntArray = np.empty(0, dtype=np.int64)
         self.speed_m_s: FloatArray = np.empty(0)
+        # For each move: its chord, counted from the start, the length to its end, and so on.
+        self._part_of: IntArray = np.empty(0, dtype=np.int64)
+        self._part_m: FloatArray = np.empty(0)
+        self._part_operation: IntArray = np.empty(0, dtype=np.int64)
+        self._part_line: IntArray = np.empty(0, dtype=np.int64)
         self.first = 0
         self.ended = False
         self._remainder: Remainder | None = None
@@ -95,10 +104,57 @@ class PathWindow:
         surplus = min(chord - 1 - self.first, len(self) - 2)
         if surplus > 0:
             self.vertices = self.vertices[surplus:]
+            self.begun = self.begun[surplus:]
             self.operation = self.operation[surplus:]
             self.line = self.line[surplus:]
             self.speed_m_s = self.speed_m_s[surplus:]
             self.first += surplus
+            part = int(np.searchsorted(self._part_of, self.first))
+            self._part_of, self._part_m = self._part_of[part:], self._part_m[part:]
+            self._part_operation = self._part_operation[part:]
+            self._part_line = self._part_line[part:]
+
+    def lines_at(self, chord: IntArray, points: FloatArray) -> IntArray:
+        """Return (n,) job lines of the moves nearest to points, each on its chord.
+
+        Parameters
+        ----------
+        chord
+            (n,) counted within the window.
+        points
+            (n, axes) lengths at the tool.
+        """
+        found = np.asarray(self.line[chord])
+        begin = np.searchsorted(self._part_of, chord + self.first)
+        end = np.searchsorted(self._part_of, chord + self.first, side="right")
+        for row in np.flatnonzero(end - begin > 1):
+            start = self.vertices[chord[row] - 1]
+            way = self.vertices[chord[row]] - start
+            along_m = (points[row] - start) @ way / np.linalg.norm(way)
+            those = slice(begin[row], end[row] - 1)  # what is farther is of the last
+            part = begin[row] + np.searchsorted(self._part_m[those], along_m)
+            found[row] = self._part_line[part]
+        return found
+
+    def begins(self, operation: IntArray, chord: IntArray) -> FloatArray:
+        """Return (n,) share of a chord at which the first move of an operation on it begins.
+
+        ``chord`` is counted within the window.
+        """
+        part = np.searchsorted(self._part_operation, operation)
+        part = np.minimum(part, len(self._part_of) - 1)
+        before = self._part_of[np.maximum(part - 1, 0)] == chord + self.first
+        within = (part > 0) & before & (self._part_of[part] == chord + self.first)
+        last = np.searchsorted(self._part_of, chord + self.first, side="right") - 1
+        share = self._part_m[np.maximum(part - 1, 0)] / np.maximum(self._part_m[last], 1e-300)
+        return np.where(within, share, 0.0)
+
+    def is_on_its_way(self, operation: int) -> bool:
+        """Return whether later moves follow an operation's last one on the same chord."""
+        after = int(np.searchsorted(self._part_operation, operation, side="right"))
+        if not 0 < after < len(self._part_of):
+            return False
+        return bool(self._part_of[after] == self._part_of[after - 1])
 
     def chords(self, operation: IntArray) -> tuple[IntArray, IntArray]:
         """Return (n,) first and last chord of each operation; chord c ends at vertex c.
@@ -106,7 +162,7 @@ class PathWindow:
         An operation without motion (a dwell, an output) has the chord that led to its place.
         """
         left = np.searchsorted(self.operation, operation, side="left")
-        last = np.searchsorted(self.operation, operation, side="right") - 1
+        last = np.searchsorted(self.begun, operation, side="right") - 1
         most = max(len(self) - 1, 1)
         # An operation without a vertex has its predecessor's chord, where the machine stands.
         first = np.minimum(np.maximum(np.minimum(left, last), 1), most)
@@ -125,15 +181,14 @@ class PathWindow:
             return self._remainder
         worst: Remainder | None = None
         for block in self._source:
-            vertices = block.positions * self.radius_m
-            away = np.nansum((vertices[:, :, None] - point) ** 2, axis=1)
+            away = np.nansum((block.vertices[:, :, None] - point) ** 2, axis=1)
             far, runs = np.argmax(away, axis=0), np.arange(point.shape[1])
             found = Remainder(
                 np.sqrt(away[far, runs]),
                 block.operation[far],
                 block.line[far],
-                block.positions[far],
-                vertices[-1],
+                block.vertices[far] / self.radius_m,
+                block.vertices[-1],
             )
             worst = found if worst is None else _farther(worst, found)
         self.ended = True
@@ -146,21 +201,21 @@ class PathWindow:
             self.ended = True
             if self.first + len(self) == 1:  # a job without motion: a chord from start to start
                 self.vertices = np.repeat(self.vertices, 2, axis=0)
+                self.begun = np.repeat(self.begun, 2)
                 self.operation = np.repeat(self.operation, 2)
                 self.line = np.repeat(self.line, 2)
                 self.speed_m_s = np.repeat(self.speed_m_s, 2)
             return
-        if not len(block):
-            return
-        vertices = block.positions * self.radius_m
-        before = self.vertices[-1:] if len(self) else vertices[:1]
-        length = np.linalg.norm(np.diff(vertices, axis=0, prepend=before), axis=1)
-        timed = block.nominal_s > 0
-        speed = np.where(timed, length / np.where(timed, block.nominal_s, 1.0), np.nan)
-        self.speed_m_s = np.concatenate([self.speed_m_s, speed])
-        self.vertices = np.concatenate([self.vertices, vertices])
+        number = self.first + len(self)
+        self._part_of = np.concatenate([self._part_of, number + block.part_of])
+        self._part_m = np.concatenate([self._part_m, block.part_m])
+        self._part_operation = np.concatenate([self._part_operation, block.part_operation])
+        self._part_line = np.concatenate([self._part_line, block.part_line])
+        self.vertices = np.concatenate([self.vertices, block.vertices])
+        self.begun = np.concatenate([self.begun, block.begun])
         self.operation = np.concatenate([self.operation, block.operation])
         self.line = np.concatenate([self.line, block.line])
+        self.speed_m_s = np.concatenate([self.speed_m_s, block.speed_m_s])
 
 
 _NEAR = 0.25  # of the distance from point to point: a minimum this near is the passing

@@ -247,6 +247,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
             if dialect.points and "." not in number and value:
                 refuse_without_point(letter, number, line, reading)
             axes = (*axes, (index, value))
+        elif letter in reading.dropped:
+            idle = (*idle, letter)
         elif letter == "F":
             feed = value
         elif letter == "P":
@@ -336,7 +338,8 @@ def _check_use(
         )
     if dwell_s is not None and dwell_s < 0:
         raise JobError(f"the dwell of {dwell_s:g} s must not be negative", place=place)
-    if action in TAKES_AXES and motion not in (-1, CANCEL):
+    beside = action == 280 and motion in (0, 1) and reading.dialect.home_beside
+    if action in TAKES_AXES and motion not in (-1, CANCEL) and not beside:
         raise JobError(
             f"G{action / 10:g} and G{motion} both take the axis words of the block",
             place=place,

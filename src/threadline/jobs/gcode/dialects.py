@@ -185,6 +185,8 @@ class Dialect:
         Whether every block with axis words needs a G word.
     homes
         Whether G28 homes the axes that it names; otherwise G28 moves them through a point.
+    home_beside
+        Whether G28 may stand beside G0 or G1: it takes the axis words, and they set the mode.
     dwell_s
         Unit in s of each dwell letter of G4, for a whole number and for a number with a point.
     points
@@ -215,6 +217,7 @@ class Dialect:
     rapid_is_feed: bool = False
     each_g: bool = False
     homes: bool = False
+    home_beside: bool = False
     dwell_s: Mapping[str, tuple[float, float]] = field(default_factory=lambda: {"P": (1.0, 1.0)})
     points: bool = False
     one_command: bool = False
@@ -281,8 +284,6 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "M420": "the compensation of the bed by a mesh, which changes the path",
         "M502": "what sets the steps, limits and jerks of the firmware anew",
         "M810": "a macro, whose moves only the firmware knows",
-        "E": "the filament of a 3D print, which is planned without extrusion alone: the way of its "
-        "head is what stays when the E words are taken out",
         "T": "no word of a machine with one tool, which is T0 on a line of its own",
     },
 }
@@ -337,7 +338,8 @@ DIALECTS: Mapping[str, Dialect] = {
         g={
             **_MOTION, **_MODES, **_ARCS, **_SYSTEMS, 920: "action", 40: "action", 280: "action",
             800: "motion", 610: "blending", 400: "cutter", 490: "length", 540: "system",
-            690: "rotation", 150: "polar", 970: "speed", 980: "return", 990: "return",
+            430: "length", 690: "rotation", 150: "polar", 970: "speed", 980: "return",
+            990: "return",
         },
         m={**_CNC_M, **_CALLS},
         idle_letters="ST",
@@ -347,6 +349,7 @@ DIALECTS: Mapping[str, Dialect] = {
         dwell_s={"P": (1e-3, 1.0), "X": (1.0, 1.0), "U": (1.0, 1.0)},
         points=True,
         off_behind=True,
+        home_beside=True,
     ),
 }  # fmt: skip
 """Dialects by name; X-Winder programs have other words, and ``xwinder`` reads them."""
@@ -363,15 +366,21 @@ class Reading:
     machine
         Name of the machine, for errors.
     axes
-        Index of each axis by its letter.
+        Index of each axis by its letter in the program.
+    names
+        Names of all axes of the machine, in order.
     dialect
         Dialect of the program.
+    dropped
+        Letters whose words are read and left out.
     """
 
     file: str
     machine: str
     axes: Mapping[str, int]
+    names: tuple[str, ...]
     dialect: Dialect
+    dropped: frozenset[str] = frozenset()
 
 
 def dialect_of(machine: Machine, name: str | None) -> str:
@@ -385,6 +394,10 @@ def knowing(letter: str, code: int) -> list[str]:
 
 
 AXIS_LETTERS = "ABCXYZ"
+_FILAMENT = (
+    "the filament of a 3D print, and 3D prints are not read: their time depends on the extruder, "
+    "whose limits no machine file here has"
+)
 
 
 def whole(letter: str, number: str, value: int, limit: int, line: int, reading: Reading) -> int:
@@ -427,21 +440,38 @@ def refuse_without_point(letter: str, number: str, line: int, reading: Reading) 
     )
 
 
+def refuse_axis(letter: str, number: str, place: Place, reading: Reading) -> NoReturn:
+    """Refuse the word of an axis that the machine lacks; the error says how axes are renamed."""
+    called = [
+        name if reading.names[index] == name else f"{reading.names[index]} (here {name})"
+        for name, index in reading.axes.items()
+    ]
+    raise JobError(
+        f"{letter} {_short(number)}: the machine {reading.machine!r} has no axis {letter}",
+        place=place,
+        remedy=f"Its axes are {', '.join(called)}; choose another machine (-m), or rename the "
+        f'program\'s (--axes "{letter}={reading.names[-1]}"; {letter}=none leaves words out).',
+    )
+
+
 def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading) -> NoReturn:
     """Refuse an unknown word; the error lists the known words and the dialects that have it."""
     place = Place(reading.file, line)
     dialect = reading.dialect
     if letter in AXIS_LETTERS:
-        raise JobError(
-            f"{letter} {_short(number)}: the machine {reading.machine!r} has no axis {letter}",
-            place=place,
-            remedy=f"Its axes are {', '.join(reading.axes)}; choose another machine (-m).",
-        )
+        refuse_axis(letter, number, place, reading)
     if letter == "G" and code in WHY:
         raise JobError(
             f"G{_short(number)} is {WHY[code]}",
             place=place,
             remedy="Have the program written without it, or take it out if it changes nothing.",
+        )
+    if letter == "E":
+        raise JobError(
+            f"E{_short(number)} is {_FILAMENT}",
+            place=place,
+            remedy="Take the E words out: the way of the head alone is then planned, without "
+            "extrusion.",
         )
     whole = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
     why = WHY_IN.get(dialect.name, {}).get(f"{letter}{whole}")

@@ -82,13 +82,13 @@ class Modal:
         self._relative = False
         self._tenth_mm = MILLIMETRE  # the unit of length in force
         self._feed_tenth_mm = MILLIMETRE  # the unit of length in which F was given
-        axes = enumerate(program.reading.axes)
+        axes = enumerate(program.reading.names)
         self._lengths = [index for index, name in axes if name in _LENGTHS]
         self._inverse_time = False
         self._feed: Feed | None = None
         self._passes: tuple[int, ...] = ()
         self._feeds = KeptFeeds(program.rule)
-        self._letters = tuple(program.reading.axes)
+        self._letters = program.reading.names
         self._waiting: list[ToolEvent] = []  # for the next move
         self._length = ""  # G43 in force
         self._moved = self._acted = False

@@ -16,6 +16,7 @@ from threadline.jobs.gcode import plain_blocks as kernel
 from threadline.jobs.gcode.block import CHANGE, Block
 from threadline.jobs.gcode.dialects import DIALECTS, Dialect, Reading, dialect_of
 from threadline.jobs.gcode.feeds import f_rule, normal_feed_m_s, travelling
+from threadline.jobs.gcode.foreign import letters_of
 from threadline.jobs.gcode.modal import MILLIMETRE, RAPID, Modal, ProgramText
 from threadline.jobs.gcode.parametric.program import ParametricProgram, is_parametric, survey
 from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
@@ -243,6 +244,7 @@ def read_part_program(
     dialect: str | None = None,
     feed_mode: str | None = None,
     base_axes: tuple[str, ...] = (),
+    axes: str | None = None,
 ) -> Job:
     """Return the job of a part program.
 
@@ -260,6 +262,8 @@ def read_part_program(
     feed_mode, base_axes
         Rule for the meaning of F (``threadline.jobs.gcode.feeds``); None: the machine file's rule,
         else the dialect's.
+    axes
+        Letters of the program for axes of the machine, like ``"C=A,Z=X"``; None: their own.
 
     Raises
     ------
@@ -286,8 +290,10 @@ def read_part_program(
     spoken = _dialect(machine, dialect)
     rule = f_rule(machine, feed_mode, tuple(base_axes), spoken.feed_rule)
     file = identify(path)
-    axes = {name: index for index, name in enumerate(machine.axis_names)}
-    reading = Reading(str(path), machine.name, axes, spoken)
+    letters = letters_of(machine, axes)
+    reading = Reading(
+        str(path), machine.name, letters.axes, machine.axis_names, spoken, letters.dropped
+    )
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
     program: PartProgram | ParametricProgram
     if spoken.flavour is not None and is_parametric(file):
@@ -410,7 +416,7 @@ def _warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[s
     if findings.length:
         warnings.append(
             f"{file.place(findings.length)}: how long the tool of G43 is the control alone knows; "
-            "it holds for every move, and the program's zero is at the start position."
+            "it holds for every move of Z, and the program's zero is at the start position."
         )
     if findings.tape:
         warnings.append(

@@ -15,7 +15,7 @@ from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS, plain_rea
 from threadline.jobs.gcode.subprograms import Call, Collector, Program, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE, TAPE, Tapes
-from threadline.jobs.gcode.zeros import FIRST, SystemsUsed, ToolLengths
+from threadline.jobs.gcode.zeros import FIRST, SystemsUsed, ToolLengths, moves_length
 
 MAX_REMEMBERED = 1000
 _LONG_DWELL_S = 1000
@@ -93,7 +93,7 @@ class Scanner:
         self._file = file
         self._reading = reading
         self._programs = Collector(file)
-        self._plain = plain_reader(reading, (True,) * len(reading.axes), follow=False)
+        self._plain = plain_reader(reading, (True,) * len(reading.names), follow=False)
         self.systems = SystemsUsed()
         self._lengths = ToolLengths(file)
         self._ended: tuple[Block, int] | None = None  # ending block, next byte
@@ -198,8 +198,8 @@ class Scanner:
             self._go_on(program)
         moves = block.goes
         self.systems.take(block.settings, block.line, moves=moves)
-        goes = moves or block.action == 280 or block.program == 98
-        self._lengths.take(block.length, block.settings, block.line, moves=goes, later=self._later)
+        lifts = moves_length(block, self._reading, calls=block.program == 98)
+        self._lengths.take(block.length, block.settings, block.line, moves=lifts, later=self._later)
         if block.action == 280:
             program.moves += 2
         elif moves:
@@ -239,7 +239,9 @@ class Scanner:
         if count:
             line = int(plain.out_line[0])
             self.systems.take((), line, moves=True)
-            self._lengths.take("", (), line, moves=True, later=False)
+            z = self._reading.axes.get("Z")
+            lifts = z is None or bool(plain.used[z])
+            self._lengths.take("", (), line, moves=lifts, later=False)
         (with_word,) = np.nonzero(plain.out_word[:count] >= 0)
         words, first = np.unique(plain.out_word[with_word], return_index=True)
         for word, at in zip(words.tolist(), with_word[first].tolist(), strict=True):

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 
 from threadline.errors import JobError
+from threadline.jobs.gcode.block import Block
+from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.textfile import SourceFile
 from threadline.jobs.gcode.words import ONE
 from threadline.machine import Machine
@@ -49,12 +51,25 @@ class SystemsUsed:
             self.lines.setdefault(MACHINE if MACHINE in settings else self.now, line)
 
 
+def moves_length(block: Block, reading: Reading, *, calls: bool = False) -> bool:
+    """Say whether a block moves the axis Z, which a tool length shifts; without Z, any axis.
+
+    ``calls`` says that the block calls a subroutine, whose moves are not known here.
+    """
+    z = reading.axes.get("Z")
+    named = {index for index, _ in block.axes}
+    if block.action == 280:
+        return z is None or not named or z in named
+    return calls or (block.goes and (z is None or z in named))
+
+
 @dataclass(slots=True)
 class ToolLengths:
     """The tool lengths (G43) in force while a file is scanned or run.
 
-    Only the control knows the length of a tool. A tool length that holds for all moves only shifts
-    the zero, and the zero is at the start position here, as for G54. Any other use is refused.
+    Only the control knows the length of a tool. A tool length that holds for all moves of Z only
+    shifts the zero, and the zero is at the start position here, as for G54. Any other use is
+    refused. Moves of other axes may stand before: posts go over the place first, and then down.
 
     Parameters
     ----------
@@ -76,14 +91,14 @@ class ToolLengths:
     def take(
         self, length: str, settings: Sequence[int], line: int, *, moves: bool, later: bool
     ) -> None:
-        """Take a block: its G43 as written or empty, its G words, and whether the block moves.
+        """Take a block: its G43 as written or empty, its G words, and whether the block moves Z.
 
         ``later`` says that the block is not in the first program of its file.
 
         Raises
         ------
         JobError
-            If a tool length begins or ends between moves, or in a subroutine.
+            If a tool length begins or ends between moves of Z, or in a subroutine.
         """
         if length and (length != self._now or later) and (self._moved or later):
             self._refuse(f"{length} begins it", line)
@@ -100,10 +115,10 @@ class ToolLengths:
 
     def _refuse(self, what: str, line: int) -> NoReturn:
         raise JobError(
-            f"G43 is compensation of the tool's length: {what} between moves, and how far it "
+            f"G43 is compensation of the tool's length: {what} between moves of Z, and how far it "
             "shifts them the control alone knows",
             place=self.file.place(line),
-            remedy="Write one G43 before the first move, or a program for each tool.",
+            remedy="Write one G43 before the first move of Z, or a program for each tool.",
         )
 
 

@@ -248,6 +248,8 @@ class _Needle:
             follows["fastest_hz"] = np.full(count, settings.needle_speed_hz)
             if math.isfinite(settings.needle_acceleration_hz_s):
                 follows["most_hz_s"] = np.full(count, settings.needle_acceleration_hz_s)
+        if math.isfinite(settings.swing):
+            follows["swing"] = np.full(count, settings.swing)
         return follows | {
             "kind": np.full(count, "lock" if block.leg.lock else "sew"),
             "seam": np.full(count, self.contour.seam),

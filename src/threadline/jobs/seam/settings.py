@@ -60,6 +60,9 @@ class Stitching:
         Deceleration of the head along the seam; None: equal to the acceleration.
     needle_acceleration_hz_s
         Largest acceleration of the sewing motor, stitch/s^2; infinite for no limit.
+    swing
+        Largest speed at which a robust plan lets the head swing before it departs and after it
+        has stopped, as a share of its speed; infinite for no limit.
     allowance_m, side, join, mitre_limit
         Distance of the stitches from the drawn line; side: ``inside`` or ``outside`` a closed
         contour, ``left`` or ``right`` of an open contour; shape of corners: ``mitre`` or ``round``;
@@ -91,6 +94,7 @@ class Stitching:
     deceleration_m_s2: float | None = None
     needle_slowest_hz: float = 0.0
     needle_acceleration_hz_s: float = math.inf
+    swing: float = math.inf
     allowance_m: float = 0.0
     side: str = "inside"
     join: str = "mitre"
@@ -167,6 +171,7 @@ _SETTINGS = {
     "deceleration": _Setting("deceleration_m_s2", "m/s^2", low=1e-3, high=1e6),
     "needle_slowest": _Setting("needle_slowest_hz", "stitch/s", high=MOST_NEEDLE_HZ),
     "needle_acceleration": _Setting("needle_acceleration_hz_s", "stitch/s^2", low=0.1),
+    "swing": _Setting("swing", "", low=1e-3, high=1.0),
     "allowance": _Setting("allowance_m", "m"),
     "side": _Setting("side", choices=("inside", "outside", "left", "right")),
     "join": _Setting("join", choices=("mitre", "round")),

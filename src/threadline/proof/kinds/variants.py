@@ -89,37 +89,6 @@ def _failed(
 UNANSWERED = "unanswered"
 
 
-def answering(
-    kind: Kind, commands: Commands, machine: Machine, parts: FloatArray, random: np.random.Generator
-) -> tuple[list[Recording], list[str]]:
-    """Return recordings of the machines that reach the end, and a reason for each other machine.
-
-    Every recording is read through once.
-
-    Parameters
-    ----------
-    parts
-        (k, n) position of each of the n numbers of k machines within its tolerance.
-    random
-        Generator for encoder phases.
-    """
-    if not len(parts):
-        return [], []
-    try:
-        found = list(kind.others(commands, machine, parts, random))
-        for recording in found:
-            for _ in recording:
-                pass
-        return found, []
-    except (MachineError, RecordingError) as error:
-        if len(parts) == 1:
-            return [], [error.message]
-        half = len(parts) // 2
-        first, why_first = answering(kind, commands, machine, parts[:half], random)
-        second, why_second = answering(kind, commands, machine, parts[half:], random)
-        return first + second, why_first + why_second
-
-
 def unanswered(machines: int, why: list[str]) -> Result:
     """Return the criterion that all of ``machines`` reach the end of the job.
 

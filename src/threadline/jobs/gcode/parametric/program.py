@@ -21,7 +21,7 @@ from threadline.jobs.gcode.parametric.statements import Code, code_of
 from threadline.jobs.gcode.scan import Findings
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE, TAPE, Tapes, refuse_switched
-from threadline.jobs.gcode.zeros import SystemsUsed, ToolLengths, zeros_of
+from threadline.jobs.gcode.zeros import SystemsUsed, ToolLengths, moves_length, zeros_of
 from threadline.jobs.operations import Move, MoveRun, Operation, Source, Stop
 from threadline.machine import Machine
 
@@ -283,8 +283,8 @@ def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> 
         findings.note(None, block)
         moved.update(index for index, _ in block.axes)
         systems.take(block.settings, block.line, moves=block.goes)
-        goes = block.goes or block.action == 280
-        lengths.take(block.length, block.settings, block.line, moves=goes, later=False)
+        lifts = moves_length(block, program.reading)
+        lengths.take(block.length, block.settings, block.line, moves=lifts, later=False)
         for operation in made:
             moves = moves or isinstance(operation, Move)
             operations += 1

@@ -34,11 +34,16 @@ class AloneJudge:
     """Judges machines within the tolerances of a plan's machine, one by one, under its commands.
 
     Encoders stand in the middle of a count.
+
+    Parameters
+    ----------
+    judge
+        A judge of this plan by this spec, to reuse its measures of the plan; None: a new one.
     """
 
-    def __init__(self, plan: Plan, spec: Spec) -> None:
+    def __init__(self, plan: Plan, spec: Spec, judge: Judge | None = None) -> None:
         self._plan = plan
-        self._judge = Judge(plan, spec)
+        self._judge = Judge(plan, spec) if judge is None else judge
 
     def judged(self, parts: FloatArray, done: Callable[[int], None] | None = None) -> EachRun:
         """Return the results of machines at (k, n) parts of their tolerances.
@@ -60,6 +65,17 @@ class AloneJudge:
             if done is not None:
                 done(1)
         return EachRun.joined(found)
+
+    def why_not(self, parts: FloatArray) -> str:
+        """Return why a machine at (n,) parts cannot be simulated to its end; empty if it can."""
+        machine = variant(self._plan.machine, parts)
+        commands = with_machine_hash(self._plan.commands, machine)
+        try:
+            for _ in kind_of(machine).simulate(commands, machine):
+                pass
+        except (MachineError, RecordingError) as error:
+            return error.message
+        return ""
 
     @cached_property
     def _own(self) -> EachRun:
@@ -161,7 +177,7 @@ class RunsJudge:
         keep_freed_memory()
         plan = kept_in_memory(plan)
         self.plan = plan
-        self._judge = Judge(plan, spec)
+        self.judge = Judge(plan, spec)
         self._table = tick_table(plan.commands)
         self._machine = plan.machine if machine is None else machine
         self._settle_s = settle_s
@@ -213,7 +229,7 @@ class RunsJudge:
             settle_s=self._settle_s,
             kinds=self._kinds,
         )
-        return self._judge.each(own)
+        return self.judge.each(own)
 
     def _parts(self, values: Values) -> Iterator[tuple[Values, IntArray]]:
         """Yield the variants in parts with one dead time, each part with its indices among all."""
@@ -231,7 +247,7 @@ class RunsJudge:
                 kinds=self._kinds,
                 least_rates=self._rates,
             )
-            return self._judge.each(recording)
+            return self.judge.each(recording)
         except MachineError:
             # One variant without an answer ends its whole part: halve the part until it is alone.
             if values.count == 1:

@@ -1,0 +1,184 @@
+"""The level *over tolerances*: the worst machine that is found, and machines that are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.progress import Progress
+from threadline.commands.plan import Plan
+from threadline.errors import MachineError, RecordingError
+from threadline.files import Recording
+from threadline.machine import Machine
+from threadline.machine.variants import drawn, variant
+from threadline.proof.kinds.variants import unanswered
+from threadline.proof.worst_machine import (
+    WithinTolerances,
+    Worst,
+    shares_of,
+    unanswered_in,
+)
+from threadline.proof.worst_search import WorstSearch
+from threadline.verdict import Result, Spec, Status, Verdict
+from threadline.verdict.each_run import at_least, in_others, worst_of
+from threadline.verdict.types import OverTolerances
+
+VARIANT_SEED = 1994
+_AT_ONCE_ALONE = 20
+_DOING = "searching the worst machine"
+_OF_WORST = "the worst machine searched"
+_MOST_SUSPECTS = 8
+
+Suspects = list[FloatArray]
+"""(n,) parts of machines that were out of specification before; the last ones first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """A verdict over the tolerances, and the worst machine.
+
+    Parameters
+    ----------
+    verdict
+        The worst of the machine of the file and of all others.
+    worst
+        The worst machine within the tolerances.
+    judged
+        Recordings of the worst machine's runs; their numbers follow those of the machine of the
+        file.
+    """
+
+    verdict: Verdict
+    worst: Worst
+    judged: tuple[Recording, ...] = ()
+
+
+def over_tolerances(
+    plan: Plan,
+    spec: Spec,
+    verdict: Verdict,
+    machines: int,
+    runs_of: Callable[[Machine], tuple[Verdict, tuple[Recording, ...]]],
+    progress: Progress | None = None,
+    suspects: Suspects | None = None,
+) -> Found:
+    """Judge the worst machine within the tolerances that a search finds, and drawn machines.
+
+    Machines are judged in one run each, the worst of them in as many as the machine of the file.
+    Encoders stand in the middle of a count.
+
+    Parameters
+    ----------
+    plan
+        The plan, with the machine whose numbers vary.
+    verdict
+        The verdict on that machine.
+    machines
+        Number of machines to draw.
+    runs_of
+        Returns the verdict on another machine, and its recordings.
+    suspects
+        Machines that are tried first; the judgement ends at the first machine that is out of
+        specification, and the list takes it. None: every machine is judged. What passes with
+        suspects passes without.
+    """
+    within = WithinTolerances(plan, spec)
+    hasty = suspects is not None
+    if suspects:
+        first = WorstSearch(within, hasty=True)
+        first.tried(np.stack(suspects))
+        if first.failed:
+            return _found(within, first, verdict, runs_of, 0, suspects)
+    search = WorstSearch(within, hasty=hasty)
+    search.done = _counted(progress, 2 * len(within.numbers) + search.most + machines)
+    search.begin()
+    count = 0
+    at_once = _AT_ONCE_ALONE if hasty and not within.together else machines
+    while count < machines and not search.ended:
+        index = np.arange(count, min(count + at_once, machines))
+        search.draw(drawn(plan.machine, VARIANT_SEED, index))
+        count += len(index)
+    search.go_on()
+    return _found(within, search, verdict, runs_of, count, suspects)
+
+
+def _counted(progress: Progress | None, most: int) -> Callable[[int], None] | None:
+    if progress is None:
+        return None
+    tried = 0
+
+    def done(count: int) -> None:
+        nonlocal tried
+        tried += count
+        progress(_DOING, min(tried / most, 1.0))
+
+    return done
+
+
+def _found(
+    within: WithinTolerances,
+    search: WorstSearch,
+    verdict: Verdict,
+    runs_of: Callable[[Machine], tuple[Verdict, tuple[Recording, ...]]],
+    count: int,
+    suspects: Suspects | None,
+) -> Found:
+    at = search.worst()
+    parts, found = search.parts[at], search.found
+    shares, names = shares_of(found.taken(np.array([at])))
+    worst = within.worst_at(parts, float(shares[0]), names[0])
+    if suspects is not None and search.failed:
+        suspects[:] = [parts, *(one for one in suspects if (one != parts).any())][:_MOST_SUSPECTS]
+    try:
+        of_worst, judged = runs_of(variant(within.plan.machine, parts))
+    except (MachineError, RecordingError):
+        of_worst, judged = None, ()
+    others = found.taken(np.flatnonzero(np.arange(found.runs) != at))
+    results = [*in_others(verdict, others).results]
+    stuck = np.flatnonzero(unanswered_in(found))
+    if len(stuck):
+        why = [within.why_not(search.parts[stuck[0]])] * len(stuck)
+        results.append(unanswered(found.runs, why))
+    passed = int(found.taken(search.drawn).passed.sum())
+    criterion, share = _closest(of_worst, worst)
+    told = OverTolerances(
+        searched=found.runs - count,
+        criterion=criterion,
+        share=share,
+        drawn=count,
+        passed=passed,
+        least=at_least(passed, count),
+    )
+    whole = replace(verdict, results=tuple(results), machines=count, tolerances=told)
+    if of_worst is not None:
+        whole = worst_of(whole, [(_OF_WORST, _numbered(of_worst, verdict.runs))], None)
+    return Found(verdict=whole, worst=worst, judged=judged)
+
+
+def _closest(verdict: Verdict | None, worst: Worst) -> tuple[str, float | None]:
+    """Return the criterion that counts most on the worst machine, and its used share."""
+    if verdict is None:
+        return worst.binding, None
+    failed = [r for r in verdict.results if r.status is Status.FAILED]
+    tightest = verdict.tightest
+    if failed and (tightest is None or tightest.status is not Status.FAILED):
+        return _text(failed[0]), None
+    if tightest is None or tightest.measured is None or not tightest.limit:
+        return "", None
+    return _text(tightest), tightest.measured / tightest.limit
+
+
+def _text(result: Result) -> str:
+    return " ".join(filter(None, (result.name, result.axis, result.step)))
+
+
+def _numbered(verdict: Verdict, before: int) -> Verdict:
+    """Return a verdict with its runs numbered after those of the machine of the file."""
+    results = [
+        replace(r, run=before + (r.run or 1)) if r.of == "run" and r.time_s is not None else r
+        for r in verdict.results
+    ]
+    return replace(verdict, results=tuple(results))

@@ -1,0 +1,279 @@
+"""The worst machine within the tolerances, as a search finds it, and the file of that machine.
+
+Machines are named by their *parts*, as in ``machine/variants.py``. Every machine plays the commands
+that are planned for the machine of the file.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray
+from threadline.base.wording import toml_string
+from threadline.commands.plan import Plan
+from threadline.dynamics.values import Values
+from threadline.files import tick_table
+from threadline.machine import Machine
+from threadline.machine.load import split_reference
+from threadline.machine.numbers import number_at, number_tables, with_numbers
+from threadline.machine.variants import (
+    check_uncertain,
+    load_by_counts,
+    numbers_at,
+    one_at_a_time,
+)
+from threadline.proof.judge_runs import AloneJudge, RunsJudge
+from threadline.proof.kinds import kind_of
+from threadline.twin import fastest_rates
+from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
+from threadline.verdict.rendering import shown
+
+_COUNTS = "axes.*.counts"
+
+Done = Callable[[int], None]
+"""Called with the number of judged machines."""
+
+
+class WithinTolerances:
+    """Judges machines within the tolerances of a plan's machine, all under its commands.
+
+    Encoders stand as in a nominal run, so that ``prove --nominal`` of a machine gives the same
+    result.
+
+    Parameters
+    ----------
+    plan
+        The plan; the numbers of ``plan.machine`` vary.
+    spec
+        The specification.
+    threads
+        Number of parts under way at once; None: the number of cores.
+
+    Raises
+    ------
+    OptionError
+        If no number of the machine varies.
+    """
+
+    def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
+        self.plan = plan
+        self.numbers = check_uncertain(plan.machine)
+        self._many: RunsJudge | None = None
+        if kind_of(plan.machine).together(plan.machine):
+            extremes = numbers_at(plan.machine, self._fastest_corner())
+            self._many = RunsJudge(plan, spec, threads=threads, extremes=extremes)
+        own = self._many
+        if own is None:
+            self._alone = AloneJudge(plan, spec)
+        else:
+            self._alone = AloneJudge(own.plan, spec, own.judge)
+
+    def _fastest_corner(self) -> FloatArray:
+        """Return (k, n) parts of machines whose rates bound the rates of all drawn machines.
+
+        For each connected piece of the machine, one of them has every number at its faster end.
+        Each of the others has a single number at one of its ends.
+        """
+        machine = self.plan.machine
+        ends = one_at_a_time(machine)
+        numbers = {
+            path: values
+            for path, values in numbers_at(machine, ends).items()
+            if not path.endswith(".delay")
+        }
+        rates = fastest_rates(tick_table(self.plan.commands), Values.of(machine, numbers))
+        corners = [np.where(rate[0::2] > rate[1::2], -1.0, 1.0) for rate in rates]
+        return np.asarray(np.concatenate([ends, np.stack(corners)]) * self.ends)
+
+    @property
+    def together(self) -> bool:
+        """Whether machines are simulated in batches; otherwise one by one, a second each."""
+        return self._many is not None
+
+    @property
+    def ends(self) -> FloatArray:
+        """(n,) largest deviation of each number, in parts of its tolerance."""
+        return np.array([number.farthest for number in self.numbers])
+
+    def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
+        """Return the results of machines at (k, n) parts of their tolerances."""
+        if self._many is None:
+            return self._alone.judged(parts, done)
+        return self._many.judged(numbers_at(self.plan.machine, parts), done=done)
+
+    def why_not(self, parts: FloatArray) -> str:
+        """Return why a machine at (n,) parts has no result; empty if it has one."""
+        return self._alone.why_not(parts)
+
+    def worst_at(
+        self, parts: FloatArray, share: float, binding: str, *, of_corners: bool = False
+    ) -> Worst:
+        """Return the machine at (n,) ``parts`` with its result, simulated alone.
+
+        Parameters
+        ----------
+        share, binding
+            Its used share and its criterion where it cannot be simulated alone.
+        """
+        alone = self._alone.judged(parts[None])
+        shares, names = shares_of(alone)
+        if np.isfinite(shares[0]):
+            share, binding = float(shares[0]), names[0]
+        of_runs = [row for row in alone.rows if not row.of_plan]
+        answers = any(np.isfinite(row.values[0]) for row in of_runs)
+        row = next((row for row in of_runs if row.text == binding), None)
+        moved = numbers_at(self.plan.machine, parts)
+        own = numbers_at(self.plan.machine, np.zeros(len(self.numbers)))
+        return Worst(
+            parts=parts,
+            numbers={k: float(v[0]) for k, v in moved.items() if v[0] != own[k][0]},
+            share=share,
+            binding=binding,
+            row=row if answers else None,
+            of_corners=of_corners,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Worst:
+    """The worst machine found.
+
+    Parameters
+    ----------
+    parts
+        (n,) place of each number in its tolerance, -1 to 1.
+    numbers
+        Names and SI values of the numbers that differ from the machine file.
+    share
+        The largest used share of a limit; above 1 where the machine exceeds a limit of 0, and
+        infinite where it cannot be simulated.
+    binding
+        The criterion with this limit.
+    row
+        Values of this criterion in this machine alone; None where the machine cannot be simulated,
+        or never ends a wait.
+    of_corners
+        Whether every corner of the tolerances was tried.
+    """
+
+    parts: FloatArray
+    numbers: dict[str, float]
+    share: float
+    binding: str
+    row: CriterionRow | None
+    of_corners: bool
+
+    @property
+    def beyond_zero(self) -> bool:
+        """Whether its limit is 0: no share of it can be told."""
+        return self.row is not None and not (self.row.limit or 0.0) > 0.0
+
+    @property
+    def used(self) -> str:
+        """The used share of the limit, as text."""
+        if self.row is None:
+            return "it cannot be simulated, or never ends what it waits for"
+        if self.row.missed.any():
+            return f"{self.binding} is required, and was not measured"
+        if np.isfinite(self.share) and not self.beyond_zero:
+            return f"{percent_used(self.share, 1)} of {self.binding}"
+        limit = shown(self.row.limit or 0.0, self.row.unit)
+        return f"{shown(float(self.row.values[0]), self.row.unit)} of {self.binding}, limit {limit}"
+
+
+def row_shares(found: EachRun) -> FloatArray:
+    """Return (rows, runs) used shares of every limit that depends on the machine.
+
+    Limits of the machine that are not of the plan alone are included.
+    """
+    rows = [row for row in found.rows if row.limit is not None and not row.of_plan]
+    if not rows:
+        return np.zeros((1, found.runs))
+    return np.asarray(np.stack([_share(row) for row in rows]))
+
+
+def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
+    """Return (runs,) the largest used share of a limit in each run, and the criterion.
+
+    Criteria of the plan alone do not count: they are the same for every machine. The machine's own
+    limits count only where they are exceeded, since a plan is made to use them.
+    """
+    rows = [row for row in found.rows if row.limit is not None and not row.of_plan]
+    if not rows:
+        return np.zeros(found.runs), [""] * found.runs
+    table = np.stack([np.where(row.failed, _share(row), 0.0) if row.hard else _share(row)
+                      for row in rows])  # fmt: skip
+    at = np.argmax(table, axis=0)
+    return table[at, np.arange(found.runs)], [rows[k].text for k in at.tolist()]
+
+
+def _share(row: CriterionRow) -> FloatArray:
+    assert row.limit is not None
+    known = np.nan_to_num(row.values, nan=np.inf if row.required else 0.0, posinf=np.inf)
+    if row.limit <= 0.0:
+        # No share of such a limit can be told: beyond it is beyond 1.
+        return np.where(row.failed | row.missed, 1.0 + known, 0.0)
+    return np.asarray(known / row.limit)
+
+
+def unanswered_in(found: EachRun) -> NDArray[np.bool_]:
+    """Return (runs,) whether a machine could not be simulated, or never ended a wait."""
+    rows = [row for row in found.rows if not row.of_plan]
+    if not rows:
+        return np.zeros(found.runs, dtype=np.bool_)
+    return np.asarray(np.all([np.isposinf(row.values) for row in rows], axis=0))
+
+
+def worst_toml(machine: Machine, worst: Worst, folder: Path, by: str) -> str:
+    """Return the machine file of the worst machine: the numbers that differ, over its base.
+
+    Command counts stay as in the base. Deviating counts per unit of an axis are written as weights
+    of the axis's load.
+
+    Parameters
+    ----------
+    folder
+        Folder of the file: a base that is a file is named from there.
+    by
+        The verb that found it.
+    """
+    made = with_numbers(machine, worst.numbers)
+    told: dict[str, tuple[float, str]] = {}
+    for path, value in worst.numbers.items():
+        if fnmatchcase(path, _COUNTS):
+            axis = path.split(".")[1]
+            weights = load_by_counts(made, axis)
+            told |= {f"axes.{axis}.load.{body}": (q.si, q.unit) for body, q in weights.items()}
+        else:
+            told[path] = value, number_at(machine, path).unit
+    texts = {
+        path: f"{value!r} {unit}".strip() + " exact, assumed: worst of the tolerances"
+        for path, (value, unit) in told.items()
+    }
+    lines = [
+        f"# The worst machine found within the tolerances: {worst.used},",
+        f"# by threadline {by}.",
+        f"base = {toml_string(_reference_from(machine, folder))}",
+        f"name = {toml_string(machine.name.split('+')[0] + '-worst')}",
+        f"title = {toml_string(machine.title + ', worst of its tolerances')}",
+        *number_tables(texts),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _reference_from(machine: Machine, folder: Path) -> str:
+    """Return the reference of a machine for a file in ``folder``."""
+    name, overlays = split_reference(machine.reference)
+    if name.endswith(".toml"):
+        try:
+            name = Path(os.path.relpath(name, folder)).as_posix()
+        except ValueError:  # on another drive
+            name = Path(name).absolute().as_posix()
+    return "+".join([name, *overlays])

@@ -1,0 +1,321 @@
+"""The search for the worst machine within the tolerances, in a stated number of machines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.machine.variants import one_at_a_time
+from threadline.proof.worst_machine import Done, WithinTolerances, row_shares, shares_of
+from threadline.verdict import EachRun
+
+SEARCHED, SEARCHED_ALONE = 1000, 60
+"""Most machines that a search tries after both ends of each number, where machines are simulated in
+batches, and where they are simulated one by one."""
+_CORNERS, _LEANING, _LEAN = 200, 200, 0.75
+"""Corners that are drawn, all alike; that lean to the slopes of one criterion; and the share of the
+numbers that follow them."""
+_CORNER_SEED = 1941
+_STARTS, _APART, _STARTS_ALONE = 3, 2, 1
+_MATTERS = 1e-5
+"""Change of a share of a limit below which a number has no influence on it."""
+_SAME = 1e-9
+_BETTER = 1e-7
+"""Least gain of a share, so that rounding decides nothing."""
+_MOST_SHARE = 100.0
+
+
+class WorstSearch:
+    """Searches the worst machine, criterion by criterion, within a number of machines.
+
+    ``begin``, then ``add`` machines that were drawn, then ``go_on``.
+
+    Both ends of each number alone give the slopes of every criterion. Then come the corners of the
+    numbers that matter: by the signs of the slopes, by those of a linear fit to all machines, and
+    next to the worst ones. Where machines are simulated in batches, 400 corners from a fixed seed
+    are tried, half of them leaning to the slopes: what a machine comes to may jump from corner to
+    corner. From the worst machines of the worst criteria one number after the other goes to its
+    other end, then all that make it worse together, as long as that helps; at last each number
+    goes to the middle and half-way there. Each round is one batch.
+
+    No gain below a ten-millionth of a limit counts, so that rounding decides nothing.
+
+    Parameters
+    ----------
+    within
+        Judges the machines.
+    most
+        Most machines that are tried after both ends of each number.
+    hasty
+        Whether the search ends as soon as a machine is out of specification.
+
+    Attributes
+    ----------
+    done
+        Called with the number of judged machines.
+    searched
+        Number of machines that were tried so far, without those that were drawn.
+    drawn
+        Numbers of the drawn machines.
+    """
+
+    def __init__(
+        self,
+        within: WithinTolerances,
+        most: int | None = None,
+        *,
+        hasty: bool = False,
+        done: Done | None = None,
+    ) -> None:
+        self._within, self._hasty, self.done = within, hasty, done
+        usual = SEARCHED if within.together else SEARCHED_ALONE
+        self.most = usual if most is None else most
+        self._parts: list[FloatArray] = []
+        self._found: list[EachRun] = []
+        self._known: dict[bytes, int] = {}
+        self._shares = np.empty((0, 0))
+        self._bad = np.zeros(0, dtype=np.bool_)
+        self._slopes: FloatArray | None = None
+        self._moving: IntArray = np.zeros(0, dtype=np.int64)
+        self._left = self.most
+        self.searched = 0
+        self.drawn: IntArray = np.zeros(0, dtype=np.int64)
+
+    @property
+    def parts(self) -> FloatArray:
+        """(k, n) parts of all judged machines, in their order; those that were drawn as well."""
+        return np.concatenate(self._parts)
+
+    @property
+    def found(self) -> EachRun:
+        """The results of all judged machines."""
+        return EachRun.joined(self._found)
+
+    @property
+    def failed(self) -> bool:
+        """Whether a judged machine is out of specification."""
+        return bool(self._bad.any())
+
+    @property
+    def ended(self) -> bool:
+        """Whether the search may end, for a machine failed and no worse one is wanted."""
+        return self._hasty and self.failed
+
+    def add(self, parts: FloatArray, found: EachRun) -> None:
+        """Take machines that were judged elsewhere, at (k, n) ``parts``."""
+        shares = row_shares(found)
+        at = len(self._bad)
+        for k, one in enumerate(parts):
+            self._known.setdefault(_key(one), at + k)
+        self._parts.append(parts)
+        self._found.append(found)
+        self._shares = shares if not at else np.concatenate([self._shares, shares], axis=1)
+        self._bad = np.concatenate([self._bad, ~found.passed])
+
+    def draw(self, parts: FloatArray) -> None:
+        """Judge machines that were drawn, at (k, n) ``parts``."""
+        at = len(self._bad)
+        self.add(parts, self._within.judged(parts, self.done))
+        self.drawn = np.concatenate([self.drawn, np.arange(at, len(self._bad))])
+
+    def tried(self, parts: FloatArray) -> IntArray:
+        """Judge (k, n) ``parts`` that are not known yet; return the (k,) numbers of all."""
+        fresh: dict[bytes, FloatArray] = {}
+        for one in parts:
+            if (key := _key(one)) not in self._known:
+                fresh.setdefault(key, one)
+        if fresh:
+            some = np.stack(list(fresh.values()))
+            self.searched += len(some)
+            self.add(some, self._within.judged(some, self.done))
+        return np.array([self._known[_key(one)] for one in parts], dtype=np.int64)
+
+    def worst(self) -> int:
+        """Return the number of the worst machine: out of specification, then by its share."""
+        shares, _ = shares_of(self.found)
+        hard = np.where(self._bad, self._shares.max(axis=0, initial=0.0), shares)
+        order = np.lexsort((-np.minimum(hard, 1e9), ~self._bad))
+        return int(order[0])
+
+    def begin(self) -> None:
+        """Try the ends of each number, and the corners: by the slopes, and from a fixed seed."""
+        self._ends()
+        if self.ended:
+            return
+        assert self._slopes is not None
+        order = self._worst_rows()
+        self._try_some(self._slopes[order] * self._within.ends)
+        if self._within.together and not self.ended:
+            self._try_some(self._drawn_corners(order))
+
+    def go_on(self) -> None:
+        """Search on from all machines that are known, until no machine is worse or none is left."""
+        for step in (self._fitted_corners, self._climbs):
+            if self.ended:
+                return
+            step()
+
+    def _worst_rows(self) -> IntArray:
+        """Return the numbers of all rows, those that are closest to their limits first."""
+        return np.argsort(-_clipped(self._shares).max(axis=1), kind="stable")
+
+    def _ends(self) -> None:
+        machine, ends = self._within.plan.machine, self._within.ends
+        single = one_at_a_time(machine) * ends
+        at = self.tried(np.concatenate([np.zeros((1, len(ends))), single]))
+        own, low, high = (_clipped(self._shares[:, k]) for k in (at[:1], at[1::2], at[2::2]))
+        effect = np.maximum(np.abs(low - own), np.abs(high - own))
+        self._slopes = np.where(effect > _MATTERS, np.where(high >= low, 1.0, -1.0), 0.0)
+        # At a corner a number may matter that does not matter alone.
+        values = np.stack([row.values for row in self.found.rows if not row.of_plan])[:, at]
+        values = np.nan_to_num(values, nan=-1.0, posinf=1e300)
+        moved = np.abs(values[:, 1:] - values[:, :1]) > _SAME * (1.0 + np.abs(values[:, :1]))
+        self._moving = np.flatnonzero(moved.any(axis=0).reshape(-1, 2).any(axis=1))
+
+    def _fitted_corners(self) -> None:
+        assert self._slopes is not None
+        ends, slopes = self._within.ends, self._slopes
+        matter = slopes != 0.0
+        tables = []
+        parts, shares = self.parts, _clipped(self._shares)
+        if len(parts) > 2 * parts.shape[1]:
+            design = np.concatenate([np.ones((len(parts), 1)), parts], axis=1)
+            fit = np.linalg.lstsq(design, shares.T, rcond=None)[0][1:].T
+            signs = np.where(np.abs(fit) > _MATTERS, np.sign(fit), slopes)
+            tables.append(np.where(matter, signs, 0.0) * ends)
+        if self._within.together:
+            worst = np.argsort(-shares, axis=1, kind="stable")
+            for place in range(min(2, len(parts))):
+                near = np.where(parts[worst[:, place]] < 0.0, -1.0, 1.0)
+                tables.append(np.where(matter, near, 0.0) * ends)
+        if tables:
+            order = self._worst_rows()
+            self._try_some(np.concatenate([table[order] for table in tables]))
+
+    def _drawn_corners(self, order: IntArray) -> FloatArray:
+        """Return corners from a fixed seed, those of the slopes by turns for the rows in order."""
+        assert self._slopes is not None
+        ends = self._within.ends
+        random = np.random.default_rng(_CORNER_SEED)
+        alike = np.where(random.random((_CORNERS, len(ends))) < 0.5, -1.0, 1.0)
+        follow = random.random((_LEANING, len(ends))) < _LEAN
+        of_rows = self._slopes[np.resize(order[:_STARTS], _LEANING)]
+        leaning = np.where(follow, of_rows, -of_rows)
+        other = np.where(random.random(leaning.shape) < 0.5, -1.0, 1.0)
+        leaning = np.where(leaning == 0.0, other, leaning)
+        # A number that changes nothing stays as the file has it.
+        return np.concatenate([alike, leaning]) * ends * np.isin(np.arange(len(ends)), self._moving)
+
+    def _try_some(self, parts: FloatArray) -> IntArray:
+        """Judge as many of (k, n) ``parts`` as may still be tried; return their numbers."""
+        before = self.searched
+        at = self.tried(parts[: max(self._left, 0)])
+        self._left -= self.searched - before
+        return at
+
+    def _climbs(self) -> None:
+        starts = _STARTS if self._within.together else _STARTS_ALONE
+        shares, rows = _clipped(self._shares), self._worst_rows()[:starts].tolist()
+        climbs = [(row, int(np.argmax(shares[row]))) for row in rows]
+        if starts > 1:
+            climbs += [(rows[0], at) for at in self._apart(rows[0], climbs[0][1])]
+        inner: list[tuple[int, int]] = []
+        while climbs and self._left > 0 and not self.ended:
+            climbs, stuck = self._round(climbs, self._flips)
+            inner += stuck
+        while inner and self._left > 0 and not self.ended:
+            inner, _ = self._round(inner, self._inside)
+
+    def _apart(self, row: int, first: int) -> list[int]:
+        """Return the worst machines of a row that are apart from ``first``: further starts."""
+        assert self._slopes is not None
+        parts, found = self.parts, [first]
+        signs = np.sign(parts[:, self._slopes[row] != 0.0])
+        for at in np.argsort(-_clipped(self._shares[row]), kind="stable").tolist():
+            if all((signs[at] != signs[known]).sum() > 1 for known in found):
+                found.append(at)
+                if len(found) > _APART:
+                    break
+        return found[1:]
+
+    def _flips(self, at: int) -> list[FloatArray]:
+        """Return the machines with one number at another end."""
+        found = []
+        for k in self._moving.tolist():
+            far = self._within.ends[k]
+            for end in (far, -far):
+                one = self.parts[at].copy()
+                if one[k] != end and (one[k] != -end or abs(one[k]) == far):
+                    one[k] = end
+                    found.append(one)
+        return found
+
+    def _inside(self, at: int) -> list[FloatArray]:
+        """Return the machines with one number in the middle, or half-way there."""
+        found = []
+        for k in self._moving.tolist():
+            for part in (0.0, 0.5):
+                one = self.parts[at].copy()
+                one[k] *= part
+                found.append(one)
+        return found
+
+    def _round(
+        self,
+        climbs: Sequence[tuple[int, int]],
+        moves: Callable[[int], list[FloatArray]],
+    ) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+        """Take one step of every climb; return those that got worse, and those that did not."""
+        tried = [moves(at) for _, at in climbs]
+        count = len(climbs)
+        share = max(self._left // count, 1)
+        tried = [some[:share] for some in tried]
+        flat = [one for some in tried for one in some]
+        if not flat:
+            return [], []
+        numbers = iter(self._try_some(np.stack(flat)).tolist())
+        together, worse = [], []
+        for (row, at), some in zip(climbs, tried, strict=True):
+            own = _clipped(self._shares[row])[at]
+            got = [(k, n) for k, n in zip(some, numbers, strict=False)]
+            gains = sorted(
+                ((float(_clipped(self._shares[row])[n]) - own, n) for _, n in got),
+                key=lambda one: (-round(one[0], 9), one[1]),
+            )
+            better = [n for gain, n in gains if gain > _BETTER]
+            worse.append(better)
+            sums = []
+            for most in dict.fromkeys((len(better), (len(better) + 1) // 2, 2)):
+                if 1 < most <= len(better):
+                    sums.append(self._summed(at, better[:most]))
+            together.append(sums)
+        flat = [one for sums in together for one in sums]
+        numbers = iter(self._try_some(np.stack(flat)).tolist() if flat and self._left > 0 else [])
+        on, stuck = [], []
+        for (row, at), better, sums in zip(climbs, worse, together, strict=True):
+            ends = [*better, *(n for _, n in zip(sums, numbers, strict=False))]
+            if not better:
+                stuck.append((row, at))
+                continue
+            values = np.round(_clipped(self._shares[row])[ends], 9)
+            on.append((row, ends[int(np.argmax(values))]))
+        return list(dict.fromkeys(on)), stuck
+
+    def _summed(self, at: int, better: Sequence[int]) -> FloatArray:
+        """Return a machine with the changes of several others, the largest gain of each number."""
+        parts = self.parts
+        found: FloatArray = parts[at].copy()
+        for number in reversed(better):
+            changed = parts[number] != parts[at]
+            found[changed] = parts[number][changed]
+        return found
+
+
+def _key(parts: FloatArray) -> bytes:
+    return np.asarray(parts + 0.0, dtype=np.float64).tobytes()  # -0.0 is 0.0
+
+
+def _clipped(shares: FloatArray) -> FloatArray:
+    return np.asarray(np.round(np.minimum(shares, _MOST_SHARE), 9), dtype=np.float64)

@@ -1,0 +1,623 @@
+"""How many stitches the head takes to its speed, and from its speed to a stop, leg by leg.
+
+The thesis of the stitcher asks that the head accelerates to its speed, and decelerates from it,
+within two stitches. Both counts here end when the head has 95 % of the set speed; they differ in
+where they begin (of a stop, read in reversed time, in where they end):
+
+- ``stitches_to_speed`` with the first movement of the command along the new leg. A plan that
+  swings back before it departs is counted from the swing, and not from where it last stood.
+- ``stitches_from_needle`` with the first needle-down of the leg.
+
+Fractions of a turn count. The first movement is the mean over all levels from 0.5 to 1.5 % of the
+set speed of the instants at which the command first passes them, 1 % on average: a swing that grows
+from below 1 % to above it moves the count little by little.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.verdict.finding import Finding, Found
+from threadline.verdict.measure import Measure, Option
+from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
+from threadline.verdict.samples import Block, Setting, enough_of, lanes
+from threadline.verdict.sewn import PART_OF_STITCH
+
+OPTIONS = {"over": Option(unit="s", default=0.002)}
+NEEDLE_OPTIONS = {"delay": Option(unit="s", default=0.0), **OPTIONS}
+_HIGH, _STILL = 0.95, 0.01  # of the set speed
+_FAINT, _MOVED = 0.005, 0.01  # of the set speed: lowest level of a movement, and their range
+_MOVES = 0.02  # of the highest speed of a following needle: a slower head rests
+_TURNS = 6.0  # of the needle: so far before and after a corner a movement is looked for
+_STRAIGHT = 1.0 - 1e-6  # cosine: directions of stitches of one straight line
+_CORNER = 0.985  # cosine of 10 degrees: a line that turns by less has no corner
+_KEPT_TURNS = 2.0 * _TURNS + 8.0
+
+
+class _Instant(NamedTuple):
+    """A sample: the plan's time, the recording's, the operation and the commanded position."""
+
+    due_s: float
+    time_s: float
+    operation: int | None
+    position: tuple[float, ...] | None
+
+
+@dataclass(slots=True)
+class _Dip:
+    """A stretch in which the command is below its speed.
+
+    Parameters
+    ----------
+    begin_s
+        Plan's time at which it begins.
+    least
+        Lowest speed, as a share of the set speed.
+    stop, turn
+        First and last instant at which the command stands, or its slowest instant.
+    period_s
+        Turn of the needle there.
+    rise
+        When the command has its speed again; None until then.
+    geared
+        Whether the needle follows the head: then a plan does not swing.
+    stopped, started
+        Whether the stop and the start have been counted.
+    """
+
+    begin_s: float
+    least: float
+    stop: _Instant
+    turn: _Instant
+    period_s: float
+    rise: _Instant | None = None
+    geared: bool = False
+    stopped: bool = False
+    started: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Rows:
+    """Consecutive samples, n of them.
+
+    Parameters
+    ----------
+    due_s
+        (n,) the plan's time.
+    velocity
+        (n, axes) commanded, as a share of the set speed.
+    grain
+        (n, axes) what one count changes of it.
+    along
+        (n, axes) direction of the stitch.
+    stitch, contour
+        (n,) their numbers.
+    needle_s, down_s
+        (n,) needle-downs at the ends of the stitch, plan's time.
+    first, rest_s
+        (n,) whether it is the first of its contour, and from when the head rests before it; minus
+        infinity unless it comes from another contour.
+    """
+
+    due_s: FloatArray
+    velocity: FloatArray
+    grain: FloatArray
+    along: FloatArray
+    stitch: IntArray
+    contour: IntArray
+    needle_s: FloatArray
+    down_s: FloatArray
+    first: NDArray[np.bool_]
+    rest_s: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.due_s)
+
+    def rows(self, rows: slice | NDArray[np.bool_] | IntArray) -> _Rows:
+        return _Rows(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+    def joined(self, more: _Rows) -> _Rows:
+        pairs = ((f.name, getattr(self, f.name), getattr(more, f.name)) for f in fields(self))
+        return _Rows(**{name: np.concatenate([one, two]) for name, one, two in pairs})
+
+
+@dataclass(frozen=True, slots=True)
+class _Corner:
+    """Where one leg ends and the next begins.
+
+    Parameters
+    ----------
+    row
+        Row of the first sample of the new leg.
+    old, new
+        (axes,) directions of both legs.
+    """
+
+    row: int
+    old: FloatArray
+    new: FloatArray
+
+
+class _Past:
+    """The last samples of the command, beside the stitches to which they belong."""
+
+    def __init__(self) -> None:
+        self._rows: _Rows | None = None
+
+    @property
+    def end_s(self) -> float:
+        """The plan's time of the last sample."""
+        return -np.inf if self._rows is None else float(self._rows.due_s[-1])
+
+    def add(self, rows: _Rows) -> None:
+        """Add the next samples."""
+        self._rows = rows if self._rows is None else self._rows.joined(rows)
+
+    def drop(self, before_s: float) -> None:
+        """Discard samples before an instant, once they are the larger part."""
+        if self._rows is not None:
+            first = int(np.searchsorted(self._rows.due_s, before_s))
+            if 2 * first > len(self._rows):
+                self._rows = self._rows.rows(slice(first, None))
+
+    def start(self, dip: _Dip) -> tuple[float, float]:
+        """Return when the command first moves along the leg after a dip, and its needle-down.
+
+        Where no leg begins: when the command is slowest, and NaN.
+        """
+        assert self._rows is not None and dip.rise is not None
+        rows, turn_s, period_s = self._rows, dip.turn.due_s, dip.period_s
+        first, last = self._between(dip.begin_s, dip.rise.due_s)
+        corner = _corner(rows, first, last)
+        if corner is None:
+            fresh = rows.first[: last + 1] & (rows.contour[: last + 1] == rows.contour[last])
+            own = np.flatnonzero(fresh & (rows.due_s[: last + 1] >= dip.begin_s))
+            if not len(own):
+                return turn_s, np.nan
+            needle_s = float(rows.needle_s[own[0]])
+            from_s = max(needle_s - _TURNS * period_s, 0.5 * (rows.rest_s[own[0]] + needle_s))
+            acting = rows.along[own[0]]
+        else:
+            needle_s = float(rows.needle_s[corner.row])
+            from_s = max(needle_s - _TURNS * period_s, _middle(rows, corner.row - 1, -1))
+            acting = _acting(corner.new, corner.old)
+        if dip.geared:
+            return turn_s, needle_s
+        begin = int(np.searchsorted(rows.due_s, from_s))
+        return _first_moved(rows.rows(slice(begin, last + 1)), acting), needle_s
+
+    def stop(self, dip: _Dip) -> tuple[float, float]:
+        """Return when the command last moves along the leg before a dip, and its needle-down.
+
+        Where no leg ends: when the command is slowest, and NaN.
+        """
+        assert self._rows is not None
+        rows, stop_s, period_s = self._rows, dip.stop.due_s, dip.period_s
+        until_s = stop_s + _TURNS * period_s if dip.rise is None else dip.rise.due_s
+        first, last = self._between(dip.begin_s, until_s)
+        corner = _corner(rows, first, last)
+        end = len(rows)
+        if corner is None:
+            if dip.least > _STILL:
+                return stop_s, np.nan
+            own = np.flatnonzero(rows.contour == rows.contour[first])
+            of_leg = own[rows.due_s[own] <= max(stop_s, float(rows.down_s[own[-1]]))]
+            needle_s, acting = float(rows.down_s[of_leg[-1]]), rows.along[of_leg[-1]]
+            end, until_s = int(own[-1]) + 1, needle_s + _TURNS * period_s
+        else:
+            needle_s = float(rows.needle_s[corner.row])
+            until_s = min(needle_s + _TURNS * period_s, _middle(rows, corner.row, 1))
+            acting = _acting(corner.old, corner.new)
+        if dip.geared:
+            return stop_s, needle_s
+        end = min(end, int(np.searchsorted(rows.due_s, until_s, side="right")))
+        back = rows.rows(np.arange(end - 1, first - 1, -1))
+        return -_first_moved(replace(back, due_s=-back.due_s), acting), needle_s
+
+    def _between(self, begin_s: float, end_s: float) -> tuple[int, int]:
+        """Return the first and the last row between two instants."""
+        assert self._rows is not None
+        first, last = np.searchsorted(self._rows.due_s, [begin_s, end_s])
+        most = len(self._rows) - 1
+        return int(min(first, most)), int(min(last, most))
+
+
+def _corner(rows: _Rows, first: int, last: int) -> _Corner | None:
+    """Return the sharpest corner between stitches of one contour in some samples, if any."""
+    own = np.arange(max(first, 1), last + 1)
+    own = own[rows.stitch[own] != rows.stitch[own - 1]]
+    own = own[rows.contour[own] == rows.contour[own - 1]]
+    if not len(own):
+        return None
+    cosine = (rows.along[own] * rows.along[own - 1]).sum(axis=1)
+    sharpest = int(np.argmin(cosine))
+    if cosine[sharpest] > _CORNER:
+        return None
+    row = int(own[sharpest])
+    return _Corner(row, rows.along[row - 1], rows.along[row])
+
+
+def _middle(rows: _Rows, row: int, step: int) -> float:
+    """Return the middle of the straight stretch that begins at ``row`` and goes on by ``step``.
+
+    Beyond it a movement belongs to the leg's other end. A bend ends the stretch: in it the head
+    moves along all directions.
+    """
+    rest = rows.along[row:] if step > 0 else rows.along[row::-1]
+    bent = np.flatnonzero(rest @ rows.along[row] < _STRAIGHT)
+    far = row + step * (int(bent[0]) if len(bent) else len(rest) - 1)
+    if not len(bent):  # it goes on beyond the samples
+        return np.inf if step > 0 else -np.inf
+    return float(0.5 * (rows.due_s[row] + rows.due_s[far]))
+
+
+def _acting(leg: FloatArray, other: FloatArray) -> FloatArray:
+    """Return what makes of a velocity its share along ``leg`` that ``other`` does not explain."""
+    cosine = float(leg @ other)
+    across = leg - cosine * other
+    squared = float(across @ across)
+    # A line that turns back: both legs have one direction.
+    return across / squared if squared > 1.0 - _CORNER**2 else leg
+
+
+def _first_moved(rows: _Rows, acting: FloatArray) -> float:
+    """Return the mean of the instants at which a speed first passes each level of a movement."""
+    if not len(rows):
+        return np.nan
+    speed = np.abs(rows.velocity @ acting)
+    # A command in whole counts is off by one of them from sample to sample.
+    speed -= rows.grain @ np.abs(acting) + _FAINT
+    most = np.maximum.accumulate(speed)
+    begin, end = most[:-1], most[1:]
+    rising = end - begin
+    left = np.clip(1.0 - begin / _MOVED, 0.0, 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.where(rising > 0.0, (_levels(end) - _levels(begin)) / rising, left)
+    return float(rows.due_s[0] + (mean * np.diff(rows.due_s)).sum())
+
+
+def _levels(speed: FloatArray) -> FloatArray:
+    """Return the integral up to ``speed`` of 1 below 0, and ``max(1 - s / _MOVED, 0)`` above."""
+    part = np.minimum(speed, _MOVED)
+    return np.asarray(part - np.maximum(part, 0.0) ** 2 / (2.0 * _MOVED))
+
+
+class _Head:
+    """When the head of one run came to 95 % of its speed, and lost it."""
+
+    def __init__(self) -> None:
+        self._due_s: list[float] = []
+        self._ups: list[tuple[bool, _Instant]] = []
+        self.worst: Finding | None = None
+
+    def take(self, due_s: float, up: bool, at: _Instant) -> None:
+        """Add a passage of 95 %, upward or downward, and the sample behind it."""
+        self._due_s.append(due_s)
+        self._ups.append((up, at))
+
+    def drop(self, before_s: float) -> None:
+        """Discard passages before an instant, but for the last."""
+        first = max(bisect_right(self._due_s, before_s) - 1, 0)
+        del self._due_s[:first], self._ups[:first]
+
+    def left(self, stop_s: float) -> float | None:
+        """Return when the head last had its speed before an instant; None if it never had."""
+        at = bisect_right(self._due_s, stop_s) - 1
+        if at < 0:
+            return None
+        return stop_s if self._ups[at][0] else self._due_s[at]
+
+    def came(self, dip: _Dip, until_s: float) -> tuple[float, _Instant] | None:
+        """Return when the head first has its speed after a dip, before ``until_s``."""
+        assert dip.rise is not None
+        rise_s = dip.rise.due_s
+        at = bisect_right(self._due_s, rise_s) - 1
+        if at >= 0 and self._ups[at][0]:
+            # It had its speed before the command; a head that trails may still have the old one.
+            found = self._due_s[at] > dip.turn.due_s
+            return (self._due_s[at], self._ups[at][1]) if found else (rise_s, dip.rise)
+        if at + 1 < len(self._due_s) and self._due_s[at + 1] <= until_s:
+            return self._due_s[at + 1], self._ups[at + 1][1]
+        return None
+
+    def count(self, value: float, at: _Instant, note: str) -> None:
+        """Keep a count if it is the largest."""
+        if self.worst is None or self.worst.value is None or value > self.worst.value:
+            self.worst = Finding(
+                value=value,
+                time_s=at.time_s,
+                operation=at.operation,
+                position=at.position,
+                note=note,
+            )
+
+
+class _ToSpeed:
+    """The longest time to reach the speed, or to stop from it, in turns of the needle.
+
+    If the needle follows the head, the set speed is the commanded speed of the head at that
+    instant. Stitches sewn in a hold, or while the head regains its speed after one, do not count;
+    times are the plan's, which stands still in a hold.
+
+    Speeds are means over ``over``, or over ``PART_OF_STITCH`` of the shortest first stitch if that
+    is less: a mean over more than a dip would not see the dip.
+    """
+
+    def __init__(self, setting: Setting, over_s: float, delay_s: float | None) -> None:
+        self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
+        self._radius_m = setting.radius_m[self._columns, None]
+        self._count_m = setting.resolution[self._columns] * setting.radius_m[self._columns]
+        planned = setting.plan.motion.of_loads is not None
+        self._delay_s = 0.0 if planned or delay_s is None else delay_s
+        self._of_needle = delay_s is not None
+        self._source: Iterator[Stitches] = (
+            planned_stitches(setting.plan) if has_stitches(setting.plan.job) else iter(())
+        )
+        self._run: Stitches | None = next(self._source, None)
+        self._last: Stitches | None = None  # once all have passed
+        self._number = 0  # of the first stitch of ``_run``
+        if self._run is not None:
+            least_s = float(np.fmin.reduce(self._run.period_s, initial=np.inf))
+            over_s = min(over_s, PART_OF_STITCH * least_s)
+        self._every = enough_of(over_s, setting.interval_s)
+        interval_s = self._every * setting.interval_s
+        self._span = max(round(over_s / interval_s), 1)
+        self._over_s = self._span * interval_s
+        self._sews = self._run is not None
+        self._turn_s = 0.0  # the longest turn of the needle so far
+        self._tail: list[FloatArray] = []
+        self._past, self._dips = _Past(), list[_Dip]()
+        self._heads = [_Head() for _ in range(setting.runs)]
+        self._before: tuple[float, FloatArray] | None = None  # last sample of the heads
+
+    def feed(self, block: Block) -> None:
+        block = block.every(self._every)
+        assert block.actual is not None
+        rests = block.rests
+        if rests is None or not self._sews or not len(block):
+            return
+        assert block.commanded is not None
+        # Rests are held to a count, which would make steps of a slow movement.
+        taken = (rests[:, :, None], block.commanded[:, :, None], lanes(block.actual))
+        points = [p[:, self._columns] * self._radius_m for p in taken]
+        tails = self._tail or [np.repeat(p[:1], self._span, axis=0) for p in points]
+        whole = [np.concatenate([tail, p]) for tail, p in zip(tails, points, strict=True)]
+        self._tail = [p[-self._span :] for p in whole]
+        speeds = [(p[self._span :] - p[: -self._span]) / self._over_s for p in whole]
+        rows, wanted, period_s, follows, sewn = self._set(block.due_s, speeds[1][:, :, 0])
+        meant, actual = (np.linalg.norm(v, axis=1) for v in speeds[::2])
+        going = np.ones(len(block), dtype=np.bool_)
+        if block.slow is not None:  # a hold is the operator's choice
+            going = ~block.slow
+        kept = (rows.stitch >= 0) & going
+        if kept.any():
+            self._past.add(rows.rows(kept))
+        # For a following needle the set speed is the commanded speed, while it moves at all.
+        geared = np.maximum(meant[:, 0], _MOVES * wanted)
+        wanted = np.where(follows, geared, wanted)
+        at = np.flatnonzero(sewn & going)
+        if len(at):
+            self._turn_s = max(self._turn_s, float(period_s[at].max()))
+            self._take_heads(block, at, actual[at] / wanted[at, None])
+            self._take_command(block, at, meant[at, 0] / wanted[at], period_s[at], follows[at])
+        self._resolve(final=False)
+
+    def finish(self) -> Sequence[Found]:
+        self._resolve(final=True)
+        note = "no leg of the seam comes to its speed" if self._sews else "the job has no stitches"
+        none = Finding(value=None, note=note)
+        return [Found.made([head.worst or none for head in self._heads])]
+
+    def _set(
+        self, due_s: FloatArray, velocity: FloatArray
+    ) -> tuple[_Rows, FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return the stitches of (n,) instants of the plan.
+
+        Returns
+        -------
+        tuple
+            The samples beside them, with stitch -1 where there is none; (n,) set speed, turn of the
+            needle, whether it follows, and whether it sews. For a following needle the speed is its
+            highest.
+        """
+        count, width = velocity.shape
+        wanted, period_s = np.ones(count), np.ones(count)
+        follows = np.zeros(count, dtype=np.bool_)
+        known = np.zeros(count, dtype=np.bool_)
+        along, contour = np.zeros((count, width)), np.zeros(count, dtype=np.int64)
+        number, first = np.full(count, -1), np.zeros(count, dtype=np.bool_)
+        needle_s, down_s, rest_s = (np.full(count, -np.inf) for _ in range(3))
+
+        def fill(run: Stitches, mine: NDArray[np.bool_], stitch: IntArray) -> None:
+            speed = np.where(run.follows, run.fastest_hz, 1.0 / run.period_s)
+            wanted[mine] = (run.target_m * speed)[stitch]
+            follows[mine] = run.follows[stitch]
+            period_s[mine] = run.period_s[stitch]
+            way = run.point - run.from_point
+            way_m = np.linalg.norm(way, axis=1, keepdims=True)
+            along[mine] = (way / np.where(way_m > 0.0, way_m, 1.0))[stitch]
+            contour[mine], number[mine] = run.contour[stitch], self._number + stitch
+            down_s[mine] = run.down_s[stitch]
+            needle_s[mine] = (run.down_s - run.period_s)[stitch]
+            first[mine] = run.first[stitch]
+            rested = run.first & (self._number + np.arange(len(run)) > 0)
+            rest_s[mine] = np.where(rested, run.from_s, -np.inf)[stitch]
+
+        while self._run is not None:
+            run = self._run
+            mine = ~known & (due_s <= run.down_s[-1])
+            if not mine.any():
+                break
+            fill(run, mine, np.searchsorted(run.down_s, due_s[mine], side="left"))
+            known |= mine
+            if due_s[-1] <= run.down_s[-1]:
+                break
+            self._last, self._number = run, self._number + len(run)
+            self._run = next(self._source, None)
+        sewn = known & np.isfinite(period_s)
+        if self._run is None and self._last is not None:
+            # What a stop sets swinging goes on behind the last needle-down.
+            run, self._number = self._last, self._number - len(self._last)
+            behind = ~known & (due_s <= run.down_s[-1] + _TURNS * run.period_s[-1])
+            fill(run, behind, np.full(int(behind.sum()), len(run) - 1))
+            self._number += len(run)
+        rows = _Rows(
+            due_s=np.asarray(due_s),
+            velocity=velocity / wanted[:, None],
+            grain=self._count_m / self._over_s / wanted[:, None],
+            along=along,
+            stitch=number,
+            contour=contour,
+            needle_s=needle_s,
+            down_s=down_s,
+            first=first,
+            rest_s=rest_s,
+        )
+        return rows, wanted, period_s, follows, sewn
+
+    def _take_heads(self, block: Block, at: IntArray, actual: FloatArray) -> None:
+        """Find where (n, runs) relative speeds of the heads pass 95 %."""
+        due_s = block.due_s[at]
+        if self._before is None:
+            for run in np.flatnonzero(actual[0] >= _HIGH).tolist():
+                self._heads[run].take(float(due_s[0]), True, _instant(block, int(at[0])))
+            times, speeds = due_s, actual
+            offset = 0
+        else:
+            times = np.append(self._before[0], due_s)
+            speeds = np.concatenate([self._before[1], actual])
+            offset = 1
+        self._before = float(due_s[-1]), actual[-1:]
+        fast = speeds >= _HIGH
+        for k, run in zip(*np.nonzero(fast[1:] != fast[:-1]), strict=True):
+            low, high = speeds[k, run], speeds[k + 1, run]
+            part = (_HIGH - low) / (high - low)
+            when_s = float(times[k] + part * (times[k + 1] - times[k]))
+            after = _instant(block, int(at[k + 1 - offset]))
+            self._heads[int(run)].take(when_s, bool(fast[k + 1, run]), after)
+
+    def _take_command(
+        self,
+        block: Block,
+        at: IntArray,
+        meant: FloatArray,
+        period_s: FloatArray,
+        follows: NDArray[np.bool_],
+    ) -> None:
+        """Follow a command through stretches in which it has its speed or not."""
+        low = meant < _HIGH
+        edges = np.flatnonzero(np.diff(low)) + 1
+        for part in np.split(np.arange(len(at)), edges):
+            instant = partial(_instant, block)
+            dip = self._dips[-1] if self._dips and self._dips[-1].rise is None else None
+            if not low[part[0]]:
+                if dip is not None:
+                    dip.rise = instant(int(at[part[0]]))
+                    dip.period_s = float(period_s[part[0]])
+                continue
+            speeds = meant[part]
+            still = np.flatnonzero(speeds <= _STILL)
+            least = int(np.argmin(speeds))
+            begins, ends = (int(still[0]), int(still[-1])) if len(still) else (least, least)
+            if dip is None:
+                dip = _Dip(
+                    begin_s=float(block.due_s[at[part[0]]]),
+                    least=np.inf,
+                    stop=instant(int(at[part[0]])),
+                    turn=instant(int(at[part[0]])),
+                    period_s=float(period_s[part[0]]),
+                )
+                self._dips.append(dip)
+            if dip.least > _STILL and speeds[least] < dip.least:
+                dip.stop = instant(int(at[part[begins]]))
+                dip.turn, dip.least = instant(int(at[part[ends]])), float(speeds[least])
+            elif len(still):
+                dip.turn = instant(int(at[part[ends]]))
+            if follows[part].all():
+                dip.geared = True
+
+    def _resolve(self, *, final: bool) -> None:
+        """Count the stops and starts for which all samples have been seen."""
+        end_s = np.inf if final else self._past.end_s
+        for k, dip in enumerate(self._dips):
+            ended = dip.rise is not None or dip.least <= _STILL
+            seen_s = (dip.rise or dip.stop).due_s + (_TURNS + 2.0) * dip.period_s
+            if not dip.stopped and (final or (ended and end_s >= seen_s)):
+                self._stopped(dip)
+            if dip.rise is None or dip.started or not dip.stopped:
+                continue
+            rises = (d.rise.due_s for d in self._dips[k + 1 :] if d.rise is not None)
+            until_s = next(rises, np.inf)
+            came = [head.came(dip, until_s) for head in self._heads]
+            if final or until_s < np.inf or None not in came:
+                self._started(dip, came)
+        self._dips = [dip for dip in self._dips if not (dip.stopped and dip.started)]
+        oldest_s = self._past.end_s
+        for dip in self._dips:
+            # Of a rest only the end matters, once its stop is counted.
+            if not dip.stopped or dip.rise is not None:
+                oldest_s = min(oldest_s, dip.begin_s)
+        keep_s = oldest_s - _KEPT_TURNS * self._turn_s
+        self._past.drop(keep_s)
+        for head in self._heads:
+            head.drop(keep_s)
+
+    def _stopped(self, dip: _Dip) -> None:
+        """Count from the last 95 % of each head to the stop of the command."""
+        dip.stopped = True
+        gone_s, needle_s = self._past.stop(dip)
+        note = _STOPS[0] if np.isnan(needle_s) else _STOPS[1]
+        if self._of_needle:
+            gone_s, note = needle_s + self._delay_s, _STOPS[2]
+        for head in self._heads:
+            left_s = head.left(dip.stop.due_s)
+            if left_s is not None and not np.isnan(gone_s):
+                head.count(max(gone_s - left_s, 0.0) / dip.period_s, dip.stop, note)
+
+    def _started(self, dip: _Dip, came: Sequence[tuple[float, _Instant] | None]) -> None:
+        """Count from the start of the command until each head has its speed."""
+        dip.started = True
+        moved_s, needle_s = self._past.start(dip)
+        note = _STARTS[0] if np.isnan(needle_s) else _STARTS[1]
+        if self._of_needle:
+            moved_s, note = needle_s + self._delay_s, _STARTS[2]
+        for head, there in zip(self._heads, came, strict=True):
+            if there is not None and not np.isnan(moved_s):
+                head.count(max(there[0] - moved_s, 0.0) / dip.period_s, there[1], note)
+
+
+_STARTS = ("from where it is slowest", "from the first movement", "from the first needle-down")
+_STOPS = ("to where it is slowest", "to the last movement", "to the last needle-down")
+
+
+def _instant(block: Block, index: int) -> _Instant:
+    return _Instant(
+        due_s=float(block.due_s[index]),
+        time_s=float(block.time_s[index]),
+        operation=None if block.operation is None else int(block.operation[index]),
+        position=_position(block, index),
+    )
+
+
+def _position(block: Block, index: int) -> tuple[float, ...] | None:
+    assert block.commanded is not None
+    position = block.commanded[index]
+    return tuple(position.tolist()) if np.isfinite(position).all() else None
+
+
+def start_to_speed(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the turns from the first movement of a leg until the head has its speed."""
+    return _ToSpeed(setting, options["over"], None)
+
+
+def start_from_needle(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the turns from the first needle-down of a leg until it has its speed."""
+    return _ToSpeed(setting, options["over"], options["delay"])
