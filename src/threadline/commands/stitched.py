@@ -224,7 +224,7 @@ def stitch(
     tolerance_m
         Largest swing allowed when a needle enters.
     turn_s
-        Time of every turn. None slows each stitch as much as it needs. If the spindle cannot change
+        Time of every turn. None gives each turn a time of its own. If the spindle cannot change
         its speed, None gives the highest speed at which every needle enters within the tolerance.
     robust_share
         Share of the tolerances of loads and springs for which the tolerance is kept.
