@@ -273,11 +273,12 @@ TABLE: tuple[Option, ...] = (
         label="Smoothing", placeholder="default",
     ),
     Option(
-        name="robust", group=Group.PLAN, kinds=(TICKS,),
+        name="robust", group=Group.PLAN, kinds=(TICKS, STEPS),
         verbs=PLANNERS,
         help="With --feed-forward: keep the loads from ringing for all masses and stiffnesses "
         'within this share of their tolerances: "100 %". --smoothing is then the time in which '
-        "the speed may change, by default four turns of a seam's needle.",
+        "the speed may change, by default four turns of a seam's needle. On an embroidery frame: "
+        "every needle enters within the tolerance for all of them.",
         helps={
             "fastest": "One plan for all machines with loads and springs at the ends of this share "
             'of their tolerances, each judged in one run: "100 %"; and what that costs. With '
@@ -286,7 +287,7 @@ TABLE: tuple[Option, ...] = (
         },
         attribute="robust_share", parse=parse_robust,
         recorded=FileForm(key="robust", write=_exact("%", 100.0), read=parse_robust),
-        label="Robust", placeholder="none",
+        label="Robust", placeholder="default",
     ),
     Option(
         name="contour", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),

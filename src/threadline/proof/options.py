@@ -330,7 +330,7 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
         Names the pair.
     """
     interpolation, forward = given["interpolation"], given["feed_forward"]
-    smoothing, contour, robust = given["smoothing"], given["contour"], given["robust"]
+    smoothing, contour = given["smoothing"], given["contour"]
     if smoothing is not None and not forward:
         raise OptionError(
             f"--smoothing {smoothing!r} needs feed-forward", remedy="Give --feed-forward too."
@@ -358,15 +358,10 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
         tolerance = str(given["tolerance"] or DEFAULT_TOLERANCE)
         if parse_outside_m(str(given["outside"])) > parse_tolerance_m(tolerance):
             raise OptionError(
-                f"--outside {given['swing']!r} is more than --tolerance {tolerance!r}, the largest "
-                "deviation from the programmed path",
+                f"--outside {given['outside']!r} is more than --tolerance {tolerance!r}, the "
+                "largest deviation from the programmed path",
                 remedy="Lower it, or raise the tolerance.",
             )
-    if robust is not None and (not forward or interpolation not in USUAL):
-        raise OptionError(
-            f"--robust {robust!r} needs feed-forward along the programmed chords and times",
-            remedy="Give --feed-forward too, and no other --interpolation.",
-        )
     shaped = given["shaper"] not in (None, UNSHAPED_WORD)
     if not shaped and (given["mode"] is not None or given["damping"] is not None):
         raise OptionError(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray
+from threadline.base.option_defaults import USUAL
 from threadline.commands.feedforward import followed_by_loads, followed_by_motors
 from threadline.commands.plan import Following, Motion, Plan
 from threadline.commands.write import TABLES, TICK_TARGETS, Target, WrittenPlan, table_writer
@@ -150,6 +151,13 @@ def _check_product(machine: Machine, product: str | None) -> None:
 
 def _check_options(machine: Machine, options: Options) -> None:
     _check_product(machine, options.product)
+    forward = options.following is Following.LOAD and options.interpolation in USUAL
+    if options.robust_share is not None and not forward:
+        raise OptionError(
+            f"--robust '{options.robust_share * 100:g} %' needs feed-forward along the programmed "
+            "chords and times",
+            remedy="Give --feed-forward too, and no other --interpolation.",
+        )
     if options.shaper_mode is not None or options.shaper_damping is not None:
         raise OptionError(
             f"--mode and --damping are for on/off machines, which {machine.name} is not",
