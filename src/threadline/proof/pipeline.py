@@ -26,8 +26,8 @@ from threadline.machine.model import check_dynamics
 from threadline.machine.radii import with_radii
 from threadline.machine.variants import check_uncertain, drawn
 from threadline.machine.vary import Others, band_of, ends_of
-from threadline.proof.kinds import KINDS, check_loops, kind_of, kind_of_commands
-from threadline.proof.kinds.kind import Share
+from threadline.proof.kinds import KINDS, kind_of, kind_of_commands
+from threadline.proof.kinds.kind import Share, check_loops
 from threadline.proof.kinds.variants import played_by, rejects
 from threadline.proof.options import Options
 from threadline.proof.over_tolerances import VARIANT_SEED, Suspects, over_tolerances
