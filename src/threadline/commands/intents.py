@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 ON_OFF = "on-off"
 """Name that plans of on/off machines give in place of an interpolation."""
+_CONVERGED = 1.0 + 1e-5
+"""Share of a tolerance up to which rounding puts no stitch beyond it."""
 
 
 class Intent(Protocol):
@@ -368,10 +370,12 @@ class Stitched:
     constant, given
         Whether the shaft turns at one speed, and whether the user gave that speed.
     alone_s
-        Lower bound of the time, s: each stitch is planned as if the frame were at rest before it,
-        on a spindle without inertia.
+        Time if each stitch were planned as if the frame were at rest before it, on a spindle
+        without inertia, s. A schedule that cancels the swing of earlier stitches may be shorter.
     slowest_s
         Time at the constant speed that the slowest stitch alone needs, s.
+    bound_s
+        No schedule on the grid of speeds takes less time, s; None without a schedule.
     """
 
     job: Job
@@ -384,6 +388,7 @@ class Stitched:
     given: bool
     alone_s: float
     slowest_s: float
+    bound_s: float | None
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -402,8 +407,21 @@ class Stitched:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of the plan: none, because the verdict reports everything."""
-        return ()
+        """Which stitches the forecast has beyond the tolerance, unless the user gave the speed."""
+        if self.given:
+            return ()
+        turns, limit_m = self.turns, self.pace.tolerance_m
+        swings_m = self.pace.robust_swings_m(turns.moves, turns.turn_s)
+        over = np.flatnonzero(swings_m > limit_m * _CONVERGED)
+        if not len(over):
+            return ()
+        worst = int(np.argmax(swings_m))
+        return (
+            f"no speeds of the shaft were found at which every needle enters within "
+            f"{limit_m * 1e3:.4g} mm: {len(over)} of {int((turns.stitch > 0).sum())} stitches are "
+            f"forecast beyond it, the worst by {swings_m[worst] * 1e3:.4g} mm at "
+            f"{turns.name(worst)}. Give a larger --tolerance, a smaller --robust, or another --law",
+        )
 
     def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
         """Return the motion law, which takes the place of an interpolation."""
@@ -433,6 +451,8 @@ class Stitched:
                 "fastest_turn_s": float(self.turns.turn_s.min()),
                 "each_alone_s": self.alone_s,
                 "slowest_alone_s": self.slowest_s,
+                "schedule_bound_s": self.bound_s,
+                "robust_share": self.pace.robust_share,
             }
         }
 

@@ -23,13 +23,18 @@ _BLOCK_S = 32.0  # longest block: samples of slow turns would not fit into the f
 _WHOLE = 1e-3  # units: how near a place must be to the grid of the design
 _BUDGET_S = 1e-9
 # A search plans one job at many shaft speeds; the shortest windows depend on none of them.
-_PACES: Recent[tuple[Machine, Law, float], Pace] = Recent(
-    4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2] == b[2]
+_PACES: Recent[tuple[Machine, Law, float, float], Pace] = Recent(
+    4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2:] == b[2:]
 )
 
 
 def stitch(
-    job: Job, machine: Machine, law: Law, tolerance_m: float, turn_s: float | None
+    job: Job,
+    machine: Machine,
+    law: Law,
+    tolerance_m: float,
+    turn_s: float | None,
+    robust_share: float = 0.0,
 ) -> Stitched:
     """Return the plan of a design.
 
@@ -44,8 +49,10 @@ def stitch(
     tolerance_m
         Largest swing allowed when a needle enters.
     turn_s
-        Time of every turn. None slows each stitch as much as it needs. If the spindle cannot change
+        Time of every turn. None gives each turn a time of its own. If the spindle cannot change
         its speed, None gives the highest speed at which every needle enters within the tolerance.
+    robust_share
+        Share of the tolerances of loads and springs for which the tolerance is kept.
 
     Raises
     ------
@@ -55,7 +62,10 @@ def stitch(
     BudgetError
         If the design takes longer than the machine's tick budget.
     """
-    pace = _PACES.of((machine, law, tolerance_m), lambda: Pace(machine, law, tolerance_m))
+    pace = _PACES.of(
+        (machine, law, tolerance_m, robust_share),
+        lambda: Pace(machine, law, tolerance_m, robust_share),
+    )
     shaft = pace.shaft
     rows = _rows(job, pace)
     moves: Moves = rows["moves"]
@@ -71,7 +81,12 @@ def stitch(
             remedy="Choose a speed between them.",
         )
     count = len(moves.needle)
-    turns_s = np.full(count, given) if constant else pace.scheduled(moves)
+    bound_s = None
+    if constant:
+        turns_s = np.full(count, given)
+    else:
+        schedule = pace.scheduled(moves)
+        turns_s, bound_s = schedule.turn_s, schedule.bound_s
     clock = machine.clock(pace.tables.clock)
     period_s = float(clock.period_s)
     windows = np.rint(pace.share * turns_s / period_s)
@@ -110,6 +125,7 @@ def stitch(
         given=turn_s is not None,
         alone_s=float(needed.sum()),
         slowest_s=float(needed[sewn].max()) * count,
+        bound_s=bound_s,
     )
 
 

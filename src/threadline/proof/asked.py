@@ -130,8 +130,8 @@ class Words:
     ) -> list[Options]:
         """Return planning options for each interpolation, feed and shaper.
 
-        ``contour`` applies only to ``optimal``, ``robust`` only to the default interpolation, and
-        ``mode`` only to a shaper: the other compared plans leave it out.
+        ``contour`` and its like apply only to ``optimal``, ``robust`` only to the
+        default interpolation, and ``mode`` only to a shaper: the other compared plans leave it out.
 
         Raises
         ------
@@ -146,7 +146,7 @@ class Words:
         for name, feed, shaper in product(interpolations, feeds or once, shapers or once):
             own: dict[str, Word] = {"interpolation": name, "feed": feed, "shaper": shaper}
             if name != OPTIMAL and OPTIMAL in interpolations:
-                own["contour"] = None
+                own |= dict.fromkeys(_OF_OPTIMAL)
             if name not in USUAL and not USUAL.isdisjoint(interpolations):
                 own["robust"] = None
             if shaper in unshaped and not unshaped.issuperset(shapers):
@@ -189,6 +189,7 @@ class Words:
         return typed
 
 
+_OF_OPTIMAL = ("contour", "outside", "reserve", "narrow")
 _OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends", "band")
 
 

@@ -238,11 +238,26 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
             f"{told['steps']:.4g} steps",
         ],
         ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
+        [
+            "Thread",
+            f"{thread_m(plan):.4g} m on the upper side, from hole to hole with the jumps between; "
+            "what the stitches draw in comes on top",
+        ],
     ]
     slowest = _MINUTE * len(stitched.turns) / stitched.slowest_s
+    bound = []
+    if stitched.bound_s is not None:
+        bound = [
+            [
+                "Bound",
+                f"{stitched.bound_s:.4g} s: no schedule on the grid of speeds takes less; "
+                f"{_for_words(plan)}",
+            ]
+        ]
     return [
         *rows,
         ["Speed", _speed_words(plan)],
+        *bound,
         [
             "Slowest stitch",
             f"alone it is still enough in every window at {slowest:.4g} stitches a minute and "
@@ -254,6 +269,26 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
             "inertia, and did earlier ones leave nothing swinging; no plan",
         ],
     ]
+
+
+def thread_m(plan: Plan) -> float:
+    """Return the length in m of the thread of a plan from hole to hole, jumps between included."""
+    holes = plan.stitched.places_m[plan.stitched.turns.moves.needle == 1]
+    return float(np.hypot(*np.diff(holes, axis=0).T).sum())
+
+
+def _for_words(plan: Plan) -> str:
+    """Return the text about the machines for which a schedule is planned."""
+    pace = plan.stitched.pace
+    low, high = 1.0, 1.0
+    for ends in pace.bands.values():
+        low, high = min(low, ends[0]), max(high, ends[1])
+    if low == high:
+        return "planned for the modes of the machine file, 0.7 to 1.3 times their damping"
+    return (
+        f"planned for modes of {(low - 1.0) * 100:+.3g} to {(high - 1.0) * 100:+.3g} %, "
+        "0.7 to 1.3 times their damping"
+    )
 
 
 def _speed_words(plan: Plan) -> str:

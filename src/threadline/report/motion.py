@@ -25,6 +25,7 @@ from threadline.report.seam import seam_figure, seam_run
 from threadline.report.strips import binding_lines, binding_of, strips_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
+from threadline.report.unrolled import winding_caption, winding_figures
 from threadline.units import without_noise
 from threadline.verdict import closing, verdict_rows
 
@@ -53,6 +54,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
         seam = seam_figure(proof, sewn_run.recording)
         if seam is not None:
             figures = {"seam": seam, **figures}
+        figures = {**winding_figures(proof), **figures}
         thinned = "" if traces.stride == 1 else thinned_words(traces.stride)
         thinned += traces.run.words(proof)
         document = Document(
@@ -123,6 +125,8 @@ def thinned_words(stride: int) -> str:
 
 def _caption(name: str, *, known: bool) -> str:
     """Return the caption of a figure; ``known`` says whether the load positions are known."""
+    if name.startswith("winding-"):
+        return winding_caption(name)
     if name == "seam":
         return (
             "Each mark is a needle-down, its shape and size by how much of its limits the stitch "

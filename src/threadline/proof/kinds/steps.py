@@ -24,6 +24,9 @@ from threadline.twin.stitching import simulate_stitching
 from threadline.twin.stitching_run import driven_of
 from threadline.verdict import Spec
 
+DEFAULT_ROBUST = 0.0
+"""Share of the tolerances of loads and springs that a plan covers."""
+
 
 def _check(machine: Machine) -> None:
     """Refuse a frame that is not linear, or not driven by step servos."""
@@ -61,6 +64,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         law_named(named),
         options.tolerance_m,
         None if options.feed is None else 1.0 / options.feed.value,
+        DEFAULT_ROBUST if options.robust_share is None else options.robust_share,
     )
     return Plan(
         job=job,

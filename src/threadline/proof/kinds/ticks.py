@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray
+from threadline.base.option_defaults import USUAL
 from threadline.commands.feedforward import followed_by_loads, followed_by_motors
 from threadline.commands.plan import Following, Motion, Plan
 from threadline.commands.write import TABLES, TICK_TARGETS, Target, WrittenPlan, table_writer
@@ -31,8 +32,9 @@ from threadline.files.formats.common import Written
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.variants import numbers_at, variant
-from threadline.machine.vary import derate, drawn_days, varied_numbers, vary
+from threadline.machine.vary import derate, drawn_days, varied_numbers, vary, with_reserve
 from threadline.motion.path import chord_path, on_chords, plan_path, programmed_path
+from threadline.motion.path.outside import Corners
 from threadline.motion.path.types import PlannedPath, ProgrammedPath
 from threadline.motion.timing import (
     Pace,
@@ -46,7 +48,9 @@ from threadline.proof.kinds.kind import Kind, check_loops
 from threadline.proof.options import Options, PathChoice, describe
 from threadline.twin import simulate, simulate_position_runs, simulate_runs
 from threadline.verdict import Criterion, Spec
+from threadline.verdict.fibre import criteria_of
 from threadline.verdict.needle import has_stitches, planned_stitches
+from threadline.winding.product import product_of_text
 
 if TYPE_CHECKING:
     from threadline.files.formats.tick_table import NeedleRows
@@ -130,7 +134,30 @@ class NeedleColumns:
         return trims
 
 
+def _check_product(machine: Machine, product: str | None) -> None:
+    """Refuse a product on a machine without an eye.
+
+    Raises
+    ------
+    OptionError
+        Names the machine.
+    """
+    if product is not None and (machine.tool is None or machine.tool.kind != "eye"):
+        raise OptionError(
+            f"--product needs the eye of a winder, and {machine.name} has none",
+            remedy='Describe it in the machine file: [tool] kind = "eye", turn, along and across.',
+        )
+
+
 def _check_options(machine: Machine, options: Options) -> None:
+    _check_product(machine, options.product)
+    forward = options.following is Following.LOAD and options.interpolation in USUAL
+    if options.robust_share is not None and not forward:
+        raise OptionError(
+            f"--robust '{options.robust_share * 100:g} %' needs feed-forward along the programmed "
+            "chords and times",
+            remedy="Give --feed-forward too, and no other --interpolation.",
+        )
     if options.shaper_mode is not None or options.shaper_damping is not None:
         raise OptionError(
             f"--mode and --damping are for on/off machines, which {machine.name} is not",
@@ -183,7 +210,8 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     at_limits = timing.pace is not Pace.PROGRAMMED
     programmed = programmed_path(job, machine, feed=timing.feed, at_limits=at_limits)
     check_budget(job, machine, timing.feed)
-    limited = derate(machine, timing.limit_share)
+    reserved = with_reserve(machine, timing.reserve)
+    limited = derate(reserved, timing.limit_share)
     path = _shape(programmed, limited, options.path)
     of_loads = timing.smoothing_s is not None
     timed = plan_trajectory(
@@ -201,7 +229,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         followed = followed_by_motors(timed, machine, job, shaper)
     elif timing.robust_share is None:
         averages = even_averages(timing.smoothing_s)
-        followed = followed_by_loads(timed, machine, job, averages, ends_m=timing.ends_m)
+        followed = followed_by_loads(timed, reserved, job, averages, ends_m=timing.ends_m)
     else:
         from threadline.commands.robust_following import robust_averages
 
@@ -234,7 +262,13 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
 def _shape(programmed: ProgrammedPath, machine: Machine, choice: PathChoice) -> PlannedPath:
     if on_chords(choice.interpolation):
         return chord_path(programmed, choice.interpolation)
-    return plan_path(programmed, machine, choice.interpolation, choice.tolerance_m)
+    return plan_path(
+        programmed,
+        machine,
+        choice.interpolation,
+        choice.tolerance_m,
+        corners=Corners(outside_m=choice.outside_m, narrow=choice.narrow),
+    )
 
 
 def _simulate(commands: Commands, machine: Machine) -> Recording:
@@ -282,21 +316,35 @@ def _others(
     phases = random.uniform(0.0, 1.0, (len(parts), len(table.axes)))
     if machine.position_sources:
         return [
-            simulate(table, variant(machine, row), encoder_phase=phase)
-            for row, phase in zip(parts, phases, strict=True)
+            _as_drawn(simulate(table, variant(machine, row), encoder_phase=phase), number)
+            for number, (row, phase) in enumerate(zip(parts, phases, strict=True))
         ]
     values = Values.of(machine, numbers_at(machine, parts))
     return [
-        simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED)
+        _as_drawn(
+            simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED),
+            int(places[0]),
+        )
         for sharing, places in values.by_delay()
     ]
+
+
+def _as_drawn(recording: Recording, number: int) -> Recording:
+    """Return runs of drawn machines with the number of the first: its product is drawn as well."""
+    return replace(recording, origin={**recording.origin, "drawn": str(number)})
 
 
 def _with_criteria(spec: Spec, options: Options) -> Spec:
     """Add ``shaping_deviation`` to the specification if the motion is shaped or smoothed.
 
-    The deviation caused by shaping is always reported, with or without a limit.
+    The deviation caused by shaping is always reported, with or without a limit. A product adds the
+    criteria of its fibre that the specification does not name.
     """
+    if options.product is not None:
+        given = {criterion.name for criterion in spec.criteria}
+        asked = criteria_of(product_of_text(options.product))
+        own = tuple(criterion for criterion in asked if criterion.name not in given)
+        spec = replace(spec, criteria=(*spec.criteria, *own))
     shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
     named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
     if named or not shaped:
