@@ -37,12 +37,16 @@ GIVEN: dict[str, Any] = {
     "feed-mode": "linuxcnc", "radius": "A=40 mm", "offset": "X=12 mm", "needle": "20 stitch/s",
     "tolerance": "0.05 mm", "limits": "90 %", "shaper": "zv:12Hz:0.02", "mode": "3 Hz",
     "damping": "0.1", "feed-forward": True, "smoothing": "50 ms", "robust": "100 %",
-    "contour": "0.45 mm", "axes": "A=X,X=A",
+    "contour": "0.45 mm", "outside": "0.05 mm", "reserve": "volts 1 %, current 3 %",
+    "narrow": "1: 0.05 mm, 2: 0.06 mm",
+    "axes": "A=X,X=A", "product": str(EXAMPLES / "vessel.wind.toml"),
 }  # fmt: skip
 """A value for each planning option."""
 WITH: dict[str, dict[str, Any]] = {
     "smoothing": {"feed-forward": True}, "robust": {"feed-forward": True},
-    "contour": {"interpolation": "optimal"}, "mode": {"shaper": "zv"}, "damping": {"shaper": "zv"},
+    "contour": {"interpolation": "optimal"}, "outside": {"interpolation": "optimal"},
+    "reserve": {"interpolation": "optimal"}, "narrow": {"interpolation": "optimal"},
+    "mode": {"shaper": "zv"}, "damping": {"shaper": "zv"},
 }  # fmt: skip
 """What some of them need beside them."""
 LINE_VERBS = ("prove", "run", "compile", "compare", "fastest", "yield", "design", "judge")

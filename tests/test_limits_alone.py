@@ -19,7 +19,7 @@ from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, TOLERANCES, Proof, prove, yielding
-from threadline.search import least_limits
+from threadline.search import chosen_plans, least_limits
 from threadline.verdict import Status, closing, load_spec
 from threadline.verdict.types import Level
 
@@ -291,14 +291,16 @@ def test_trials_of_other_machines_are_refused_from_python(tmp_path: Path) -> Non
 
 
 def test_the_fastest_optimal_plan_is_that_of_the_limits(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One plan is proved: no loop is there that a contour allowance could mean anything to."""
+    """No loop is there that a contour, a reserve or feed-forward could mean anything to."""
+    monkeypatch.setattr(chosen_plans, "_LEAST_PLANS", 2)
+    monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 2)
     file, job = files(tmp_path, "G1 X100 F600")
     code, out, _ = run(capsys, "fastest", job, "-m", file, "--interpolation", "optimal", "--json")
     found = json.loads(out)
     assert code == 0 and found["verdict"]["level"] == "limits and time alone"
-    assert "--contour" not in found["command"]
+    assert not {"--contour", "--reserve", "--feed-forward"} & set(found["command"].split())
 
 
 def test_hostile_files_of_limits_alone_have_one_line_each(tmp_path: Path) -> None:

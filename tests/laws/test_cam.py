@@ -39,7 +39,7 @@ def synthetic(
         len(alpha)
     )
     file = folder / f"cam-{seed}.csv"
-    rows = "\n".join(f"{a:g},{1e3 * h:.6f}" for a, h in zip(alpha, noisy, strict=True))
+    rows = "\n".join(f"{a:.6f},{1e3 * h:.6f}" for a, h in zip(alpha, noisy, strict=True))
     file.write_text(f"alpha [deg], h [mm]\n{rows}\n")
     return read_cam(file, TRIANGLE)
 
@@ -94,6 +94,12 @@ def test_few_rows_as_measured_ask_for_a_third_more_of_everything() -> None:
     with pytest.raises(OptionError, match="the noise cannot be estimated"):
         study_cam(read_cam(EXAMPLE, TRIANGLE))
     assert study.faired(Fairing.DIFFERENCES) is None  # the rows are not even
+
+
+def test_even_angles_that_were_written_with_six_decimals_are_even(tmp_path: Path) -> None:
+    """139 steps over 120 deg, 0.863309 deg each: their differences can still be faired."""
+    cam = synthetic(tmp_path, 1, step=120.0 / 139.0)
+    assert study_cam(cam, noise_m=NOISE, draws=2).faired(Fairing.DIFFERENCES) is not None
 
 
 def test_the_noise_is_estimated(studies: list[CamStudy]) -> None:

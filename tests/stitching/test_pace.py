@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from time import process_time
 
@@ -14,6 +15,7 @@ import pytest
 
 from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
 from threadline.commands.stitch_pace import Moves, Pace
+from threadline.commands.stitch_search import Speeds, fastest_turns
 from threadline.commands.stitched import stitch
 from threadline.errors import OptionError, PlanError
 from threadline.files import Stream
@@ -25,9 +27,9 @@ from threadline.motion.shaping import FlexibleMode
 from threadline.motion.shaping.law_residual import lasting_windows_s, residual_m, ringing
 from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
 from threadline.proof.option_words import parse_feed
-from threadline.proof.options import Options
+from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import REPEATED, open_job, plan_job, prove
-from threadline.report.stitched import stitch_rows, thread_m
+from threadline.report.lines import stitch_rows, thread_m
 from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")
@@ -111,7 +113,7 @@ def test_the_spindle_is_asked_for_no_more_than_it_can() -> None:
     """The square of the speed over the angle between two windows; every turn as long as needed."""
     moves = random_moves(500)
     pace = unlimited(1e-4)
-    turns = pace.scheduled(moves)
+    turns = pace.scheduled(moves).turn_s
     speed = 2 * np.pi / turns
     angle = 2 * np.pi * 2 / 3
     assert np.abs(np.diff(speed**2) / (2 * angle)).max() <= 3.0 * (1 + 1e-9)
@@ -133,7 +135,7 @@ def test_the_forecast_is_what_the_twin_does(examples: Path) -> None:
 
 @pytest.mark.parametrize("machine", ["schiffli-frame", "table-embroiderer"])
 def test_a_plan_for_the_limit_is_in_spec_on_any_day(machine: str, examples: Path) -> None:
-    """Twenty runs, damping drawn from 0.7 to 1.3; planned for the usual damping alone it is not."""
+    """Twenty runs, damping drawn from 0.7 to 1.3, some of which leaves more than the usual one."""
     frame = load_machine(machine)
     proof = prove(
         examples / "rosette.dst", frame, load_spec(None, frame), Options(), trials=REPEATED
@@ -141,13 +143,17 @@ def test_a_plan_for_the_limit_is_in_spec_on_any_day(machine: str, examples: Path
     assert proof.verdict.passed
     stitched = proof.plan.stitched
     moves, turns = stitched.turns.moves, stitched.turns.turn_s
-    assert stitched.pace.swings_m(moves, turns).max() < 0.95e-4
+    most, usual = (of(moves, turns) for of in (stitched.pace.most_swings_m, stitched.pace.swings_m))
+    assert (most > 1.05 * usual)[usual > 0.5e-4].any()
     assert stitched.pace.most_swings_m(moves, turns).max() == pytest.approx(1e-4, rel=0.03)
     assert proof.verdict.result("stitch_residual", "X").measured > 0.9e-4
 
 
 def test_a_law_made_for_the_mode_is_sewn_at_its_own_speed(examples: Path) -> None:
-    """Slowed it would swing more: every stitch takes the window that it is still after."""
+    """Slowed it would swing more: at one speed every stitch has the window that it is still after.
+
+    With a speed for each stitch it is sewn sooner still.
+    """
     mode = FlexibleMode(12.0, 0.02)
     made = made_law(
         Demand(
@@ -156,11 +162,13 @@ def test_a_law_made_for_the_mode_is_sewn_at_its_own_speed(examples: Path) -> Non
         )
     )  # fmt: skip
     job = read_job(examples / "rosette.dst", MACHINE)
-    notch = stitch(job, MACHINE, made.law, 1e-4, None)
+    one_speed = load_machine("schiffli-frame+one-speed")
+    notch = stitch(read_job(examples / "rosette.dst", one_speed), one_speed, made.law, 1e-4, None)
     sine = stitch(job, MACHINE, SINE, 1e-4, None)
     assert np.ptp(notch.turns.turn_s) == 0.0
     assert np.ptp(sine.turns.turn_s) > 0.1
-    assert notch.duration_s < 0.9 * sine.duration_s
+    assert notch.duration_s < 0.95 * sine.duration_s
+    assert stitch(job, MACHINE, made.law, 1e-4, None).duration_s < 0.8 * sine.duration_s
     window = notch.turns.turn_s[:1] / 3.0
     assert 0.8 * made.window_s < window[0] < 1.25 * made.window_s
     for ratio in (0.95, 1.0, 1.05):
@@ -177,6 +185,95 @@ def test_a_tolerance_that_no_speed_keeps_slows_as_far_as_the_shaft_can(examples:
     plan = stitch(job, MACHINE, SINE, 1e-8, None)
     assert process_time() - begun < 20.0
     assert plan.turns.turn_s.max() == pytest.approx(6.0)
+
+
+def test_a_plan_that_keeps_no_tolerance_says_so(examples: Path) -> None:
+    """A hundredth of a micrometre: how many stitches miss it, the worst by name, and a remedy."""
+    job = read_job(examples / "rosette.dst", MACHINE)
+    (said,) = stitch(job, MACHINE, SINE, 1e-8, None).warnings
+    assert re.search(r"within 1e-05 mm: \d+ of 185 stitches .* at block \d, stitch \d+", said)
+    assert "larger --tolerance" in said
+    assert stitch(job, MACHINE, SINE, 1e-4, None).warnings == ()
+    one_speed = load_machine("schiffli-frame+one-speed")
+    (said,) = stitch(
+        read_job(examples / "rosette.dst", one_speed), one_speed, SINE, 1e-8, None
+    ).warnings
+    assert "no speeds of the shaft were found" in said
+    given = stitch(job, MACHINE, SINE, 1e-8, 0.4)
+    assert given.warnings == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_schedules_of_random_moves_end_within_the_tolerance(seed: int) -> None:
+    """Stitches of up to 16.5 mm in any order: the forecast of any day is within 0.1 mm."""
+    random = np.random.default_rng(seed)
+    units = np.rint(random.uniform(-1.0, 1.0, (150, 2)) ** 3 * 165).astype(np.int64)
+    moves = Moves(units=units, needle=np.ones(150, dtype=np.int64))
+    pace = unlimited(1e-4)
+    schedule = pace.scheduled(moves)
+    assert pace.most_swings_m(moves, schedule.turn_s).max() <= 1e-4 * (1 + 1e-6)
+    alone_s = float(pace.needed_turns_s(moves).sum())
+    assert schedule.bound_s <= schedule.turn_s.sum() < 1.1 * alone_s
+
+
+def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
+    """Every sequence of speeds of a small grid, tried in plain Python, for six moves."""
+    random = np.random.default_rng(5)
+    pace = unlimited(1e-4)
+    for _ in range(5):
+        units = random.integers(-60, 61, (6, 2))
+        moves = Moves(units=units, needle=np.ones(6, dtype=np.int64))
+        shortest_s = np.maximum(
+            pace.rigid_windows_s(moves) / pace.share, pace.loading_turns_s(moves)
+        )
+        grid = Speeds.between((0.36, 0.85, 0.85), 0.12, pace.share, 0.6366)
+        found = fastest_turns(
+            grid, pace._swings(grid), (units * 1e-4, moves.needle, shortest_s), 1e-4, pace.share
+        )
+        best = np.inf
+        for turns in product(grid.turn_s.tolist(), repeat=6):
+            turn_s = np.array(turns)
+            if np.abs(np.diff(turn_s**-2.0)).max() > 0.6366 or (turn_s < shortest_s).any():
+                continue
+            time_s = float((pace.share * turn_s + pace.rests_s(turn_s)).sum())
+            if time_s < best and pace.most_swings_m(moves, turn_s).max() <= 1e-4:
+                best = time_s
+        time_s = float((pace.share * found.turn_s + pace.rests_s(found.turn_s)).sum())
+        if np.isfinite(best):
+            assert not found.missed.any()
+            assert time_s == pytest.approx(best, rel=1e-9)
+            assert found.bound_s <= best * (1 + 1e-9)
+        else:
+            assert found.missed.any()
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
+@pytest.mark.parametrize(("name", "other_s"), [("tree.dst", 255.9), ("peace.dst", 325.0)])
+def test_schedules_are_as_fast_as_another_search_finds_them(name: str, other_s: float) -> None:
+    """A beam search by another hand, same law, limits, spindle and dampings: 5 % at most above."""
+    plan = stitch(read_job(SAMPLES / name, MACHINE), MACHINE, SINE, 1e-4, None)
+    assert plan.duration_s <= 1.05 * other_s
+    assert plan.bound_s is not None and plan.bound_s <= plan.duration_s
+    assert plan.warnings == ()
+
+
+def test_a_robust_schedule_holds_all_over_the_tolerances(examples: Path) -> None:
+    """+-5 % of the mode: the forecast at 81 frequencies, and the twin with masses off by 10 %."""
+    machine = MACHINE
+    proof = prove(
+        examples / "rosette.dst", machine, load_spec(None, machine), options_of(robust="25 %"),
+        trials=replace(REPEATED, ends=0.25),
+    )  # fmt: skip
+    assert proof.verdict.passed
+    stitched = proof.plan.stitched
+    moves, turns = stitched.turns.moves, stitched.turns.turn_s
+    for factor in np.linspace(0.952, 1.05, 81).tolist():
+        modes = {axis: (FlexibleMode(12.0 * factor, 0.02),) for axis in "XY"}
+        assert stitched.pace.swings_m(moves, turns, modes).max() <= 1.01e-4
+    exact = stitch(read_job(examples / "rosette.dst", machine), machine, SINE, 1e-4, None)
+    off = {axis: (FlexibleMode(12.0 * 0.952, 0.02),) for axis in "XY"}
+    assert exact.pace.swings_m(moves, exact.turns.turn_s, off).max() > 1.5e-4
+    assert exact.duration_s < stitched.duration_s < 1.3 * exact.duration_s
 
 
 def test_long_stitches_are_slowed_and_never_refused(examples: Path) -> None:

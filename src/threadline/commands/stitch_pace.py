@@ -9,24 +9,31 @@ the turn the speed changes evenly.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
+from math import ceil, pi
 
 import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.commands.stitch_search import WIDER, Found, Speeds, Swings, fastest_turns
 from threadline.dynamics.without_loop import analyse_position_drive
 from threadline.machine import Machine
 from threadline.machine.shaft import Shaft, Tables
-from threadline.machine.vary import DAMPING_OF_DAYS, vary
+from threadline.machine.vary import DAMPING_OF_DAYS, off_tolerance, vary
 from threadline.motion.laws import Law
 from threadline.motion.shaping import FlexibleMode
 from threadline.motion.shaping.law_residual import lasting_windows_s, swing
 
 Modes = dict[str, tuple[FlexibleMode, ...]]
 """Modes of each axis, the slowest first."""
-_ROUNDS = 200
-_SLOWER = 1.03  # factor on the turn per round
+_SLOWER = 1.03  # factor on one turn for all, per trial
+_ROUNDS = 4  # searches, each with a smaller tolerance
+_LESS = 0.997  # of the tolerance that the forecast of a round asks for
+_SEARCHED, _CHECKED = 0.01, 0.004  # distance of modes over a band, of their frequency
+_AS_FAR = 1.3  # times the turn that the slowest move needs alone: the fine grid of speeds
+_STEPS = (0.0053, 0.01)  # relative, of turn times: for exact modes, where phases help; for a band
+_HOPELESS = 0.05  # share of turns beyond the tolerance at which no wider search helps
+_EXCESS = 1.0 + 1e-6
 _MODES = 4  # modes of an axis: faster ones hardly swing
 _BELOW = 1.0 - 1e-9
 _EVEN_TURNS, _AT_FIRST = 97, 4096  # number of turn times to try, and of moves to check first
@@ -49,6 +56,22 @@ class Moves:
     needle: IntArray
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Schedule:
+    """Turns with a speed each; n turns.
+
+    Parameters
+    ----------
+    turn_s
+        (n,) time of each turn, s.
+    bound_s
+        No schedule on the grid of speeds takes less time, s.
+    """
+
+    turn_s: FloatArray
+    bound_s: float
+
+
 class Pace:
     """The time of each turn of a design, on one machine with one law.
 
@@ -60,9 +83,13 @@ class Pace:
         Motion law of the tables.
     tolerance_m
         Largest swing of an axis allowed when the needle enters, m.
+    robust_share
+        Share of the tolerances of loads and springs for which the tolerance is kept.
     """
 
-    def __init__(self, machine: Machine, law: Law, tolerance_m: float) -> None:
+    def __init__(
+        self, machine: Machine, law: Law, tolerance_m: float, robust_share: float = 0.0
+    ) -> None:
         assert machine.shaft is not None and machine.tables is not None
         self.shaft: Shaft = machine.shaft
         self.tables: Tables = machine.tables
@@ -71,6 +98,9 @@ class Pace:
         self.modes = _modes_of(machine)
         self.days = tuple(_modes_of(vary(machine, damping=factor)) for factor in DAMPING_OF_DAYS)
         """The modes, with the dampings that they may have on other days."""
+        self.robust_share = robust_share
+        self.bands = _bands_of(machine, self.modes, robust_share)
+        """Lowest and highest factor on the frequency of the slowest mode of each axis."""
         counts = np.arange(self.tables.longest_units + 1, dtype=np.float64)
         lengths: FloatArray = self.tables.unit.si * counts
         steps = np.array([axis.counts.si for axis in machine.axes.values()])
@@ -127,6 +157,38 @@ class Pace:
             found = np.maximum(found, self.swings_m(moves, turns_s, modes))
         return found
 
+    def robust_swings_m(self, moves: Moves, turns_s: FloatArray) -> FloatArray:
+        """Return (n,) the largest swing over the dampings of days and the band of the modes."""
+        found = self.most_swings_m(moves, turns_s)
+        for modes in self._over_band(_CHECKED, (DAMPING_OF_DAYS[0], 1.0, DAMPING_OF_DAYS[1])):
+            found = np.maximum(found, self.swings_m(moves, turns_s, modes))
+        return found
+
+    def _over_band(self, distance: float, dampings: tuple[float, ...]) -> list[Modes]:
+        """Return the modes of machines all over the band, the ends first, nominal ones left out."""
+        widest = max((max(1.0 - low, high - 1.0) for low, high in self.bands.values()), default=0.0)
+        if widest <= 0.0:
+            return []
+        half = max(1, ceil(widest / distance))
+        parts = np.arange(-half, half + 1) / half
+        parts = parts[np.argsort(-np.abs(parts), kind="stable")]
+        return [
+            {
+                name: tuple(
+                    FlexibleMode(
+                        mode.frequency_hz
+                        * (1.0 + part * (1.0 - low if part < 0.0 else high - 1.0)),
+                        mode.damping_ratio * damping,
+                    )
+                    for mode in self.modes[name]
+                )
+                for name, (low, high) in self.bands.items()
+            }
+            for part in parts.tolist()
+            if part != 0.0
+            for damping in dampings
+        ]
+
     def swings_m(
         self, moves: Moves, turns_s: FloatArray, modes_of: Modes | None = None
     ) -> FloatArray:
@@ -148,8 +210,7 @@ class Pace:
             ways = moves.units[:, column] * self.tables.unit.si
             total = np.zeros(len(turns_s))
             for mode in modes:
-                omega = 2.0 * pi * mode.frequency_hz
-                pole = omega * (mode.damping_ratio + 1j * np.sqrt(1.0 - mode.damping_ratio**2))
+                pole = _pole(mode)
                 fresh = np.zeros(len(turns_s), dtype=np.complex128)
                 moved = np.flatnonzero(ways)
                 which, of = np.unique(windows[moved], return_inverse=True)
@@ -165,35 +226,86 @@ class Pace:
         following = np.append(speed[1:], speed[-1])
         return np.asarray(2.0 * (1.0 - self.share) / (speed + following))
 
-    def followed(self, turns_s: FloatArray) -> FloatArray:
-        """Return (n,) turns, none shorter, whose speeds the spindle can follow, s.
+    def scheduled(self, moves: Moves) -> Schedule:
+        """Return the shortest turns with each needle entering within the tolerance.
 
-        Between two windows the square of the speed changes by at most twice the acceleration times
-        the angle. A forward pass limits speeding up, a backward pass limits slowing down.
+        A beam search over speed and swing finds them, on machines with the dampings of other days
+        and with modes all over the band. The forecast then checks modes that are closer together;
+        where it is over the tolerance, the search is repeated for less. One time for all turns is
+        taken where that is shorter.
         """
+        ways_m: FloatArray = np.asarray(moves.units * self.tables.unit.si, dtype=np.float64)
+        rigid = self.rigid_windows_s(moves) / self.share
+        shortest_s: FloatArray = np.minimum(
+            np.maximum(rigid, self.loading_turns_s(moves)), self.shaft.slowest_turn.si
+        )
+        speeds, asked_m = self._speeds(moves, shortest_s), self.tolerance_m
+        swings = self._swings(speeds)
+        best: tuple[float, Found] | None = None
+        asked = (ways_m, moves.needle, shortest_s)
+        for _ in range(_ROUNDS):
+            found = fastest_turns(speeds, swings, asked, asked_m, self.share)
+            if 0.0 < found.missed.mean() < _HOPELESS:
+                found = fastest_turns(speeds, swings, asked, asked_m, self.share, WIDER)
+            most_m = float(self.robust_swings_m(moves, found.turn_s).max())
+            if best is None or most_m < best[0]:
+                best = most_m, found
+            if most_m <= self.tolerance_m * _EXCESS or found.missed.any():
+                break
+            asked_m *= _LESS * self.tolerance_m / most_m
+        assert best is not None
+        most_m, found = best
+        slowest = np.full(len(moves.needle), self.shaft.slowest_turn.si)
+        if most_m > self.tolerance_m * _EXCESS and (
+            self.robust_swings_m(moves, slowest).max() < most_m
+        ):
+            return Schedule(turn_s=slowest, bound_s=found.bound_s)
+        even = self._even_turn_s(moves, float(found.turn_s.mean()))
+        if even is not None:
+            count = len(moves.needle)
+            return Schedule(turn_s=np.full(count, even), bound_s=min(found.bound_s, even * count))
+        return Schedule(turn_s=found.turn_s, bound_s=found.bound_s)
+
+    def _speeds(self, moves: Moves, shortest_s: FloatArray) -> Speeds:
+        """Return the grid of turn times: fine as far as moves need it, coarse beyond."""
         assert self.shaft.acceleration is not None
         most = 2.0 * (1.0 - self.share) * self.shaft.acceleration.si / (2.0 * pi)
-        return np.asarray(_within(turns_s**-2.0, most) ** -0.5)
-
-    def scheduled(self, moves: Moves) -> FloatArray:
-        """Return (n,) the shortest turns with each needle entering within the tolerance, s.
-
-        Swing of earlier moves may make a turn need more time than it needs alone. Such a turn is
-        slowed until the forecast of the swing is within the tolerance on any day, or the shaft
-        turns at its slowest.
-        """
+        slower = max((1.0 / low for low, _ in self.bands.values()), default=1.0)
+        needed = float(self.needed_turns_s(moves).max()) * slower
         longest = self.shaft.slowest_turn.si
-        wanted = np.minimum(self.needed_turns_s(moves), longest)
-        turns = self.followed(wanted)
-        for _ in range(_ROUNDS):
-            over = self.most_swings_m(moves, turns) > self.tolerance_m
-            over &= turns < longest * _BELOW
-            if not over.any():
-                break
-            wanted = np.where(over, np.minimum(turns * _SLOWER, longest), wanted)
-            turns = self.followed(wanted)
-        even = self._even_turn_s(moves, float(turns.mean()))
-        return turns if even is None else np.full(len(turns), even)
+        ends_s = (float(shortest_s.min()), min(_AS_FAR * needed, longest), longest)
+        banded = any(low < high for low, high in self.bands.values())
+        return Speeds.between(ends_s, _STEPS[banded], self.share, most)
+
+    def _swings(self, speeds: Speeds) -> Swings:
+        """Return what each turn time does to the swing of every mode on every machine."""
+        machines = self._over_band(_SEARCHED, DAMPING_OF_DAYS)
+        nominal = len(machines)
+        machines += [self.modes, *self.days]
+        enters = (self.shaft.needle_enters.si - self.shaft.window.si) / (2.0 * pi)
+        poles: list[complex] = []
+        fresh: list[ComplexArray] = []
+        axis: list[int] = []
+        last: list[bool] = []
+        named = np.zeros(len(self.modes), dtype=np.int64)
+        for number, modes_of in enumerate(machines):
+            for column, modes in enumerate(modes_of.values()):
+                for k, mode in enumerate(modes):
+                    if number == nominal and k == 0:
+                        named[column] = len(poles)
+                    poles.append(_pole(mode))
+                    fresh.append(swing(self.law, mode, self.share * speeds.turn_s))
+                    axis.append(column)
+                    last.append(k == len(modes) - 1)
+        pole = np.array(poles)
+        return Swings(
+            poles=pole,
+            fresh=np.ascontiguousarray(np.stack(fresh, axis=1)),
+            late=np.exp(-enters * np.outer(speeds.turn_s, pole.real)),
+            axis=np.array(axis, dtype=np.int64),
+            last=np.array(last, dtype=np.int64),
+            named=named,
+        )
 
     def constant_turn_s(self, moves: Moves) -> float:
         """Return the shortest equal turn at which each needle enters within the tolerance, s.
@@ -204,9 +316,7 @@ class Pace:
         longest = self.shaft.slowest_turn.si
         turn = min(float(self.needed_turns_s(moves).max()), longest)
         while turn < longest * _BELOW:
-            if self.most_swings_m(moves, np.full(len(moves.needle), turn)).max() <= (
-                self.tolerance_m
-            ):
+            if self._kept(moves, turn):
                 break
             turn = min(turn * _SLOWER, longest)
         even = self._even_turn_s(moves, turn)
@@ -238,16 +348,46 @@ class Pace:
             ]
             if max(alone_m, default=0.0) > self.tolerance_m:
                 continue
-            if all(
-                self.most_swings_m(some, np.full(len(some.needle), turn)).max() <= self.tolerance_m
-                for some in (first, moves)
-            ):
+            if self._kept(first, turn) and self._kept(moves, turn):
                 return float(turn)
         return None
+
+    def _kept(self, moves: Moves, turn_s: float) -> bool:
+        """Return whether equal turns keep the tolerance on any day, for every mode of the band."""
+        turns = np.full(len(moves.needle), turn_s)
+        if self.most_swings_m(moves, turns).max() > self.tolerance_m:
+            return False
+        return bool(self.robust_swings_m(moves, turns).max() <= self.tolerance_m)
 
 
 def _aside(mode: FlexibleMode, ratio: float) -> FlexibleMode:
     return FlexibleMode(mode.frequency_hz * ratio, mode.damping_ratio)
+
+
+def _pole(mode: FlexibleMode) -> complex:
+    omega = 2.0 * pi * mode.frequency_hz
+    return complex(omega * (mode.damping_ratio + 1j * np.sqrt(1.0 - mode.damping_ratio**2)))
+
+
+def _within(low: float, high: float, part: float) -> float:
+    """Return the factor at a part of a band, from -1 at its low end to 1 at its high end."""
+    return 1.0 + part * (1.0 - low if part < 0.0 else high - 1.0)
+
+
+def _bands_of(machine: Machine, modes: Modes, share: float) -> dict[str, tuple[float, float]]:
+    """Return the factors on the slowest mode of each axis at the ends of the tolerances."""
+    ends = [
+        _modes_of(off_tolerance(machine, mass=sign * share, stiffness=-sign * share))
+        for sign in (1.0, -1.0)
+    ]
+    factors = {}
+    for name, of in modes.items():
+        if of:
+            low, high = (end[name][0].frequency_hz / of[0].frequency_hz for end in ends)
+            factors[name] = (min(low, 1.0), max(high, 1.0))
+        else:
+            factors[name] = (1.0, 1.0)
+    return factors
 
 
 def _modes_of(machine: Machine) -> Modes:
@@ -267,16 +407,6 @@ def _of_length(windows: FloatArray, units: IntArray) -> FloatArray:
     return np.asarray(np.max(columns, axis=0))
 
 
-def _held(squares: FloatArray, most: float) -> FloatArray:
-    """Return (n,) squares of speeds that change by at most ``most`` from turn to turn."""
-    out = squares.copy()
-    for k in range(1, len(out)):
-        out[k] = min(out[k], out[k - 1] + most)
-    for k in range(len(out) - 2, -1, -1):
-        out[k] = min(out[k], out[k + 1] + most)
-    return out
-
-
 def _gone_on(fresh: ComplexArray, kept: ComplexArray) -> ComplexArray:
     """Return (n,) ``z`` with ``z[k] = z[k-1] kept[k] + fresh[k]``."""
     out = fresh.copy()
@@ -285,5 +415,4 @@ def _gone_on(fresh: ComplexArray, kept: ComplexArray) -> ComplexArray:
     return out
 
 
-_within = njit(nogil=True)(_held)
 _carried = njit(nogil=True)(_gone_on)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from threadline.base.arrays import FloatArray, IntArray, Recent
+from threadline.base.arrays import IntArray, Recent
+from threadline.commands.intents import Stitched, Turns
 from threadline.commands.step_tables import step_tables
 from threadline.commands.stitch_pace import Moves, Pace
 from threadline.errors import BudgetError, Place, PlanError
@@ -23,169 +23,18 @@ _BLOCK_S = 32.0  # longest block: samples of slow turns would not fit into the f
 _WHOLE = 1e-3  # units: how near a place must be to the grid of the design
 _BUDGET_S = 1e-9
 # A search plans one job at many shaft speeds; the shortest windows depend on none of them.
-_PACES: Recent[tuple[Machine, Law, float], Pace] = Recent(
-    4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2] == b[2]
+_PACES: Recent[tuple[Machine, Law, float, float], Pace] = Recent(
+    4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2:] == b[2:]
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Turns:
-    """Every turn of the shaft; n turns, A axes.
-
-    Parameters
-    ----------
-    moves
-        Moves of the frame.
-    operation, line
-        (n,) operation of the job, and record of the file.
-    stitch, block
-        (n,) numbers of the stitch and of its block, both from 1; stitch is 0 while the needle is
-        up.
-    turn_s
-        (n,) planned time of each turn.
-    begin, window
-        (n,) start and length of each window, in ticks of the timer.
-    events
-        Events of the job, by turn.
-    """
-
-    moves: Moves
-    operation: IntArray
-    line: IntArray
-    stitch: IntArray
-    block: IntArray
-    turn_s: FloatArray
-    begin: IntArray
-    window: IntArray
-    events: tuple[Event, ...]
-
-    def __len__(self) -> int:
-        return len(self.stitch)
-
-    def name(self, turn: int) -> str:
-        """Return the name of a turn: its block and stitch."""
-        if self.stitch[turn]:
-            return f"block {self.block[turn]}, stitch {self.stitch[turn]}"
-        return f"block {self.block[turn]}, travel behind stitch {self.stitch[:turn].max(initial=0)}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stitched:
-    """The plan of a design on a machine with a main shaft.
-
-    Parameters
-    ----------
-    job, machine, law
-        Job, machine and motion law of the plan.
-    commands
-        Commands for the controller.
-    turns
-        Every planned turn.
-    pace
-        Time that each turn needs, and the swing tolerance of the plan.
-    constant, given
-        Whether the shaft turns at one speed, and whether the user gave that speed.
-    alone_s
-        Lower bound of the time, s: each stitch is planned as if the frame were at rest before it,
-        on a spindle without inertia.
-    slowest_s
-        Time at the constant speed that the slowest stitch alone needs, s.
-    """
-
-    job: Job
-    machine: Machine
-    law: Law
-    commands: StepPlay
-    turns: Turns
-    pace: Pace
-    constant: bool
-    given: bool
-    alone_s: float
-    slowest_s: float
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes, in the order of all columns."""
-        return self.commands.axes
-
-    @property
-    def duration_s(self) -> float:
-        """Duration of the commands, s."""
-        return self.commands.duration_ticks * float(self.commands.clock.period_s)
-
-    @property
-    def historical(self) -> bool:
-        """False: moves of a design keep the machine's limits, or the verdict checks them."""
-        return False
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings of the plan: none, because the verdict reports everything."""
-        return ()
-
-    def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
-        """Return the motion law, which takes the place of an interpolation."""
-        return f"law:{self.law.name}"
-
-    def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
-        """Return words for law and speed of the plan."""
-        speed = f"{60.0 / float(self.turns.turn_s.max()):.4g}"
-        if np.ptp(self.turns.turn_s) > 0.0:
-            fastest = 60.0 / float(self.turns.turn_s.min())
-            return f"{self.law.name}, {speed} to {fastest:.4g} stitches a minute"
-        return f"{self.law.name}, {speed} stitches a minute"
-
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
-        """Return the entries about stitches for the JSON of a verdict."""
-        sewn = self.turns.stitch > 0
-        return {
-            "stitches": {
-                "count": int(sewn.sum()),
-                "frame_moves": int(self.frame_moves.sum()),
-                "longest_move_m": self.longest_move_m,
-                "turns": len(self.turns),
-                "steps": int(np.abs(self.turns.moves.units).sum()) * self.steps_per_unit,
-                "law": self.law.name,
-                "constant_speed": self.constant,
-                "slowest_turn_s": float(self.turns.turn_s.max()),
-                "fastest_turn_s": float(self.turns.turn_s.min()),
-                "each_alone_s": self.alone_s,
-                "slowest_alone_s": self.slowest_s,
-            }
-        }
-
-    @property
-    def frame_moves(self) -> IntArray:
-        """(n,) 1 where the frame moves from stitch to stitch, pulling the thread."""
-        sewn = self.turns.stitch > 0
-        follows = np.concatenate(([False], sewn[:-1]))
-        return np.asarray(sewn & follows, dtype=np.int64)
-
-    @property
-    def longest_move_m(self) -> float:
-        """Longest travel of an axis from stitch to stitch, m."""
-        ways = np.abs(self.turns.moves.units[self.frame_moves == 1])
-        return float(ways.max(initial=0)) * self.pace.tables.unit.si
-
-    @property
-    def steps_per_unit(self) -> int:
-        """Steps of a drive per unit of the design."""
-        return round(float(self.commands.steps_per_unit[0]) * self.pace.tables.unit.si)
-
-    @property
-    def places_m(self) -> FloatArray:
-        """(n, A) position of the frame after each turn, m."""
-        ways = np.cumsum(self.turns.moves.units, axis=0)
-        return np.asarray(ways * self.pace.tables.unit.si + np.array(self.job.start))
-
-    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
-        """Return the record of each operation, 0 for an operation without one."""
-        at = {int(o): int(n) for o, n in zip(self.turns.operation, self.turns.line, strict=True)}
-        return {operation: at.get(operation, 0) for operation in operations}
-
-
 def stitch(
-    job: Job, machine: Machine, law: Law, tolerance_m: float, turn_s: float | None
+    job: Job,
+    machine: Machine,
+    law: Law,
+    tolerance_m: float,
+    turn_s: float | None,
+    robust_share: float = 0.0,
 ) -> Stitched:
     """Return the plan of a design.
 
@@ -200,8 +49,10 @@ def stitch(
     tolerance_m
         Largest swing allowed when a needle enters.
     turn_s
-        Time of every turn. None slows each stitch as much as it needs. If the spindle cannot change
+        Time of every turn. None gives each turn a time of its own. If the spindle cannot change
         its speed, None gives the highest speed at which every needle enters within the tolerance.
+    robust_share
+        Share of the tolerances of loads and springs for which the tolerance is kept.
 
     Raises
     ------
@@ -211,7 +62,10 @@ def stitch(
     BudgetError
         If the design takes longer than the machine's tick budget.
     """
-    pace = _PACES.of((machine, law, tolerance_m), lambda: Pace(machine, law, tolerance_m))
+    pace = _PACES.of(
+        (machine, law, tolerance_m, robust_share),
+        lambda: Pace(machine, law, tolerance_m, robust_share),
+    )
     shaft = pace.shaft
     rows = _rows(job, pace)
     moves: Moves = rows["moves"]
@@ -227,7 +81,12 @@ def stitch(
             remedy="Choose a speed between them.",
         )
     count = len(moves.needle)
-    turns_s = np.full(count, given) if constant else pace.scheduled(moves)
+    bound_s = None
+    if constant:
+        turns_s = np.full(count, given)
+    else:
+        schedule = pace.scheduled(moves)
+        turns_s, bound_s = schedule.turn_s, schedule.bound_s
     clock = machine.clock(pace.tables.clock)
     period_s = float(clock.period_s)
     windows = np.rint(pace.share * turns_s / period_s)
@@ -266,6 +125,7 @@ def stitch(
         given=turn_s is not None,
         alone_s=float(needed.sum()),
         slowest_s=float(needed[sewn].max()) * count,
+        bound_s=bound_s,
     )
 
 

@@ -25,6 +25,7 @@ from threadline.report.document import (
     origin_facts,
     run_facts,
 )
+from threadline.report.lines import stitch_rows
 from threadline.report.publish import write_document
 from threadline.report.seam import stitch_lines
 from threadline.report.style import ACTUAL, AXES, PLANNED, figure_style
@@ -264,66 +265,6 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
             ],
         )
         return write_document(document, folder, "comparison")
-
-
-def about_stitched(proof: Proof) -> list[str]:
-    """Return the lines below the verdict: stitches, moves, speed and time."""
-    return [f"{name}:".ljust(22) + words for name, words in stitch_rows(proof.plan)]
-
-
-def stitch_rows(plan: Plan) -> list[list[str]]:
-    """Return rows of two texts on the stitches of a plan: a name and its value."""
-    stitched = plan.stitched
-    told = stitched.told(plan.options)["stitches"]
-    rows = [
-        [
-            "Stitches",
-            f"{told['count']}, with {told['frame_moves']} moves of the frame, the longest "
-            f"{told['longest_move_m'] * 1e3:.4g} mm on an axis; {told['turns']} turns, "
-            f"{told['steps']:.4g} steps",
-        ],
-        ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
-        [
-            "Thread",
-            f"{thread_m(plan):.4g} m on the upper side, from hole to hole with the jumps between; "
-            "what the stitches draw in comes on top",
-        ],
-    ]
-    slowest = _MINUTE * len(stitched.turns) / stitched.slowest_s
-    return [
-        *rows,
-        ["Speed", _speed_words(plan)],
-        [
-            "Slowest stitch",
-            f"alone it is still enough in every window at {slowest:.4g} stitches a minute and "
-            f"below; all at that speed would take {stitched.slowest_s:.4g} s",
-        ],
-        [
-            "Each stitch alone",
-            f"{stitched.alone_s:.4g} s, were each as fast as that allows on a spindle without "
-            "inertia, and did earlier ones leave nothing swinging; no plan",
-        ],
-    ]
-
-
-def thread_m(plan: Plan) -> float:
-    """Return the length in m of the thread of a plan from hole to hole, jumps between included."""
-    holes = plan.stitched.places_m[plan.stitched.turns.moves.needle == 1]
-    return float(np.hypot(*np.diff(holes, axis=0).T).sum())
-
-
-def _speed_words(plan: Plan) -> str:
-    """Return the text about the choice of the shaft speed."""
-    if plan.stitched.given:
-        return "one for the whole design, as was given"
-    if plan.stitched.constant:
-        return (
-            "one for the whole design, which the spindle cannot vary: the highest at which the "
-            f"forecast keeps {plan.stitched.pace.tolerance_m * 1e3:.4g} mm at every stitch"
-        )
-    if np.ptp(plan.stitched.turns.turn_s) > 0.0:
-        return "of each stitch, within the acceleration of the spindle"
-    return "one for the whole design: sooner than a speed for each stitch"
 
 
 def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.base.arrays import FloatArray
+from threadline.commands.intents import ScheduledMove
 from threadline.commands.plan import Plan
-from threadline.commands.schedule import ScheduledMove
 from threadline.commands.schedule_moves import levels_text, valves_of
 from threadline.dynamics.pneumatic import flow_mode, step_ringing
 from threadline.errors import OptionError, Place, PlanError
@@ -296,8 +296,8 @@ class _Search:
         if bound is None or not found:
             lines = self._base.lines_of(self._job, {move.operation})
             raise PlanError(
-                f"no command of the valves of {move.axis} rings at most "
-                f"{self._limit_m(index) * 1e3:g} mm all over the band",
+                f"no command of the valves of {move.axis} that rings at most "
+                f"{self._limit_m(index) * 1e3:g} mm all over the band was found; there may be one",
                 place=Place(self._job.file, lines[move.operation]),
                 remedy="Ask for a narrower band, or allow more ringing.",
             )

@@ -23,6 +23,7 @@ from threadline.proof.option_words import LEAST_SHARE
 from threadline.proof.options import Options
 from threadline.proof.pipeline import check_loops, plan_job
 from threadline.search.allowance import FastestJob, Rung, fastest_allowed
+from threadline.search.chosen_plans import fastest_chosen
 from threadline.search.distinct import LongMoves, distinct_parts, moves_in
 from threadline.search.fastest import FINE, Fastest, Grid, check_range
 from threadline.search.feed import fastest_feed, feed_unit, search_range, searched_by
@@ -180,7 +181,7 @@ def fastest_job(asked: Question) -> FastestJob:
     job, machine, options, until = asked.job, asked.machine, asked.options, asked.until
     check_loops(machine)
     if options.interpolation == OPTIMAL:
-        return fastest_allowed(asked)
+        return fastest_chosen(asked) if asked.free else fastest_allowed(asked)
     by = searched_by(job, machine) if asked.by is None else asked.by
     low, high = search_range(job, machine, by)
     low, high = low if asked.low is None else asked.low, high if asked.high is None else asked.high

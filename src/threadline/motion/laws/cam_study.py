@@ -30,7 +30,7 @@ _SEED = 1954
 _OUTLIER = 4.0
 _DOUBT = 1e3
 _MISSED = 2.0
-_EVEN = 1e-6  # of the spacing
+_EVEN = 1e-4  # of the spacing: angles written with a few decimals are even
 _EXACT = 1e-9  # of the rise: below what any gauge measures
 _LOOKS = 16  # samples in each interval between rows
 

@@ -1,0 +1,389 @@
+"""The fastest turns of a shaft whose frame keeps ringing: a beam search over speed and swing.
+
+Turn by turn, the state is the speed of the shaft, on a grid, and the complex swing of every mode.
+The next speed decides how long the swing decays and turns before the next move ends, and what that
+move adds. The same swing is followed on several machines at once (damping, mode off by a share);
+each of them must be within the tolerance when a needle enters.
+
+A dynamic program over the speeds alone gives the shortest time to go. It lets the swing before each
+turn be whatever is best within the tolerance, so it is a lower bound for every schedule on the
+grid. The beam ranks its states by the time so far plus this bound, and keeps the best of each cell
+of swings, because a long move later needs a swing of the right phase before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import ComplexArray, FloatArray, IntArray
+from threadline.base.compiled import njit
+
+_COARSE = 0.03  # relative steps of the turn time beyond the fine grid
+WIDTH, WIDER = 300, 1200
+"""States kept per turn, and in a second search."""
+_LEAST_WIDTH = 60
+_PER_GROUP, _GROUPS_OF = 40, 20  # states per group of neighbouring speeds, and speeds in a group
+_CELLS, _OUTER = 3.0, 12.0  # cells of the swing per tolerance, and cells to each side
+_MOST_KEPT = 60_000_000  # states of all turns
+_TABLE = 1 << 17
+_SLACK = 1.0 + 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Speeds:
+    """A grid of turn times and the pairs that may follow each other; N times, P pairs.
+
+    Parameters
+    ----------
+    turn_s
+        (N,) turn times, rising, s.
+    first
+        (N,) index of the shortest turn that may follow.
+    begin
+        (N + 1,) index of the first pair of each turn; its pairs follow by rising turn time.
+    pair_s
+        (P,) time from the end of a window to the end of the next window, s.
+    """
+
+    turn_s: FloatArray
+    first: IntArray
+    begin: IntArray
+    pair_s: FloatArray
+
+    @classmethod
+    def between(
+        cls, ends_s: tuple[float, float, float], step: float, share: float, most: float
+    ) -> Speeds:
+        """Return the grid.
+
+        Parameters
+        ----------
+        ends_s
+            Shortest turn, end of the fine grid, and longest turn, s.
+        step
+            Relative step of the turn time on the fine grid.
+        share
+            Share of the window in a turn.
+        most
+            Largest change of the square of the speed from turn to turn, 1/s^2.
+        """
+        shortest, fine, longest = ends_s
+        fine = min(max(fine, shortest * (1.0 + step)), longest)
+        count = max(2, 1 + round(log(fine / shortest) / step))
+        turn_s = np.geomspace(shortest, fine, count)
+        if turn_s[-1] < longest:
+            beyond = max(2, 1 + round(log(longest / turn_s[-1]) / _COARSE))
+            turn_s = np.concatenate((turn_s, np.geomspace(turn_s[-1], longest, beyond)[1:]))
+        turn_s[0], turn_s[-1] = shortest, longest
+        squares = turn_s**-2.0
+        near = np.abs(squares[:, None] - squares[None, :]) <= most * _SLACK
+        before, after = np.nonzero(near)
+        rest = 2.0 * (1.0 - share) / (1.0 / turn_s[before] + 1.0 / turn_s[after])
+        return cls(
+            turn_s=turn_s,
+            first=near.argmax(axis=1).astype(np.int64),
+            begin=np.concatenate(([0], np.cumsum(near.sum(axis=1)))).astype(np.int64),
+            pair_s=rest + share * turn_s[after],
+        )
+
+    @property
+    def after(self) -> IntArray:
+        """(P,) index of the following turn of each pair."""
+        counts = np.diff(self.begin)
+        number = np.arange(len(self.pair_s)) - np.repeat(self.begin[:-1], counts)
+        return np.asarray(np.repeat(self.first, counts) + number)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Swings:
+    """What each turn on the grid does to the swing; M columns: a mode of an axis of a machine.
+
+    The modes of one axis of one machine follow each other; their amplitudes add up.
+
+    Parameters
+    ----------
+    poles
+        (M,) decay and frequency of each mode, rad/s.
+    fresh
+        (N, M) swing at the end of a move of 1 m.
+    late
+        (N, M) share of the swing that is left when the needle enters.
+    axis, last
+        (M,) axis, and whether the column is the last of its axis and machine.
+    named
+        (A,) the column of each axis by which states are told apart.
+    """
+
+    poles: ComplexArray
+    fresh: ComplexArray
+    late: FloatArray
+    axis: IntArray
+    last: IntArray
+    named: IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """The found turns.
+
+    Parameters
+    ----------
+    turn_s
+        (n,) time of each turn, s.
+    missed
+        (n,) 1 where no speed in reach kept the tolerance.
+    bound_s
+        No schedule on the grid takes less time, s.
+    """
+
+    turn_s: FloatArray
+    missed: IntArray
+    bound_s: float
+
+
+def fastest_turns(
+    speeds: Speeds,
+    swings: Swings,
+    moves: tuple[FloatArray, IntArray, FloatArray],
+    tolerance_m: float,
+    share: float,
+    width: int = WIDTH,
+) -> Found:
+    """Return the fastest turns that the search finds.
+
+    Parameters
+    ----------
+    moves
+        (n, A) travel of each turn, m; (n,) 1 where the needle enters; (n,) shortest turns, s.
+    tolerance_m
+        Largest swing of an axis when the needle enters, m.
+    share
+        Share of the window in a turn.
+    width
+        States kept per turn; very long designs keep fewer.
+    """
+    ways_m, needle, _ = moves
+    ends_s = (1.0 - share) * speeds.turn_s
+    after = speeds.after
+    for strict in (True, False):
+        allowed = _allowed(speeds, swings, moves, tolerance_m if strict else np.inf)
+        to_go = _time_to_go(allowed, ends_s, speeds.begin, after, speeds.pair_s)
+        if np.isfinite(to_go[0]).any():
+            break
+    bound_s = float((to_go[0] + share * speeds.turn_s).min())
+    kept = np.exp(-np.outer(speeds.pair_s, swings.poles))
+    width = min(width, max(_LEAST_WIDTH, _MOST_KEPT // len(needle)))
+    index, missed = _beam(
+        ways_m, needle, to_go, speeds.first, speeds.begin, speeds.pair_s,
+        swings.fresh, kept, swings.late, swings.axis, swings.last, swings.named,
+        tolerance_m, width,
+    )  # fmt: skip
+    return Found(turn_s=speeds.turn_s[index], missed=missed, bound_s=bound_s)
+
+
+def _allowed(
+    speeds: Speeds,
+    swings: Swings,
+    moves: tuple[FloatArray, IntArray, FloatArray],
+    tolerance_m: float,
+) -> NDArray[np.bool_]:
+    """Return (n, N) whether a turn may take a time, whatever swing within the tolerance it meets.
+
+    The swing before a turn is at most the tolerance if a needle entered then, and decays at least
+    over the window and the shortest rest.
+    """
+    ways_m, needle, shortest_s = moves
+    allowed = speeds.turn_s[None, :] >= shortest_s[:, None] / _SLACK
+    if not np.isfinite(tolerance_m):
+        return np.asarray(allowed)
+    after, least_s = speeds.after, np.full(len(speeds.turn_s), np.inf)
+    np.minimum.at(least_s, after, speeds.pair_s)
+    entered = np.concatenate(([1], needle[:-1])) == 1
+    judged = np.flatnonzero((needle == 1) & entered)
+    for column, pole in enumerate(swings.poles):
+        late = swings.late[:, column]
+        # Before the first turn nothing swings, which this bound leaves out.
+        most = tolerance_m * (1.0 / late + np.exp(-pole.real * least_s) / late.min())
+        with np.errstate(divide="ignore"):
+            longest_m = most / np.abs(swings.fresh[:, column])
+        ways = np.abs(ways_m[judged, swings.axis[column]])
+        allowed[judged] &= ways[:, None] <= longest_m[None, :] * _SLACK
+    return np.asarray(allowed)
+
+
+def _to_go(
+    allowed: NDArray[np.bool_], ends_s: FloatArray,
+    begin: IntArray, after: IntArray, pair_s: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Return (n, N) the shortest time from the window of each turn to the end; inf if none."""
+    turns, count = allowed.shape
+    found = np.full((turns, count), np.inf)
+    for j in range(count):
+        if allowed[turns - 1, j]:
+            found[turns - 1, j] = ends_s[j]
+    for k in range(turns - 2, -1, -1):
+        for i in range(count):
+            if allowed[k, i]:
+                best = np.inf
+                for pair in range(begin[i], begin[i + 1]):
+                    best = min(best, pair_s[pair] + found[k + 1, after[pair]])
+                found[k, i] = best
+    return found
+
+
+def _value(
+    k: int, h: int, j: int, c: int, pair: int,
+    ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray, axis: IntArray,
+    swing: ComplexArray,
+) -> complex:  # fmt: skip
+    """Return the swing of a column at the end of window ``k``."""
+    value = ways_m[k, axis[c]] * fresh[j, c]
+    if k > 0:
+        value += swing[h, c] * kept[pair, c]
+    return value  # type: ignore[no-any-return]
+
+
+def _largest(
+    k: int, h: int, j: int, pair: int, most_m: float,
+    ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray, axis: IntArray,
+    swing: ComplexArray, late: FloatArray, last: IntArray,
+) -> float:  # fmt: skip
+    """Return the largest swing of an axis when the needle enters; above ``most_m``, any above."""
+    worst, total = 0.0, 0.0
+    for c in range(len(axis)):
+        value = _swung(k, h, j, c, pair, ways_m, fresh, kept, axis, swing)
+        total += np.sqrt(value.real * value.real + value.imag * value.imag) * late[j, c]
+        if last[c] == 1:
+            worst = max(worst, total)
+            total = 0.0
+            if worst > most_m:
+                break
+    return worst
+
+
+def _continued(
+    k: int, most_m: float, states: int, at: IntArray, so_far: FloatArray,
+    to_go: FloatArray, first: IntArray, begin: IntArray, pair_s: FloatArray, needle: IntArray,
+    ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray, axis: IntArray,
+    swing: ComplexArray, late: FloatArray, last: IntArray, named: IntArray, cell_m: float,
+    time: FloatArray, over: FloatArray, speed: IntArray, source: IntArray, key: IntArray,
+) -> int:  # fmt: skip
+    """Fill ``time`` to ``key`` with what may follow each state; return their number."""
+    found = 0
+    for h in range(states):
+        low, high = 0, to_go.shape[1]
+        if k > 0:
+            low = first[at[h]]
+            high = low + begin[at[h] + 1] - begin[at[h]]
+        for j in range(low, high):
+            if to_go[k, j] == np.inf:
+                continue
+            pair, worst = begin[at[h]] + j - low, 0.0
+            if needle[k] == 1:
+                worst = _most(k, h, j, pair, most_m, ways_m, fresh, kept, axis, swing, late, last)
+            if worst > most_m:
+                continue
+            cell: Any = j // _GROUPS_OF
+            for c in named:
+                value = _swung(k, h, j, c, pair, ways_m, fresh, kept, axis, swing)
+                # Swings far outside of the tolerance share the outer cells.
+                for part in (value.real, value.imag):
+                    near = min(max(part / cell_m, -_OUTER), _OUTER)
+                    cell = cell * 64 + np.int64(np.floor(near)) + 32
+            time[found] = so_far[h] + pair_s[pair] if k > 0 else 0.0
+            over[found] = worst
+            speed[found], source[found], key[found] = j, h, cell
+            found += 1
+    return found
+
+
+def _selected(
+    k: int, order: IntArray, speed: IntArray, key: IntArray,
+    seen: IntArray, stamp: IntArray, in_group: IntArray, chosen: IntArray,
+) -> int:  # fmt: skip
+    """Fill ``chosen`` with the first of each cell in ``order``; return their number."""
+    in_group[:] = 0
+    states = 0
+    for q in order:
+        group = speed[q] // _GROUPS_OF
+        if in_group[group] >= _PER_GROUP:
+            continue
+        slot = (key[q] * 2654435761) % _TABLE
+        while stamp[slot] == k and seen[slot] != key[q]:
+            slot = (slot + 1) % _TABLE
+        if stamp[slot] == k:
+            continue
+        stamp[slot], seen[slot] = k, key[q]
+        in_group[group] += 1
+        chosen[states] = q
+        states += 1
+        if states == len(chosen):
+            break
+    return states
+
+
+def _search(
+    ways_m: FloatArray, needle: IntArray, to_go: FloatArray,
+    first: IntArray, begin: IntArray, pair_s: FloatArray,
+    fresh: ComplexArray, kept: ComplexArray, late: FloatArray,
+    axis: IntArray, last: IntArray, named: IntArray, tolerance_m: float, width: int,
+) -> tuple[IntArray, IntArray]:  # fmt: skip
+    """Return (n,) index of the turn time of each turn, and (n,) 1 where the tolerance is missed."""
+    turns, count = to_go.shape
+    room = max(width * int((begin[1:] - begin[:-1]).max()), count)
+    time, over = np.empty(room), np.empty(room)
+    speed, source = np.empty(room, np.int64), np.empty(room, np.int64)
+    key, chosen = np.empty(room, np.int64), np.empty(width, np.int64)
+    back, taken = np.empty((turns, width), np.int32), np.empty((turns, width), np.int32)
+    missed = np.zeros(turns, np.int64)
+    at, so_far = np.zeros(width, np.int64), np.zeros(width)
+    swing = np.zeros((width, len(axis)), np.complex128)
+    seen, stamp = np.zeros(_TABLE, np.int64), np.full(_TABLE, -1, np.int64)
+    in_group = np.zeros(count // _GROUPS_OF + 1, np.int64)
+    states = 1
+    for k in range(turns):
+        found = 0
+        for most_m in (tolerance_m, np.inf):
+            found = _followers(
+                k, most_m, states, at, so_far, to_go, first, begin, pair_s, needle, ways_m, fresh,
+                kept, axis, swing, late, last, named, tolerance_m / _CELLS,
+                time, over, speed, source, key,
+            )  # fmt: skip
+            if found > 0:
+                break
+            missed[k] = 1
+        rank = np.empty(found)
+        for q in range(found):
+            rank[q] = time[q] + to_go[k, speed[q]]
+            if missed[k] == 1:  # the least swing goes first; the time decides among equals
+                rank[q] = over[q] + 1e-9 * tolerance_m * rank[q]
+        states = _kept_states(k, np.argsort(rank), speed, key, seen, stamp, in_group, chosen)
+        new_swing = np.empty((states, len(axis)), np.complex128)
+        new_at, new_time = np.empty(states, np.int64), np.empty(states)
+        for s in range(states):
+            h, j = source[chosen[s]], speed[chosen[s]]
+            pair = begin[at[h]] + j - first[at[h]]
+            for c in range(len(axis)):
+                new_swing[s, c] = _swung(k, h, j, c, pair, ways_m, fresh, kept, axis, swing)
+            new_at[s], new_time[s] = j, time[chosen[s]]
+            back[k, s], taken[k, s] = h, j
+        at[:states], so_far[:states], swing[:states] = new_at, new_time, new_swing
+    best = int(np.argmin(so_far[:states] + to_go[turns - 1][at[:states]]))
+    index = np.empty(turns, np.int64)
+    for k in range(turns - 1, -1, -1):
+        index[k] = taken[k, best]
+        best = back[k, best]
+    return index, missed
+
+
+_time_to_go = njit(nogil=True)(_to_go)
+_swung = njit(nogil=True)(_value)
+_most = njit(nogil=True)(_largest)
+_followers = njit(nogil=True)(_continued)
+_kept_states = njit(nogil=True)(_selected)
+_beam = njit(nogil=True)(_search)
