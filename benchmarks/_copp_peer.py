@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from threadline.motion.timing.optimal import Limits
+from threadline.motion.timing.optimal.motion_limits import Limits
 
 
 class Stations:

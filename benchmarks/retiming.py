@@ -23,8 +23,8 @@ from threadline.files import Stream
 from threadline.motion.path.auto import auto_pieces
 from threadline.motion.path.polygon import QUARTIC
 from threadline.motion.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
-from threadline.motion.timing.optimal import Limits
 from threadline.motion.timing.optimal.fastest_motion import limited_blocks
+from threadline.motion.timing.optimal.motion_limits import Limits
 from threadline.motion.timing.profile import largest_end, largest_start
 from threadline.motion.timing.retime import checked_points, path_through, vertex_blocks
 

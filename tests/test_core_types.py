@@ -83,9 +83,9 @@ def test_a_second_run_has_what_the_first_did_not_show(tmp_path: Path):
         "if not os.environ.get('CI'): pytest.skip('no browser', allow_module_level=True)\n"
         "def test_page(): pass\n"
     )
-    first = suite(tmp_path, "", "-n", "2", "--note-passed=passed")
+    first = suite(tmp_path, "", "-n", "1", "--note-passed=passed")
     assert "3 passed, 2 skipped, 1 error" in first.stdout
-    second = suite(tmp_path, "true", "-rp", "-n", "2", "--except-noted=passed")
+    second = suite(tmp_path, "true", "-rp", "-n", "1", "--except-noted=passed")
     ran = set(re.findall(r"PASSED test_\w+\.py::(\w+)", second.stdout))
     assert ran == {"test_spoilt", "test_oracle", "test_page"}, second.stdout
     assert "3 passed" in second.stdout

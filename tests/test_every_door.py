@@ -16,6 +16,7 @@ import threadline as tl
 from threadline import face
 from threadline.cli.main import app
 from threadline.errors import InputError, OptionError
+from threadline.proof.asked import as_arguments
 from threadline.proof.option_form import Door, Group, Option, Type
 from threadline.proof.option_table import PYTHON_VERBS, RECORDED, TABLE, options_for
 from threadline.proof.options import Options
@@ -36,12 +37,16 @@ GIVEN: dict[str, Any] = {
     "feed-mode": "linuxcnc", "radius": "A=40 mm", "offset": "X=12 mm", "needle": "20 stitch/s",
     "tolerance": "0.05 mm", "limits": "90 %", "shaper": "zv:12Hz:0.02", "mode": "3 Hz",
     "damping": "0.1", "feed-forward": True, "smoothing": "50 ms", "robust": "100 %",
-    "contour": "0.45 mm",
+    "contour": "0.45 mm", "outside": "0.05 mm", "reserve": "volts 1 %, current 3 %",
+    "narrow": "1: 0.05 mm, 2: 0.06 mm",
+    "axes": "A=X,X=A", "product": str(EXAMPLES / "vessel.wind.toml"),
 }  # fmt: skip
 """A value for each planning option."""
 WITH: dict[str, dict[str, Any]] = {
     "smoothing": {"feed-forward": True}, "robust": {"feed-forward": True},
-    "contour": {"interpolation": "optimal"}, "mode": {"shaper": "zv"}, "damping": {"shaper": "zv"},
+    "contour": {"interpolation": "optimal"}, "outside": {"interpolation": "optimal"},
+    "reserve": {"interpolation": "optimal"}, "narrow": {"interpolation": "optimal"},
+    "mode": {"shaper": "zv"}, "damping": {"shaper": "zv"},
 }  # fmt: skip
 """What some of them need beside them."""
 LINE_VERBS = ("prove", "run", "compile", "compare", "fastest", "yield", "design", "judge")
@@ -97,13 +102,13 @@ def seen(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> None:
 
 
 def outcome(ask: Callable[[], object]) -> tuple[Any, ...] | str:
-    """Return what a verb is about to plan, or why it refuses."""
+    """Return what a verb is about to plan, or why it refuses, as it is said in Python."""
     try:
         ask()
     except PlannedError as reached:
         return reached.asked
     except InputError as error:
-        return str(error)
+        return as_arguments(str(error))
     raise AssertionError("neither planned nor refused")
 
 
@@ -187,7 +192,7 @@ def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str
 def test_an_option_changes_what_is_read(stopped: Path) -> None:
     """The walk would not see a verb that ignores dialect, rule of F, radius, offset or needle."""
     plain = by_python("prove", stopped, "ticks", {})
-    for name in ("dialect", "feed-mode", "radius", "offset"):
+    for name in ("dialect", "feed-mode", "radius", "offset", "axes"):
         assert by_python("prove", stopped, "ticks", {name: GIVEN[name]}) != plain
     sewn = by_python("prove", stopped, "seam", {})
     assert by_python("prove", stopped, "seam", {"needle": "20 stitch/s"})[1] != sewn[1]
@@ -213,13 +218,13 @@ def test_the_searches_refuse_what_they_find_themselves(stopped: Path) -> None:
     """A move list has shapers found for every move."""
     for ask in (by_line, by_python):
         refused = ask("fastest", stopped, "switches", {"shaper": "zv"})
-        assert "--shaper 'zv' does not apply to letter-cycle" in refused
+        assert "shaper='zv' does not apply to letter-cycle" in refused
 
 
 def test_a_mode_is_refused_where_no_shaper_is_compared(stopped: Path) -> None:
     for ask in (by_line, by_python):
         refused = ask("compare", stopped, "ticks", {"mode": "3 Hz"})
-        assert "--mode and --damping name the mode of a shaper" in refused
+        assert "mode= and damping= name the mode of a shaper" in refused
 
 
 @pytest.mark.usefixtures("coarse_search")

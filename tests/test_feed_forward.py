@@ -23,8 +23,8 @@ from threadline.motion.timing import averaged
 from threadline.motion.timing.by_law import rapid_time_s
 from threadline.proof.options import Options, options_from
 from threadline.proof.pipeline import open_job, plan_job, prove_plan
-from threadline.report import write_report
-from threadline.report.motion import feed_forward_lines, motion_lines
+from threadline.report.lines import feed_forward_lines, motion_lines
+from threadline.report.proof import write_report
 from threadline.report.traces import collect
 from threadline.search import mismatch
 from threadline.search.by_pace import speeds

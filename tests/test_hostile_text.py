@@ -23,13 +23,15 @@ from matplotlib.figure import Figure
 from tests.plc.parts import read_in_parts
 from tests.plc.reading import code_of
 from threadline.base.wording import json_line, nc_comment, plain, st_comment, toml_string
+from threadline.commands.intents import Scheduled
 from threadline.commands.nc import part_program_lines
 from threadline.commands.plcopen import plcopen_xml
-from threadline.commands.schedule import Scheduled, compile_schedule
+from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
 from threadline.commands.structured_text import structured_text
 from threadline.files import Stream, TickTable, tick_table
-from threadline.files.formats import read_table, write_table_csv, write_table_npz
+from threadline.files.formats import read_table
+from threadline.files.formats.tick_table import write_table_csv, write_table_npz
 from threadline.jobs import read_job
 from threadline.jobs.operations import Move
 from threadline.machine import load_machine

@@ -13,7 +13,10 @@ from threadline.dynamics.responses import read_response
 from threadline.errors import InputError
 from threadline.files.formats import read_recording, read_table
 from threadline.files.formats.common import atomic_file
-from threadline.jobs import read_job
+from threadline.jobs import FORMATS, read_job
+from threadline.jobs.embroidery import records
+from threadline.jobs.seam import STITCHING_KEYS
+from threadline.jobs.seam import job as seam_job
 from threadline.machine import load_machine
 from threadline.machine.par import read_parameters
 from threadline.verdict import load_spec
@@ -77,3 +80,13 @@ def test_a_pipe_is_not_written_over(tmp_path: Path) -> None:
         pass
     assert pipe.is_fifo()
     assert list(tmp_path.iterdir()) == [pipe]
+
+
+def test_the_table_of_formats_names_the_endings_that_its_readers_know() -> None:
+    """The table does not import its readers, so that the endings stand in both."""
+    known = {one.name: one for one in FORMATS}
+    assert known["seam"].extensions == seam_job.SUFFIXES
+    assert known["embroidery design"].extensions == records.SUFFIXES
+    assert known["seam"].options == STITCHING_KEYS
+    assert known["part program"].options == ("dialect", "feed_mode", "base_axes", "axes")
+    assert known["move list"].options == ()

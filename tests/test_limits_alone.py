@@ -19,6 +19,7 @@ from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, TOLERANCES, Proof, prove, yielding
+from threadline.search import chosen_plans, least_limits
 from threadline.verdict import Status, closing, load_spec
 from threadline.verdict.types import Level
 
@@ -290,14 +291,16 @@ def test_trials_of_other_machines_are_refused_from_python(tmp_path: Path) -> Non
 
 
 def test_the_fastest_optimal_plan_is_that_of_the_limits(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One plan is proved: no loop is there that a contour allowance could mean anything to."""
+    """No loop is there that a contour, a reserve or feed-forward could mean anything to."""
+    monkeypatch.setattr(chosen_plans, "_LEAST_PLANS", 2)
+    monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 2)
     file, job = files(tmp_path, "G1 X100 F600")
     code, out, _ = run(capsys, "fastest", job, "-m", file, "--interpolation", "optimal", "--json")
     found = json.loads(out)
     assert code == 0 and found["verdict"]["level"] == "limits and time alone"
-    assert "--contour" not in found["command"]
+    assert not {"--contour", "--reserve", "--feed-forward"} & set(found["command"].split())
 
 
 def test_hostile_files_of_limits_alone_have_one_line_each(tmp_path: Path) -> None:
@@ -364,3 +367,22 @@ def test_a_proof_of_limits_alone_is_not_verified_as_in_spec(
         main(["verify", str(proof)])
     said = capsys.readouterr().out
     assert ended.value.code == 0 and "limits kept" in said and "in spec" not in said
+
+
+def test_no_lower_acceleration_is_tried_where_none_can_win(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The answer is that of the whole search; a tighter specification is searched in whole."""
+    machine, job = files(tmp_path, "G1 X20 A90 F1000\nG1 X0\nG1 X30")
+    words = {"interpolation": "auto", "level": "nominal"}
+    found = tl.fastest(job, machine, **words)  # type: ignore[arg-type]
+    assert [rung.share for rung in found.of.rungs] == [1.0]
+    (tmp_path / "tight.toml").write_text(
+        'name = "gently"\n[[criteria]]\nname = "acceleration"\naxis = "X"\nlimit = "200 mm/s^2"\n'
+    )
+    gently = tl.fastest(job, machine, spec=tmp_path / "tight.toml", **words)  # type: ignore[arg-type]
+    assert len(gently.of.rungs) > 1
+    monkeypatch.setattr(least_limits, "_only_limits", lambda _: False)
+    whole = tl.fastest(job, machine, **words)  # type: ignore[arg-type]
+    assert whole.best == found.best and len(whole.of.rungs) > 1
+    assert whole.of.best.duration_s == found.of.best.duration_s

@@ -358,11 +358,11 @@ FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "less than no runs": (lambda c: c.update(runs=-5), "it counts -5 runs"),
     "more runs than there can be": (
         lambda c: c.update(runs=10**30, level="repeated"),
-        "it counts more than 1e12 runs, and a verdict has at most 1000",
+        "it counts more than 1e12 runs, and a verdict has at most 1200",
     ),
     "more runs than a verdict may have": (
-        lambda c: c.update(runs=1001, level="repeated"),
-        "it counts 1001 runs, and a verdict has at most 1000",
+        lambda c: c.update(runs=1201, level="repeated"),
+        "it counts 1201 runs, and a verdict has at most 1200",
     ),
     "more machines than there can be": (
         lambda c: c.update(machines=10**7, level="over tolerances"),

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from threadline.commands.plan import Plan
 from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import corners, off_tolerance, vary
+from threadline.motion.timing.types import TrajectoryReader
 from threadline.proof.options import Options, describe, options_from, options_of
 from threadline.proof.pipeline import NOMINAL, plan_job, try_plan
 from threadline.verdict import load_spec
@@ -21,7 +24,7 @@ ROBUST = options_of("auto", None, "0.1 mm", feed_forward=True, robust="100 %")
 
 
 def test_a_seam_is_in_spec_on_machines_that_fail_the_plain_plan() -> None:
-    """45 stitches a second by all that is asked, where plain feed-forward is worst."""
+    """38 stitches a second by all that is asked, where plain feed-forward is worst."""
     spec = load_spec(None, MACHINE)
     job = read_job(EXAMPLES / "stitcher-robust.seam.toml", MACHINE)
     robust = plan_job(job, MACHINE, ROBUST)
@@ -38,19 +41,19 @@ def test_a_seam_is_in_spec_on_machines_that_fail_the_plain_plan() -> None:
 
 
 def test_a_slower_needle_is_in_spec_on_all_nine_machines_too() -> None:
-    """At 43 stitches a second some machine took 2.19 of 2 stitches to its speed.
+    """At some speeds a machine took 2.19 of 2 stitches to its speed.
 
     The plan asked for the speed at the very end of the two stitches; now a little sooner.
     """
     spec = load_spec(None, MACHINE)
     file = EXAMPLES / "stitcher-robust.seam.toml"
-    job = read_job(file, MACHINE, needle_speed="43 stitch/s")
+    job = read_job(file, MACHINE, needle_speed="36 stitch/s")
     plan = plan_job(job, MACHINE, ROBUST)
     for actual in corners(MACHINE):
         assert try_plan(plan, spec, NOMINAL, actual).verdict.passed
 
 
-def test_the_machine_as_built_sews_71_stitches_a_second_by_all_that_is_asked() -> None:
+def test_the_machine_as_built_sews_67_stitches_a_second_by_all_that_is_asked() -> None:
     """On days with the least supply too, where plain feed-forward is out at either."""
     spec = load_spec(None, MACHINE)
     job = read_job(EXAMPLES / "stitcher-even.seam.toml", MACHINE)
@@ -63,6 +66,68 @@ def test_the_machine_as_built_sews_71_stitches_a_second_by_all_that_is_asked() -
         verdict = try_plan(plan, spec, NOMINAL, day).verdict
         assert verdict.passed, supply
         assert not try_plan(plain, spec, NOMINAL, day).verdict.passed, supply
+
+
+SWINGING = """
+[stitching]
+stitch_length = "0.1 in"
+needle_speed = "{speed} stitch/s"
+motion = "discrete"
+acceleration = "380 in/s^2"
+{swing}
+
+[[contour]]
+unit = "in"
+points = [[0, 0], [2.5, 0], [2.5, 2.5], [5, 2.5]]
+"""
+ALONE = options_of("auto", None, "0.1 mm", feed_forward=True, robust="0 %")
+
+
+def swung(folder: Path, speed: int, swing: str = "") -> tuple[Plan, float]:
+    """Return a plan for the machine of the file, and the largest speed of Y before its leg.
+
+    That is against the direction of the leg, and as a share of the speed of the head.
+    """
+    file = folder / "swing.seam.toml"
+    file.write_text(SWINGING.format(speed=speed, swing=swing and f'swing = "{swing}"'))
+    plan = plan_job(read_job(file, MACHINE), MACHINE, ALONE)
+    loads = plan.motion.of_loads
+    assert loads is not None
+    time_s = np.arange(0.0, loads.duration_s, 2.5e-4)
+    velocity = TrajectoryReader(loads).ladder(time_s, 2)[:, 1]
+    return plan, float(-velocity[:, 1].min() / (speed * 2.54e-3))
+
+
+def test_a_seam_limits_the_swing_of_its_plan(tmp_path: Path) -> None:
+    """Y goes back before the corner, by a fifth of the speed unless the seam says less.
+
+    Fewer swings are fewer stitches from the first movement to the speed: two are asked.
+    """
+    spec = load_spec(None, MACHINE)
+    for speed, limit, least, most, stitches in (
+        (66, "", 0.15, 0.35, 3.0),
+        (66, "10 %", 0.05, 0.1, 3.0),
+        (66, "0.5 %", 0.0, 0.005, None),
+    ):
+        plan, swing = swung(tmp_path, speed, limit)
+        assert least <= swing <= most, limit
+        verdict = try_plan(plan, spec, NOMINAL, MACHINE).verdict
+        result = verdict.result("stitches_to_speed")
+        assert result.measured is not None
+        if stitches is None:
+            assert verdict.passed
+        else:
+            assert result.measured > stitches
+            assert not verdict.passed
+        needle = verdict.result("stitches_from_needle")
+        assert needle.measured is not None
+        assert needle.measured < 2.0
+        assert needle.limit is None
+
+
+def test_a_swing_that_cannot_be_kept_is_refused_with_its_cost(tmp_path: Path) -> None:
+    with pytest.raises(PlanError, match=r"at most 0\.50% of it; without .*swings by 2.%"):
+        swung(tmp_path, 70, "0.5 %")
 
 
 def test_what_was_typed_stands_in_a_recording() -> None:

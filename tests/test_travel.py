@@ -22,18 +22,14 @@ import threadline
 from tests.path.builders import job_of, polylines, there_and_back
 from tests.signals.makers import recording_of, table_of
 from tests.with_firmware import winder_with_grbl
-from threadline.commands import compile_ticks, followed_by_loads
+from threadline.commands.feedforward import followed_by_loads
 from threadline.commands.planned_job import planned_job
 from threadline.commands.schedule import compile_schedule
+from threadline.commands.ticks import compile_ticks
 from threadline.errors import JobError, LimitError, Place, RecordingError
-from threadline.files.formats import (
-    read_recording,
-    read_table,
-    write_array,
-    write_recording,
-    write_table_csv,
-    write_table_npz,
-)
+from threadline.files.formats import read_recording, read_table, write_recording
+from threadline.files.formats.tick_table import write_table_csv, write_table_npz
+from threadline.files.formats.trajectory_array import write_array
 from threadline.jobs import read_job
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine

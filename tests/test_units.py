@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from fractions import Fraction
+from functools import cache
+from typing import Any
 
-import pint
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,7 +23,13 @@ from threadline.units import (
     unit_factor,
 )
 
-PINT = pint.UnitRegistry()
+
+@cache
+def pints_own() -> Any:
+    """Return a registry of pint; it takes a third of a second, which no other worker waits for."""
+    import pint
+
+    return pint.UnitRegistry()
 
 
 @pytest.mark.parametrize(
@@ -53,7 +60,8 @@ def test_factors_agree_with_pint(unit: str, target: str) -> None:
     """pint has a table of its own; angles are plain numbers there, so radians drop out."""
     pints = unit.replace("krpm", "kilorpm").replace("rev", "turn").replace("N mm", "N*mm")
     plain = target.replace("V*s/rad", "V*s")
-    expected = PINT.Quantity(1.0, PINT.parse_units(pints)).to(plain)
+    registry = pints_own()
+    expected = registry.Quantity(1.0, registry.parse_units(pints)).to(plain)
     assert unit_factor(unit, target) == pytest.approx(expected.magnitude, rel=1e-12)
 
 

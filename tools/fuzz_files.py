@@ -29,15 +29,10 @@ from threadline.files import (
     TickBlock,
     TickTable,
 )
-from threadline.files.formats import (
-    read_recording,
-    read_table,
-    write_array,
-    write_plt,
-    write_recording,
-    write_table_csv,
-    write_table_npz,
-)
+from threadline.files.formats import read_recording, read_table, write_recording
+from threadline.files.formats.plt import write_plt
+from threadline.files.formats.tick_table import write_table_csv, write_table_npz
+from threadline.files.formats.trajectory_array import write_array
 
 Mutate = Callable[[random.Random, bytes], bytes]
 Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], int]

@@ -17,8 +17,8 @@ import numpy as np
 from tests.verdict.interpreter import Facts, Stitch
 from tools import short_jobs
 
+from threadline.commands.intents import Stitched
 from threadline.commands.plan import Motion, Plan
-from threadline.commands.stitched import Stitched
 from threadline.files import Stream
 from threadline.jobs.operations import Move, OperationStream
 from threadline.machine import load_machine

@@ -112,7 +112,7 @@ _STUB_HEAD = '''"""Types of the functions, written by python -m tools.options_re
 from collections.abc import Sequence
 from typing import Literal
 
-from threadline.face import Answer, Found, PathLike, Proved
+from threadline.face import Answer, FastestResult, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper

@@ -24,8 +24,8 @@ from threadline.files import Stream
 from threadline.motion.path.auto import auto_pieces
 from threadline.motion.path.polygon import QUARTIC
 from threadline.motion.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
-from threadline.motion.timing.optimal import Limits
 from threadline.motion.timing.optimal.fastest_motion import limited_blocks
+from threadline.motion.timing.optimal.motion_limits import Limits
 
 CHUNK = 5000
 STEP_M = 1e-4

@@ -19,7 +19,7 @@ from tests.live.test_held_runs import SPEC, alike, plan_of
 from tests.live.test_pace import plan_ticks
 from tests.live.test_tail import PLACES, ROWS, off_path
 
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live.states import Cause, State
 from threadline.proof.pipeline import simulate
 from threadline.verdict import judge
@@ -48,7 +48,7 @@ def run_with_holds(random: np.random.Generator) -> tuple[int, bool]:
     counts = bench.commanded()
     steps = np.diff(counts[:, 0])
     sound = (
-        bench.executor.ended == (Ended.COMPLETED, "")
+        bench.executor.ended == (RunEnd.COMPLETED, "")
         and counts[-1].tolist() == ROWS.sum(axis=0).tolist()
         and 0 <= steps.min() <= steps.max() <= 11
         and off_path(counts) <= 1.0

@@ -28,8 +28,9 @@ from threadline.machine.quantity import Quantity
 from threadline.motion.path import plan_path
 from threadline.motion.path.runs import COINCIDENT_M
 from threadline.motion.path.types import ProgrammedPath, VertexBlock
-from threadline.motion.timing import limit_peaks, plan_trajectory, retime
+from threadline.motion.timing import limit_peaks, plan_trajectory
 from threadline.motion.timing.extremes import derivatives, farthest
+from threadline.motion.timing.retime import retime
 
 ALLOWED = 1.001  # of a limit, anywhere
 SLOWER = 1e-9  # of the duration: rounding

@@ -16,8 +16,10 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from threadline.motion.path.greville import CUT
-from threadline.motion.timing.optimal import Limits, elements_of, fastest
+from threadline.motion.timing.optimal.elements import elements_of
 from threadline.motion.timing.optimal.in_time import in_time
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.optimal.solve import fastest
 
 CUTS = {3: 1 / 6, 4: CUT, 5: 7 / 30}
 TOLERANCE_M = 1e-4

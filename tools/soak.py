@@ -26,7 +26,7 @@ from tests.live.bench import GROUP, Wire
 from tests.live.kill_bench import child
 
 from threadline.commands.plan import Plan
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.files.formats import read_recording
 from threadline.live import sim_process
 from threadline.live.executor import Executor
@@ -155,7 +155,7 @@ def run_a_day(hours: float, speed: float, folder: Path, *, inside: bool) -> Iter
         desk.close()
         used_s += processor_s() - before_s
         store.index.end(kept.path.name, ended=ended.value, text=text, late_ticks=late, passed=None)
-        if ended is not Ended.COMPLETED:
+        if ended is not RunEnd.COMPLETED:
             yield f"run {part} ended in {ended.value}: {text}"
         samples = _whole(kept.trace)
         expected = plan.duration_s / float(plan.machine.tick_clock.period_s)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from threadline.face import Answer, Found, PathLike, Proved
+from threadline.face import Answer, FastestResult, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
@@ -29,6 +29,7 @@ def compare(
     feed_mode: str | None = None,
     axes: str | None = None,
     radius: str | None = None,
+    product: str | None = None,
     offset: str | None = None,
     needle: str | None = None,
     tolerance: str = "0.1 mm",
@@ -39,6 +40,9 @@ def compare(
     smoothing: str | None = None,
     robust: str | None = None,
     contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
     level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
     repeats: int | None = None,
     yield_: str | None = None,
@@ -71,6 +75,9 @@ def compile(
     smoothing: str | None = None,
     robust: str | None = None,
     contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
 ) -> list[Written]: ...
 def fastest(
     job: PathLike,
@@ -85,13 +92,17 @@ def fastest(
     feed_mode: str | None = None,
     axes: str | None = None,
     radius: str | None = None,
+    product: str | None = None,
     offset: str | None = None,
-    tolerance: str = "0.1 mm",
+    tolerance: str | None = None,
     shaper: str | None = None,
     feed_forward: bool = False,
     smoothing: str | None = None,
     robust: str | None = None,
     contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
     level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
     repeats: int | None = None,
     yield_: str | None = None,
@@ -102,7 +113,7 @@ def fastest(
     high: str | None = None,
     mismatch: bool = False,
     within: str | None = None,
-) -> Found: ...
+) -> FastestResult: ...
 def judge(
     recordings: PathLike | Sequence[PathLike],
     *,
@@ -118,6 +129,7 @@ def judge(
     feed_mode: str | None = None,
     axes: str | None = None,
     radius: str | None = None,
+    product: str | None = None,
     offset: str | None = None,
     needle: str | None = None,
     tolerance: str | None = None,
@@ -129,6 +141,9 @@ def judge(
     smoothing: str | None = None,
     robust: str | None = None,
     contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
 ) -> Answer: ...
 def prove(
     job: PathLike,
@@ -144,6 +159,7 @@ def prove(
     feed_mode: str | None = None,
     axes: str | None = None,
     radius: str | None = None,
+    product: str | None = None,
     offset: str | None = None,
     needle: str | None = None,
     tolerance: str = "0.1 mm",
@@ -155,6 +171,9 @@ def prove(
     smoothing: str | None = None,
     robust: str | None = None,
     contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
     level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
     repeats: int | None = None,
     yield_: str | None = None,

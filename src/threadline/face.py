@@ -22,7 +22,7 @@ from threadline.base.wording import plain
 from threadline.errors import OptionError, ThreadlineError
 from threadline.files.recording import columns_of
 from threadline.machine import Machine
-from threadline.motion.timing import retime
+from threadline.motion.timing.retime import retime
 from threadline.proof.asked import (
     Words,
     as_arguments,
@@ -158,7 +158,7 @@ class Proved(Answer):
     @checked
     def report(self, folder: PathLike) -> Path:
         """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
-        from threadline.report import write_report
+        from threadline.report.proof import write_report
         from threadline.search.studied import studied
 
         place = Path(folder)
@@ -185,7 +185,7 @@ class Proved(Answer):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class FastestResult:
     """The result of a search for the fastest way to do a job in spec.
 
     Parameters
@@ -333,7 +333,7 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
 
 @_with_options
 @checked
-def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
+def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> FastestResult:
     """Find the fastest way to do a job in spec.
 
     Of a part program the feed is searched, of a seam the needle speed, of a move list the commands
@@ -358,7 +358,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
     found = answered(question_of(Words.of("fastest", Door.PYTHON, words), Path(job), machine))
     proving = {one.word for one in options_for("prove", Door.PYTHON)}
     kept = {word: value for word, value in words.items() if word in proving}
-    return Found(
+    return FastestResult(
         found.best if found.over_band is None else found.over_band.cycle_s,
         found.unit,
         found.limited_by,

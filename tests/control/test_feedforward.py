@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from threadline.dynamics import feed_forward, inverse_of, smooth_motion
+from threadline.dynamics.feedforward import feed_forward, smooth_motion
+from threadline.dynamics.inverse import inverse_of
 from threadline.dynamics.loop import axis_loop
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from threadline.dynamics import design_lead, lead_deg, lead_from_response
+from threadline.dynamics.lead import design_lead, lead_deg, lead_from_response
 from threadline.dynamics.loop import axis_loop
 from threadline.dynamics.margins import loop_margins
 from threadline.dynamics.values import Values

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.control.test_feedforward import WIDTHS, load_error, trapezoid
-from threadline.dynamics import AxisPreview, feed_forward, smooth_motion
+from threadline.dynamics.feedforward import feed_forward, smooth_motion
+from threadline.dynamics.preview import AxisPreview
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 

@@ -9,7 +9,6 @@ import pytest
 from scipy import optimize
 from scipy.interpolate import BSpline
 from scipy.optimize import OptimizeResult, linprog
-from scipy.signal import tf2ss
 
 from tests.second_order import states_of
 from threadline.dynamics.inverse import CornerResponse, corner_responses
@@ -64,6 +63,8 @@ def answer(weights: np.ndarray, factor: float, t: np.ndarray) -> np.ndarray:
     at = (t[:, None] - (np.arange(COUNT) - (COUNT - 1) / 2) * STEP_S) / STEP_S
     kernel = np.nan_to_num(element(at)) @ weights / STEP_S
     meant = np.cumsum(kernel) * (t[1] - t[0])
+    from scipy.signal import tf2ss
+
     a, b, c, d = tf2ss(*believed_and(factor))
     return np.asarray(states_of(a, b, meant, t[1] - t[0]) @ c[0] + d[0] * meant)
 

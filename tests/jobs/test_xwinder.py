@@ -15,7 +15,7 @@ from threadline.jobs.feed_times import programmed_time_s
 from threadline.machine import Machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import prove
-from threadline.report import about
+from threadline.report.lines import about
 from threadline.verdict import Criterion, Spec
 
 ANY = Spec(name="any", criteria=(Criterion(name="path_deviation"),))

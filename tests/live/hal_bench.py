@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from tests.one_hal import one_hal
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live import hal_link as hal_process
 from threadline.live import hal_session
 from threadline.live.executor import Executor
@@ -82,12 +82,12 @@ class SleptError(AssertionError):
     """This computer slept in a run."""
 
 
-def refuse_slept(ended: tuple[Ended, str] | None) -> None:
+def refuse_slept(ended: tuple[RunEnd, str] | None) -> None:
     """Raise where a run ended because nobody had the processor.
 
     The whole reason is looked at: of a comparison that fails, pytest tells the first 240 letters.
     """
-    if ended is not None and ended[0] is Ended.FAULT and any(one in ended[1] for one in SLEPT):
+    if ended is not None and ended[0] is RunEnd.FAULT and any(one in ended[1] for one in SLEPT):
         raise SleptError(ended[1])
 
 

@@ -15,7 +15,7 @@ from tests.live.bench import Wire
 from threadline.cli.operator_keys import check_continued, continued_run
 from threadline.commands.plan import Plan
 from threadline.errors import LimitError, OptionError, RecordingError, StoreError
-from threadline.files import Ended, Recording, played, switch_schedule, tick_table
+from threadline.files import Recording, RunEnd, played, switch_schedule, tick_table
 from threadline.files.formats import write_recording
 from threadline.live.continuing import Continued, continued, last_executed, operation_at
 from threadline.live.derived import Rest
@@ -63,7 +63,7 @@ def run(
     fault: str | None = None,
     confirmed: Callable[[], bool | None] = lambda: True,
     asked: Cause | None = None,
-) -> tuple[tuple[Ended, str], Recording, Wire]:
+) -> tuple[tuple[RunEnd, str], Recording, Wire]:
     """Run a plan, or the rest of it, on a machine that was just switched on."""
     machine = plan.machine
     found = None if fault is None else parse_fault(f"{fault}", machine)
@@ -84,7 +84,7 @@ def broken_off(name: str) -> tuple[Recording, int]:
     """Return the recording of a run that lost its power, and what it had executed."""
     plan = planned(name)
     (ended, why), recording, _ = run(plan, fault=f"power-loss@{JOBS[name][1]}")
-    assert (ended, why) == (Ended.FAULT, "the link is gone")
+    assert (ended, why) == (RunEnd.FAULT, "the link is gone")
     operations = recording.samples("operation")[1]
     return recording, int(operations.max())
 
@@ -95,7 +95,7 @@ def rest_of(name: str) -> tuple[Continued, Recording, Wire]:
     plan = planned(name)
     again = continued(plan, broken_off(name)[1], at_rest=False)
     (ended, why), recording, wire = run(plan, again)
-    assert (ended, why) == (Ended.COMPLETED, "")
+    assert (ended, why) == (RunEnd.COMPLETED, "")
     return again, recording, wire
 
 
@@ -225,7 +225,7 @@ def test_nothing_moves_until_somebody_confirms(answer: bool | None, asked: Cause
                 speed=0.0, again=again, confirmed=stopped,
             )  # fmt: skip
         assert looks
-    assert (ended, why) == (Ended.STOPPED, "nobody has confirmed that it may go on")
+    assert (ended, why) == (RunEnd.STOPPED, "nobody has confirmed that it may go on")
     assert not [message for message in wire.sent if message.kind in {"begin", "refill"}]
 
 
@@ -247,7 +247,7 @@ def test_a_stop_on_the_approach_ends_it() -> None:
             plan.commands, machine, nullcontext(wire), desk, Kept(),  # type: ignore[arg-type]
             speed=0.0, again=again,
         )  # fmt: skip
-    assert ended is Ended.STOPPED
+    assert ended is RunEnd.STOPPED
     assert "operator" in why
     assert len([message for message in wire.sent if message.kind == "begin"]) == 1
     assert abs(int(wire.machine.position[1])) < abs(int(again.approach[-1][1]))

@@ -17,7 +17,7 @@ from tests.live.grbl_model import GrblModel
 from tests.live.test_grbl import MACHINE, patient, settings
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
-from threadline.files import Ended, tick_table
+from threadline.files import RunEnd, tick_table
 from threadline.files.formats import read_recording
 from threadline.live.continuing import continued_by
 from threadline.live.grbl_program import rest_of_program, written_program
@@ -238,7 +238,7 @@ def test_nothing_is_sent_until_somebody_confirms(answer: bool | None) -> None:
             again=again, confirmed=confirmed,
         )  # fmt: skip
     model.close()
-    assert ended == (Ended.STOPPED, "nobody has confirmed that it may go on")
+    assert ended == (RunEnd.STOPPED, "nobody has confirmed that it may go on")
     assert len(looks) >= 3
     assert b"$J" not in model.heard
     assert b"G1" not in model.heard

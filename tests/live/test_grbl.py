@@ -15,7 +15,7 @@ import pytest
 from tests.live.grbl_model import BLOCKS, GrblModel
 from threadline.cli.main import main
 from threadline.errors import CommandError, LinkFaultError, OptionError, PlanError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live import grbl_run
 from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_run import GrblRun
@@ -94,7 +94,7 @@ def test_a_program_is_run_whole_and_its_reports_are_a_recording() -> None:
             return False
 
         go_on(one, seen)
-        assert one.ended == (Ended.COMPLETED, "")
+        assert one.ended == (RunEnd.COMPLETED, "")
         assert one.state is State.IDLE
         assert not model.overflowed
         assert model.heard.count(b"G1 ") == 60
@@ -130,7 +130,7 @@ def test_a_hold_stands_on_the_path_and_goes_on_from_there() -> None:
         assert np.array_equal(model.at, held)
         desk.ask(Cause.RESUME)
         go_on(one)
-        assert one.ended == (Ended.COMPLETED, "")
+        assert one.ended == (RunEnd.COMPLETED, "")
         assert model.heard.count(b"G1 ") == 60
         assert [cause for *_, cause, _ in kept.log][-3:] == [
             Cause.HOLD, Cause.RESUME, Cause.COMPLETED,
@@ -149,7 +149,7 @@ def test_a_hold_of_the_controller_itself_is_one_of_the_run() -> None:
         assert b"~" not in model.heard
         desk.ask(Cause.RESUME)
         go_on(one)
-        assert one.ended == (Ended.COMPLETED, "")
+        assert one.ended == (RunEnd.COMPLETED, "")
 
 
 def test_a_stop_is_ahead_of_what_was_sent_and_drops_it() -> None:
@@ -160,7 +160,7 @@ def test_a_stop_is_ahead_of_what_was_sent_and_drops_it() -> None:
         for cause in (Cause.HOLD, Cause.RESUME, Cause.STOP, Cause.RESUME):
             desk.ask(cause)
         go_on(one)
-        assert one.ended == (Ended.STOPPED, "stopped by the operator")
+        assert one.ended == (RunEnd.STOPPED, "stopped by the operator")
         stood = model.at.copy()
         assert stood[0] < 60.0
         time.sleep(0.3)

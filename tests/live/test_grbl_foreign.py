@@ -14,7 +14,7 @@ import pytest
 from tests.live.grbl_model import GrblModel
 from tests.live.test_grbl import MACHINE, go_on, meeting, program, ready, settings
 from threadline.errors import CommandError, LinkFaultError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live import grbl_run
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_words import settings_of, status_of
@@ -164,7 +164,7 @@ def test_lines_that_were_taken_and_not_done_are_no_completed_run() -> None:
         ready(one, program("G1 A10 X20 F6000\n"))
         go_on(one)
         ended, text = one.ended or (None, "")
-        assert ended is Ended.FAULT
+        assert ended is RunEnd.FAULT
         assert "has received every line, and stands" in text
         assert one.state is State.FAULT
 
@@ -178,7 +178,7 @@ def test_a_controller_that_does_not_hold_is_reset() -> None:
         began = time.monotonic()
         go_on(one)
         assert time.monotonic() - began >= 2.0 * one.controller.brakes_s + grbl_run._HOLDS_S
-        assert one.ended is not None and one.ended[0] is Ended.FAULT
+        assert one.ended is not None and one.ended[0] is RunEnd.FAULT
         assert "told to hold, reports Run, and was reset" in one.ended[1]
         assert not model.blocks
 
@@ -187,5 +187,5 @@ def test_reports_of_too_few_axes_end_a_run() -> None:
     with meeting(Few(settings())) as (one, _, _):
         ready(one, program())
         go_on(one)
-        assert one.ended is not None and one.ended[0] is Ended.FAULT
+        assert one.ended is not None and one.ended[0] is RunEnd.FAULT
         assert one.ended[1].startswith("the controller reports 1 axes; the controller was silent")

@@ -14,7 +14,7 @@ from tests.live.test_grbl import EXAMPLES, MACHINE, START, go_on, meeting, progr
 from threadline.cli import operator_keys
 from threadline.cli.operator_keys import AtTheKeys
 from threadline.errors import CommandError, LinkFaultError, OptionError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live import grbl_controller, grbl_run
 from threadline.live import guards as lateness
 from threadline.live.grbl_run import GrblRun
@@ -72,7 +72,7 @@ def test_a_small_receive_buffer_is_not_overflowed() -> None:
     with meeting(model) as (one, _, _):
         ready(one, program())
         go_on(one)
-        assert one.ended == (Ended.COMPLETED, "")
+        assert one.ended == (RunEnd.COMPLETED, "")
         assert not model.overflowed
     with (
         meeting(GrblModel(settings(), characters=16)) as (one, _, _),
@@ -110,7 +110,7 @@ def test_a_state_in_which_no_run_goes_on_ends_it(state: str, says: str) -> None:
         model.state = state
         go_on(one)
         assert one.ended is not None
-        assert (one.ended[0], one.state) == (Ended.FAULT, State.FAULT)
+        assert (one.ended[0], one.state) == (RunEnd.FAULT, State.FAULT)
         assert says in one.ended[1]
         assert not model.blocks and bytes(model.heard).rstrip(b"?").endswith(b"\x18")
 
@@ -131,7 +131,7 @@ def test_a_door_is_told_and_nothing_goes_on_before_it_is_closed() -> None:
         go_on(one, lambda: "its safety door is closed again" in one.why)
         desk.ask(Cause.RESUME)
         go_on(one)
-        assert one.ended == (Ended.COMPLETED, "")
+        assert one.ended == (RunEnd.COMPLETED, "")
 
 
 def test_a_stop_at_an_open_door_ends_at_once() -> None:
@@ -143,7 +143,7 @@ def test_a_stop_at_an_open_door_ends_at_once() -> None:
         go_on(one, lambda: one.state is State.HOLDING)
         desk.ask(Cause.STOP)
         go_on(one)
-        assert one.ended == (Ended.STOPPED, "stopped by the operator")
+        assert one.ended == (RunEnd.STOPPED, "stopped by the operator")
 
 
 def test_its_own_button_lets_it_go_on() -> None:
@@ -155,7 +155,7 @@ def test_its_own_button_lets_it_go_on() -> None:
         go_on(one, lambda: one.state is State.HOLDING)
         model.state = "Run"
         go_on(one)
-        assert one.ended == (Ended.COMPLETED, "")
+        assert one.ended == (RunEnd.COMPLETED, "")
         assert "the controller goes on by itself" in [text for *_, text in kept.log]
 
 
@@ -226,7 +226,7 @@ def slept(one: GrblRun, model: GrblModel) -> bytes:
     heard = len(model.heard)
     go_on(one)
     assert one.ended is not None
-    assert one.ended[0] is Ended.FAULT
+    assert one.ended[0] is RunEnd.FAULT
     assert "this program did not run for" in one.ended[1]
     return bytes(model.heard)[heard:]
 
@@ -323,14 +323,14 @@ def test_a_run_is_repeated_by_an_approach(approach: bool) -> None:
     def stop(_: object) -> None:
         desk.ask(Cause.STOP)
 
-    def run() -> Ended:
+    def run() -> RunEnd:
         return link.run(
             plan, desk, Kept(), pass_stops=False, hold_at_rest=False, watch=stop
         )[0]  # fmt: skip
 
     try:
         if approach:
-            assert run() is Ended.STOPPED
+            assert run() is RunEnd.STOPPED
             assert b"$J=G21G90G53X" in model.heard
         else:
             with pytest.raises(CommandError, match="run --approach"):
@@ -373,7 +373,7 @@ def test_stops_of_the_program_are_passed_only_when_asked(passed: bool) -> None:
         ready(one, program(STOPS))
         if passed:
             go_on(one)
-            assert one.ended == (Ended.COMPLETED, "")
+            assert one.ended == (RunEnd.COMPLETED, "")
             assert model.heard.count(b"~") == 2
             return
         go_on(one, lambda: one.state is State.HOLDING)

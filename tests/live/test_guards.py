@@ -10,7 +10,7 @@ import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from threadline.errors import CommandError, LinkFaultError, OptionError
-from threadline.files import Ended, tick_table
+from threadline.files import RunEnd, tick_table
 from threadline.live.executor import Executor
 from threadline.live.guards import Guards
 from threadline.live.links import link_of
@@ -46,7 +46,7 @@ def test_a_fault_brakes_on_the_path(kind: str, where: str, said: str, within_tic
     bench.go_on()
     assert bench.executor.state is State.FAULT
     ended, text = bench.executor.ended or (None, "")
-    assert ended is Ended.FAULT
+    assert ended is RunEnd.FAULT
     assert said in text
     tripped = next(tick for tick, state, _, _ in bench.kept.log if state is State.FAULT)
     assert AT <= tripped <= AT + within_ticks + 5
@@ -127,7 +127,7 @@ def test_a_pressed_emergency_stop_is_told_and_nothing_starts_while_it_is() -> No
     bench.go_on()
     executor = bench.executor
     assert (executor.state, executor.ended) == (
-        State.FAULT, (Ended.FAULT, "the emergency stop is pressed"),
+        State.FAULT, (RunEnd.FAULT, "the emergency stop is pressed"),
     )  # fmt: skip
     assert AT <= executor.tick <= AT + 5
     events = [event for block in bench.kept.blocks for event in block.events]
@@ -146,7 +146,7 @@ def test_a_link_that_is_gone_is_a_fault_at_once(kind: str) -> None:
     bench = Bench(fault=SimFault(kind, AT)).ready()
     bench.executor.start(TABLE)
     bench.go_on()
-    assert bench.executor.ended == (Ended.FAULT, "the link is gone")
+    assert bench.executor.ended == (RunEnd.FAULT, "the link is gone")
     assert AT <= bench.executor.tick <= AT + 5
     events = [event for block in bench.kept.blocks for event in block.events]
     assert (events[-1].kind, events[-1].name) == ("fault", "the link is gone")
@@ -201,7 +201,7 @@ def test_a_drive_that_a_real_switch_cuts_is_a_fault() -> None:
     bench = Bench(other=near, same=True).ready()
     bench.executor.start(TABLE)
     bench.go_on()
-    assert bench.executor.ended == (Ended.FAULT, "the limit switch x_high is hit")
+    assert bench.executor.ended == (RunEnd.FAULT, "the limit switch x_high is hit")
     assert bench.channel("X.load").max() >= 0.02
     # The lag of 1.1 mm, a report of 0.9 mm and braking; the load coasts, for its drive is cut.
     assert bench.channel("X.commanded").max() <= 0.0235

@@ -30,7 +30,7 @@ from tests.live.test_pace import plan_ticks
 from threadline import machine as machine_package
 from threadline.cli.main import main
 from threadline.errors import LinkFaultError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live import hal_session
 from threadline.live.continuing import Continued
 from threadline.live.derived import rest_of_rows
@@ -143,7 +143,7 @@ def test_hold_resume_and_stop(tmp_path: Path) -> None:
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=True) as far:
         executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
-    assert executor.ended == (Ended.COMPLETED, "")
+    assert executor.ended == (RunEnd.COMPLETED, "")
     assert [state for _, state, _, _ in kept.log].count(State.HOLDING) == 1
     x, a = on_path(tmp_path / "box")
     assert x[-1] == 0.0
@@ -190,7 +190,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
         executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
-    assert executor.ended == (Ended.STOPPED, "stopped by the operator")
+    assert executor.ended == (RunEnd.STOPPED, "stopped by the operator")
     on_path(tmp_path / "box")
     # Asked for so late that its first tick was past, it came again, further ahead.
     assert executor._lead == LEAD_TICKS, "this computer slept"
@@ -212,7 +212,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
             table_of_counts(ROWS), winder(), nullcontext(link), desk, more, speed=1.0, again=again
         )
     refuse_slept(ended[:2])
-    assert ended[:2] == (Ended.COMPLETED, "")
+    assert ended[:2] == (RunEnd.COMPLETED, "")
     told = told_in(tmp_path / "rest", 3)[:, 1:]
     assert (told[-1] == ROWS.sum(axis=0)).all()
     there = int(np.flatnonzero((told == begins).all(axis=1))[0])
@@ -326,7 +326,7 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
     assert killed_it, executor.ended  # or HAL was kept off the processor before
     assert executor.state is State.FAULT
     assert executor.ended is not None
-    assert executor.ended[0] is Ended.FAULT
+    assert executor.ended[0] is RunEnd.FAULT
     assert "has stood still" in executor.ended[1]
     assert sum(len(block.samples["X.commanded"]) for block in kept.blocks) >= tick
 
@@ -348,7 +348,7 @@ def test_an_underrun_is_seen(tmp_path: Path) -> None:
             far.end, winder(), table_of_counts(ROWS), at_tick, may_stand_still=True
         )
     assert executor.ended == (
-        Ended.FAULT,
+        RunEnd.FAULT,
         "refills came too late: the machine has braked by itself",
     )
     on_path(tmp_path / "box")

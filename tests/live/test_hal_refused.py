@@ -12,7 +12,7 @@ from tests.live.bench import winder
 from tests.live.hal_bench import awake, hal_alone, left_samples, refuse_slept
 from tests.live.test_hal import winder_at_1_ms
 from threadline.errors import LinkFaultError, OptionError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live.hal_link import check_hal
 from threadline.live.hal_session import HalSession
 from threadline.live.links import link_of
@@ -71,13 +71,13 @@ def test_a_run_for_which_nobody_had_the_processor_is_begun_again() -> None:
     begun = []
 
     @awake
-    def once(ended: Ended) -> None:
+    def once(ended: RunEnd) -> None:
         begun.append(ended)
         if len(begun) == 1:
             refuse_slept((ended, reason))
         assert len(begun) == 2
 
-    once(Ended.FAULT)
+    once(RunEnd.FAULT)
     begun.clear()
     with pytest.raises(AssertionError):
-        once(Ended.STOPPED)
+        once(RunEnd.STOPPED)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.live.bench import Bench, winder
 from threadline.commands.plan import Plan
-from threadline.files import Ended, Recording, Stream
+from threadline.files import Recording, RunEnd, Stream
 from threadline.files.formats import read_recording, write_recording
 from threadline.jobs import read_job
 from threadline.live.states import Cause, State
@@ -50,7 +50,7 @@ def held(plan: Plan) -> Recording:
                 bench.executor.step()  # up to the stop of the program, and on
             bench.desk.ask(Cause.RESUME)
     bench.go_on()
-    assert bench.executor.ended == (Ended.COMPLETED, "")
+    assert bench.executor.ended == (RunEnd.COMPLETED, "")
     return bench.kept.recording(plan)
 
 

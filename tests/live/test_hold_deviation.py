@@ -10,7 +10,7 @@ import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back
 from threadline.commands.plan import Plan
-from threadline.files import Ended, Stream, TickBlock, tick_table
+from threadline.files import RunEnd, Stream, TickBlock, tick_table
 from threadline.live.braking import MOST_PLACES, CountLimits, brake
 from threadline.live.hold_deviation import (
     hold_ahead_m,
@@ -92,7 +92,7 @@ def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
     assert np.array_equal(counts[1 : len(half) + 1], half)
     bench.desk.ask(Cause.RESUME)
     bench.go_on()
-    assert bench.executor.ended == (Ended.COMPLETED, "")
+    assert bench.executor.ended == (RunEnd.COMPLETED, "")
     assert bench.commanded()[-1].tolist() == rows.sum(axis=0).tolist()
 
 
@@ -108,7 +108,7 @@ def test_a_hold_in_a_rest_stands_there() -> None:
     assert bench.executor.state is State.HOLDING
     bench.desk.ask(Cause.RESUME)
     bench.go_on()
-    assert bench.executor.ended == (Ended.COMPLETED, "")
+    assert bench.executor.ended == (RunEnd.COMPLETED, "")
     assert bench.commanded()[-1].tolist() == rows.sum(axis=0).tolist()
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.live.bench import Bench, Wire, table_of_counts, there_and_back, winder
 from tests.live.kill_bench import child
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live import sim_process
 from threadline.live.executor import Executor
 from threadline.live.states import Cause, Desk, Kept, State
@@ -95,7 +95,7 @@ def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
     ended, text, _ = run_commands(
         table_of_counts(ROWS), winder(), link(), desk, kept, speed=0.0  # type: ignore[arg-type]
     )  # fmt: skip
-    assert (ended, text) == (Ended.STOPPED, "stopped by the operator while it homed")
+    assert (ended, text) == (RunEnd.STOPPED, "stopped by the operator while it homed")
     assert sent == ["enable", "home", "stop-home", "leave"]
     desk.close()
 
@@ -125,13 +125,13 @@ def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
         assert bench.executor.state is State.HOLDING
         bench.desk.ask(Cause.RESUME)
         bench.go_on()
-        assert bench.executor.ended == (Ended.COMPLETED, "")
+        assert bench.executor.ended == (RunEnd.COMPLETED, "")
         told = bench.commanded()
         assert np.array_equal(told[-1], ROWS.sum(axis=0))  # no row is left out
         assert (told[100:110] == told[100]).all()
     else:
         bench.go_on()
-        assert bench.executor.ended == (Ended.STOPPED, "stopped by the operator")
+        assert bench.executor.ended == (RunEnd.STOPPED, "stopped by the operator")
         told = bench.commanded()
         still = np.flatnonzero((np.diff(told, axis=0) == 0).all(axis=1))
         after = still[still > 60][0]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from threadline.errors import CommandError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live.braking import CountLimits
 from threadline.live.executor import Executor
 from threadline.live.jogging import JogAhead, manual_feed
@@ -242,7 +242,7 @@ def test_who_lets_go_twice_has_let_go(tick: int, between: bool) -> None:
     executor.let_go()
     bench.go_on()
     assert executor.state is State.IDLE
-    assert executor.ended == (Ended.COMPLETED, "")
+    assert executor.ended == (RunEnd.COMPLETED, "")
     assert bench.wire.machine.position[1] * MM <= 1e3 * FAST * 0.005 * (tick + 10) + 0.5
 
 
@@ -264,4 +264,4 @@ def test_a_first_motion_to_where_it_stands_ends_in_real_time(how: str) -> None:
             assert time.monotonic() < ends, executor.state
             desk.ask(Cause.HOLD)  # impossible now; it wakes the executor, which waits for reports
             executor.step()
-        assert (executor.state, executor.ended) == (State.IDLE, (Ended.COMPLETED, ""))
+        assert (executor.state, executor.ended) == (State.IDLE, (RunEnd.COMPLETED, ""))

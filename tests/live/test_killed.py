@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import table_of_counts, there_and_back, winder
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live import sim_process
 from threadline.live.executor import Executor
 from threadline.live.sim_kinds import SimRows
@@ -152,7 +152,7 @@ def test_kill_the_machines_process(tick: int) -> None:
     )
     os.waitpid(machine, 0)
     ours.close()
-    assert executor.ended == (Ended.FAULT, "the link is gone")
+    assert executor.ended == (RunEnd.FAULT, "the link is gone")
     assert executor.state is State.FAULT
     recorded = np.concatenate([block.samples["X.measured"] for block in kept.blocks])
     assert len(recorded) == executor.tick >= tick

@@ -18,7 +18,7 @@ import pytest
 from tests.live.grbl_model import BLOCKS, GrblModel
 from tests.live.kill_bench import beside, case, child, kill_executor, kill_machine
 from tests.live.test_grbl import MACHINE, START, program, settings
-from threadline.files import Ended, played, tick_table
+from threadline.files import RunEnd, played, tick_table
 from threadline.live import grbl_run
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_run import GrblRun
@@ -127,7 +127,7 @@ def test_kill_the_machines_process(name: str, k: int) -> None:
     """The executor says so at once, in the state of a fault, with all that it was told."""
     tick = some_ticks(name)[k]
     executor, kept = kill_machine(case(name), tick)
-    assert executor.ended == (Ended.FAULT, "the link is gone")
+    assert executor.ended == (RunEnd.FAULT, "the link is gone")
     assert executor.state is State.FAULT
     assert executor.tick >= tick
     assert sum(len(next(iter(block.samples.values()))) for block in kept.blocks) >= tick

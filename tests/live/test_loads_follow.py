@@ -14,7 +14,7 @@ from tests.made import read_once
 from threadline.commands.plan import Plan
 from threadline.dynamics.analysis import fastest
 from threadline.errors import LimitError
-from threadline.files import Ended, Stream, TickBlock, TickTable, tick_table
+from threadline.files import RunEnd, Stream, TickBlock, TickTable, tick_table
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import SimLink
 from threadline.live.states import Desk, Kept
@@ -39,7 +39,7 @@ def fastest_row(plan: Plan) -> float:
 
 
 @pytest.mark.usefixtures("forked_machine")
-def test_a_seam_at_71_stitches_a_second_runs_as_it_was_proved() -> None:
+def test_a_seam_at_67_stitches_a_second_runs_as_it_was_proved() -> None:
     """Its rows ask for twice what the loads may do; they do it, to the bit, and are judged so."""
     plan = planned()
     machine = plan.machine
@@ -51,7 +51,7 @@ def test_a_seam_at_71_stitches_a_second_runs_as_it_was_proved() -> None:
         ended, why = SimLink(0.0, None).run(
             plan, desk, kept, pass_stops=False, hold_at_rest=True, watch=lambda _: None
         )
-    assert (ended, why) == (Ended.COMPLETED, "")
+    assert (ended, why) == (RunEnd.COMPLETED, "")
     proved, ran = read_once(simulate(plan.commands, machine)), read_once(kept.recording(plan))
     assert proved.channels == ran.channels
     for channel in proved.channels:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back
-from threadline.files import Clock, Ended, RecordingBlock
+from threadline.files import Clock, RecordingBlock, RunEnd
 from threadline.live.pace import Pace
 from threadline.live.states import Cause
 from threadline.machine import load_machine
@@ -49,7 +49,7 @@ def test_the_axes_are_told_where_the_table_is_at_the_plans_time(seed: int) -> No
     wanted = [np.interp(along, np.arange(len(PLACES)), PLACES[:, k]) for k in range(3)]
     assert np.abs(counts - np.stack(wanted, axis=1)).max() <= 0.5 + 1e-6
     assert (np.diff(ticks) >= 0.0).all()
-    if bench.executor.ended == (Ended.COMPLETED, ""):
+    if bench.executor.ended == (RunEnd.COMPLETED, ""):
         assert ticks[-1] == round(ticks[-1])  # on whole rows again
 
 

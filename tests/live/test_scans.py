@@ -15,7 +15,7 @@ from tests.made import read_once
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LimitError
-from threadline.files import Ended, Recording, switch_schedule
+from threadline.files import Recording, RunEnd, switch_schedule
 from threadline.files.formats import read_recording
 from threadline.live.sim_machine import SimFault, parse_fault
 from threadline.live.states import Cause, State
@@ -68,7 +68,7 @@ def outputs(made: Bench) -> np.ndarray:
 def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
     made = bench()
     made.go_on()
-    assert made.executor.ended == (Ended.COMPLETED, "")
+    assert made.executor.ended == (RunEnd.COMPLETED, "")
     for channel in simulated().channels:
         assert np.array_equal(made.channel(channel.name), simulated().samples(channel.name)[1])
     told = [event for block in made.kept.blocks for event in block.events]
@@ -83,7 +83,7 @@ def test_a_stop_switches_everything_off_at_the_next_scan(scan: int) -> None:
     for cause in (Cause.HOLD, Cause.RESUME, Cause.STOP, Cause.RESUME):
         made.desk.ask(cause)
     made.go_on()
-    assert made.executor.ended == (Ended.STOPPED, "stopped by the operator")
+    assert made.executor.ended == (RunEnd.STOPPED, "stopped by the operator")
     on = outputs(made).any(axis=1)
     assert on[10 * at - 1]
     assert not on[10 * at :].any()
@@ -108,7 +108,7 @@ def test_a_hold_stands_at_the_next_rest_with_the_letter_held(scan: int) -> None:
     assert (on == {"soft-start", "vacuum"}) == (238 < scan < 557)
     made.desk.ask(Cause.RESUME)
     made.go_on()
-    assert made.executor.ended == (Ended.COMPLETED, "")
+    assert made.executor.ended == (RunEnd.COMPLETED, "")
     # Every switching of the schedule comes once and in its order: it was only later.
     switched = outputs(made)
     whole = np.stack([simulated().samples(name)[1] for name in placer().outputs], axis=1)
@@ -134,7 +134,7 @@ def test_a_hold_lasts_longer_than_a_wait_may() -> None:
     assert made.executor.state is State.HOLDING
     made.desk.ask(Cause.STOP)
     made.go_on()
-    assert made.executor.ended == (Ended.STOPPED, "stopped by the operator")
+    assert made.executor.ended == (RunEnd.STOPPED, "stopped by the operator")
 
 
 @pytest.mark.parametrize("scan", [20, 160, ACROSS, 600])
@@ -171,7 +171,7 @@ def test_a_wait_without_its_contact_is_a_fault() -> None:
     made.executor.start(planned().commands, hold_at_rest=True)
     made.go_on()
     ended, text = made.executor.ended or (None, "")
-    assert (made.executor.state, ended) == (State.FAULT, Ended.FAULT)
+    assert (made.executor.state, ended) == (State.FAULT, RunEnd.FAULT)
     assert "the input 'x_is_right' did not become on within 60 s" in text
     assert not outputs(made)[-500:].any()
 
@@ -193,7 +193,7 @@ def test_a_fault_switches_everything_off(told: str, said: str) -> None:
     made = bench(fault)
     made.go_on()
     ended, text = made.executor.ended or (None, "")
-    assert (made.executor.state, ended) == (State.FAULT, Ended.FAULT)
+    assert (made.executor.state, ended) == (State.FAULT, RunEnd.FAULT)
     assert said in text
     tripped = next(tick for tick, state, _, _ in made.kept.log if state is State.FAULT)
     assert not outputs(made)[10 * tripped :].any()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from tests.made import read_once
-from threadline.files import ChannelKind, Ended, Recording
+from threadline.files import ChannelKind, Recording, RunEnd
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import PathWindow
 from threadline.live.states import Cause, State
@@ -38,7 +38,7 @@ def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
     bench.go_on()
     expected = read_once(simulate(table, winder()))
     assert bench.executor.state is State.IDLE
-    assert bench.executor.ended == (Ended.COMPLETED, "")
+    assert bench.executor.ended == (RunEnd.COMPLETED, "")
     for channel in expected.channels:
         assert np.array_equal(bench.channel(channel.name), expected.samples(channel.name)[1])
     told = [event for block in bench.kept.blocks for event in block.events]
@@ -136,7 +136,7 @@ def test_hold_and_resume_skip_no_row_and_repeat_none(ticks: list[int], early: bo
         bench.executor.obey()
         assert not held or bench.executor.state is State.RUNNING
     bench.go_on()
-    assert bench.executor.ended == (Ended.COMPLETED, "")
+    assert bench.executor.ended == (RunEnd.COMPLETED, "")
     counts = bench.commanded()
     assert counts[-1].tolist() == ROWS.sum(axis=0).tolist()
     # A never turns back in this table: a row that was repeated or skipped would show in it.
@@ -157,7 +157,7 @@ def test_a_stop_is_ahead_of_what_is_held_and_what_was_asked(tick: int) -> None:
         bench.desk.ask(cause)
     bench.go_on()
     assert bench.executor.state is State.IDLE
-    assert bench.executor.ended == (Ended.STOPPED, "stopped by the operator")
+    assert bench.executor.ended == (RunEnd.STOPPED, "stopped by the operator")
     counts = bench.commanded()
     # It does not play the 20 rows that were held: 4 ticks at 10 counts brake within the limits.
     assert counts[-1, 0] - counts[min(at, len(counts) - 1), 0] <= 4 * 10
@@ -182,4 +182,4 @@ def test_a_recording_of_a_stop_says_so() -> None:
     )
     assert recording.find(ChannelKind.LOAD, "X") is not None
     outcome = recording.outcome()
-    assert (outcome.ended, outcome.text) == (Ended.STOPPED, "stopped by the operator")
+    assert (outcome.ended, outcome.text) == (RunEnd.STOPPED, "stopped by the operator")

@@ -15,7 +15,7 @@ from tests.made import read_once
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import LimitError
-from threadline.files import Ended, Event, Recording, StepPlay, StitchBlock, Stream, played
+from threadline.files import Event, Recording, RunEnd, StepPlay, StitchBlock, Stream, played
 from threadline.files.formats import read_recording
 from threadline.live.sim_machine import SimFault
 from threadline.live.states import Cause, State
@@ -77,7 +77,7 @@ def commanded(made: Bench) -> np.ndarray:
 def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
     made = bench()
     made.go_on()
-    assert made.executor.ended == (Ended.COMPLETED, "")
+    assert made.executor.ended == (RunEnd.COMPLETED, "")
     for channel in simulated().channels:
         expected = simulated().samples(channel.name)[1]
         assert np.array_equal(made.channel(channel.name), expected), channel.name
@@ -92,7 +92,7 @@ def test_a_stop_lets_the_turn_under_way_end_and_no_more(tick: int) -> None:
     at = made.executor.tick
     made.desk.ask(Cause.STOP)
     made.go_on()
-    assert made.executor.ended == (Ended.STOPPED, "stopped by the operator")
+    assert made.executor.ended == (RunEnd.STOPPED, "stopped by the operator")
     assert made.executor.state is State.IDLE
     places = commanded(made)
     moved = np.flatnonzero(np.diff(places, axis=0).any(axis=1))
@@ -113,7 +113,7 @@ def test_hold_and_resume_sew_every_stitch_once(ticks: list[int]) -> None:
         assert not np.diff(commanded(made)[-500:], axis=0).any()
         made.desk.ask(Cause.RESUME)
     made.go_on()
-    assert made.executor.ended == (Ended.COMPLETED, "")
+    assert made.executor.ended == (RunEnd.COMPLETED, "")
     # The same steps in the same order: the places between them, each once.
     whole = np.stack([simulated().samples(f"{n}.commanded")[1] for n in "XY"], axis=1)
     ends = [places[-1] for places in (commanded(made), whole)]
@@ -145,7 +145,7 @@ def test_a_fault_ends_it(kind: str) -> None:
     made = bench(SimFault(kind, 1000))
     made.go_on()
     assert made.executor.state is State.FAULT
-    assert (made.executor.ended or (None,))[0] is Ended.FAULT
+    assert (made.executor.ended or (None,))[0] is RunEnd.FAULT
 
 
 def test_turns_beyond_the_travel_are_never_sent() -> None:

@@ -38,6 +38,10 @@ PARTS = {
     "`[path]`": ("path",),
     "`[inputs.NAME]`": ("inputs.x",),
     "`[tool]`": ("tool",),
+    "`turn` to `roll` of an eye": tuple(
+        f"tool.{part}" for part in ("turn", "along", "across", "up", "yaw", "roll")
+    ),
+    "`payout` of an eye": ("tool.payout",),
     "`[tolerances]`": ("tolerances",),
     "`[guide]`": ("guide",),
     "`[guide.connectors.NAME]`": ("guide.connectors.x",),

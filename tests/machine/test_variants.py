@@ -6,7 +6,6 @@ import re
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from threadline.dynamics.prescribed import prescribed
 from threadline.errors import MachineError, OptionError
@@ -54,6 +53,8 @@ def test_a_variant_depends_on_seed_and_index_alone(machine) -> None:
 
 def test_distributions_are_what_the_file_says(machine) -> None:
     """Uniform on the interval; normal with two standard deviations in it, cut off at three."""
+    from scipy import stats
+
     parts = drawn(machine, 1, np.arange(20_000))
     for column, number in zip(parts.T, uncertain(machine), strict=True):
         expected = stats.truncnorm(-3, 3, scale=0.5) if number.normal else stats.uniform(-1.0, 2.0)

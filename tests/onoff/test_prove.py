@@ -19,7 +19,7 @@ from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, plan_job
-from threadline.report.switching import shaping_rows
+from threadline.report.lines import shaping_rows
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 from threadline.verdict import Status, judge, load_spec, verdict_json
 

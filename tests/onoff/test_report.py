@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.intents import Scheduled, ScheduledMove
 from threadline.commands.plc_watch import home_places
-from threadline.commands.schedule import Scheduled, ScheduledMove, compile_schedule
+from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
 from threadline.dynamics.pneumatic import flow_mode, step_ringing
 from threadline.jobs import read_job
@@ -18,7 +19,7 @@ from threadline.machine import load_machine
 from threadline.motion.shaping import FlexibleMode
 from threadline.proof.options import Options
 from threadline.proof.pipeline import prove
-from threadline.report import write_report
+from threadline.report.proof import write_report
 from threadline.report.style import figure_style
 from threadline.report.switching import break_figure, petri_figures
 from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.intents import Scheduled
 from threadline.commands.plc_net import petri_net
-from threadline.commands.schedule import Scheduled, compile_schedule
+from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
 from threadline.dynamics.pneumatic import step_ringing
 from threadline.errors import JobError, PlanError, RecordingError

@@ -11,7 +11,7 @@ from threadline.machine import load_machine
 from threadline.panel.calculating import circuits_and_points
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
-from threadline.report.motion import count_circuits
+from threadline.report.lines import count_circuits
 
 MACHINE = load_machine("lathe-winder")
 

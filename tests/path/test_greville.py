@@ -132,6 +132,7 @@ def test_no_bound_of_a_path_with_its_points_is_above_the_tolerance(seed):
             operation=np.arange(count),
             line=np.arange(count),
             beside_m=np.zeros(count),
+            more_m=np.zeros(count),
         )
         knots = control_polygon(
             vertices, length, turn, cut_m, 0, count - 1, QUARTIC, begins=True, ends=True
@@ -254,7 +255,7 @@ def test_no_vertex_with_one_knot_is_cut_by_more_than_the_tolerance(seed):
         assert strayed <= cut_m * (1.0 + 1e-9)
         length, turn = turns(points, np.ones(2))
         spacing, none = np.empty((2, len(points))), np.zeros(len(points))
-        quartic_spacing(length, turn, cut_m, none, 0, len(length), spacing)
+        quartic_spacing(length, turn, np.full(len(turn), cut_m), none, 0, len(length), spacing)
         single += int(((spacing[0] == 0.0) != (spacing[1] == 0.0)).sum())
         np.testing.assert_array_equal(c, pieces(points, cut_m, block=1 + number % 5))
     assert single > 5

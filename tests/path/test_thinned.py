@@ -16,7 +16,7 @@ from threadline.motion.path.polygon import turns
 from threadline.motion.path.runs import runs
 from threadline.motion.path.thinned import SHARES, Thinner
 from threadline.motion.path.types import ProgrammedPath, VertexBlock
-from threadline.motion.timing import retime
+from threadline.motion.timing.retime import retime
 
 CUT_M = 1e-4
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import StateSpace, lsim
 from tools import claims
 
 from threadline.machine.load import load_machine
@@ -16,6 +15,8 @@ PRINTED_MM = {"X": (1.68, 1.80), "Y": (1.25, 1.35)}
 
 def driven_belt(axis: str) -> float:
     """Return the overshoot in mm of a load whose motor follows exactly: scipy, by hand."""
+    from scipy.signal import StateSpace, lsim
+
     k, m, c = (6.24e5, 111.0, 3330.0) if axis == "X" else (1e6, 70.0, 2080.0)
     frame = 0.0 if axis == "X" else 1.0
     rows = [

@@ -18,7 +18,7 @@ from threadline.machine import load_machine
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, Trials, prove
-from threadline.report import write_report
+from threadline.report.proof import write_report
 from threadline.search.studied import studied
 from threadline.units import parse_quantity
 from threadline.verdict import load_spec, verdict_json

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 
 from tests.targets.makers import job_of, polynomials, winder
 
-from threadline.commands import compile_ticks
+from threadline.commands.ticks import compile_ticks
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Move, Source
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
-from threadline.report.motion import count_circuits
+from threadline.report.lines import count_circuits
 
 FEED = Feed(FeedMode.RAPID, 0.0)
 

@@ -88,7 +88,9 @@ def test_a_plan_whose_neighbour_fails_is_not_the_answer(
     job = read_job(examples / "x-180.prg", machine)
     tried: list[float] = []
 
-    def chancy(plan: Plan, spec: Spec, trials: Trials, actual: Machine | None) -> SimpleNamespace:
+    def chancy(
+        plan: Plan, spec: Spec, trials: Trials, actual: Machine | None, *_: object
+    ) -> SimpleNamespace:
         allowed = tried[-1]
         good = allowed <= 0.402e-3 or 0.409e-3 <= allowed <= 0.411e-3
         status = Status.PASSED if good else Status.FAILED
@@ -108,7 +110,7 @@ def test_a_plan_whose_neighbour_fails_is_not_the_answer(
 
     monkeypatch.setattr(allowance, "plan_job", planned)
     monkeypatch.setattr(paced, "try_plan", chancy)
-    monkeypatch.setattr(allowance, "_bounds", lambda *_: ())
+    monkeypatch.setattr(allowance, "bounds_of", lambda *_: ())
     monkeypatch.setattr(allowance, "_next_contour", next_of([0.41e-3, 0.42e-3, 0.39e-3]))
     result = allowance.fastest_allowed(
         Question(job=job, machine=machine, spec=load_spec(None, machine), options=OPTIMAL)

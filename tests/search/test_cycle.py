@@ -12,7 +12,7 @@ import pytest
 from tests.search.test_switched_commands import SCAN_S
 
 from threadline.cli.main import main
-from threadline.commands.schedule import Scheduled
+from threadline.commands.intents import Scheduled
 from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Move

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from threadline.cli import design as command
-from threadline.dynamics import design_lead
+from threadline.dynamics.lead import design_lead
 from threadline.dynamics.loop import axis_loop
 from threadline.dynamics.margins import loop_margins
 from threadline.dynamics.values import Values
@@ -22,9 +22,9 @@ from threadline.machine.tables import Design, DesignParameter, DesignSettings
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, check_loops, plan_job, prove_plan
 from threadline.search.design import DesignResult, Wanted, design, with_delay
-from threadline.search.design_evaluate import Effort, Evaluator, design_gains
+from threadline.search.design_evaluate import Effort, Evaluator, Tried, design_gains
 from threadline.search.design_judge import OtherRuns, design_judge
-from threadline.search.design_search import with_settings
+from threadline.search.design_search import cheapest_by_planes, with_settings
 from threadline.search.design_space import design_space
 from threadline.verdict import Spec, load_spec
 from threadline.verdict.types import Level
@@ -324,3 +324,51 @@ def test_where_settings_are_enough_the_margin_decides(
     assert result.found.candidate.cost == 0.0
     assert result.found.candidate.ratio <= 1.1 * result.as_built.ratio
     assert result.nearest.ratio == result.as_built.ratio < 0.9
+
+
+def test_with_feed_forward_smoothing_and_ramps_are_searched() -> None:
+    """A point has the smoothing width and the share of the acceleration behind its factors."""
+    machine = load_machine("stitcher")
+    space = design_space(machine, (0.020, 0.030, 0.022))
+    assert machine.design is not None
+    assert np.exp(space.low[-2]) == pytest.approx(0.020)
+    assert np.exp(space.high[-2]) == pytest.approx(0.030)
+    assert (space.low[-1], space.high[-1]) == (pytest.approx(0.2574), pytest.approx(1.0))
+    assert not space.designs_gains
+    point = np.append(np.zeros(space.parameters), [np.log(0.0265), 0.7])
+    assert space.smoothing_s(point) == pytest.approx(0.0265)
+    assert space.share(point, 0) == 0.7
+    assert space.cost(point[None])[0] == 0.0
+    evaluator = Evaluator(
+        space, lambda _: read_job(PLACE.with_name("stitcher-75.seam.toml"), machine),
+        load_spec(None, machine), Options(),
+    )  # fmt: skip
+    assert evaluator.options_at(point).feed_forward_s == pytest.approx(0.0265)
+    (one,) = design_space(machine, (0.024,)).low[-2:-1]
+    assert np.exp(one) == pytest.approx(0.024)
+
+
+def test_planes_find_the_cheapest_trade() -> None:
+    """A share of 1.6 - 0.5 a - 0.2 b - 0.3 c at weights 1, 1 and 2: a alone, 1.2, is the cheapest.
+
+    No move of one number, or of all in proportion, comes to it from where b and c do the work.
+    """
+    space = design_space(load_machine("stitcher"), (0.02, 0.03))
+    random = np.random.default_rng(1)
+    names = list(space.names)
+    a, b, c = (names.index(name) for name in ("belt", "current", "friction"))
+    points = space.low + (space.high - space.low) * random.random((60, len(space.low)))
+    points[:, a] = 0.6 * random.random(60)
+    points[:, b] = 0.5 + 0.3 * random.random(60)
+    points[:, c] = -0.4 - 0.2 * random.random(60)
+    slopes = np.zeros(len(space.low))
+    slopes[[a, b, c]] = 0.5, 0.2, -0.3
+    tried = Tried(
+        points=points, level=np.zeros(60, dtype=np.int64), ratio=1.6 - points @ slopes,
+        nominal=1.6 - points @ slopes, delay=np.zeros(60, dtype=np.int64), binding=("x",) * 60,
+    )  # fmt: skip
+    steps, level = cheapest_by_planes(space, tried, np.arange(3), 1.0, 1.0)
+    cost = space.cost(steps)
+    assert (level == 0).all()
+    assert cost.min() == pytest.approx(1.2, abs=1e-3)
+    assert np.exp(steps[np.argmin(cost), a]) == pytest.approx(np.exp(1.2), rel=1e-3)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binom, sobol_indices, uniform
 
 from threadline.search.influence import influence
 from threadline.verdict.each_run import clopper_pearson
@@ -13,6 +12,8 @@ from threadline.verdict.each_run import clopper_pearson
 @pytest.mark.parametrize(("passed", "tried"), [(1, 10), (37, 50), (9_990, 10_000)])
 def test_the_interval_leaves_each_tail_its_share(passed: int, tried: int) -> None:
     """Against the binomial distribution itself: 2.5 % at either end."""
+    from scipy.stats import binom
+
     low, high = clopper_pearson(passed, tried)
     assert binom.sf(passed - 1, tried, low) == pytest.approx(0.025, rel=1e-9)
     assert binom.cdf(passed, tried, high) == pytest.approx(0.025, rel=1e-9)
@@ -81,6 +82,7 @@ def test_a_normal_number_is_cut_off_at_three_deviations() -> None:
 
 def test_shares_are_those_of_scipy() -> None:
     """Its own estimates, of samples of the same seed."""
+    from scipy.stats import sobol_indices, uniform
 
     def bowl(parts: np.ndarray) -> np.ndarray:
         return parts[:, 0] ** 2 + parts[:, 0] * parts[:, 1] + 0.3 * parts[:, 2]

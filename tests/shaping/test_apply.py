@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from tests.made import Made
 from tests.shaping.pieces import MACHINE, MODE, made, random_pieces, rest_to_rest
 
-from threadline.commands import compile_ticks
+from threadline.commands.ticks import compile_ticks
 from threadline.errors import LimitError
 from threadline.jobs import read_job
 from threadline.motion.path import plan_path, programmed_path

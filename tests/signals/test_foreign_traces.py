@@ -10,7 +10,8 @@ import pytest
 
 from threadline.errors import RecordingError
 from threadline.files import ChannelKind, Clock
-from threadline.files.formats import read_recording, write_plt, write_recording
+from threadline.files.formats import read_recording, write_recording
+from threadline.files.formats.plt import write_plt
 
 from .makers import recording_of
 

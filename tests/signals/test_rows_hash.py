@@ -17,7 +17,9 @@ from hypothesis import strategies as st
 from tests.signals.makers import table_of, tables
 from threadline.errors import RecordingError
 from threadline.files import Clock, Event, SwitchSchedule, TickTable
-from threadline.files.formats import read_table, write_array, write_table_csv, write_table_npz
+from threadline.files.formats import read_table
+from threadline.files.formats.tick_table import write_table_csv, write_table_npz
+from threadline.files.formats.trajectory_array import write_array
 
 WRITERS = {"csv": write_table_csv, "npz": write_table_npz, "ticks": write_array}
 

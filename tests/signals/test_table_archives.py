@@ -13,12 +13,8 @@ import pytest
 
 from threadline.errors import RecordingError
 from threadline.files import Event
-from threadline.files.formats import (
-    read_recording,
-    read_table_npz,
-    write_recording,
-    write_table_npz,
-)
+from threadline.files.formats import read_recording, write_recording
+from threadline.files.formats.tick_table import read_table_npz, write_table_npz
 
 from .makers import content, recording_of, table_of
 

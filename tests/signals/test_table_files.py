@@ -13,15 +13,10 @@ from hypothesis import given
 from tests.made import Made
 from threadline.errors import RecordingError
 from threadline.files import Event, Stream, TickBlock, TickTable
-from threadline.files.formats import (
-    read_array,
-    read_table,
-    read_table_csv,
-    read_table_npz,
-    write_array,
-    write_table_csv,
-    write_table_npz,
-)
+from threadline.files.formats import read_table
+from threadline.files.formats.table_text import read_table_csv
+from threadline.files.formats.tick_table import read_table_npz, write_table_csv, write_table_npz
+from threadline.files.formats.trajectory_array import read_array, write_array
 
 from .makers import content, table_of, tables
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from time import process_time
 
 import numpy as np
+import pystitch
 import pytest
 
 from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
@@ -27,7 +29,7 @@ from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import REPEATED, open_job, plan_job, prove
-from threadline.report.stitched import stitch_rows
+from threadline.report.lines import stitch_rows, thread_m
 from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")
@@ -320,6 +322,17 @@ def test_what_is_said_beside_a_plan_is_true_of_a_plan_of_one_speed(examples: Pat
     assert slowest == pytest.approx(60.0 * pace.share / longest, rel=2e-3)
     assert "every window" in rows["Slowest stitch"] and "no plan" in rows["Each stitch alone"]
     assert "At one speed" not in rows
+
+
+def test_the_thread_of_a_design_is_the_length_of_its_stitches(examples: Path) -> None:
+    """As the holes that pystitch reads lie apart."""
+    read = pystitch.read(str(examples / "rosette.dst")).stitches
+    holes = [(x, y) for x, y, command in read if command & 0xFF == pystitch.STITCH]
+    total = sum(math.dist(one, two) for one, two in pairwise(holes))
+    job = read_job(examples / "rosette.dst", MACHINE)
+    plan = plan_job(job, MACHINE, replace(Options(), feed=parse_feed("150 stitch/min")))
+    assert thread_m(plan) == pytest.approx(1e-4 * total, rel=1e-6)
+    assert f"{thread_m(plan):.4g} m on the upper side" in dict(stitch_rows(plan))["Thread"]
 
 
 @pytest.mark.parametrize("feed", ["200 stitch/min", "9 stitch/min"])

@@ -18,7 +18,7 @@ from threadline.machine import load_machine
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, plan_job, prove
-from threadline.report import write_report
+from threadline.report.proof import write_report
 from threadline.report.stitched import design_figure
 from threadline.search.studied import studied
 from threadline.verdict import Status, judge, load_spec

@@ -21,7 +21,7 @@ from mcap.writer import Writer
 
 from tests.live.bench import table_of_counts, there_and_back, winder
 from threadline.errors import RecordingError
-from threadline.files import Ended, Recording, Stream
+from threadline.files import Recording, RunEnd, Stream
 from threadline.files.formats import read_recording, write_recording
 from threadline.files.formats.recording_mcap import BROKEN_OFF, TraceWriter
 from threadline.twin import simulate
@@ -69,7 +69,7 @@ def test_nothing_is_lost(recording: Recording, tmp_path: Path) -> None:
         ):
             assert np.array_equal(ours, theirs)
     assert [b.events for b in found] == [b.events for b in recording]
-    assert found.outcome().ended is Ended.COMPLETED
+    assert found.outcome().ended is RunEnd.COMPLETED
 
 
 def test_the_peers_reader_reads_it(recording: Recording) -> None:
@@ -102,7 +102,7 @@ def test_what_a_crash_leaves(
         if ours is not blocks[-1]:
             assert np.array_equal(ours.samples["X.load"], theirs.samples["X.load"])
     assert blocks[-1].events[-1].name == BROKEN_OFF
-    assert found.outcome().ended is Ended.FAULT
+    assert found.outcome().ended is RunEnd.FAULT
 
 
 def figures(path: Path) -> tuple[object, ...]:
@@ -238,7 +238,7 @@ def test_what_another_tool_has_packed_is_read(
     path.write_bytes(packed(recording, compression, -1))
     found = read_recording(path)
     assert np.array_equal(found.samples("X.load")[1], recording.samples("X.load")[1])
-    assert found.outcome().ended is Ended.COMPLETED
+    assert found.outcome().ended is RunEnd.COMPLETED
 
 
 @pytest.mark.parametrize("compression", ["", "lz4", "zstd"])

@@ -21,7 +21,7 @@ from threadline import __version__
 from threadline.cli.main import main
 from threadline.cli.runs_ import listed
 from threadline.errors import CommandError, LinkFaultError, StoreError
-from threadline.files import Ended, Event, RecordingBlock
+from threadline.files import Event, RecordingBlock, RunEnd
 from threadline.files.formats import read_recording
 from threadline.live import sim_process
 from threadline.live.executor import MANY_S, Executor
@@ -101,7 +101,7 @@ def test_a_run_has_all_that_it_was_made_from(
         executor = execute(run, ours, 0.0)
     ours.close()
     os.waitpid(pid, 0)
-    assert executor.ended == (Ended.COMPLETED, "")
+    assert executor.ended == (RunEnd.COMPLETED, "")
     run.judged({"late_ticks": 0, "passed": True}, "completed", "")
     (record,) = store.index.runs()
     assert (record.ended, record.passed) == ("completed", True)
@@ -137,7 +137,7 @@ def test_a_crash_loses_at_most_a_second(
     report = round(MANY_S / 5e-3)  # ticks of 5 ms
     assert report < 200  # which is a second
     assert tick <= samples <= tick + report
-    assert found.outcome().ended is Ended.FAULT
+    assert found.outcome().ended is RunEnd.FAULT
     (record,) = store.index.runs()
     assert record.ended == RUNNING
     with run:
@@ -303,7 +303,7 @@ def test_a_full_disk_ends_the_run_and_names_it(
     (record,) = store.index.runs()
     assert (record.ended, record.passed) == ("fault", None)
     assert record.text == "the trace could not be written: No space left on device"
-    assert read_recording(run.trace).outcome().ended is Ended.FAULT
+    assert read_recording(run.trace).outcome().ended is RunEnd.FAULT
 
 
 def test_a_run_without_samples_has_one_line_for_a_report(

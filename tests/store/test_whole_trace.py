@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.live.test_continued import JOBS, broken_off, planned, rest_of, run
-from threadline.files import Ended, Recording
+from threadline.files import Recording, RunEnd
 from threadline.files.formats import write_recording
 from threadline.live.continuing import continued
 from threadline.live.store.whole_trace import joined_with, whole_recording
@@ -61,7 +61,7 @@ def test_what_a_run_has_not_reached_is_of_the_run_before_it(tmp_path: Path) -> N
     plan = planned("lathe-winder")
     first, executed = broken_off("lathe-winder")
     (ended, _), second, _ = run(plan, continued(plan, executed, at_rest=False), "power-loss@2 s")
-    assert ended is Ended.FAULT
+    assert ended is RunEnd.FAULT
     _, third, _ = run(plan, continued(plan, executed - 1, at_rest=False))
     _, fourth, _ = run(plan, continued(plan, executed, at_rest=False))
     in_folder(tmp_path / "a", first)

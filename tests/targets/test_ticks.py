@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.commands import compile_ticks
+from threadline.commands.ticks import compile_ticks
 from threadline.errors import BudgetError, LimitError, PlanError
 from threadline.files import Stream
 from threadline.jobs.operations import (

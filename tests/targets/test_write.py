@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from threadline.commands import compile_ticks
 from threadline.commands.planned_job import planned_job
-from threadline.commands.write import TABLES
+from threadline.commands.ticks import compile_ticks
+from threadline.commands.write import table_writer
 from threadline.errors import LimitError, OptionError
 from threadline.files import Clock, SwitchSchedule
 from threadline.files.formats import read_table
@@ -62,7 +62,7 @@ def test_tables_hold_the_commands(tmp_path, target) -> None:
     assert [e for b in read for e in b.events] == [e for b in wanted for e in b.events]
     assert read_table(path).job_sha256 == plan.job.sha256
     assert write(plan, target, str(path))[0].sha256 == done.sha256
-    assert TABLES[target](plan.commands, path).sha256 == done.sha256
+    assert table_writer(target)(plan.commands, path).sha256 == done.sha256
 
 
 def test_unknown_targets_name_the_nearest(tmp_path) -> None:

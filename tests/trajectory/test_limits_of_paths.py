@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from threadline.errors import PlanError
-from threadline.motion.timing import retime
+from threadline.motion.timing.retime import retime
 
 TURN = np.linspace(0.0, 9.0, 60)
 CURVE = np.stack([np.sin(TURN), np.cos(1.3 * TURN), 0.1 * TURN], axis=1)

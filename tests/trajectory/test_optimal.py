@@ -16,15 +16,10 @@ from threadline.machine import load_machine
 from threadline.motion.laws import shortest_move
 from threadline.motion.path import interpolations, path_deviation, plan_path, programmed_path
 from threadline.motion.timing import limit_peaks, plan_trajectory
-from threadline.motion.timing.optimal import (
-    Limits,
-    barrier,
-    elements_of,
-    fastest,
-    fastest_motion,
-    in_time,
-    solve,
-)
+from threadline.motion.timing.optimal import barrier, fastest_motion, in_time, solve
+from threadline.motion.timing.optimal.elements import elements_of
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.optimal.solve import fastest
 
 AS_BUILT = load_machine("lathe-winder")
 WINDER = without_drives(AS_BUILT)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from threadline.errors import PlanError
-from threadline.motion.timing import retime
+from threadline.motion.timing.retime import retime
 
 MASKED = np.ma.masked_array([0.5, 999.0, 1.0], mask=[0, 1, 0])
 

@@ -9,7 +9,7 @@ import pytest
 from tools.random_paths import Tally, run_case, without_drives
 
 from threadline.machine import load_machine
-from threadline.motion.timing import retime
+from threadline.motion.timing.retime import retime
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,10 @@ import pytest
 from tools import points_growth
 
 from threadline.motion.path.types import PieceBlock
-from threadline.motion.timing import retime
-from threadline.motion.timing.optimal import Limits, fastest_motion, windows
+from threadline.motion.timing.optimal import fastest_motion, windows
 from threadline.motion.timing.optimal.elements import PiecesAhead, rows_of
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.retime import retime
 
 TURN = np.linspace(0.0, 7.0, 75)
 CURVE = np.stack([np.sin(TURN), np.cos(1.3 * TURN)], axis=1)

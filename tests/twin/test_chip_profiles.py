@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.dynamics import AxisPreview
 from threadline.dynamics.feedforward import feed_forward, smooth_motion
+from threadline.dynamics.preview import AxisPreview
 from threadline.errors import MachineError
 from threadline.machine.load import load_machine
 from threadline.twin import simulate

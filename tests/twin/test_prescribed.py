@@ -17,7 +17,7 @@ from threadline.dynamics.prescribed import Prescribed, prescribed, resonance_hz
 from threadline.dynamics.suspicions import suspicions
 from threadline.dynamics.without_loop import analyse_moving
 from threadline.errors import MachineError, OptionError
-from threadline.files import Ended, Stream, TickBlock, TickTable
+from threadline.files import RunEnd, Stream, TickBlock, TickTable
 from threadline.machine import Machine, load_machine
 from threadline.machine.sources import PulseServo, Stepper, Winding, pull_out_torque
 from threadline.machine.variants import drawn, variant
@@ -288,7 +288,7 @@ def test_parts_that_are_not_linear_are_refused_by_name(machine: Machine) -> None
     bad = replace(machine, links={**machine.links, "x_belt": loose})
     recording = simulate(table(machine, stroke()), bad)
     outcome = recording.outcome()
-    assert outcome.ended is Ended.FAULT and "links.x_belt: a run falls slack" in outcome.text
+    assert outcome.ended is RunEnd.FAULT and "links.x_belt: a run falls slack" in outcome.text
     known = recording.samples("X.load")[1]
     whole = simulate(table(machine, stroke()), machine).samples("X.load")[1]
     assert 1 < len(known) < 100 and outcome.tick == len(known)

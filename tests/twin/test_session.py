@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from threadline.errors import OptionError
-from threadline.files import Ended, Event, Outcome, TickBlock
+from threadline.files import Event, Outcome, RunEnd, TickBlock
 from threadline.machine.load import load_machine
 from threadline.twin import Session, simulate
 
@@ -78,7 +78,7 @@ def test_pieces_of_rows_do_not_matter(sticking, table, seed, every):
     found, events = collected(blocks)
     assert_same(found, whole)
     assert Outcome().after(events).late_ticks == 0
-    assert session.ended is Ended.COMPLETED
+    assert session.ended is RunEnd.COMPLETED
 
 
 def test_a_stop_lets_the_plant_go_on(sticking, table):
@@ -114,7 +114,7 @@ def test_an_unanswered_stop_ends_the_recording(sticking, table):
     commands = with_events(table(sticking, {"X": ROWS}), stop)
     recording = simulate(commands, sticking, answers=[], settle_s=0.1)
     outcome = recording.outcome()
-    assert outcome.ended is Ended.STOPPED and outcome.incomplete
+    assert outcome.ended is RunEnd.STOPPED and outcome.incomplete
     assert (outcome.tick, outcome.operation) == (60, 1)
     assert outcome.text == "nobody answered the stop"
     assert len(recording.samples("X.load")[1]) == 60 + 51
@@ -182,19 +182,19 @@ def test_rows_that_come_late_are_counted(sticking):
     session.finish()
     blocks.append(session.advance(ticks=50))
     outcome = Outcome().after(collected(blocks)[1])
-    assert (outcome.ended, outcome.late_ticks) == (Ended.COMPLETED, 7)
+    assert (outcome.ended, outcome.late_ticks) == (RunEnd.COMPLETED, 7)
     assert session.tick == 86
 
 
 def test_a_fault_drops_the_rows_that_wait(sticking):
     session = Session(sticking)
     session.advance(block_of(ROWS), ticks=20)
-    session.finish(Ended.FAULT, "the link is gone")
-    assert session.ended is Ended.FAULT and session.queued == 0
+    session.finish(RunEnd.FAULT, "the link is gone")
+    assert session.ended is RunEnd.FAULT and session.queued == 0
     block = session.advance(ticks=10)
     assert np.ptp(block.samples["X.commanded"]) == 0.0
     outcome = Outcome().after(block.events)
-    assert (outcome.ended, outcome.text, outcome.tick) == (Ended.FAULT, "the link is gone", 20)
+    assert (outcome.ended, outcome.text, outcome.tick) == (RunEnd.FAULT, "the link is gone", 20)
     with pytest.raises(OptionError, match="after the commands were fault"):
         session.advance(block_of(ROWS, len(ROWS)))
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from threadline.errors import RecordingError
-from threadline.files import ChannelKind, Clock
+from threadline.files import ChannelKind, Clock, Recording
 from threadline.verdict import Criterion, Status, closing, judge
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.samples import Setting
@@ -159,9 +159,12 @@ def test_a_trace_coarser_than_the_lag_measures_nothing_of_the_path() -> None:
     # The same motion, seen finely enough, is off by what it is.
     fine = judge([_coarse(20)], plan, spec_of(*criteria, lag_s=0.1)).result("contour_error")
     assert fine.measured == pytest.approx(5e-3, abs=1e-9)
-    # Every 100 ms is as coarse as the lag allows.
+    # Every 100 ms is as coarse as the lag allows; it proves nothing within the limit, either.
     limit = judge([_coarse(100)], plan, spec_of(*criteria, lag_s=0.1)).result("contour_error")
-    assert limit.status is not Status.NOT_MEASURED
+    assert "the lag of the specification" not in limit.note
+    assert "a sample every 100 ms" in limit.note
+    reported = spec_of(Criterion(name="contour_error"), lag_s=0.1)
+    assert judge([_coarse(100)], plan, reported).result("contour_error").measured is not None
     many = spec_of(Criterion(name="repeatability", options={"recordings": 2.0}))
     spread = judge([_coarse(200), _coarse(200)], plan, many).result("repeatability")
     assert "a sample every 200 ms" in spread.note
@@ -209,3 +212,56 @@ def test_operations_that_the_job_does_not_have_are_refused(last: float, refused:
             judge([made], plan, SPEC)
     else:
         assert judge([made], plan, SPEC).result("contour_error").measured < 1e-12
+
+
+STRAIGHT = plan_through([[0, 0], [0.18, 0]], XY, move_s=4.5)
+
+
+def _sampled(every_ms: int, beside_m: float = 0.0, off_m: float = 0.0) -> Recording:
+    """Return a trace of a move along X, with an excursion of Y of 88 ms that begins at 0.901 s."""
+    time_s = 1e-3 * every_ms * np.arange(int(4500 / every_ms) + 2)
+    part = np.clip((time_s - 0.901) / 0.088, 0.0, 1.0)
+    y = beside_m * np.sin(np.pi * part) ** 2 + off_m
+    load = np.column_stack([np.minimum(0.04 * time_s, 0.18), y])
+    clock = Clock("logger", Fraction(every_ms, 1000))
+    return record(XY, {ChannelKind.LOAD: load}, None, clock=clock, simulated=False)
+
+
+def test_what_fits_between_two_samples_is_not_proven() -> None:
+    """5 mm beside the path for 88 ms, between the samples at 0.90 s and 0.99 s.
+
+    At 10.5 and 4.65 m/s^2, 11.48 together, 11.6 mm fit into 90 ms.
+    """
+    spec = spec_of(Criterion(name="contour_error", limit=5e-4, required=True), lag_s=0.1)
+    hidden = judge([_sampled(90, 5e-3)], STRAIGHT, spec)
+    result = hidden.result("contour_error")
+    assert (result.status, result.measured) == (Status.NOT_MEASURED, None)
+    assert "has a sample every 90 ms: between two of them" in result.note
+    assert "11.63 mm" in result.note
+    longest_ms = 1e3 * np.sqrt(8.0 * 5e-4 / np.hypot(10.5, 4.65))
+    assert f"record every {longest_ms:.3g} ms at least" in result.note
+    assert closing(hidden).startswith("NOT PROVEN")
+    # At the rate of the commands it is seen.
+    seen = judge([_sampled(5, 5e-3)], STRAIGHT, spec).result("contour_error")
+    assert seen.status is Status.FAILED
+    assert seen.measured == pytest.approx(5e-3, rel=0.01)
+
+
+def test_the_longest_interval_is_where_both_together_are_the_limit() -> None:
+    """0.2 mm off the path, of 0.5 mm: 14.46 ms. What samples show beyond the limit is failed."""
+    spec = spec_of(Criterion(name="contour_error", limit=5e-4, required=True), lag_s=0.1)
+    for every_ms, status in ((14, Status.PASSED), (15, Status.NOT_MEASURED)):
+        result = judge([_sampled(every_ms, off_m=2e-4)], STRAIGHT, spec).result("contour_error")
+        assert result.status is status
+    assert "record every 14.5 ms at least" in result.note
+    broken = judge([_sampled(90, off_m=6e-4)], STRAIGHT, spec).result("contour_error")
+    assert (broken.status, broken.measured) == (Status.FAILED, pytest.approx(6e-4))
+
+
+def test_speeds_need_a_sample_in_each_of_their_means() -> None:
+    spec = spec_of(Criterion(name="velocity_ripple", limit=1.5, options={"over": 0.02}))
+    coarse = judge([_sampled(30)], STRAIGHT, spec).result("velocity_ripple")
+    assert coarse.status is Status.NOT_MEASURED
+    assert "says nothing of speeds over 20 ms; record every 20 ms at least" in coarse.note
+    fine = judge([_sampled(20)], STRAIGHT, spec).result("velocity_ripple")
+    assert fine.status is Status.PASSED

@@ -22,6 +22,7 @@ DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "specs.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
 UNITS = {
     "tool": {"m", "m at the tool"},
+    "tool/s": {"m/s"},
     "axis": {"m or rad"},
     "axis/s": {"m/s or rad/s"},
     "axis/s^2": {"m/s^2 or rad/s^2"},

@@ -210,9 +210,10 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
     """Decorate a function like ``numba.njit``, with the cache of this module.
 
     Division by zero gives infinity or NaN, as in numpy. Python's check of each divisor would take a
-    sixth of the compile time; a block of a trajectory refuses values that are not finite.
+    sixth of the compile time; a block of a trajectory refuses values that are not finite. Nothing
+    calls these functions from C: their wrappers for C would take another tenth.
     """
-    options = {"error_model": "numpy", **options}
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
 
     def compiled(function: F) -> Dispatcher[F]:
         found: Dispatcher[F] = numba.njit(cache=True, **options)(function)

@@ -11,7 +11,7 @@ import typer
 from threadline.cli.arguments import JsonOption, ReportOption
 from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, say
-from threadline.dynamics import LeadDesign, design_lead
+from threadline.dynamics.lead import LeadDesign, design_lead
 from threadline.dynamics.loop import axis_loop
 from threadline.dynamics.responses import read_response
 from threadline.dynamics.suspicions import suspicions

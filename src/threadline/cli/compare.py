@@ -23,7 +23,7 @@ from threadline.proof.asked import Words, with_radii_of
 from threadline.proof.kinds import kind_of
 from threadline.proof.pipeline import Proof, open_job
 from threadline.proof.recorded import proof_warnings
-from threadline.report import write_comparison
+from threadline.report.proof import write_comparison
 from threadline.search import Comparison, FastestJob
 from threadline.search import compare as compare_job
 from threadline.verdict import in_a_word, verdict_json

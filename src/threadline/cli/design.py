@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.base.option_defaults import FEED_FORWARD
 from threadline.base.writing import together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import (
@@ -39,6 +38,7 @@ from threadline.search.design_files import spec_file, write_design
 from threadline.verdict import Verdict, closing, verdict_rows
 
 _MOST_WIDTHS = 6
+_SEARCHED = "10 ms, 80 ms"  # smoothing, where none is given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,14 +168,14 @@ def _plotted(text: str | None, known: tuple[str, ...] | None) -> tuple[str, str]
 
 
 def _widths_s(feed_forward: bool, text: str | None) -> tuple[float, ...]:
-    """Return the smoothing widths to try, in s; none without feed-forward."""
+    """Return smoothing widths, in s: all between them are tried; none without feed-forward."""
     if not feed_forward:
         if text is not None:
             raise OptionError(
                 f"--smoothing {text!r} needs feed-forward", remedy="Give --feed-forward too."
             )
         return ()
-    parts = (FEED_FORWARD if text is None else text).split(",")
+    parts = (_SEARCHED if text is None else text).split(",")
     widths = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in parts))
     if len(widths) > _MOST_WIDTHS:
         raise OptionError(f"{len(widths)} smoothing widths, at most {_MOST_WIDTHS}")

@@ -64,8 +64,9 @@ def fastest(
     --margin "20 %" a fifth of every limit is kept free. With --robust "100 %" one plan must pass on
     every machine at the ends of the tolerances. With --band "20 %" the commands of an on/off
     machine must pass for all modes within 20 % of their frequency. With --interpolation optimal no
-    feed is searched: a few plans are proved, and the fastest in spec is compared with the fastest
-    within the limits of axes and drives alone.
+    feed is searched, but all other choices of a plan that are not given: tolerance, distance
+    outside corners, reserve, smoothing, contour, feed-forward. The
+    fastest in spec is compared with the least times within the limits of axes and drives alone.
 
     Exit status: 0 if a feed passes, 1 if none does, 2 for wrong input.
 

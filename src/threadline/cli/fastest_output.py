@@ -30,11 +30,12 @@ from threadline.cli.found import (
 from threadline.cli.output import print_table, say
 from threadline.commands.plan import Following
 from threadline.jobs.operations import FeedMode
-from threadline.proof.option_words import share_words
+from threadline.proof.option_words import reserve_words, share_words
+from threadline.proof.options import Options
 from threadline.proof.pipeline import prove_plan
 from threadline.proof.recorded import tolerance_warnings
-from threadline.report import write_report
 from threadline.report.document import Printed
+from threadline.report.proof import write_report
 from threadline.report.strips import binding_lines, binding_of
 from threadline.search import Fastest, FastestJob, Rung
 from threadline.search.by_pace import Answer
@@ -325,6 +326,8 @@ class OptimalOutput(SearchOutput):
         self._bound = binding_of(found.plan())
 
     def _table(self) -> Printed:
+        if self.of.best.options is not None:
+            return self._chosen()
         rows = [
             [
                 _allowance(rung),
@@ -337,6 +340,37 @@ class OptimalOutput(SearchOutput):
         header = ["acceleration limits used" if by_share else "contour mm", "job s", "verdict"]
         how = f"{self.how}, optimal{margin_words(self.asked.margin)}"
         return f"{how}: plans proved", header, rows
+
+    def _chosen(self) -> Printed:
+        """Return a table of the plans that were the best so far."""
+        rows, best_s = [], math.inf
+        for rung in self.of.rungs:
+            if rung.duration_s is None or rung.duration_s >= best_s or rung.options is None:
+                continue
+            best_s = rung.duration_s
+            one = rung.options
+            rows.append(
+                [
+                    f"{best_s:.3f}",
+                    typed(round(one.tolerance_m * 1e3, 6)),
+                    typed(round(one.outside_m * 1e3, 6)),
+                    str(len(one.narrow)),
+                    "" if one.reserve is None else reserve_words(one.reserve),
+                    "" if one.feed_forward_s is None else typed(one.feed_forward_s * 1e3),
+                    typed(round(one.allowance_m * 1e3, 6)),
+                ]
+            )
+        header = [
+            "job s",
+            "tolerance mm",
+            "outside mm",
+            "narrow",
+            "reserve",
+            "smoothing ms",
+            "contour mm",
+        ]
+        how = f"{self.how}, optimal{margin_words(self.asked.margin)}"
+        return f"{how}: the best plans so far", header, rows
 
     def _lines(self) -> Iterator[str]:
         best, proved = self.of.best, len(self.of.rungs)
@@ -384,6 +418,21 @@ def _allowed(rung: Rung) -> dict[str, Any]:
     return {
         "limits": rung.share,
         "contour_m": None if contour_m is None or math.isinf(contour_m) else contour_m,
+        **_choices(rung.options),
+    }
+
+
+def _choices(options: Options | None) -> dict[str, Any]:
+    """Return the choices of a plan, where all of them were searched."""
+    if options is None:
+        return {}
+    kept = options.reserve
+    return {
+        "tolerance_m": options.tolerance_m,
+        "outside_m": options.outside_m,
+        "narrow_m": {str(line): width for line, width in options.narrow},
+        "reserve": None if kept is None else {"volts": kept.volts, "current": kept.current},
+        "feed_forward_s": options.feed_forward_s,
     }
 
 

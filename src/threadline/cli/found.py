@@ -12,6 +12,7 @@ from threadline.jobs.gcode.feeds import RULES, of_which
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner, KlipperPlanner
+from threadline.proof.option_form import Word
 from threadline.search import FastestJob, Mismatch
 from threadline.search.allowance import ALLOWED, LIMITS
 from threadline.search.fastest import RANGE, Fastest
@@ -163,13 +164,16 @@ def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None])
     return shlex.join(words)
 
 
-def as_typed(words: Mapping[str, str]) -> dict[str, str]:
-    """Return planning options by their names on the command line.
+def as_typed(words: Mapping[str, Word]) -> dict[str, str]:
+    """Return planning options by their names on the command line; a flag has the value "".
 
     >>> as_typed({"feed": "1 mm/s"})
     {'--feed': '1 mm/s'}
     """
-    return {f"--{word.replace('_', '-')}": text for word, text in words.items()}
+    return {
+        f"--{word.replace('_', '-')}": "" if value is True else str(value)
+        for word, value in words.items()
+    }
 
 
 def merged(rows: Sequence[Sequence[str]]) -> list[list[str]]:

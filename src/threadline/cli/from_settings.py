@@ -16,8 +16,8 @@ from threadline.machine.firmware import (
     DEFAULTS,
     Answers,
     Missing,
-    Said,
     Settings,
+    SettingValue,
     machine_text,
     missing_answers,
     number_or_nan,
@@ -175,7 +175,7 @@ def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
     for axis, said in settings.axes.items():
         unit = "deg" if axis in turning else "mm"
         for what, form in _UNITS.items():
-            found: Said | None = getattr(said, what)
+            found: SettingValue | None = getattr(said, what)
             if what == "travel" and axis in turning:
                 yield f"{axis} {what}", "none", "it turns without end"
             elif found is not None:
@@ -195,7 +195,7 @@ def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
             yield name, text, "--set"
 
 
-def _from(said: Said) -> str:
+def _from(said: SettingValue) -> str:
     if not said.place.line:
         return f"assumed: {said.name}"
     typed = "" if number_or_nan(said.typed) == said.value else f" {said.typed}"

@@ -19,7 +19,6 @@ from threadline.cli.arguments import (
     keep_inputs,
     key_of,
 )
-from threadline.cli.found import command_line
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell
 from threadline.errors import OptionError
@@ -29,10 +28,8 @@ from threadline.proof.asked import Words
 from threadline.proof.kinds.kind import WRITING, Share
 from threadline.proof.pipeline import Proof, with_shaping
 from threadline.proof.pipeline import prove as prove_job
-from threadline.proof.proof_file import write_proof
 from threadline.proof.recorded import warnings_of
-from threadline.proof.worst_machine import worst_toml
-from threadline.report import about, write_report
+from threadline.report.lines import about
 from threadline.verdict import (
     Verdict,
     closing,
@@ -105,12 +102,15 @@ def prove(
                 watched = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
                 write_recording(watched[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
+                from threadline.proof.proof_file import write_proof
+
                 write_proof(proof, proof_file, key)
             if worst is not None:
                 write_worst(proof, worst)
             written = None
             if report is not None:
                 # Searches take a while to load, and most proofs have no report.
+                from threadline.report.proof import write_report
                 from threadline.search.studied import studied
 
                 progress("drawing the report", 0.0)
@@ -144,6 +144,8 @@ def write_worst(proof: Proof, file: Path) -> None:
     """Write the machine file of the worst machine within the tolerances that a proof found."""
     assert proof.worst is not None
     machine = proof.plan.machine if proof.actual is None else proof.actual
+    from threadline.proof.worst_machine import worst_toml
+
     text = worst_toml(machine, proof.worst, file.parent, "prove --tolerances")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(text, encoding="utf-8")
@@ -151,6 +153,8 @@ def write_worst(proof: Proof, file: Path) -> None:
 
 def again(job: Path, machine: str, words: Words, worst: Path) -> str:
     """Return the command that proves the plan on the worst machine, in as many runs."""
+    from threadline.cli.found import command_line  # loads the searches
+
     return command_line("prove", job, {"-m": machine, **words.typed(), "--actual": worst})
 
 

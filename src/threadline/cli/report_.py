@@ -22,7 +22,7 @@ from threadline.proof.option_form import Door
 from threadline.proof.pipeline import Proof
 from threadline.proof.proof_file import read_proof, spec_sha256
 from threadline.proof.recorded import judge_files
-from threadline.report import write_report
+from threadline.report.proof import write_report
 from threadline.search.studied import studied
 from threadline.verdict import verdict_json
 

@@ -47,7 +47,7 @@ from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.warn import tell
 from threadline.commands.plan import Plan
 from threadline.errors import LinkFaultError, OptionError, RecordingError, StoreError
-from threadline.files import Ended, Recording
+from threadline.files import Recording, RunEnd
 from threadline.files.formats import write_recording
 from threadline.live.hold_deviation import hold_waits, hold_words
 from threadline.live.kinds_run import run_kind_of
@@ -244,7 +244,7 @@ def run(
     if recording is not None:
         write_recording(happened, recording, plot_every=plot_every(chosen))
     _show(verdict, plan, content, over.label, kept, json=json)
-    if ended is Ended.FAULT:
+    if ended is RunEnd.FAULT:
         raise _fault(kept, text, over)
     raise typer.Exit(0 if verdict.passed else 1)
 
@@ -254,7 +254,7 @@ def _verdict(
     plan: Plan,
     spec: Spec,
     kept: OpenRun,
-    outcome: tuple[Ended, str],
+    outcome: tuple[RunEnd, str],
     over: Link,
     *,
     whole: bool,
@@ -264,30 +264,30 @@ def _verdict(
         return judge([happened], plan, spec)
     except RecordingError as error:
         ended, text = outcome
-        if ended is Ended.COMPLETED and whole:
+        if ended is RunEnd.COMPLETED and whole:
             raise
         text = text or f"NOT PROVEN: the rest of a job alone is not judged ({error.message})"
     with _moved(kept):
         kept.unjudged(ended.value, text)
-    if ended is Ended.FAULT:
+    if ended is RunEnd.FAULT:
         raise _fault(kept, text, over)
-    note(text if ended is Ended.COMPLETED else f"{text}: nothing was recorded to be judged")
+    note(text if ended is RunEnd.COMPLETED else f"{text}: nothing was recorded to be judged")
     raise typer.Exit(1)
 
 
 def _is_over(
-    kept: OpenRun, ended: Ended, text: str, plan: Plan, fault: SimFault | None, until_s: float
+    kept: OpenRun, ended: RunEnd, text: str, plan: Plan, fault: SimFault | None, until_s: float
 ) -> None:
     """Store how a run ended; warn if it ended before the injected fault."""
     with suppress(StoreError):  # a locked index may be free when the verdict is stored
         kept.over(ended.value, text)
     period_s = float(plan.machine.command_clock.period_s)
-    if fault is not None and ended is not Ended.FAULT and until_s < fault.tick * period_s:
+    if fault is not None and ended is not RunEnd.FAULT and until_s < fault.tick * period_s:
         at = f"{fault.kind} at {fault.tick * period_s:g} s"
         warning(f"--inject: {at} never came: the run ended at {until_s:.6g} s")
 
 
-def _judged(kept: OpenRun, content: Mapping[str, Any], ended: Ended, text: str) -> None:
+def _judged(kept: OpenRun, content: Mapping[str, Any], ended: RunEnd, text: str) -> None:
     with _moved(kept):
         if said := kept.judged(content, ended.value, text):
             warning(said)
@@ -336,7 +336,7 @@ def _show(
     json: bool,
 ) -> None:  # fmt: skip
     """Print the verdict; after a fault the error message gives the rest."""
-    fault = content["ended"] == Ended.FAULT
+    fault = content["ended"] == RunEnd.FAULT
     with report_failed_print(f"the verdict is in {kept.path}"):
         if json:
             if not fault:

@@ -110,7 +110,7 @@ def yield_(
     """
     variants, seed, worst, resume = drawing.variants, drawing.seed, drawing.worst, drawing.resume
     at_least = drawing.at_least
-    wished = None if at_least is None else parse_yield(at_least)
+    wanted = None if at_least is None else parse_yield(at_least)
     chosen = words.machine(machine)
     _check_files(worst, resume, report, [job, chosen.file, *words.files()])
     options = words.options()
@@ -118,8 +118,8 @@ def yield_(
     plan = plan_job(open_job(job, chosen, options), chosen, options)
     asked = words.spec(chosen)
     judged = MachineYield(plan, asked)
-    if wished is not None:
-        _check_reachable(variants, wished, at_least or "")
+    if wanted is not None:
+        _check_reachable(variants, wanted, at_least or "")
     warn(chosen, plan.job, own_feed=options.own_feeds)
     state = None if resume is None else _opened(resume, plan, asked, seed)
     with progress_bar(not json) as progress:
@@ -128,12 +128,12 @@ def yield_(
         )
         bad = judged.worst(found, counted(progress, "looking for the worst machine"))
         sensitivities = sensitivities_of(judged, variants, seed, progress) if drawing.why else None
-        enough = found.passed == variants if wished is None else found.interval[0] >= wished
+        enough = found.passed == variants if wanted is None else found.interval[0] >= wanted
         better = None
-        if wished is not None and not enough:
+        if wanted is not None and not enough:
             told_set = counted(progress, "looking for the cheapest set of tolerances")
             machines = MACHINES if judged.together else min(MACHINES, variants)
-            better = cheapest_set(judged, wished, seed, machines=machines, done=told_set)
+            better = cheapest_set(judged, wanted, seed, machines=machines, done=told_set)
         level = Level.DRAWN
         title = f"{plan.job.name} on {chosen.name}: {_words(found, level)}"
         drawn = None
@@ -187,15 +187,15 @@ def _drawn(found: Yield, title: str, folder: Path) -> Path:
     return write_yield(found, title, folder)
 
 
-def _check_reachable(variants: int, wished: float, text: str) -> None:
+def _check_reachable(variants: int, wanted: float, text: str) -> None:
     """Refuse a wanted yield that so few machines cannot prove, even if all are in spec."""
     best = clopper_pearson(variants, variants)[0]
-    if best < wished:
+    if best < wanted:
         tail = 0.5 * (1.0 - CONFIDENCE)
         raise OptionError(
             f"--at-least {text!r} cannot be proved by {variants} machines: if all of them are in "
             f"spec, at least {100.0 * best:.4g} % of all are",
-            remedy=f"Draw more: --variants {ceil(log(tail) / log(wished))}.",
+            remedy=f"Draw more: --variants {ceil(log(tail) / log(wanted))}.",
         )
 
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 
-from threadline.commands.firmware_shapers import klipper_section, marlin_commands, reprap_command
 from threadline.errors import Place, PlanError
 from threadline.jobs.operations import Job, Move, MoveRun, Stop, ToolEvent
 from threadline.machine import Machine
@@ -57,6 +57,18 @@ class Board:
     head: Callable[[Machine, Sequence[str]], list[str]] | None = None
 
 
+def _shaper_lines(name: str) -> Callable[[Machine, Sequence[str]], list[str]]:
+    """Return a function of ``firmware_shapers``, which is imported when it is first called."""
+
+    def head(machine: Machine, axes: Sequence[str]) -> list[str]:
+        found: list[str] = getattr(import_module("threadline.commands.firmware_shapers"), name)(
+            machine, axes
+        )
+        return found
+
+    return head
+
+
 _P_MM = "0.01"  # P of G64: as large as the chord tolerance of a plan
 LINUXCNC_BLENDS = LinuxCncPlanner(
     kind="linuxcnc", tolerance=parse_machine_quantity(f"{_P_MM} mm exact, assumed", ("m",))
@@ -74,7 +86,7 @@ BOARDS: Mapping[str, Board] = {
         bytes_s=11_520,
         pause=("P", 1000),
         planner="marlin",
-        head=marlin_commands,
+        head=_shaper_lines("marlin_commands"),
     ),
     "klipper": Board(
         begin=("G21", "G90"),
@@ -84,7 +96,7 @@ BOARDS: Mapping[str, Board] = {
         planner="klipper",
         dialect="marlin",
         stops=False,
-        head=klipper_section,
+        head=_shaper_lines("klipper_section"),
     ),
     "reprapfirmware": Board(
         begin=("G21", "G90"),
@@ -94,7 +106,7 @@ BOARDS: Mapping[str, Board] = {
         planner="reprapfirmware",
         dialect="marlin",
         stops=False,
-        head=reprap_command,
+        head=_shaper_lines("reprap_command"),
     ),
     "linuxcnc": Board(
         begin=("G21 G90 G94 G17", f"G64 P{_P_MM}"), end=("M2",), longest=252, planner="linuxcnc"

@@ -6,19 +6,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import ceil
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.commands.short_table import ToldEnds, leads_s, short_table, shortened
 from threadline.commands.ticks import compile_ticks
-from threadline.dynamics import AxisPreview, Demand
 from threadline.dynamics.values import Values
 from threadline.errors import PlanError
 from threadline.files import Stream, TickTable
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.motion.shaping import Shaper, shape_trajectory
 from threadline.motion.timing import (
     Trajectory,
     TrajectoryBlock,
@@ -28,6 +26,11 @@ from threadline.motion.timing import (
     held_trajectory,
 )
 from threadline.motion.timing.averaged import DEGREE, Averages
+
+if TYPE_CHECKING:
+    from threadline.commands.short_table import ToldEnds
+    from threadline.dynamics.preview import AxisPreview, Demand
+    from threadline.motion.shaping import Shaper
 
 
 class Following(StrEnum):
@@ -87,6 +90,8 @@ def followed_by_motors(
     """
     trajectory = timed
     if shaper is not None:
+        from threadline.motion.shaping import shape_trajectory
+
         trajectory = shape_trajectory(timed, shaper, machine, centroid_shift=True)
     return Followed(
         following=Following.MOTOR,
@@ -141,6 +146,9 @@ def followed_by_loads(
     motion = _Motion(planned, machine, job, averages, model, stepped)
     before_s, after_s = _rests_s(machine, planned.axes, model)
     if ends_m is not None:
+        from threadline.commands.short_table import leads_s
+        from threadline.dynamics.preview import AxisPreview
+
         previews = [AxisPreview(machine, axis, model) for axis in planned.axes]
         for begin_s in leads_s(machine, previews, before_s):
             short = motion.short((begin_s, after_s), ends_m)
@@ -181,6 +189,8 @@ class _Motion:
         _, trajectory = self._smoothed(rests_s)
         reading, references = self._read(trajectory)
         over_s = trajectory.duration_s - rests_s[1]
+        from threadline.commands.short_table import short_table, shortened
+
         table = short_table(
             self.machine, trajectory, reading.previews, reading.told, over_s, ends_m
         )
@@ -261,6 +271,9 @@ class _References:
     def __init__(self, trajectory: Trajectory, machine: Machine, model: Values | None) -> None:
         self._trajectory = trajectory
         self._machine = machine
+        from threadline.commands.short_table import ToldEnds
+        from threadline.dynamics.preview import AxisPreview
+
         self.previews = [AxisPreview(machine, axis, model) for axis in trajectory.axes]
         self.told = [ToldEnds() for _ in trajectory.axes]
 
@@ -354,6 +367,8 @@ def _rests_s(machine: Machine, axes: tuple[str, ...], model: Values | None) -> t
     """Return how long the loads must rest before and after their motion, s."""
     before, after = 0.0, 0.0
     for axis in axes:
+        from threadline.dynamics.preview import AxisPreview
+
         preview = AxisPreview(machine, axis, model)
         if preview.orders - 1 > DEGREE:
             raise PlanError(

@@ -21,7 +21,13 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, dialect_of, refuse_lost
 from threadline.commands.nc_blocks import operation_words
-from threadline.commands.planned_job import CHORD_TOLERANCE_M, CLOSE_M, merged, planned_operations
+from threadline.commands.planned_job import (
+    CHORD_TOLERANCE_M,
+    CLOSE_M,
+    ChordRun,
+    merged,
+    planned_runs,
+)
 from threadline.errors import PlanError
 from threadline.files.formats.common import Written, atomic_file, written
 from threadline.jobs.feed_times import feed_time_s, programmed_time_s
@@ -177,18 +183,19 @@ class Chords:
     def __iter__(self) -> Iterator[Operation | Chord]:
         """Yield operations and chords in order."""
         stretch = _Stretch(self)
-        planned = planned_operations(self.job, self.trajectory, self.planned_on)
-        for item, feed in planned:
-            if not isinstance(item, Move):
+        for item in planned_runs(self.job, self.trajectory, self.planned_on):
+            if not isinstance(item, ChordRun):
                 yield from stretch.end()
                 yield item
                 continue
-            assert item.feed is not None
-            if stretch.ends_before(feed, item.acts):
-                yield from stretch.end()
-                stretch.feed, stretch.acts = feed, item.acts
-            stretch.ends.append(item.target)
-            stretch.durations_s.append(1.0 / item.feed.value)
+            acts = item.acts
+            for first in range(0, len(item.ends), _MOST_POINTS):
+                rest = slice(first, first + _MOST_POINTS)
+                if stretch.ends_before(item.feed, acts, len(item.ends[rest])):
+                    yield from stretch.end()
+                    stretch.feed, stretch.acts = item.feed, acts
+                stretch.take(item.ends[rest], 1.0 / item.rates[rest])
+                acts = ()
         yield from stretch.end()
 
 
@@ -197,8 +204,6 @@ class _Stretch:
 
     Attributes
     ----------
-    ends, durations_s
-        End point and duration of each move.
     feed, acts
         Programmed feed, and actions at the start of the first move.
     """
@@ -213,14 +218,21 @@ class _Stretch:
         self._axes, self._machine = job.axes, machine
         self._radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
         self._start = np.array(job.start)
-        self.ends: list[tuple[float, ...]] = []
-        self.durations_s: list[float] = []
+        self._ends: list[FloatArray] = []
+        self._durations_s: list[FloatArray] = []
+        self._count = 0
         self.feed: Feed | None = None
         self.acts: tuple[ToolEvent, ...] = ()
 
-    def ends_before(self, feed: Feed | None, acts: tuple[ToolEvent, ...]) -> bool:
-        """Say whether the current stretch ends before this move."""
-        if not self.ends or acts or len(self.ends) >= _MOST_POINTS:
+    def take(self, ends: FloatArray, durations_s: FloatArray) -> None:
+        """Add (n, axes) ends of chords and their (n,) durations."""
+        self._ends.append(ends)
+        self._durations_s.append(durations_s)
+        self._count += len(ends)
+
+    def ends_before(self, feed: Feed | None, acts: tuple[ToolEvent, ...], more: int) -> bool:
+        """Say whether the current stretch ends before ``more`` moves at a feed."""
+        if not self._count or acts or self._count + more > _MOST_POINTS:
             return True
         if self._override is None:  # one feed for all moves but G0
             return _travels(feed) != _travels(self.feed)
@@ -228,10 +240,10 @@ class _Stretch:
 
     def end(self) -> Iterator[Chord]:
         """Yield the chords of the collected moves, and start the next stretch at their end."""
-        if not self.ends:
+        if not self._count:
             return
-        points = np.vstack([self._start, np.array(self.ends)])
-        seconds = np.array(self.durations_s)
+        points = np.vstack([self._start, *self._ends])
+        seconds = np.concatenate(self._durations_s)
         lengths = feed_time_s(np.diff(points, axis=0), self._unit, self._axes, self._machine)
         speeds = lengths / seconds
         if self.feed is not None and self.feed.mode is FeedMode.RAPID:
@@ -252,7 +264,7 @@ class _Stretch:
             )
             acts = ()
         self._start = points[-1]
-        self.ends, self.durations_s, self.acts = [], [], ()
+        self._ends, self._durations_s, self._count, self.acts = [], [], 0, ()
 
 
 def _travels(feed: Feed | None) -> bool:

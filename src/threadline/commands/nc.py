@@ -9,19 +9,21 @@ a line, and the main program only before its subroutines; both kinds of programs
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain, groupby, islice
 from pathlib import Path
 
 from threadline.base.wording import nc_comment
 from threadline.commands import nc_numbers as numbers
+from threadline.commands.boards import refuse_lost
 from threadline.commands.nc_blocks import OutBlock, Wording, blocks_of
-from threadline.commands.planned_job import CHORD_TOLERANCE_M
-from threadline.errors import PlanError
-from threadline.files.formats.common import atomic_file
-from threadline.jobs.operations import Feed, Job
+from threadline.commands.planned_job import CHORD_TOLERANCE_M, planned_job
+from threadline.errors import Place, PlanError
+from threadline.files.formats.common import Written, atomic_file, written
+from threadline.jobs.operations import Feed, FeedMode, Job, Move, Stop, ToolEvent
 from threadline.machine import Machine
+from threadline.motion.timing.types import Trajectory
 
 MAX_BODY = 100_000
 _MAX_KEPT = 1_000_000
@@ -224,3 +226,72 @@ class _Writer:
         self._number = self._number % _N_LIMIT + _N_STEP
         text = " ".join([self._words("N", self._number), *words])
         return f"{text} ; {nc_comment(comment)}" if comment else f"{text}{self._end}"
+
+
+def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> Written:
+    """Write the planned motion as a part program: chords with their times (G93), blended (G64).
+
+    A G0 becomes a G1 with its planned time, because LinuxCNC would choose its own time for a G0,
+    and the program would no longer match the plan. A G0 with a laser on is refused: HAL tells G0
+    from G1 (``motion.motion-type``), and a laser may burn in G1 only. A tool that goes down into
+    the material is no laser, and its spindle turns in a G0 as in a G1. Outputs (M62, M64) have the
+    state that the program gives them in either.
+
+    Raises
+    ------
+    PlanError
+        If LinuxCNC reads a word of the job differently, or a G0 has a spindle on that may be a
+        laser.
+    """
+    refuse_lost(job, machine, NcStyle.LINUXCNC)
+    rapids = _dark_rapids(job)
+    timed = planned_job(job, trajectory, machine)
+    # The plan already respects the operator's normal feed; do not apply the feed to its times
+    # again.
+    write_part_program(timed, replace(machine, operator=None), path, style=NcStyle.LINUXCNC)
+    if not rapids:
+        return written(path)
+    count = "1 G0 is a G1" if rapids == 1 else f"{rapids} G0 are G1"
+    told = f"{count} with the planned time (G93)"
+    return written(path, (f"{path.name}: {told}; --target linuxcnc keeps G0",))
+
+
+def _dark_rapids(job: Job) -> int:
+    """Return the number of moves at G0; refuse a G0 with a spindle on that may be a laser.
+
+    It is none if a feed move with the spindle on goes down along Z.
+    """
+    spindle, power, count, at = "", 1.0, 0, job.start
+    lit: tuple[str, Place] | None = None  # the first G0 with the spindle on
+    height = job.axes.index("Z") if "Z" in job.axes else None
+    plunges = False
+    for operation in job:
+        acts: tuple[ToolEvent | Stop, ...] = ()
+        if isinstance(operation, Move):
+            acts = operation.acts
+        elif isinstance(operation, ToolEvent | Stop):
+            acts = (operation,)
+        for act in acts:
+            for word in act.words.split():
+                if word in {"M3", "M4", "M5"}:
+                    spindle = "" if word == "M5" else f"{word} (line {act.source.line})"
+                elif word.startswith("S"):
+                    power = float(word[1:])
+        if not isinstance(operation, Move):
+            continue
+        before, at = at, operation.target
+        feed, lights = operation.feed, bool(spindle and power)
+        if feed is None or feed.mode is not FeedMode.RAPID:
+            plunges |= lights and height is not None and at[height] < before[height]
+        elif before != at:
+            count += 1
+            lit = lit or ((spindle, operation.source.place) if lights else None)
+    if lit is not None and not plunges:
+        raise PlanError(
+            f"{lit[0]} is on in a G0, which the target nc writes as a G1 with its planned time, "
+            "and no feed move goes down along Z: a laser that HAL switches off in G0 would burn "
+            "there",
+            place=lit[1],
+            remedy="Write M5 before the G0, or choose --target linuxcnc, which keeps G0.",
+        )
+    return count

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from math import ceil, comb, degrees, radians, sqrt
 from operator import sub
 from typing import NamedTuple
@@ -60,48 +61,98 @@ def planned_job(
 def _operations(
     job: Job, trajectory: Trajectory, machine: Machine, tolerance_m: float
 ) -> Iterator[Operation]:
-    return (item for item, _ in planned_operations(job, trajectory, machine, tolerance_m))
+    return planned_operations(job, trajectory, machine, tolerance_m)
+
+
+class ChordRun(NamedTuple):
+    """Chords of one programmed move that follow each other.
+
+    Parameters
+    ----------
+    ends
+        (n, axes) end of each chord, m or rad, in the order of the job's axes.
+    rates
+        (n,) chords per second.
+    feed
+        Feed of the programmed move.
+    source
+        Its place.
+    acts
+        Actions at the start of the first chord.
+    """
+
+    ends: FloatArray
+    rates: FloatArray
+    feed: Feed | None
+    source: Source
+    acts: tuple[ToolEvent, ...]
 
 
 def planned_operations(
     job: Job, trajectory: Trajectory, machine: Machine, tolerance_m: float = CHORD_TOLERANCE_M
-) -> Iterator[tuple[Operation, Feed | None]]:
-    """Yield the operations of ``planned_job``, each chord with the feed of its programmed move."""
+) -> Iterator[Operation]:
+    """Yield the operations of ``planned_job``."""
+    for item in planned_runs(job, trajectory, machine, tolerance_m):
+        if not isinstance(item, ChordRun):
+            yield item
+            continue
+        acts = item.acts
+        for target, rate in zip(item.ends.tolist(), item.rates.tolist(), strict=True):
+            feed = Feed(FeedMode.INVERSE_TIME, rate)
+            yield Move(tuple(target), feed, item.source, acts=acts)
+            acts = ()
+
+
+def planned_runs(
+    job: Job, trajectory: Trajectory, machine: Machine, tolerance_m: float = CHORD_TOLERANCE_M
+) -> Iterator[Operation | ChordRun]:
+    """Yield the operations of ``planned_job``, with the chords of each programmed move in runs."""
     column = [machine.axis_names.index(axis) for axis in trajectory.axes]
     radius = machine.radius_m[column]
     order = [trajectory.axes.index(axis) for axis in job.axes]
     linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
     merged = _Merged(job)
     for block in trajectory:
-        changes: NDArray[np.bool_] = block.coefficients[:, 1:] != 0.0
-        pieces = zip(
-            block.operation.tolist(),
-            block.duration_s.tolist(),
-            block.coefficients,
-            [bool(piece.any()) for piece in changes],
-            _parts(block.coefficients, radius, tolerance_m),
-            strict=True,
-        )
-        for operation, duration_s, coefficients, moves, parts in pieces:
-            yield from ((item, None) for item in merged.before(operation))
-            if not moves:
+        moves: NDArray[np.bool_] = np.any(block.coefficients[:, 1:] != 0.0, axis=(1, 2))
+        parts = np.array(_parts(block.coefficients, radius, tolerance_m))
+        other = np.diff(block.operation) != 0
+        new = np.flatnonzero(other | np.diff(moves) | ~moves[1:]) + 1
+        edges = [0, *new.tolist(), len(moves)]
+        for begin, end in pairwise(edges):
+            yield from merged.before(int(block.operation[begin]))
+            if not moves[begin]:
                 if not merged.dwells_next():
-                    yield Dwell(duration_s, merged.source), None
+                    yield Dwell(float(block.duration_s[begin]), merged.source)
                 continue
-            feed = Feed(FeedMode.INVERSE_TIME, parts / duration_s)
-            ends = _powers(parts, len(coefficients)) @ coefficients
-            for target in ends[:, order].tolist():
-                rounded = tuple(map(_rounded, target, linear))
-                yield Move(rounded, feed, merged.source, acts=merged.acts), merged.feed
-                merged.acts = ()
-    yield from ((item, None) for item in merged.rest())
+            count = parts[begin:end]
+            ends = _ends(block.coefficients[begin:end], count)[:, order]
+            rates = np.repeat(count / block.duration_s[begin:end], count)
+            yield ChordRun(_rounded(ends, linear), rates, merged.feed, merged.source, merged.acts)
+            merged.acts = ()
+    yield from merged.rest()
 
 
-def _rounded(position_si: float, linear: bool) -> float:
-    """Return the nearest position with few decimals in mm or degrees."""
-    if linear:
-        return round(position_si * 1e3 * _PARTS_OF_UNIT) / (1000 * _PARTS_OF_UNIT)
-    return radians(round(degrees(position_si), _DECIMALS))
+def _ends(coefficients: FloatArray, parts: NDArray[np.int64]) -> FloatArray:
+    """Return the ends of all chords of (N, degree + 1, A) pieces, each in (N,) equal parts."""
+    behind = np.cumsum(parts)
+    ends = np.empty((int(behind[-1]), coefficients.shape[2]))
+    for count in np.unique(parts).tolist():
+        pieces = np.flatnonzero(parts == count)
+        rows = (behind[pieces] - count)[:, None] + np.arange(count)
+        ends[rows] = _powers(count, coefficients.shape[1]) @ coefficients[pieces]
+    return ends
+
+
+def _rounded(positions_si: FloatArray, linear: Sequence[bool]) -> FloatArray:
+    """Return the nearest (n, axes) positions with few decimals in mm or degrees."""
+    rounded = np.empty_like(positions_si)
+    for k, straight in enumerate(linear):
+        column = positions_si[:, k]
+        if straight:
+            rounded[:, k] = np.rint(column * 1e3 * _PARTS_OF_UNIT) / (1000 * _PARTS_OF_UNIT)
+        else:
+            rounded[:, k] = [radians(round(degrees(at), _DECIMALS)) for at in column.tolist()]
+    return rounded
 
 
 @lru_cache(maxsize=64)

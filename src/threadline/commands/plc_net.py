@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from threadline.commands.schedule import Scheduled
+from threadline.commands.intents import Scheduled
 from threadline.errors import PlanError
 
 _WORDS = """

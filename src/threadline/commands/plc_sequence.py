@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from threadline.commands.intents import Scheduled
 from threadline.commands.plc_net import Names, NetPlace, PetriNet, petri_net
 from threadline.commands.plc_watch import (
     HOMING,
@@ -23,7 +24,6 @@ from threadline.commands.plc_watch import (
     jogs_of,
     watches,
 )
-from threadline.commands.schedule import Scheduled
 from threadline.machine import Machine
 
 

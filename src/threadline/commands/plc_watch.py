@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from threadline.commands.intents import Scheduled, ScheduledMove
 from threadline.commands.plc_net import Names, NetPlace, PetriNet
-from threadline.commands.schedule import Scheduled, ScheduledMove
 from threadline.commands.schedule_moves import Homing, home_stage, home_switch, slowest
 from threadline.errors import Place, PlanError
 from threadline.machine import Machine
@@ -336,7 +336,7 @@ def _needed(scheduled: Scheduled) -> Iterator[tuple[str, str]]:
                 yield axis, other
 
 
-Said = tuple[str, bool]
+Reading = tuple[str, bool]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -384,12 +384,12 @@ def jogs_of(
             ends = tuple(
                 (n, False) for n, c in switches_of(machine, axis).items() if c.beyond == to
             )
-            where = _where(machine, cycle, axis, way.valve)
+            where = _places_with(machine, cycle, axis, way.valve)
             yield Jog(
                 name=names.give(f"jog_{axis}_{sense}".lower()),
                 note=f"{axis} {'forward' if sense == 'out' else 'back'}, slowly",
                 on=(way.valve, *slowest(way)[1]),
-                needs=(*ends, *_told(cylinder.needs)),
+                needs=(*ends, *_required_readings(cylinder.needs)),
                 where=_weakest([*where, before]) if sense == "in" and where else where,
             )
     for name, output in machine.outputs.items():
@@ -398,19 +398,19 @@ def jogs_of(
                 name=names.give(f"jog_{name}".lower()),
                 note=outputs[name],
                 on=(name,),
-                needs=_told(output.needs),
-                where=_where(machine, cycle, "", name) if output.kind == "tool" else (),
+                needs=_required_readings(output.needs),
+                where=_places_with(machine, cycle, "", name) if output.kind == "tool" else (),
             )
 
 
-def _told(needs: tuple[str, ...]) -> tuple[Said, ...]:
+def _required_readings(needs: tuple[str, ...]) -> tuple[Reading, ...]:
     """Return an interlock of the machine file as required readings of contacts."""
     return tuple((name, True) for name in needs)
 
 
-def _where(
+def _places_with(
     machine: Machine, cycle: tuple[NamedPlace, ...], own: str, output: str
-) -> tuple[tuple[Said, ...], ...]:
+) -> tuple[tuple[Reading, ...], ...]:
     """Return readings of other cylinders' end switches in each place with an output on.
 
     A cylinder that still travels in a place adds no condition.
@@ -430,7 +430,7 @@ def _where(
     return _weakest(found)
 
 
-def _weakest(found: list[tuple[Said, ...]]) -> tuple[tuple[Said, ...], ...]:
+def _weakest(found: list[tuple[Reading, ...]]) -> tuple[tuple[Reading, ...], ...]:
     """Return the conditions without those that are stricter than another one.
 
     If one condition is empty, the result is empty.

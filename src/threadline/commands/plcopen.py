@@ -17,8 +17,8 @@ from pathlib import Path
 from threadline import __version__
 from threadline.base.wording import plain, st_comment
 from threadline.base.writing import together
+from threadline.commands.intents import Scheduled
 from threadline.commands.plc_sequence import Block, PlcProgram, Pou, Variable
-from threadline.commands.schedule import Scheduled
 from threadline.commands.structured_text import plc_program
 from threadline.files.formats.common import Written, atomic_file, written
 

@@ -47,8 +47,9 @@ _WITHIN = (1.0, 0.8)  # starts within the run-up, as shares of the run-up
 _ENOUGH = 0.04  # share of the speed: a small enough error for a load to stand in the corners
 _HOPELESS = 1.25  # times the limit: a larger error is beyond what sharing a corner mends
 _SOONER = 0.96
-"""Share of the time within which machines other than the machine of the file must reach the speed.
-The planned motion differs from the motion of the linear programs by some per cent."""
+"""Share of the time within which machines other than the machine of the file must reach the speed,
+and of the swing that a seam allows. The planned motion differs from the motion of the linear
+programs by some per cent."""
 _STANDS_S = 1.5 * MEAN_S  # rest before and after a corner, long enough to be measured as a rest
 _CLOSE = 2e-3  # share of the speed: an error this close to the smallest possible one suffices
 _ALIKE = 1e-5  # cost: of ways whose costs differ by less, the first is used
@@ -153,7 +154,7 @@ def robust_averages(
                         leads_s=leads_s,
                         share=wanted,
                         of=of,
-                        swing=swing,
+                        swing=_SOONER * swing,
                     )
                 ]
                 for early_s in alike

@@ -7,10 +7,10 @@ tick comes when the input is there. Operations after a wait therefore begin one 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
+from threadline.commands.intents import Scheduled, ScheduledMove
 from threadline.commands.schedule_moves import (
     AxisShaping,
     Homing,
@@ -19,7 +19,6 @@ from threadline.commands.schedule_moves import (
     levels_by_axis,
     move_levels,
     open_flows,
-    shaping_told,
     shortest_ticks,
     table_of,
     valves_of,
@@ -48,104 +47,7 @@ from threadline.jobs.operations import (
 )
 from threadline.machine import Machine
 
-ON_OFF = "on-off"
-"""Name that plans of on/off machines give in place of an interpolation."""
 _SAME_M = 1e-9
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScheduledMove:
-    """A move of the schedule: positions, scans and levels.
-
-    Parameters
-    ----------
-    operation, step, axis, forward
-        Operation of the job, step of the cycle, cylinder, and direction of the move.
-    begin_m, end_m
-        Positions at the start and at the end of the move, m.
-    first_tick, last_tick
-        Scans of the first and the last switching.
-    levels
-        Levels of the move; their ticks count from ``first_tick``.
-    """
-
-    operation: int
-    step: str
-    axis: str
-    begin_m: float
-    end_m: float
-    first_tick: int
-    last_tick: int
-    levels: Levels
-
-    @property
-    def forward(self) -> bool:
-        """Whether the move goes away from 0."""
-        return self.end_m > self.begin_m
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scheduled:
-    """A schedule with its moves, timeouts, warnings and shaping.
-
-    Parameters
-    ----------
-    job, machine
-        Job and machine of the schedule.
-    commands
-        Switch schedule; its events name the steps (kind ``tool``) and the waits.
-    moves, homings
-        All moves, and all cylinders that an operation brings home, in order.
-    wait_timeouts_s
-        Timeout of each event of kind ``wait``, in order, s.
-    warnings
-        Distances that whole scans do not give exactly, moves without travel, and waits for a
-        switch whose piston stands near the switch point.
-    shaping
-        Shaping of each cylinder; cylinders not named move unshaped.
-    """
-
-    job: Job
-    machine: Machine
-    commands: SwitchSchedule
-    moves: tuple[ScheduledMove, ...]
-    wait_timeouts_s: tuple[float, ...]
-    homings: tuple[Homing, ...] = ()
-    warnings: tuple[str, ...] = ()
-    shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the cylinders, in the order of all columns."""
-        return self.job.axes
-
-    @property
-    def duration_s(self) -> float:
-        """Duration of the schedule, s; late inputs make a cycle longer."""
-        return self.commands.duration_ticks * float(self.commands.clock.period_s)
-
-    @property
-    def historical(self) -> bool:
-        """False: the limits of a schedule are the limits of its valves, and always hold."""
-        return False
-
-    def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
-        """Return the name that takes the place of an interpolation."""
-        return ON_OFF
-
-    def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
-        """Return words for the planning method."""
-        return "switched"
-
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
-        """Return the shaping of each cylinder if a shaper was requested, else nothing."""
-        if "shaper" not in options:
-            return {}
-        return {"shaping": {axis: shaping_told(one) for axis, one in self.shaping.items()}}
-
-    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
-        """Return the line of each operation, 0 for an operation without one."""
-        return {i: o.source.line for i, o in enumerate(job) if i in operations}
 
 
 def compile_schedule(

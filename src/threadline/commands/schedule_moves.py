@@ -147,6 +147,13 @@ class AxisShaping:
     relative: float | None = None
     tolerance: float = DEFAULT_TOLERANCE
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the shaper of the cylinder and its modes as JSON values."""
+        modes = [
+            {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio} for m in self.modes
+        ]
+        return {"shaper": self.shaper.name, "modes": modes}
+
 
 def shaping_words(shaping: AxisShaping | None) -> str:
     """Return words for the shaper of a cylinder and its modes."""
@@ -156,14 +163,6 @@ def shaping_words(shaping: AxisShaping | None) -> str:
         f"{m.frequency_hz:.4g} Hz, damping ratio {m.damping_ratio:.4g}" for m in shaping.modes
     )
     return f"shaped by {shaping.shaper.name} for {modes}"
-
-
-def shaping_told(shaping: AxisShaping) -> dict[str, Any]:
-    """Return the shaper of a cylinder and its modes as JSON values."""
-    modes = [
-        {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio} for m in shaping.modes
-    ]
-    return {"shaper": shaping.shaper.name, "modes": modes}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,19 +9,12 @@ from math import ceil
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.dynamics import (
-    CHOSEN,
-    EARLIEST,
-    AxisEnds,
-    AxisPreview,
-    Demand,
-    InverseOutput,
-    TableEnd,
-)
+from threadline.dynamics.loop_ticks import InverseOutput
+from threadline.dynamics.preview import AxisPreview, Demand
+from threadline.dynamics.table_ends import CHOSEN, EARLIEST, AxisEnds, TableEnd
 from threadline.files import Stream
 from threadline.machine import Machine
 from threadline.motion.timing import Trajectory, TrajectoryBlock
-from threadline.motion.timing.optimal.motion_limits import reserve_of
 
 _KEPT_TICKS = 1024
 """Ticks kept at either end of a motion: more than any loop of ``AxisEnds`` remembers."""
@@ -134,6 +127,8 @@ def short_table(
         Instant at which the motion and the wait after the motion are over.
     """
     step_s, axes = float(machine.tick_clock.period_s), trajectory.axes
+    from threadline.motion.timing.optimal.motion_limits import reserve_of
+
     radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in axes]]
     rest_si = trajectory(np.array([0.0, trajectory.duration_s]))
     ends = {

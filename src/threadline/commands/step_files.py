@@ -17,8 +17,8 @@ import numpy as np
 from threadline import __version__
 from threadline.base.arrays import FloatArray
 from threadline.base.writing import is_stdout
+from threadline.commands.intents import Stitched
 from threadline.commands.step_tables import shortest_s, steps_residual_m
-from threadline.commands.stitched import Stitched
 from threadline.errors import OptionError, PlanError
 from threadline.files import StepPlay
 from threadline.files.formats.common import Written, atomic_file, written

@@ -14,6 +14,7 @@ from pathlib import Path
 from threadline import __version__
 from threadline.base.wording import st_comment
 from threadline.base.writing import together
+from threadline.commands.intents import Scheduled
 from threadline.commands.plc_net import Names, PetriNet
 from threadline.commands.plc_sequence import (
     FAULTS,
@@ -25,7 +26,6 @@ from threadline.commands.plc_sequence import (
     sequence_of,
 )
 from threadline.commands.plc_watch import air_ms
-from threadline.commands.schedule import Scheduled
 from threadline.commands.schedule_moves import shaping_words
 from threadline.commands.structured_text_body import (
     HAND_NAMES,

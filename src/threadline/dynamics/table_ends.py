@@ -58,17 +58,19 @@ class AxisEnds:
     preview
         Preview of the axis. Its controller takes a reference at every tick.
     reserve
-        Share of voltage and current reserved for the control loop; if the motion itself needs more
-        than the rest, that much is allowed.
+        Shares of voltage and of current reserved for the control loop; if the motion itself needs
+        more than the rest, that much is allowed.
     """
 
-    def __init__(self, machine: Machine, axis: str, preview: AxisPreview, reserve: float) -> None:
+    def __init__(
+        self, machine: Machine, axis: str, preview: AxisPreview, reserve: tuple[float, float]
+    ) -> None:
         self._loop = LoopTicks(machine, axis, preview.inverse)
         controller = machine.controller_of(axis)
         limit = machine.drive_of(axis).amplifier.current_limit
         self._skips = controller.dac.zero_on_reversal
-        self._volts = (1.0 - reserve) * controller.dac.range.si
-        self._amperes = np.inf if limit is None else (1.0 - reserve) * limit.si
+        self._volts = (1.0 - reserve[0]) * controller.dac.range.si
+        self._amperes = np.inf if limit is None else (1.0 - reserve[1]) * limit.si
         loop = preview.inverse.loop
         numerator = loop.filters[loop.index].numerator
         self._band = _NOISE_COUNTS * float(np.abs(numerator).sum())

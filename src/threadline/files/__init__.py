@@ -13,10 +13,10 @@ from threadline.files.commands import (
 from threadline.files.recording import (
     Channel,
     ChannelKind,
-    Ended,
     Outcome,
     Recording,
     RecordingBlock,
+    RunEnd,
 )
 from threadline.files.step_play import StepPlay, StepTable, StitchBlock
 from threadline.files.stream import KeptStream, Stream
@@ -26,13 +26,13 @@ __all__ = [
     "ChannelKind",
     "Clock",
     "Commands",
-    "Ended",
     "Event",
     "EventKind",
     "KeptStream",
     "Outcome",
     "Recording",
     "RecordingBlock",
+    "RunEnd",
     "StepPlay",
     "StepTable",
     "StitchBlock",

@@ -14,7 +14,7 @@ from threadline.files.clock import Clock, Event
 from threadline.files.stream import Stream
 
 
-class Ended(StrEnum):
+class RunEnd(StrEnum):
     """How a run ended; the last event of a recording has one of these kinds."""
 
     COMPLETED = "completed"  # every row was played
@@ -53,7 +53,7 @@ class Outcome:
     (True, 3, 'the link is gone')
     """
 
-    ended: Ended | None = None
+    ended: RunEnd | None = None
     text: str = ""
     tick: int | None = None
     operation: int | None = None
@@ -64,16 +64,16 @@ class Outcome:
     @property
     def incomplete(self) -> bool:
         """Whether the run ended before its last row."""
-        return self.ended in {Ended.STOPPED, Ended.FAULT}
+        return self.ended in {RunEnd.STOPPED, RunEnd.FAULT}
 
     def after(self, events: Iterable[Event]) -> Outcome:
         """Return the outcome updated with further events, given in order."""
         known = self
         for event in events:
-            if event.kind in tuple(Ended):
+            if event.kind in tuple(RunEnd):
                 known = replace(
                     known,
-                    ended=Ended(event.kind),
+                    ended=RunEnd(event.kind),
                     text=event.name,
                     tick=event.tick,
                     operation=event.operation,

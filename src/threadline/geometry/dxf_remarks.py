@@ -10,7 +10,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import JobError, Place
-from threadline.geometry.read_dxf import Said, entity_lines, load_dxf, metres_per_unit
+from threadline.geometry.read_dxf import DxfMessages, entity_lines, load_dxf, metres_per_unit
 from threadline.geometry.strokes import LineStyle, one_line, style_of_linetype
 from threadline.geometry.write_dxf import PATTERNS, Fill
 
@@ -56,7 +56,7 @@ def read_remarks(content: bytes, file: str, most: int) -> tuple[list[Leader], li
     JobError
         If the drawing is damaged.
     """
-    with Said().listening():  # ``read_dxf`` has reported its messages already
+    with DxfMessages().listening():  # ``read_dxf`` has reported its messages already
         document, lines = load_dxf(file), entity_lines(content)
     metres = metres_per_unit(int(document.header.get("$INSUNITS", 0)), None, Place(file))
     space = document.modelspace()

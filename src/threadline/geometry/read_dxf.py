@@ -64,7 +64,7 @@ def read_dxf(
     place = Place(file)
     if re.match(rb"AC10\d\d", content):
         raise JobError("this is a DWG file", place=place, remedy="Save the drawing as DXF.")
-    said = Said()
+    said = DxfMessages()
     with said.listening():
         document = load_dxf(file)
     factor = metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
@@ -133,7 +133,7 @@ def _refuse_explosion(document: Any, walk: _Walk) -> None:
     count(document.modelspace(), ())
 
 
-class Said(logging.Handler):
+class DxfMessages(logging.Handler):
     """Collects ezdxf's log, its only report of omissions and repairs."""
 
     def __init__(self) -> None:

@@ -48,6 +48,9 @@ _MOST_BYTES = 1 << 28
 _RUN = 4096
 _HEAD_BYTES = 4096
 
+AXIS_TABLE_OPTIONS = ("feed_mode", "base_axes", "axes")
+"""Options that ``read_axis_table`` takes."""
+
 
 def is_axis_table(path: Path) -> bool:
     """Return whether the first row of a table names times, feeds, or axes that no drawing has."""

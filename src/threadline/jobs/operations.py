@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import repeat
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import Place
 from threadline.files import Stream
-from threadline.geometry.contours import DrawnLine
+
+if TYPE_CHECKING:
+    from threadline.geometry.contours import DrawnLine
 
 Tags: TypeAlias = Mapping[str, float | str]
 Column: TypeAlias = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.str_] | NDArray[np.object_]

@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.base.arrays import IntArray
 from threadline.errors import CommandError, LinkFaultError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live.far_end import FarEnd
 from threadline.live.states import Cause, Desk, Sink, State, homed_after, next_state
 from threadline.live.wire import Connection, Message
@@ -52,7 +52,7 @@ class AtRest:
         self.state = State.DISABLED
         self.tick = 0  # of the machine, as last reported
         self.late_ticks = 0
-        self.ended: tuple[Ended, str] | None = None
+        self.ended: tuple[RunEnd, str] | None = None
         self.over = False  # the run has ended and the machine has settled
         self.latest: Mapping[str, float] = {}
         self.homed, self.why = False, ""
@@ -208,12 +208,12 @@ class AtRest:
 
     def _fault(self, text: str) -> None:
         """Go to the state of a fault."""
-        self.ended = (Ended.FAULT, text)
+        self.ended = (RunEnd.FAULT, text)
         self._homed = False
         self._go(Cause.FAULT, text)
 
     def _lost(self, text: str) -> None:
         """Record that the link is lost; the machine plays its braking tail."""
-        self.ended, self.over, self._homed = (Ended.FAULT, text), True, False
+        self.ended, self.over, self._homed = (RunEnd.FAULT, text), True, False
         self._go(Cause.FAULT, text)
         self._sink.block(self.far_end.lost(self.tick, text))

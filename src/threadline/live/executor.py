@@ -13,7 +13,7 @@ import numpy as np
 
 from threadline.base.arrays import IntArray
 from threadline.errors import CommandError, LimitError, LinkFaultError
-from threadline.files import Commands, Ended
+from threadline.files import Commands, RunEnd
 from threadline.live.ahead import ticks_in
 from threadline.live.at_rest import AtRest
 from threadline.live.jogging import JogAhead, MoveAhead
@@ -245,7 +245,7 @@ class Executor(AtRest):
         self._go(cause, "it goes on to the next rest" if waits else "")
         if cause is Cause.STOP and moving:
             self._homed = self._homed and (self._ahead is None or self._ahead.keeps_home)
-            self.ended = self.ended or (Ended.STOPPED, f"stopped by {self.stopped_by}")
+            self.ended = self.ended or (RunEnd.STOPPED, f"stopped by {self.stopped_by}")
             self._brake()
         elif cause is Cause.HOLD:
             if self._hold_at_rest and not isinstance(self._ahead, JogAhead | None):
@@ -354,7 +354,7 @@ class Executor(AtRest):
             self._go_on_by_hand(ahead, played=played)
         elif self.state is State.RUNNING and ahead.complete:
             if played:
-                self.ended, self._rest = (Ended.COMPLETED, ""), ahead.end
+                self.ended, self._rest = (RunEnd.COMPLETED, ""), ahead.end
         elif self.state is State.RUNNING and ahead.halt is not None:
             if played:
                 self._go(Cause.HOLD, f"{ahead.halt.kind} {ahead.halt.name}".strip())
@@ -372,7 +372,7 @@ class Executor(AtRest):
     def _go_on_by_hand(self, jog: JogAhead, *, played: bool) -> None:
         if jog.complete:
             if played:
-                self.ended, self.over = (Ended.COMPLETED, jog.why), True
+                self.ended, self.over = (RunEnd.COMPLETED, jog.why), True
                 self._go(Cause.AT_REST, jog.why)
         elif self.tick >= self._lease_until:
             jog.why = f"nobody has renewed its lease for {LEASE_S:g} s"

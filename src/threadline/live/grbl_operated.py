@@ -11,7 +11,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LinkFaultError
-from threadline.files import Channel, Ended
+from threadline.files import Channel, RunEnd
 from threadline.live.executor import LEASE_S
 from threadline.live.grbl_controller import Controller, GrblJog, fastest_by_hand
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
@@ -97,7 +97,7 @@ class GrblOperated(GrblRun):
         try:
             super().home()
         except LinkFaultError as error:
-            self.ended, self.over = (Ended.FAULT, error.message), True
+            self.ended, self.over = (RunEnd.FAULT, error.message), True
             raise
         self._keep_latest()
 
@@ -141,7 +141,7 @@ class GrblOperated(GrblRun):
     def _fault_at_rest(self, text: str) -> None:
         if self.state is State.FAULT:
             return
-        self.ended = (Ended.FAULT, text)
+        self.ended = (RunEnd.FAULT, text)
         self._go(Cause.FAULT, text)
 
     def _note(self, found: Status) -> None:
@@ -315,7 +315,7 @@ class GrblOperated(GrblRun):
     def _end_by_hand(self, jog: GrblJog) -> None:
         self._jog, self.over = None, True
         if self.state is State.JOGGING:
-            self.ended = (Ended.COMPLETED, jog.why)
+            self.ended = (RunEnd.COMPLETED, jog.why)
             self._go(Cause.AT_REST, jog.why)
         elif self.state is State.STOPPING:
             self._go(Cause.AT_REST)

@@ -16,7 +16,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.firmware_program import planned_instants
 from threadline.commands.plan import Plan
 from threadline.errors import CommandError
-from threadline.files import Channel, ChannelKind, Clock, Ended, Event, RecordingBlock, tick_table
+from threadline.files import Channel, ChannelKind, Clock, Event, RecordingBlock, RunEnd, tick_table
 from threadline.live.derived import Rest, rest_from_row
 from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_words import Program, program_of, runs_out
@@ -241,7 +241,7 @@ class ReportTrace:
         self.tick += len(times)
         self._sample_s, self._before = now_s, at
 
-    def end(self, ended: Ended, text: str) -> None:
+    def end(self, ended: RunEnd, text: str) -> None:
         """Record how the run ended."""
         event = Event(tick=self.tick, kind=ended.value, operation=-1, name=text)
         self._put({channel.name: np.empty(0) for channel in self.channels}, event)

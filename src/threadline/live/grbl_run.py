@@ -13,7 +13,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import CommandError, LinkFaultError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live.at_rest import OPERATOR
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_program import ReportTrace, way_passed
@@ -98,7 +98,7 @@ class GrblRun:
 
     def _forget(self) -> None:
         """Reset all data of the last run."""
-        self.ended: tuple[Ended, str] | None = None
+        self.ended: tuple[RunEnd, str] | None = None
         self.over = False
         self.executed = self.acknowledged = 0
         self._count = CharacterCount(self.controller.room)
@@ -288,7 +288,7 @@ class GrblRun:
             raise CommandError(self._unready, remedy="Close the door, then go on.")
         self._go(cause)
         if cause is Cause.STOP and moving:
-            self.ended = (Ended.STOPPED, f"stopped by {self.stopped_by}")
+            self.ended = (RunEnd.STOPPED, f"stopped by {self.stopped_by}")
             self._brake()
         elif cause in (Cause.HOLD, Cause.RESUME):
             self._port.send(HOLD if cause is Cause.HOLD else RESUME)
@@ -430,7 +430,7 @@ class GrblRun:
         away_m = float(np.linalg.norm(away * self._machine.radius_m))
         if away_m <= OFF_PATH_M:
             self.executed = self.acknowledged
-            self.ended = (Ended.COMPLETED, "")
+            self.ended = (RunEnd.COMPLETED, "")
             self._end()
             return
         self._stood_s = min(self._stood_s, self._heard_s)
@@ -476,9 +476,9 @@ class GrblRun:
             self._go(Cause.COMPLETED)
 
     def _fault(self, text: str) -> None:
-        if self.ended is not None and self.ended[0] is Ended.FAULT:
+        if self.ended is not None and self.ended[0] is RunEnd.FAULT:
             return
-        self.ended = (Ended.FAULT, text)
+        self.ended = (RunEnd.FAULT, text)
         self._go(Cause.FAULT, text)
         self._brake()
 
@@ -487,7 +487,7 @@ class GrblRun:
         left = int(self._count.open)
         told = [] if self.ended is None else [self.ended[1]]
         left_over = f"the controller executes by itself {left} lines and its planner's blocks"
-        self.ended = (Ended.FAULT, "; ".join([*filter(None, told), text, left_over]))
+        self.ended = (RunEnd.FAULT, "; ".join([*filter(None, told), text, left_over]))
         self._trace.end(*self.ended)
         self._go(Cause.FAULT, text)
         self.over = True

@@ -14,7 +14,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError
-from threadline.files import Channel, ChannelKind, Ended, RecordingBlock
+from threadline.files import Channel, ChannelKind, RecordingBlock, RunEnd
 from threadline.live.hal_session import SILENT_S, HalSession, Samples
 from threadline.live.sim_kinds import SimRows
 from threadline.live.wire import Message
@@ -59,7 +59,7 @@ class _Played(RowSession):
         self._rows.clear()
         self._events.clear()
         self._halted, self._held = None, False
-        self._ended, self._final = (Ended.FAULT, why), True
+        self._ended, self._final = (RunEnd.FAULT, why), True
         self._record_event("fault", name=why)
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:

@@ -12,7 +12,7 @@ import numpy as np
 from threadline.base.arrays import IntArray
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
-from threadline.files import Channel, Ended
+from threadline.files import Channel, RunEnd
 from threadline.live.continuing import Continued, ContinuedSink
 from threadline.live.derived import Rest
 from threadline.live.executor import Executor
@@ -89,7 +89,7 @@ class Link(Protocol):
         watch: Callable[[Running], None],
         again: Continued | None = None,
         confirmed: Callable[[], bool | None] = lambda: True,
-    ) -> tuple[Ended, str]:
+    ) -> tuple[RunEnd, str]:
         """Run the plan, or the rest of it; return how it ended, and why.
 
         ``again`` and ``confirmed`` are as for ``run_commands``.
@@ -188,7 +188,7 @@ class GrblLink:
         watch: Callable[[Running], None],
         again: Continued | None = None,
         confirmed: Callable[[], bool | None] = lambda: True,
-    ) -> tuple[Ended, str]:
+    ) -> tuple[RunEnd, str]:
         """Home, send the program, and record what the controller reports."""
         assert self._program is not None
         assert self._controller is not None

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from threadline.base.arrays import IntArray
 from threadline.commands.plan import Plan
-from threadline.files import Channel, Commands, Ended
+from threadline.files import Channel, Commands, RunEnd
 from threadline.live.derived import Rest
 from threadline.live.grbl_words import Program
 from threadline.live.states import State
@@ -48,7 +48,7 @@ class Operated(Protocol):
     """A machine at the far end of a link, for one run or jog after the other; see ``Executor``."""
 
     state: State
-    ended: tuple[Ended, str] | None
+    ended: tuple[RunEnd, str] | None
     over: bool
     late_ticks: int
     latest: Mapping[str, float]

@@ -18,9 +18,9 @@ from threadline.errors import OptionError
 from threadline.files import (
     Channel,
     Clock,
-    Ended,
     Event,
     RecordingBlock,
+    RunEnd,
     StepPlay,
     StepTable,
     StitchBlock,
@@ -136,7 +136,7 @@ class SimRows(SimMachine):
             return "its rows do not go on from where those before them end"
         return ""
 
-    def _tell_end(self, ended: Ended, text: str) -> None:
+    def _tell_end(self, ended: RunEnd, text: str) -> None:
         self._session.resume()
         self._session.finish(ended, text)
 
@@ -260,7 +260,7 @@ class SimScans(SimMachine):
         self._session.switch_off_at(int(head["off"]))
         return ""
 
-    def _tell_end(self, ended: Ended, text: str) -> None:
+    def _tell_end(self, ended: RunEnd, text: str) -> None:
         self._session.finish(ended, text)
 
     def _simulate(self, ticks: int) -> list[RecordingBlock]:
@@ -416,7 +416,7 @@ class SimTurns(SimMachine):
         session.take(turn, None)
         session.advance(2)
 
-    def _tell_end(self, ended: Ended, text: str) -> None:
+    def _tell_end(self, ended: RunEnd, text: str) -> None:
         if self._session is not None:
             self._session.finish(ended, text)
 

@@ -21,7 +21,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.wording import nearest
 from threadline.errors import OptionError
-from threadline.files import Channel, Ended, Event, RecordingBlock
+from threadline.files import Channel, Event, RecordingBlock, RunEnd
 from threadline.live.far_end import greeting, samples_per_tick
 from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
@@ -246,7 +246,7 @@ class SimMachine(ABC):
         """Accept a refill; return why it does not fit, or nothing."""
 
     @abstractmethod
-    def _tell_end(self, ended: Ended, text: str) -> None:
+    def _tell_end(self, ended: RunEnd, text: str) -> None:
         """Note how the run ended."""
 
     @abstractmethod
@@ -361,7 +361,7 @@ class SimMachine(ABC):
             self._say("refused", what="refill", why=why, tick=self.tick)
 
     def _finish(self, message: Message) -> None:
-        self._tell_end(Ended(message.head["ended"]), str(message.head["text"]))
+        self._tell_end(RunEnd(message.head["ended"]), str(message.head["text"]))
 
     def _leave(self, _message: Message) -> None:
         self.left = True

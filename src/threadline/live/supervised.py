@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 from threadline.base.arrays import IntArray
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, Place, PlanError, ProofError
-from threadline.files import Commands, Ended
+from threadline.files import Commands, RunEnd
 from threadline.jobs.feed_times import SLOWER
 from threadline.live.continuing import Continued, ContinuedSink
 from threadline.live.derived import Rest
@@ -131,7 +131,7 @@ def run_commands(
     watch: Callable[[Executor], None] | None = None,
     again: Continued | None = None,
     confirmed: Callable[[], bool | None] = lambda: True,
-) -> tuple[Ended, str, int]:
+) -> tuple[RunEnd, str, int]:
     """Run checked commands from enabling the drives to the end of settling.
 
     Parameters
@@ -167,7 +167,7 @@ def run_commands(
         executor.home()
         if executor.state is not State.IDLE:
             executor.close()
-            return Ended.STOPPED, "stopped by the operator while it homed", 0
+            return RunEnd.STOPPED, "stopped by the operator while it homed", 0
         if again is not None and (why := moved_to_begin(executor, machine, again, confirmed)):
             executor.close()
             return (*why, executor.late_ticks)
@@ -192,7 +192,7 @@ class MovedByHand(Protocol):
     """A homed machine that is moved by hand; see ``Operated``."""
 
     state: State
-    ended: tuple[Ended, str] | None
+    ended: tuple[RunEnd, str] | None
     over: bool
     stops: int
 
@@ -218,7 +218,7 @@ MovedT = TypeVar("MovedT", bound=MovedByHand)
 
 def moved_to_begin(
     executor: MovedByHand, machine: Machine, again: Continued, confirmed: Callable[[], bool | None]
-) -> tuple[Ended, str] | None:
+) -> tuple[RunEnd, str] | None:
     """Wait for the operator, and move to where the work begins; return why that failed.
 
     None if the machine stands there.
@@ -228,7 +228,7 @@ def moved_to_begin(
         answer = confirmed()
         executor.stand(0.0 if answer else _ASK_S)
     if not answer or executor.stops:
-        return Ended.STOPPED, "nobody has confirmed that it may go on"
+        return RunEnd.STOPPED, "nobody has confirmed that it may go on"
     return moved_in_turn(executor, machine, again.approach)
 
 
@@ -237,7 +237,7 @@ def moved_in_turn(
     machine: Machine,
     ways: Iterable[tuple[str, int]],
     watch: Callable[[MovedT], None] = lambda _: None,
-) -> tuple[Ended, str] | None:
+) -> tuple[RunEnd, str] | None:
     """Move axes one after the other, at their manual feeds; return why that failed.
 
     None if the machine stands at the end of all moves.
@@ -260,7 +260,7 @@ def moved_in_turn(
             executor.step()
             watch(executor)
         assert executor.ended is not None
-        if executor.ended[0] is not Ended.COMPLETED or executor.stops:
+        if executor.ended[0] is not RunEnd.COMPLETED or executor.stops:
             ended, why = executor.ended
             return ended, why or "stopped by the operator on the approach"
     return None
@@ -319,7 +319,7 @@ class ExecutedLink(ABC):
         watch: Callable[[Executor], None],
         again: Continued | None = None,
         confirmed: Callable[[], bool | None] = lambda: True,
-    ) -> tuple[Ended, str]:
+    ) -> tuple[RunEnd, str]:
         """Run the plan; return how it ended, and why."""
         run_kind = run_kind_of(plan.machine)
         ended, text, _ = run_commands(

@@ -32,6 +32,7 @@ from threadline.machine.parts import (
     Period,
     Sensor,
     Tool,
+    check_eye,
     check_known,
 )
 from threadline.machine.path_limits import PathLimits, acts_at_m, check_path_limits, check_radii
@@ -155,7 +156,7 @@ class Machine(AxisArrays):
     path
         Limits of the tool along its path, in addition to limits of the axes.
     tool
-        Radius of rotary axes without a radius.
+        Radius of rotary axes without a radius; for a winder, the axes of its eye.
     operator
         Settings of the operator.
     programs
@@ -260,6 +261,7 @@ class Machine(AxisArrays):
             check_known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
             check_known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
         check_radii(self.axes, self.tool)
+        check_eye(self.tool, self.axes)
         if self.planner is not None:
             check_by_axis(self.planner, self.axes, self.rotary)
         check_path_limits(self.path, self.axes, self.cylinders, self.tables)

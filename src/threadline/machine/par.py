@@ -23,7 +23,7 @@ from threadline.base.reading import refuse_special
 from threadline.errors import MachineError, Place
 from threadline.machine.controllers import PdController
 from threadline.machine.model import Machine
-from threadline.machine.parts import Operator
+from threadline.machine.parts import Operator, eye_within
 from threadline.machine.quantity import Provenance, Quantity
 
 COMMENT_LINES = 3
@@ -89,6 +89,7 @@ def read_parameters(path: str | Path, machine: Machine) -> Machine:
     sha256 = hashlib.sha256(machine.sha256.encode() + data).hexdigest()
     return dataclasses.replace(
         machine, operator=operator, axes=axes, inputs=inputs, controllers=controllers,
+        tool=eye_within(machine.tool, axes),
         sha256=sha256, parameters=str(path),
     )  # fmt: skip
 

@@ -138,7 +138,7 @@ class Amplifier:
     ``limits`` is the kind of current limit of a motor with inductance: ``state`` stops the current
     at the limit; ``output`` clips the output of an integrator that winds up (as in simulations with
     a saturation block). ``reserve`` is the share of the voltage and current limits that a plan
-    leaves to the control loop.
+    leaves to the control loop; ``current_reserve`` is another share for the current.
     """
 
     mode: Literal["voltage", "current"]
@@ -147,6 +147,7 @@ class Amplifier:
     current_limit: Annotated[Quantity, Units(("A",), positive=True)] | None = None
     limits: Literal["state", "output"] = "state"
     reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
+    current_reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
 
     @model_validator(mode="after")
     def _gain_unit(self) -> Amplifier:
@@ -311,10 +312,121 @@ def _place(value_si: float, kind: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class Tool:
-    """The tool; ``radius`` is the distance at which rotary axes act on the work."""
+class EyeAxis:
+    """An axis that moves the eye or turns the mandrel.
 
+    The eye's coordinate is ``zero`` plus the position of the axis; minus it with ``reverse``.
+    """
+
+    axis: str
+    reverse: StrictBool = False
+    zero: Position | None = None
+
+    @property
+    def factor(self) -> float:
+        """1, or -1 for a reversed axis."""
+        return -1.0 if self.reverse else 1.0
+
+    @property
+    def zero_si(self) -> float:
+        """Coordinate of the eye where the axis is at 0, m or rad."""
+        return 0.0 if self.zero is None else self.zero.si
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Payout:
+    """Pay-out point of the fibre from the eye's carrier, at yaw and roll 0."""
+
+    along: Annotated[Quantity, Units(("m",))]
+    across: Annotated[Quantity, Units(("m",))]
+    up: Annotated[Quantity, Units(("m",))]
+
+
+_TURNS = ("turn", "yaw", "roll")
+EYE_PARTS = ("turn", "along", "across", "up", "yaw", "roll")
+"""Coordinates of an eye, in the order of all arrays."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Tool:
+    """The tool; ``radius`` is the distance at which rotary axes act on the work.
+
+    ``kind = "eye"`` is the eye of a winder. ``turn`` names the axis that turns the mandrel;
+    ``along`` moves the eye along the mandrel, ``across`` away from its axis and ``up``. ``yaw``
+    turns the eye about the upright from along to across, ``roll`` about the direction across from
+    up to along. A missing coordinate is 0. ``payout`` is the point where the fibre leaves the eye.
+    """
+
+    kind: Literal["radius", "eye"] = "radius"
     radius: Annotated[Quantity, Units(("m",), positive=True)]
+    turn: EyeAxis | None = None
+    along: EyeAxis | None = None
+    across: EyeAxis | None = None
+    up: EyeAxis | None = None
+    yaw: EyeAxis | None = None
+    roll: EyeAxis | None = None
+    payout: Payout | None = None
+
+    @model_validator(mode="after")
+    def _of_its_kind(self) -> Tool:
+        if self.kind == "radius":
+            for name in (*EYE_PARTS, "payout"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f'{name} belongs to an eye: write kind = "eye", or remove it')
+            return self
+        for name in ("turn", "along"):
+            if getattr(self, name) is None:
+                raise ValueError(f'an eye needs {name}, like {name} = {{ axis = "A" }}')
+        if self.across is None and self.payout is None:
+            raise ValueError('an eye needs across, like across = { axis = "Y" }, or a payout')
+        for name, part in zip(EYE_PARTS, self.parts, strict=True):
+            wanted = "rad" if name in _TURNS else "m"
+            if part is not None and part.zero is not None and part.zero.unit != wanted:
+                raise ValueError(f"{name}.zero is in {wanted}, not {part.zero.unit}")
+        return self
+
+    @property
+    def parts(self) -> tuple[EyeAxis | None, ...]:
+        """The axes of ``EYE_PARTS``."""
+        return self.turn, self.along, self.across, self.up, self.yaw, self.roll
+
+    @property
+    def payout_m(self) -> tuple[float, float, float]:
+        """Pay-out point along, across and up from the eye's carrier."""
+        point = self.payout
+        return (0.0, 0.0, 0.0) if point is None else (point.along.si, point.across.si, point.up.si)
+
+
+def eye_within(tool: Tool | None, axes: Iterable[str]) -> Tool | None:
+    """Return the tool of a machine with some axes alone: without all its axes it is no eye."""
+    known = set(axes)
+    if tool is None or all(part is None or part.axis in known for part in tool.parts):
+        return tool
+    return Tool(radius=tool.radius)
+
+
+def check_eye(tool: Tool | None, axes: Mapping[str, Axis]) -> None:
+    """Check that the axes of an eye exist and are of the right kind.
+
+    Raises
+    ------
+    ValueError
+        If one is missing, rotary instead of linear, or used twice; begins with the key.
+    """
+    if tool is None:
+        return
+    used: dict[str, str] = {}
+    for name, part in zip(EYE_PARTS, tool.parts, strict=True):
+        if part is None:
+            continue
+        at = f"tool.{name}.axis"
+        check_known([part.axis], axes, at, "axis")
+        kind = "rotary" if name in _TURNS else "linear"
+        if axes[part.axis].kind != kind:
+            raise ValueError(f"{at}: {part.axis} is a {axes[part.axis].kind} axis, not {kind}")
+        if part.axis in used:
+            raise ValueError(f"{at}: {part.axis} is the axis of {used[part.axis]} already")
+        used[part.axis] = name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -355,7 +467,7 @@ def check_known(names: Iterable[str], among: Iterable[str], where: str, what: st
             raise ValueError(f"{where} names the {what} {name!r}, which does not exist; {hint}")
 
 
-Said = Annotated[str, Field(min_length=1, max_length=400)]
+GuideText = Annotated[str, Field(min_length=1, max_length=400)]
 _Pin = Annotated[str, Field(pattern=r"^[A-Za-z0-9]{1,4}$")]
 
 
@@ -363,8 +475,8 @@ _Pin = Annotated[str, Field(pattern=r"^[A-Za-z0-9]{1,4}$")]
 class Connector:
     """A connector: its purpose and location, and the signal at each used pin."""
 
-    title: Said
-    pins: dict[_Pin, Said] = Field(min_length=1)
+    title: GuideText
+    pins: dict[_Pin, GuideText] = Field(min_length=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -374,7 +486,7 @@ class Guide:
     ``presets`` are the steps from the manual of the drives, before the general calibration steps.
     """
 
-    presets: tuple[Said, ...] = ()
+    presets: tuple[GuideText, ...] = ()
     connectors: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,20}$")], Connector] = Field(
         default_factory=dict
     )

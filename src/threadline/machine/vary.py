@@ -10,8 +10,8 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.machine.model import Drive, Machine
-from threadline.machine.parts import Axis
-from threadline.machine.quantity import Quantity
+from threadline.machine.parts import Axis, DcMotor
+from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.sources import Stepper
 
 DAMPING_OF_DAYS = (0.7, 1.3)
@@ -298,6 +298,28 @@ def mode_off(machine: Machine, relative: float) -> Machine:
         for name, link in machine.links.items()
     }
     return vary(replace(machine, links=links), damping=factor)
+
+
+def with_reserve(machine: Machine, reserve: tuple[float, float] | None) -> Machine:
+    """Return ``machine`` with shares of the volts and the current of each drive kept for its loop.
+
+    None returns the machine itself. Drives without an amplifier have nothing to keep.
+    """
+    if reserve is None:
+        return machine
+    volts, current = (
+        Quantity(si=share, unit="", tolerance_si=0.0, provenance=Provenance.ASSUMED)
+        for share in reserve
+    )
+    drives = {
+        name: replace(
+            drive, amplifier=replace(drive.amplifier, reserve=volts, current_reserve=current)
+        )
+        if isinstance(drive, DcMotor)
+        else drive
+        for name, drive in machine.drives.items()
+    }
+    return replace(machine, drives=drives)
 
 
 def derate(machine: Machine, share: float) -> Machine:

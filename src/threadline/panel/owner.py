@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from threadline.errors import CommandError, LinkFaultError, ThreadlineError
-from threadline.files import Ended
+from threadline.files import RunEnd
 from threadline.live.at_rest import OPERATOR
 from threadline.live.executor import LEASE_S
 from threadline.live.guards import clock_s
@@ -62,7 +62,7 @@ class MoveSequence:
         self._queued.clear()
 
     def next_one(
-        self, stops: int, ended: tuple[Ended, str] | None, now_s: float
+        self, stops: int, ended: tuple[RunEnd, str] | None, now_s: float
     ) -> tuple[str, int] | None:
         """Return the move to begin; None without one; drop all if the sequence has to end.
 
@@ -75,7 +75,7 @@ class MoveSequence:
         now_s
             The time.
         """
-        whole = not self._begun or ended == (Ended.COMPLETED, "")
+        whole = not self._begun or ended == (RunEnd.COMPLETED, "")
         if stops != self._stops or not whole or self.lease_s(now_s) <= 0.0:
             self.clear()
         if not self._queued:

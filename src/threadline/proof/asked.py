@@ -17,7 +17,6 @@ from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
-from threadline.machine.par import read_parameters
 from threadline.machine.radii import with_radii
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
@@ -40,7 +39,11 @@ def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None)
         If there is no machine with that name, or the file does not describe one.
     """
     found = machine if isinstance(machine, Machine) else load_machine(machine)
-    return found if par is None else read_parameters(Path(par), found)
+    if par is None:
+        return found
+    from threadline.machine.par import read_parameters
+
+    return read_parameters(Path(par), found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +130,8 @@ class Words:
     ) -> list[Options]:
         """Return planning options for each interpolation, feed and shaper.
 
-        ``contour`` applies only to ``optimal``, ``robust`` only to the default interpolation, and
-        ``mode`` only to a shaper: the other compared plans leave it out.
+        ``contour`` and its like apply only to ``optimal``, ``robust`` only to the
+        default interpolation, and ``mode`` only to a shaper: the other compared plans leave it out.
 
         Raises
         ------
@@ -143,7 +146,7 @@ class Words:
         for name, feed, shaper in product(interpolations, feeds or once, shapers or once):
             own: dict[str, Word] = {"interpolation": name, "feed": feed, "shaper": shaper}
             if name != OPTIMAL and OPTIMAL in interpolations:
-                own["contour"] = None
+                own |= dict.fromkeys(_OF_OPTIMAL)
             if name not in USUAL and not USUAL.isdisjoint(interpolations):
                 own["robust"] = None
             if shaper in unshaped and not unshaped.issuperset(shapers):
@@ -186,6 +189,7 @@ class Words:
         return typed
 
 
+_OF_OPTIMAL = ("contour", "outside", "reserve", "narrow")
 _OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends", "band")
 
 

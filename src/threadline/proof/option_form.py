@@ -119,7 +119,7 @@ class Option:
     type: Type = Type.TEXT
     unit: str = ""
     default: str | bool | None = None
-    defaults: Mapping[str, str] = field(default_factory=dict)
+    defaults: Mapping[str, str | None] = field(default_factory=dict)
     kinds: tuple[str, ...] = (TICKS, SWITCHES, STEPS)
     doors: tuple[Door, ...] = tuple(Door)
     attribute: str = ""

@@ -38,20 +38,27 @@ from threadline.proof.option_form import (
 )
 from threadline.proof.option_words import (
     feed_words,
+    narrow_words,
     parse_contour_m,
     parse_damping,
     parse_feed,
+    parse_narrow,
+    parse_outside_m,
+    parse_reserve,
     parse_robust,
     parse_shaper_text,
     parse_share,
     parse_tolerance_m,
     parse_width_s,
+    reserve_words,
 )
+from threadline.winding.product import product_text
 
 PLANNERS = (
     "prove", "run", "compile", "compare", "fastest", "yield", "design", "animate", "judge", "panel",
 )  # fmt: skip
 """The verbs that plan a job; ``panel`` is a calculation on the panel."""
+_TYPED = tuple(verb for verb in PLANNERS if verb != "panel")
 PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile")
 """The verbs of ``import threadline as tl``."""
 PROGRAMMED = "programmed"
@@ -169,6 +176,14 @@ TABLE: tuple[Option, ...] = (
         label="Radius", placeholder="the machine's",
     ),
     Option(
+        name="product", group=Group.PLAN, kinds=(TICKS,),
+        verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "panel"}),
+        help="Product of a winder (NAME.wind.toml): where its fibre lies is judged as well.",
+        helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
+        attribute="product", parse=product_text, doors=(Door.LINE, Door.PYTHON),
+        recorded=FileForm(key="product", write=_same, read=product_text),
+    ),
+    Option(
         name="offset", group=Group.PLAN, unit="m or rad", verbs=PLANNERS, kinds=(TICKS,),
         help='Machine position of the zero of a part program: "X=12 mm, A=30 deg". Default: '
         "the machine's zero.",
@@ -187,7 +202,10 @@ TABLE: tuple[Option, ...] = (
         name="tolerance", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS, STEPS),
         help="Largest deviation from the programmed path, kept by auto, optimal and parabolic: "
         '"0.1 mm".',
-        default=DEFAULT_TOLERANCE, attribute="tolerance_m", parse=parse_tolerance_m,
+        helps={"fastest": "Largest deviation from the programmed path; default: searched with "
+               f"optimal, else {DEFAULT_TOLERANCE}."},
+        default=DEFAULT_TOLERANCE, defaults={"fastest": None},
+        attribute="tolerance_m", parse=parse_tolerance_m,
         recorded=FileForm(
             key="tolerance", write=_exact("m"), read=parse_tolerance_m, required=True
         ),
@@ -284,6 +302,40 @@ TABLE: tuple[Option, ...] = (
         label="Contour", placeholder=f"{DEFAULT_CONTOUR_M * 1e3:g} mm, with optimal",
     ),
     Option(
+        name="outside", group=Group.PLAN, unit="m", verbs=_TYPED, kinds=(TICKS,),
+        help="With optimal: how far the path may leave the program on the outside of its corners, "
+        'at most the tolerance: "0.1 mm". A corner that is entered and left on its outside is '
+        "rounded more widely; default: not at all.",
+        helps={"fastest": "With optimal: how far the path may leave the program on the outside of "
+               "its corners; default: searched."},
+        attribute="outside_m", parse=parse_outside_m,
+        recorded=FileForm(
+            key="outside", write=lambda m: _exact("m")(m or None), read=parse_outside_m
+        ),
+    ),
+    Option(
+        name="reserve", group=Group.PLAN, verbs=_TYPED, kinds=(TICKS,),
+        help="With optimal: share of volts and current of every drive that the plan leaves to the "
+        'loop: "5 %", "volts 1 %, current 3 %". Default: the reserve in the machine file, else '
+        "10 %.",
+        helps={"fastest": "With optimal: share of volts and current of every drive that the plan "
+               "leaves to the loop; default: searched."},
+        attribute="reserve", parse=parse_reserve,
+        recorded=FileForm(
+            key="reserve", read=parse_reserve,
+            write=lambda kept: None if kept is None else reserve_words(kept),
+        ),
+    ),
+    Option(
+        name="narrow", group=Group.PLAN, unit="m", verbs=_TYPED, kinds=(TICKS,),
+        help="With optimal: smaller tolerances at the ends of moves, by lines of the program: "
+        '"13: 0.38 mm, 22: 0.4 mm".',
+        helps={"fastest": "With optimal: smaller tolerances at the ends of moves, by lines of "
+               "the program; default: searched."},
+        attribute="narrow", parse=parse_narrow, most_text=MOST_PROFILE,
+        recorded=FileForm(key="narrow", write=narrow_words, read=parse_narrow),
+    ),
+    Option(
         name="level", group=Group.LEVEL, verbs=(*_OF_VERDICT,),
         help="How far the verdict reaches: nominal is one run; repeated is 20 runs with other "
         "encoder phases, friction and supply; over tolerances adds other machines within the "
@@ -304,7 +356,8 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
-        help="Also judge 200 other machines within the tolerances of the machine file.",
+        help="Also judge the worst machine within the tolerances of the machine file that a search "
+        "finds, and 200 drawn ones.",
         doors=(Door.LINE,),
     ),
     Option(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from typing import NamedTuple
 
 from threadline.base.option_defaults import NO_CONTOUR, UNSHAPED_WORD
 from threadline.errors import OptionError, UnitError
@@ -16,6 +17,8 @@ FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 F_UNIT = "mm/min"
 """The unit of a feed that is written as an F word without one."""
 _F_WORD = re.compile(r"\s*[Ff](?=[\s+.\d-])")
+MOST_RESERVE = 0.9
+"""Largest share of volts and current that a plan may leave to the loops, as in a machine file."""
 LEAST_SHARE = 1e-3
 """Smallest share of the limits: a slower trajectory takes too long to compute."""
 
@@ -96,6 +99,118 @@ def tolerance_words(tolerance_m: float) -> str:
     '0.0875 mm'
     """
     return f"{tolerance_m * 1e3:.4g} mm"
+
+
+def parse_outside_m(text: str) -> float:
+    """Return the largest distance of the path on the outside of corners, ``"0.3 mm"``, in m.
+
+    Raises
+    ------
+    OptionError
+        If it is not a length of at least 0.
+    """
+    value = parse_number("outside", text, "m", "0.3 mm")
+    if not 0.0 <= value < math.inf:
+        raise OptionError(
+            f"distance outside {text!r} must be at least 0",
+            remedy='Write it like "0.3 mm", or leave it out.',
+        )
+    return value
+
+
+class Reserve(NamedTuple):
+    """Shares of the volts and of the current of a drive that a plan leaves to its loop."""
+
+    volts: float
+    current: float
+
+
+_RESERVED = re.compile(r"\s*volts\s+([^,]+),\s*current\s+([^,]+)")
+
+
+def parse_reserve(text: str) -> Reserve:
+    """Return the shares that a plan leaves to the loops: ``"2 %"``, ``"volts 1 %, current 3 %"``.
+
+    Raises
+    ------
+    OptionError
+        If one is not at least 0 % and at most ``MOST_RESERVE``.
+    """
+    both = _RESERVED.fullmatch(text)
+    parts = (text, text) if both is None else both.groups()
+    shares = [parse_number("reserve", part.strip(), "", "2 %") for part in parts]
+    if not all(0.0 <= share <= MOST_RESERVE for share in shares):
+        raise OptionError(
+            f"reserve {text!r} must be at least 0 % and at most {MOST_RESERVE:.0%}",
+            remedy='A fiftieth of volts and current is "2 %"; each has its own in '
+            '"volts 1 %, current 3 %".',
+        )
+    return Reserve(*shares)
+
+
+def reserve_words(reserve: Reserve) -> str:
+    """Return reserves as ``parse_reserve`` reads them, to the last bit.
+
+    >>> reserve_words(Reserve(0.02, 0.02)), reserve_words(Reserve(0.005, 0.03))
+    ('2 %', 'volts 0.5 %, current 3 %')
+    """
+    volts, current = map(share_words, reserve)
+    return volts if volts == current else f"volts {volts}, current {current}"
+
+
+Narrow = tuple[tuple[int, float], ...]
+"""Lines of a program, and the tolerance at the end of the move of each, m."""
+
+
+def parse_narrow(text: str) -> Narrow:
+    """Return the tolerances at lines of a program, such as ``"13: 0.38 mm, 22: 0.4 mm"``, in m.
+
+    Raises
+    ------
+    OptionError
+        If a line is no whole number above 0 or stands twice, or a tolerance is not positive.
+    """
+    found: dict[int, float] = {}
+    for part in text.split(","):
+        line, colon, width = part.partition(":")
+        if not colon or not line.strip().isdecimal() or int(line) in found or int(line) < 1:
+            raise OptionError(
+                f"narrow {text!r}: {part.strip()!r} is not a line with its tolerance, or stands "
+                "twice",
+                remedy='Write lines of the program with their tolerances: "13: 0.38 mm, 22: 0.4 mm"'
+                ".",
+            )
+        found[int(line)] = parse_tolerance_m(width.strip())
+    return tuple(sorted(found.items()))
+
+
+def narrow_words(narrow: Narrow) -> str | None:
+    """Return tolerances at lines as ``parse_narrow`` reads them, to the last bit; None for none.
+
+    >>> narrow_words(((13, 0.00038),))
+    '13: 0.38 mm'
+    """
+    return ", ".join(f"{line}: {length_words(width)}" for line, width in narrow) or None
+
+
+def time_words(time_s: float) -> str:
+    """Return a time in ms if it reads back as the same number, else in s.
+
+    >>> time_words(0.01025), time_words(1.0 / 3.0)
+    ('10.25 ms', '0.3333333333333333 s')
+    """
+    text = f"{time_s * 1e3:.9g} ms"
+    return text if parse_quantity(text, "s") == time_s else f"{time_s!r} s"
+
+
+def length_words(length_m: float) -> str:
+    """Return a length in mm if it reads back as the same number, else in m.
+
+    >>> length_words(0.0004), length_words(1.0 / 3.0)
+    ('0.4 mm', '0.3333333333333333 m')
+    """
+    text = f"{length_m * 1e3:.9g} mm"
+    return text if parse_quantity(text, "m") == length_m else f"{length_m!r} m"
 
 
 def parse_contour_m(text: str) -> float:

@@ -10,6 +10,7 @@ from threadline.base.option_defaults import (
     AUTO,
     DEFAULT_CONTOUR_M,
     DEFAULT_INTERPOLATION,
+    DEFAULT_TOLERANCE,
     DEFAULT_TOLERANCE_M,
     FEED_FORWARD,
     OPTIMAL_FEED_FORWARD,
@@ -25,7 +26,14 @@ from threadline.motion.path.interpolations import BY_LAW, CHORDS, FIRMWARE, OPTI
 from threadline.motion.timing import Pace
 from threadline.proof.option_form import Group, Word
 from threadline.proof.option_table import RECORDED, TABLE, option, planned_by
-from threadline.proof.option_words import parse_feed, parse_width_s
+from threadline.proof.option_words import (
+    Narrow,
+    Reserve,
+    parse_feed,
+    parse_outside_m,
+    parse_tolerance_m,
+    parse_width_s,
+)
 
 _OF_SWITCHES = planned_by("switches")
 OF_AXES = tuple(known.key for one, known in RECORDED if one.name not in _OF_SWITCHES)
@@ -42,10 +50,16 @@ class PathChoice:
         Name of the interpolation, or ``CHORDS``.
     tolerance_m
         Largest deviation of the planned from the programmed path, at the tool.
+    outside_m
+        Largest deviation on the outside of corners.
+    narrow
+        Lines of the program, and the tolerance at the end of the move of each.
     """
 
     interpolation: str
     tolerance_m: float
+    outside_m: float = 0.0
+    narrow: Narrow = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +87,7 @@ class TimingChoice:
     ends_m
         With ``optimal`` and feed-forward: allowed deviation of the loads from their motion at the
         start and end of the table; None waits there until the inverse has settled.
-    robust_share, change_s
+    robust_share, change_s, reserve
         As in ``Options``.
     """
 
@@ -87,6 +101,7 @@ class TimingChoice:
     ends_m: float | None = None
     robust_share: float | None = None
     change_s: float | None = None
+    reserve: Reserve | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +127,8 @@ class Options:
     radius
         Text of the radii at which rotary axes act in this job, ``"A=40 mm, B=2 mm"``; None: the
         machine's.
+    product
+        Text of the product of a winder (``winding.product.product_text``), or None.
     offset
         Text of the machine position of the program's zero, ``"X=12 mm, A=30 deg"``; None: the
         machine's zero.
@@ -138,6 +155,13 @@ class Options:
         plain moving averages; None plans for the nominal machine only.
     change_s
         Time in which a robust plan may change the speed; None: from the needle of a seam.
+    outside_m
+        With ``optimal``: how far the path may leave the program on the outside of its corners, m.
+    reserve
+        With ``optimal``: share of volts and current that the plan leaves to the loops, in place of
+        the amplifiers' own; None: their own.
+    narrow
+        With ``optimal``: lines of the program, and the tolerance at the end of the move of each, m.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
@@ -146,6 +170,7 @@ class Options:
     feed_mode: str | None = None
     axes: str | None = None
     radius: str | None = None
+    product: str | None = None
     offset: str | None = None
     needle: str | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
@@ -157,6 +182,9 @@ class Options:
     contour_m: float | None = None
     robust_share: float | None = None
     change_s: float | None = None
+    outside_m: float = 0.0
+    reserve: Reserve | None = None
+    narrow: Narrow = ()
 
     def on(self, machine: Machine) -> Options:
         """Return the options with the machine's default interpolation, if none was named.
@@ -184,7 +212,12 @@ class Options:
         """The shape of the path; with feed-forward ``auto`` means the programmed chords."""
         chords = self.feed_forward_s is not None and self.interpolation in USUAL
         name = CHORDS if chords else self.interpolation  # a motion law follows chords, too
-        return PathChoice(interpolation=name, tolerance_m=self.tolerance_m)
+        return PathChoice(
+            interpolation=name,
+            tolerance_m=self.tolerance_m,
+            outside_m=self.outside_m,
+            narrow=self.narrow,
+        )
 
     @property
     def timing(self) -> TimingChoice:
@@ -205,6 +238,7 @@ class Options:
             ends_m=self._ends_m,
             robust_share=self.robust_share,
             change_s=self.change_s,
+            reserve=self.reserve,
         )
 
     @property
@@ -314,6 +348,20 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
             f"{interpolation}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
         )
+    for name in ("outside", "reserve", "narrow"):
+        if given[name] is not None and interpolation != OPTIMAL:
+            raise OptionError(
+                f"--{name} {given[name]!r} is an option of {OPTIMAL}, and not of {interpolation}",
+                remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
+            )
+    if given["outside"] is not None:
+        tolerance = str(given["tolerance"] or DEFAULT_TOLERANCE)
+        if parse_outside_m(str(given["outside"])) > parse_tolerance_m(tolerance):
+            raise OptionError(
+                f"--outside {given['outside']!r} is more than --tolerance {tolerance!r}, the "
+                "largest deviation from the programmed path",
+                remedy="Lower it, or raise the tolerance.",
+            )
     shaped = given["shaper"] not in (None, UNSHAPED_WORD)
     if not shaped and (given["mode"] is not None or given["damping"] is not None):
         raise OptionError(

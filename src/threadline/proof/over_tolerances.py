@@ -14,7 +14,7 @@ from threadline.errors import MachineError, RecordingError
 from threadline.files import Recording
 from threadline.machine import Machine
 from threadline.machine.variants import drawn, variant
-from threadline.proof.kinds.variants import unanswered
+from threadline.proof.kinds.variants import UNANSWERED, unanswered
 from threadline.proof.worst_machine import (
     WithinTolerances,
     Worst,
@@ -143,7 +143,7 @@ def _found(
         why = [within.why_not(search.parts[stuck[0]])] * len(stuck)
         results.append(unanswered(found.runs, why))
     passed = int(found.taken(search.drawn).passed.sum())
-    criterion, share = _closest(of_worst, worst)
+    criterion, share = _closest(of_worst)
     told = OverTolerances(
         searched=found.runs - count,
         criterion=criterion,
@@ -158,10 +158,10 @@ def _found(
     return Found(verdict=whole, worst=worst, judged=judged)
 
 
-def _closest(verdict: Verdict | None, worst: Worst) -> tuple[str, float | None]:
+def _closest(verdict: Verdict | None) -> tuple[str, float | None]:
     """Return the criterion that counts most on the worst machine, and its used share."""
     if verdict is None:
-        return worst.binding, None
+        return UNANSWERED, None
     failed = [r for r in verdict.results if r.status is Status.FAILED]
     tightest = verdict.tightest
     if failed and (tightest is None or tightest.status is not Status.FAILED):

@@ -15,7 +15,7 @@ from types import UnionType
 from typing import Any
 
 from threadline.base.arrays import finite
-from threadline.base.option_defaults import MOST_REPEATS
+from threadline.base.option_defaults import MOST_REPEATS, MOST_RUNS
 from threadline.commands.plan import Plan
 from threadline.proof.kinds.variants import REJECTS, UNANSWERED
 from threadline.verdict import Spec
@@ -110,7 +110,7 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
     if runs < 1 or machines < 0:
         yield f"it counts {_shown(runs)} runs and {_shown(machines)} other machines"
     for number, most, what in (
-        (runs, MOST_REPEATS, "runs"),
+        (runs, max(MOST_REPEATS, MOST_RUNS), "runs"),
         (machines, _MOST_MACHINES, "other machines"),
     ):
         if number > most:

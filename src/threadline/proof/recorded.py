@@ -233,7 +233,8 @@ def proof_warnings(proof: Proof) -> list[str]:
 
 def _keeps(plan: Plan) -> bool:
     name = plan.motion.path.interpolation
-    return name in KEEPING_TOLERANCE or on_chords(name)
+    beside = "outside" in plan.options  # corners that reach into each other add up
+    return (name in KEEPING_TOLERANCE and not beside) or on_chords(name)
 
 
 def _deviation_warnings(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:

@@ -68,6 +68,8 @@ def gain_rows(found: Found) -> _Table:
         rows.append(["acceleration and jerk, of the machine's", f"{candidate.acceleration:.1%}"])
     elif candidate.smoothing_s is not None:
         rows.append(["feed-forward, smoothed over", f"{candidate.smoothing_s * 1e3:.3g} ms"])
+        share = f"{candidate.acceleration:.1%}"
+        rows.append(["acceleration and jerk of the ramps, of the machine's", share])
     if candidate.delay_s is not None:
         rows.append(["needle down after the command", f"{candidate.delay_s * 1e3:.3g} ms"])
     return ["setting", "value"], rows

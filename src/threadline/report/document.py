@@ -17,6 +17,7 @@ from threadline.machine import Machine
 from threadline.proof.option_words import parse_tolerance_m, tolerance_words
 from threadline.report.style import HEAD
 from threadline.verdict import Verdict, happened_rows
+from threadline.winding.product import digest, product_of_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -195,6 +196,9 @@ def options_facts(
         del told["machine"]
     if "tolerance" in told:
         told["tolerance"] = tolerance_words(parse_tolerance_m(told["tolerance"]))
+    if "product" in told:
+        product = product_of_text(told["product"])
+        told["product"] = f"{product.name} ({product.file}, sha256 {digest(product)[:12]})"
     return sorted((named.get(key, key), value) for key, value in told.items())
 
 

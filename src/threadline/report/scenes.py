@@ -9,8 +9,8 @@ the machines.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,18 +31,16 @@ _TRAIL_PER_FRAME = 16
 _SWING_DRAWN = 10.0
 _TURN, _RAISE = math.radians(-24.0), math.radians(24.0)
 _MM = 1e3
-
-Grey = float
-"""Darkness of a line: 0 is white, 1 black."""
+_DONE, _ACTUAL = "as its limits allow", "actual, darker and wider where it is off"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """A line of a scene: (n, 3) points in mm, NaN at gaps, in a group; ``width`` in points."""
+    """A line of a scene: (n, 3) points in mm, NaN at gaps; ``grey`` is 0 for white."""
 
     points: FloatArray
     group: str = FIXED
-    grey: Grey = 0.75
+    grey: float = 0.75
     width: float = 1.0
 
 
@@ -118,6 +116,11 @@ class Scene:
         return float(self.time_s[1] - self.time_s[0]) * self.frames / self.played_s
 
 
+_Error = tuple[FloatArray, float | None, str]
+"""Error at each sample in mm, its limit in mm, and what it is."""
+_NONE: _Error = (np.empty(0), None, "")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Run:
     """Positions of a run over the samples of an animation, mm or rad, by axis."""
@@ -127,19 +130,21 @@ class _Run:
     planned: Mapping[str, FloatArray]
     frames: NDArray[np.int64]
     other: Mapping[str, FloatArray]
+    off: _Error = _NONE
 
 
 def scene_of(proof: Proof) -> Scene:
     """Return the scene of the first run of a proof."""
+    made, off = _SCENES[type(proof.plan.intent)]
     run = _sampled(proof)
-    intent = proof.plan.intent
+    return made(proof, replace(run, off=off(proof, run)))
+
+
+def _axes(proof: Proof, run: _Run) -> Scene:
+    """Return the scene of a machine with axes: a winder, a stitcher or a gantry."""
     machine = proof.plan.machine
     turning = [name for name in proof.plan.axes if _is_turning(machine, name)]
     going = [name for name in proof.plan.axes if name not in turning]
-    if isinstance(intent, Scheduled):
-        return _placer(proof, run)
-    if isinstance(intent, Stitched):
-        return _embroidery(proof, run)
     if turning and going:
         return _winder(proof, run, turning[0], going)
     if proof.plan.job.paced_by == "needle":
@@ -172,28 +177,28 @@ def _sampled(proof: Proof) -> _Run:
 
 
 def _at(recording: Recording, name: str, time_s: FloatArray) -> FloatArray:
-    times, values = recording.samples(name)
-    return np.interp(time_s, times, values) if len(times) else np.zeros(len(time_s))
+    return np.interp(time_s, *recording.samples(name))
 
 
-def _error(proof: Proof, run: _Run) -> tuple[FloatArray, float | None, str]:
-    """Return the error at each sample in mm, its limit in mm, and what it is."""
-    plan = proof.plan
-    if plan.machine.without_dynamics:
-        return np.empty(0), None, ""
-    if isinstance(plan.intent, Scheduled):
-        swings = [values for name, values in run.other.items() if name.endswith(".frame")]
-        if not swings:
-            return np.empty(0), None, ""
-        return _MM * np.hypot.reduce(swings), None, "swing of the frame"
-    limits = [one.limit for one in proof.spec.criteria if one.name == "contour_error" and one.limit]
-    limit = _MM * limits[0] if limits else None
-    if isinstance(plan.intent, Motion):
-        found = contour_along(proof.recording, plan, proof.spec.lag_s)
-        if found is not None and len(found[0]):
-            return _MM * np.interp(run.time_s, *found), limit, "distance from the programmed path"
-    off = [run.actual[name] - run.planned[name] for name in plan.axes]
+def _swing(_proof: Proof, run: _Run) -> _Error:
+    swings = [values for name, values in run.other.items() if name.endswith(".frame")]
+    return (_MM * np.hypot.reduce(swings), None, "swing of the frame") if swings else _NONE
+
+
+def _off_command(proof: Proof, run: _Run) -> _Error:
+    off = [run.actual[name] - run.planned[name] for name in proof.plan.axes]
     return np.hypot.reduce(off), None, "distance from the commanded place"
+
+
+def _off_path(proof: Proof, run: _Run) -> _Error:
+    if proof.plan.machine.without_dynamics:
+        return _NONE
+    limits = [one.limit for one in proof.spec.criteria if one.name == "contour_error" and one.limit]
+    found = contour_along(proof.recording, proof.plan, proof.spec.lag_s)
+    if found is None or not len(found[0]):
+        return _off_command(proof, run)
+    limit = _MM * limits[0] if limits else None
+    return _MM * np.interp(run.time_s, *found), limit, "distance from the programmed path"
 
 
 def _view(turned: float = _TURN, raised: float = _RAISE) -> tuple[FloatArray, FloatArray]:
@@ -217,15 +222,13 @@ def _made(
     view: tuple[FloatArray, FloatArray],
     notes: tuple[str, ...] = (),
 ) -> Scene:
-    error, limit, words = _error(proof, run)
+    error, limit, words = run.off
     group, actual, planned = path
     end_s = float(run.time_s[-1])
     played_s = min(max(end_s, 1.0), _LONGEST_S)
     alone = proof.plan.machine.without_dynamics
     labels: tuple[tuple[str, bool], ...] = (("planned", True),)
-    labels += (
-        ("as its limits allow" if alone else "actual, darker and wider where it is off", False),
-    )
+    labels += ((_DONE if alone else _ACTUAL, False),)
     return Scene(
         title=f"{proof.plan.job.name} on {proof.plan.machine.name}",
         facts=(closing(proof.verdict), *notes),
@@ -353,15 +356,8 @@ def _stitcher(proof: Proof, run: _Run, going: list[str]) -> Scene:
     actual, planned = _flat(run.actual, going), _flat(run.planned, going)
     low, high, size = _bounds(planned)
     edge = 0.12 * size
-    cloth = np.array(
-        [
-            [low[0], low[1]],
-            [high[0], low[1]],
-            [high[0], high[1]],
-            [low[0], high[1]],
-            [low[0], low[1]],
-        ]
-    ) + edge * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    cloth = np.where(around < 0, low[:2], high[:2]) + edge * around
     ring = 0.025 * size * np.exp(1j * np.linspace(0.0, 2.0 * math.pi, 25))
     lines = [
         Drawn(np.column_stack([cloth, np.zeros(5)]), FIXED, 0.45, 1.2),
@@ -407,8 +403,7 @@ def _placer(proof: Proof, run: _Run) -> Scene:
     x = run.actual[names[0]]
     z = run.actual[names[1]] if len(names) > 1 else np.zeros_like(x)
     sway = {one: values for one, values in run.other.items() if one.endswith(".frame")}
-    swing = _MM * _SWING_DRAWN * next(iter(sway.values()), np.zeros_like(x) / _MM)
-    swing = _MM * _SWING_DRAWN * sway[f"{names[0]}.frame"] if f"{names[0]}.frame" in sway else swing
+    swing = _MM * _SWING_DRAWN * sway.get(f"{names[0]}.frame", np.zeros_like(x))
     wide, deep = max(float(x.max()), 1.0), max(float(z.max()), 1.0)
     foot = -1.5 * deep
     beam = 0.25 * deep
@@ -490,3 +485,11 @@ def _gantry(proof: Proof, run: _Run, names: list[str]) -> Scene:
     return _made(
         proof, run, lines, groups, (FIXED, actual, planned), _view(_TURN, math.radians(38.0))
     )
+
+
+_SCENES: Mapping[type, tuple[Callable[[Proof, _Run], Scene], Callable[[Proof, _Run], _Error]]] = {
+    Motion: (_axes, _off_path),
+    Scheduled: (_placer, _swing),
+    Stitched: (_embroidery, _off_command),
+}
+"""Scene and error of each kind of work, by the intent of its plans."""

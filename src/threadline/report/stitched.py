@@ -25,6 +25,7 @@ from threadline.report.document import (
     origin_facts,
     run_facts,
 )
+from threadline.report.lines import stitch_rows
 from threadline.report.publish import write_document
 from threadline.report.seam import stitch_lines
 from threadline.report.style import ACTUAL, AXES, PLANNED, figure_style
@@ -264,79 +265,6 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
             ],
         )
         return write_document(document, folder, "comparison")
-
-
-def about_stitched(proof: Proof) -> list[str]:
-    """Return the lines below the verdict: stitches, moves, speed and time."""
-    return [f"{name}:".ljust(22) + words for name, words in stitch_rows(proof.plan)]
-
-
-def stitch_rows(plan: Plan) -> list[list[str]]:
-    """Return rows of two texts on the stitches of a plan: a name and its value."""
-    stitched = plan.stitched
-    told = stitched.told(plan.options)["stitches"]
-    rows = [
-        [
-            "Stitches",
-            f"{told['count']}, with {told['frame_moves']} moves of the frame, the longest "
-            f"{told['longest_move_m'] * 1e3:.4g} mm on an axis; {told['turns']} turns, "
-            f"{told['steps']:.4g} steps",
-        ],
-        ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
-    ]
-    slowest = _MINUTE * len(stitched.turns) / stitched.slowest_s
-    bound = []
-    if stitched.bound_s is not None:
-        bound = [
-            [
-                "Bound",
-                f"{stitched.bound_s:.4g} s: no schedule on the grid of speeds takes less; "
-                f"{_for_words(plan)}",
-            ]
-        ]
-    return [
-        *rows,
-        ["Speed", _speed_words(plan)],
-        *bound,
-        [
-            "Slowest stitch",
-            f"alone it is still enough in every window at {slowest:.4g} stitches a minute and "
-            f"below; all at that speed would take {stitched.slowest_s:.4g} s",
-        ],
-        [
-            "Each stitch alone",
-            f"{stitched.alone_s:.4g} s, were each as fast as that allows on a spindle without "
-            "inertia, and did earlier ones leave nothing swinging; no plan",
-        ],
-    ]
-
-
-def _for_words(plan: Plan) -> str:
-    """Return the text about the machines for which a schedule is planned."""
-    pace = plan.stitched.pace
-    low, high = 1.0, 1.0
-    for ends in pace.bands.values():
-        low, high = min(low, ends[0]), max(high, ends[1])
-    if low == high:
-        return "planned for the modes of the machine file, 0.7 to 1.3 times their damping"
-    return (
-        f"planned for modes of {(low - 1.0) * 100:+.3g} to {(high - 1.0) * 100:+.3g} %, "
-        "0.7 to 1.3 times their damping"
-    )
-
-
-def _speed_words(plan: Plan) -> str:
-    """Return the text about the choice of the shaft speed."""
-    if plan.stitched.given:
-        return "one for the whole design, as was given"
-    if plan.stitched.constant:
-        return (
-            "one for the whole design, which the spindle cannot vary: the highest at which the "
-            f"forecast keeps {plan.stitched.pace.tolerance_m * 1e3:.4g} mm at every stitch"
-        )
-    if np.ptp(plan.stitched.turns.turn_s) > 0.0:
-        return "of each stitch, within the acceleration of the spindle"
-    return "one for the whole design: sooner than a speed for each stitch"
 
 
 def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:

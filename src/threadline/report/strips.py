@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from threadline.commands.plan import Following, Plan
-from threadline.machine.vary import derate
+from threadline.machine.vary import derate, with_reserve
 from threadline.motion.path.types import Timing
 from threadline.motion.timing.optimal.binding import BINDS, KINDS, Binding, binding
 from threadline.proof.options import options_from
@@ -29,7 +29,7 @@ def binding_of(plan: Plan) -> Binding | None:
     return binding(
         motion.timed or motion.trajectory,
         motion.path,
-        derate(plan.machine, options.limit_share),
+        derate(with_reserve(plan.machine, options.reserve), options.limit_share),
         options.timing.contour_m,
         of_loads=motion.following is Following.LOAD,
     )

@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 from threadline.base.arrays import FloatArray
 from threadline.base.wording import grouped
-from threadline.commands.plan import Plan
+from threadline.commands.intents import Scheduled
 from threadline.commands.plc_net import NetPlace, petri_net
 from threadline.commands.plc_watch import home_places
-from threadline.commands.schedule import Scheduled
-from threadline.commands.schedule_moves import shaping_words
 from threadline.errors import PlanError
 from threadline.proof.options import OF_AXES
 from threadline.proof.pipeline import Proof
@@ -27,6 +25,7 @@ from threadline.report.document import (
     origin_facts,
     run_facts,
 )
+from threadline.report.lines import shaping_rows
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import (
@@ -336,19 +335,6 @@ def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence
             ],
         )
         return write_document(document, folder, "comparison")
-
-
-def about_switching(proof: Proof) -> list[str]:
-    """Return the lines below the verdict: the shaper of each cylinder."""
-    return [f"Cylinder {axis}:".ljust(22) + words for axis, words in shaping_rows(proof.plan)]
-
-
-def shaping_rows(plan: Plan) -> list[list[str]]:
-    """Return rows of a cylinder and its shaper, in words; none without shapers."""
-    if "shaper" not in plan.options:
-        return []
-    shaping = plan.scheduled.shaping
-    return [[axis, shaping_words(shaping.get(axis))] for axis in plan.machine.cylinders]
 
 
 def _step_table(proof: Proof, how: str) -> Table:

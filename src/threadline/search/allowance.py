@@ -17,18 +17,15 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from threadline.dynamics import EARLIEST
 from threadline.errors import LimitError
-from threadline.jobs.operations import Feed, FeedMode, Job
-from threadline.machine import Machine
-from threadline.motion.timing.optimal.fastest_motion import least_time_s
-from threadline.motion.timing.optimal.motion_limits import axis_limits, limits_of
+from threadline.jobs.operations import Feed, FeedMode
 from threadline.proof.option_words import LEAST_CONTOUR_M
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
 from threadline.search.forbidden import Interval, closeness, worst_criterion
+from threadline.search.least_times import Bound, bounds_of
 from threadline.search.paced import Question, beyond
 from threadline.search.until import as_far_as
 from threadline.verdict import Verdict
@@ -48,33 +45,20 @@ class Rung:
         Duration of the job at the best feed; None where no feed passes.
     contour_m
         Allowed distance of the loads from the path; None where the timing has no such limit.
+    options
+        Options of the plan, where all that a plan may choose is searched; else None.
     """
 
     share: float
     found: Fastest
     duration_s: float | None
     contour_m: float | None = None
+    options: Options | None = None
 
     @property
     def alone(self) -> bool:
         """Whether the plans with neighbouring allowances are out of specification."""
         return self.found.fastest is not None and self.found.fastest.alone
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bound:
-    """A lower bound on the time along a path.
-
-    Parameters
-    ----------
-    within
-        Limits that the bound keeps: ``"the axes"``, or ``"axes and drives"``.
-    duration_s
-        The least time within these limits.
-    """
-
-    within: str
-    duration_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,8 +146,8 @@ def fastest_allowed(asked: Question) -> FastestJob:
             # Where loads follow the motion, the smoothing can make the plan break a limit.
             if by_contour or error.quantity == "travel":
                 raise
-            return _rung(chosen, top, beyond(error, machine), None, by_contour)
-        return _rung(chosen, top, asked.judged(plan), plan.duration_s, by_contour)
+            return rung_of(chosen, top, beyond(error, machine), None, by_contour)
+        return rung_of(chosen, top, asked.judged(plan), plan.duration_s, by_contour)
 
     rungs: dict[float, Rung] = {}
     next_one = _next_contour if by_contour else _next_share
@@ -178,7 +162,7 @@ def fastest_allowed(asked: Question) -> FastestJob:
     return FastestJob(
         best=_best(rungs, ALLOWED if by_contour else LIMITS),
         rungs=tuple(rungs[amount] for amount in sorted(rungs, reverse=True)),
-        bounds=_bounds(job, machine, options),
+        bounds=bounds_of(job, machine, options),
         ended="" if until is None else until.ended,
     )
 
@@ -206,6 +190,8 @@ def _short(allowance_m: float) -> float:
 
 def options_at(asked: Question, rung: Rung) -> Options:
     """Return the planning options with which ``fastest_allowed`` proved a rung."""
+    if rung.options is not None:
+        return rung.options
     top = feed_range_m_s(asked.machine)[1] if asked.high is None else asked.high
     return replace(
         asked.options,
@@ -215,13 +201,14 @@ def options_at(asked: Question, rung: Rung) -> Options:
     )
 
 
-def _rung(
+def rung_of(
     options: Options,
     feed_m_s: float,
     verdict: Verdict,
     duration_s: float | None,
     by_contour: bool,
 ) -> Rung:
+    """Return the result of one plan."""
     passed = verdict.passed
     found = Fastest(
         intervals=(Interval(low=feed_m_s, high=feed_m_s),) if passed else (),
@@ -281,22 +268,3 @@ def _next_share(rungs: Mapping[float, Rung]) -> float | None:
     if rungs[least].duration_s is not None:
         return None
     return next((share for share in _SHARES if share < least), None)
-
-
-def _bounds(job: Job, machine: Machine, options: Options) -> tuple[Bound, ...]:
-    """Return the least times within the limits of the axes, and of axes and drives."""
-    freely = replace(options, feed_forward_s=None, contour_m=math.inf)
-    path = plan_job(job, machine, freely).motion.path
-    # A table may end before its loads stand; this time is the most that it can save.
-    sooner_s = 0.0
-    if options.timing.ends_m is not None:
-        sooner_s = EARLIEST * float(machine.tick_clock.period_s)
-    of_loads = not options.follows_contour
-    drives = limits_of(machine, path.axes, path.radius_m, of_loads=of_loads)
-    return tuple(
-        Bound(within=within, duration_s=max(least_time_s(path, limits) - sooner_s, 0.0))
-        for within, limits in (
-            ("the axes", axis_limits(machine, path.axes, path.radius_m)),
-            ("axes and drives", drives),
-        )
-    )

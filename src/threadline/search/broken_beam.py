@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.commands.schedule import Scheduled, ScheduledMove
+from threadline.commands.intents import Scheduled, ScheduledMove
 from threadline.dynamics.pneumatic import StepRinging, flow_mode, step_ringing
 from threadline.machine import Machine
 from threadline.motion.shaping import FlexibleMode, Shaper, convolve, design

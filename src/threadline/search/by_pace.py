@@ -6,6 +6,7 @@ presents the answer in its own way.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,7 +15,17 @@ from threadline.base.option_defaults import NO_CONTOUR, UNSHAPED_WORD
 from threadline.commands.plan import Plan
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.motion.path.interpolations import OPTIMAL
-from threadline.proof.option_words import feed_words, share_words, tolerance_words
+from threadline.proof.option_form import Word
+from threadline.proof.option_words import (
+    feed_words,
+    length_words,
+    narrow_words,
+    reserve_words,
+    share_words,
+    time_words,
+    tolerance_words,
+)
+from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
 from threadline.search.allowance import FastestJob, options_at
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
@@ -103,7 +114,7 @@ class Answer:
     tried: int
     searched: Searched
     of: Any
-    words: Mapping[str, str] | None
+    words: Mapping[str, Word] | None
     plan: Callable[[], Plan]
     over_band: RobustCycle | None = None
     certainty: Certainty | None = None
@@ -126,12 +137,14 @@ class Answer:
         )
 
 
-def job_words(found: FastestJob) -> dict[str, str] | None:
+def job_words(found: FastestJob) -> dict[str, Word] | None:
     """Return the planning options of the best plan of a search by feed, or by allowance."""
     best = found.best
     if best.found.best is None:
         return None
-    words = {"feed": feed_words(Feed(found.by, best.found.best))}
+    if best.options is not None:
+        return _chosen_words(best.options)
+    words: dict[str, Word] = {"feed": feed_words(Feed(found.by, best.found.best))}
     if best.share != 1.0:
         words["limits"] = share_words(best.share)
     if best.contour_m is not None:
@@ -140,7 +153,29 @@ def job_words(found: FastestJob) -> dict[str, str] | None:
     return words
 
 
-def shaft_words(found: FastestShaft) -> dict[str, str] | None:
+def _chosen_words(options: Options) -> dict[str, Word]:
+    """Return the words with which ``options_of`` reads the options of a plan of ``optimal``."""
+    assert options.feed is not None
+    words: dict[str, Word] = {"feed": feed_words(options.feed)}
+    words["tolerance"] = length_words(options.tolerance_m)
+    if options.outside_m:
+        words["outside"] = length_words(options.outside_m)
+    if options.narrow:
+        words["narrow"] = narrow_words(options.narrow)
+    if options.reserve is not None:
+        words["reserve"] = reserve_words(options.reserve)
+    if options.feed_forward_s is not None:
+        words["feed_forward"] = True
+        words["smoothing"] = time_words(options.feed_forward_s)
+    if options.contour_m is not None:
+        endless = math.isinf(options.contour_m)
+        words["contour"] = NO_CONTOUR if endless else length_words(options.contour_m)
+    if options.limit_share != 1.0:
+        words["limits"] = share_words(options.limit_share)
+    return words
+
+
+def shaft_words(found: FastestShaft) -> dict[str, Word] | None:
     """Return the planning option of the best plan of a design: a swing, or a constant speed."""
     if found.duration_s is None:
         return None
@@ -150,7 +185,7 @@ def shaft_words(found: FastestShaft) -> dict[str, str] | None:
     return {"feed": feed_words(Feed(FeedMode.SHAFT, found.constant.best))}
 
 
-def cycle_words(found: FastestCycle) -> dict[str, str] | None:
+def cycle_words(found: FastestCycle) -> dict[str, Word] | None:
     """Return the planning option of the shortest cycle; None where it needs a move list."""
     if found.job is None:
         return None

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from threadline.commands.schedule import ScheduledMove
+from threadline.commands.intents import ScheduledMove
 from threadline.commands.schedule_moves import levels_text, valves_of
 from threadline.dynamics.pneumatic import step_ringing
 from threadline.files import ChannelKind

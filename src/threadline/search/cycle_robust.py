@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.base.arrays import FloatArray
+from threadline.commands.intents import ScheduledMove
 from threadline.commands.plan import Plan
-from threadline.commands.schedule import ScheduledMove
 from threadline.commands.schedule_moves import levels_text, valves_of
 from threadline.dynamics.pneumatic import flow_mode, step_ringing
 from threadline.errors import OptionError, Place, PlanError

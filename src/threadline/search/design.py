@@ -20,7 +20,7 @@ from threadline.proof.kinds import kind_of
 from threadline.proof.kinds.variants import with_machine_hash
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, Trials, open_job, plan_job, simulate, try_plan
-from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
+from threadline.search.design_evaluate import AHEAD, FEW, THOROUGH, Effort, Evaluator, Tried
 from threadline.search.design_judge import OtherRuns
 from threadline.search.design_search import (
     TARGETS,
@@ -179,8 +179,9 @@ class Wanted:
     plotted
         Two parameters for the region; None: the two that cost most.
     smoothing_s
-        Widths of the feed-forward smoothing to try: the commands then go through the exact inverse
-        of each candidate, and no filters are designed for it. Empty for no feed-forward.
+        Widths of the feed-forward smoothing, of which all from the least to the largest are
+        searched: the commands then go through the exact inverse of each candidate, and no filters
+        are designed for it. Empty for no feed-forward.
     effort
         Effort of the search; None: as much as the kind of machine allows.
     """
@@ -231,7 +232,7 @@ def design(
         spec,
         options,
         OtherRuns.of(space, trials, corners=corners),
-        wanted.effort or (FEW if smoothing_s or space.alone else THOROUGH),
+        wanted.effort or (AHEAD if smoothing_s else FEW if space.alone else THOROUGH),
     )
     tried = first_sample(space, evaluator, report("sampling", 0.0, 0.25))
     tried = least_change(space, evaluator, tried, report("narrowing", 0.25, 0.55))
@@ -316,8 +317,8 @@ def _candidate(space: Space, evaluator: Evaluator, tried: Tried, index: int) -> 
         binding=tried.binding[index],
         crossover_hz=float(np.exp(point[-2])) if gains else None,
         phase_margin_deg=float(point[-1]) if gains else None,
-        acceleration=1.0 if space.ahead else space.levels[level],
-        smoothing_s=space.levels[level] if space.ahead else None,
+        acceleration=space.share(point, level),
+        smoothing_s=space.smoothing_s(point),
         delay_s=evaluator.delay_s(level, int(tried.delay[index])),
     )
 
@@ -327,12 +328,13 @@ def _point(space: Space, found: Found) -> FloatArray:
     settings = []
     if candidate.crossover_hz is not None and candidate.phase_margin_deg is not None:
         settings = [np.log(candidate.crossover_hz), candidate.phase_margin_deg]
+    if candidate.smoothing_s is not None:
+        settings = [np.log(candidate.smoothing_s), candidate.acceleration]
     return np.array([*(np.log(candidate.factors[n]) for n in space.names), *settings])
 
 
 def _level(space: Space, candidate: Candidate) -> int:
-    own = candidate.acceleration if candidate.smoothing_s is None else candidate.smoothing_s
-    return space.levels.index(own)
+    return 0 if space.ahead else space.levels.index(candidate.acceleration)
 
 
 def _proved(
@@ -368,13 +370,14 @@ def _proved(
 
 
 def _rounded(space: Space, point: FloatArray) -> FloatArray:
-    """Return the point with three digits of the factors, the crossover and the phase margin."""
+    """Return the point with three digits of the factors and of the settings."""
     rounded = point.copy()
     count = space.parameters
-    logs = [*range(count), *([count] if space.designs_gains else [])]
+    settings = space.designs_gains or space.ahead
+    logs = [*range(count), *([count] if settings else [])]
     for k in logs:
         rounded[k] = np.log(float(f"{np.exp(point[k]):.{_DIGITS}g}"))
-    if space.designs_gains:
+    if settings:
         rounded[-1] = float(f"{point[-1]:.{_DIGITS}g}")
     return np.clip(rounded, space.low, space.high)
 
@@ -403,9 +406,7 @@ def _prove(
     redesigned = with_numbers(machine, numbers)
     asked = with_delay(spec, candidate.delay_s)
     kind_of(redesigned).check(redesigned)
-    plan = plan_job(
-        evaluator.read(redesigned), redesigned, evaluator.options_at(_level(space, candidate))
-    )
+    plan = plan_job(evaluator.read(redesigned), redesigned, evaluator.options_at(point))
     try:
         verdict = try_plan(plan, asked, trials).verdict
         at_corners = None

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.option_defaults import FEED_FORWARD
-from threadline.dynamics import lead_deg, lead_from_response
 from threadline.dynamics.elements import working_rates
+from threadline.dynamics.lead import lead_deg, lead_from_response
 from threadline.dynamics.network import PiecewiseLinear, piecewise_linear
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, PlanError, RecordingError
@@ -224,6 +224,9 @@ class Effort:
         Rounds of the search for the least change with more margin.
     side
         Side of the region's grid; 0 for no region.
+    modelled
+        Whether each round of the search for the least change also tries what planes fitted to the
+        ratio say is cheapest. It pays where a candidate takes long.
     """
 
     sample_log2: int = 8
@@ -232,11 +235,22 @@ class Effort:
     rounds: int = 24
     trade_rounds: int = 5
     side: int = 13
+    modelled: bool = False
 
 
 THOROUGH = Effort()
 FEW = Effort(sample_log2=4, proposals=10, rounds=8, trade_rounds=0, side=0)
-"""Effort for candidates with commands of their own: each takes a second or two."""
+"""Effort for candidates that are proved one by one: each takes a second or two."""
+AHEAD = Effort(
+    sample_log2=5,
+    settings_log2=2,
+    proposals=12,
+    rounds=14,
+    trade_rounds=0,
+    side=0,
+    modelled=True,
+)
+"""Effort for candidates with commands of their own, through their own inverse."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -379,11 +393,11 @@ class Evaluator:
             return {}, np.ones(len(points), dtype=np.bool_)
         return design_gains(self.space, points)
 
-    def options_at(self, level: int) -> Options:
-        """Return the planning options of a level, for a machine with a candidate's numbers."""
-        if not self.space.ahead:
+    def options_at(self, point: FloatArray) -> Options:
+        """Return the planning options at a (dims,) point, for a machine with its numbers."""
+        width_s = self.space.smoothing_s(point)
+        if width_s is None:
             return self._options
-        width_s = self.space.levels[level]
         if self._options.robust_share is None:
             return replace(self._options, feed_forward_s=width_s)
         # In a robust plan the smoothing width is the time in which the speed may change.
@@ -414,11 +428,12 @@ class Evaluator:
         ratio = np.full(count, HOPELESS)
         nominal = ratio.copy()
         binding = [NO_COMMANDS] * count
-        for index, (point, width) in enumerate(zip(points, level.tolist(), strict=True)):
+        for index, point in enumerate(points):
             numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
-            machine = with_numbers(self.space.machine, numbers)
+            slower = self.space.slower(self.space.share(point, int(level[index])))
+            machine = with_numbers(self.space.machine, numbers | slower)
             try:
-                plan = plan_job(self.read(machine), machine, self.options_at(width))
+                plan = plan_job(self.read(machine), machine, self.options_at(point))
                 judge = design_judge(plan, machine, self._spec, self.space.delays_s)
             except (PlanError, MachineError):
                 continue

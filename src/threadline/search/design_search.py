@@ -211,7 +211,8 @@ def with_settings(space: Space, parameters: FloatArray, log2: int) -> FloatArray
     if not settings:
         return parameters[None]
     cube = qmc.Sobol(settings, seed=SEED).random_base2(log2)
-    scaled = qmc.scale(cube, space.low[space.parameters :], space.high[space.parameters :])
+    low, high = space.low[space.parameters :], space.high[space.parameters :]
+    scaled = np.minimum(qmc.scale(cube, low, np.maximum(high, low + 1e-12)), high)
     return np.hstack([np.broadcast_to(parameters, (len(scaled), len(parameters))), scaled])
 
 
@@ -240,6 +241,9 @@ def least_change(
     for turn in range(rounds):
         elite = _elite(space, tried, target)
         points, level = _proposals(space, tried, elite, step, random, effort.proposals)
+        if effort.modelled:
+            steps, of_level = cheapest_by_planes(space, tried, elite, step, target)
+            points, level = np.concatenate([points, steps]), np.concatenate([level, of_level])
         if np.isfinite(best):
             cheaper = space.cost(points) < best
             points, level = points[cheaper], level[cheaper]
@@ -270,6 +274,68 @@ def _elite(space: Space, tried: Tried, target: float) -> IntArray:
         : _ELITE if len(chosen) else 3 * _ELITE
     ]
     return np.concatenate([chosen, near]).astype(np.int64)
+
+
+_FITTED = 4  # candidates per dimension to which a plane is fitted
+_FAR = 1.6  # ratio: farther candidates say nothing of the edge
+_ROOM = (0.0, 0.01, 0.03)  # of the target: how far within it a modelled candidate should be
+_MODELLED = 6  # candidates about which planes are fitted
+
+
+def cheapest_by_planes(
+    space: Space, tried: Tried, elite: IntArray, step: float, target: float
+) -> tuple[FloatArray, IntArray]:
+    """Return the cheapest candidates by planes that are fitted to the ratio about the elite.
+
+    A sum of magnitudes is least where one number trades against another; moves of one number alone,
+    or of all in proportion, do not find that. Each plane holds within ``step`` of the range, and
+    without each number that changes: what several numbers do, fewer may do cheaper.
+    """
+    from scipy.optimize import linprog
+
+    count, dims = space.parameters, len(space.low)
+    span = np.maximum(space.high - space.low, 1e-12)
+    known = np.flatnonzero(tried.ratio < _FAR * target)
+    points, levels = [], []
+    if len(known) <= dims:
+        return np.empty((0, dims)), np.empty(0, dtype=np.int64)
+    scaled = tried.points[known] / span
+    for index in elite[:_MODELLED].tolist():
+        own = tried.points[index]
+        away = np.linalg.norm(scaled - own / span, axis=1)
+        near = known[np.argsort(away, kind="stable")[: _FITTED * dims]]
+        offset = (tried.points[near] - own) / span
+        rows = np.column_stack([np.ones(len(near)), offset])
+        plane = np.linalg.lstsq(
+            np.vstack([rows, 1e-3 * np.eye(dims + 1)[1:]]),
+            np.concatenate([tried.ratio[near], np.zeros(dims)]),
+            rcond=None,
+        )[0]
+        # Unknowns: the point, then the magnitudes of its parameters.
+        cost = np.concatenate([np.zeros(dims), space.weights])
+        slope = plane[1:] / span
+        size = np.hstack([np.eye(count, dims), -np.eye(count)])
+        mirrored = np.hstack([-np.eye(count, dims), -np.eye(count)])
+        for without in (None, *np.flatnonzero(own[:count]).tolist()):
+            reach = step * span
+            low, high = np.maximum(own - reach, space.low), np.minimum(own + reach, space.high)
+            if without is not None:
+                low[without] = high[without] = 0.0
+            for room in _ROOM:
+                most = target * (1.0 - room) - plane[0] + float(slope @ own)
+                found = linprog(
+                    cost,
+                    np.vstack([np.append(slope, np.zeros(count)), size, mirrored]),
+                    np.concatenate([[most], np.zeros(2 * count)]),
+                    bounds=[*zip(low, high, strict=True), *[(0.0, None)] * count],
+                )
+                if found.x is not None and found.status == 0:
+                    points.append(np.clip(found.x[:dims], space.low, space.high))
+                    levels.append(int(tried.level[index]))
+    if not points:
+        return np.empty((0, dims)), np.empty(0, dtype=np.int64)
+    every, first = np.unique(np.round(points, 6), axis=0, return_index=True)
+    return every, np.array(levels, dtype=np.int64)[first]
 
 
 def _proposals(

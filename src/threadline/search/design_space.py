@@ -29,7 +29,8 @@ class Space:
     """Changeable parameters and settings as coordinates.
 
     A point holds the logarithm of a factor for each of P parameters. Where filters are designed,
-    the logarithm of the crossover in Hz and the phase margin in degrees follow.
+    the logarithm of the crossover in Hz and the phase margin in degrees follow; with ``ahead`` the
+    logarithm of the smoothing width in s and the share of the acceleration that ramps use.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ class Space:
     tolerance
         (P,) tolerance of each parameter, as a share.
     levels
-        Shares of the acceleration to try; with ``ahead`` the smoothing widths, s.
+        Shares of the acceleration to try; with ``ahead`` one alone, for points hold theirs.
     ahead
         Whether the commands go through the exact inverse of each candidate: feed-forward.
     alone
@@ -74,7 +75,15 @@ class Space:
     @property
     def designs_gains(self) -> bool:
         """Whether the filters are designed for every candidate."""
-        return len(self.low) > self.parameters
+        return not self.ahead and len(self.low) > self.parameters
+
+    def smoothing_s(self, point: FloatArray) -> float | None:
+        """Return the smoothing width of a (dims,) point; None without feed-forward."""
+        return float(np.exp(point[self.parameters])) if self.ahead else None
+
+    def share(self, point: FloatArray, level: int) -> float:
+        """Return the share of the acceleration that ramps use at a (dims,) point and its level."""
+        return float(point[-1]) if self.ahead else self.levels[level]
 
     def cost(self, points: FloatArray) -> FloatArray:
         """Return (n,) the weighted sum of |ln factor| of (n, dims) points."""
@@ -126,8 +135,9 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
     Parameters
     ----------
     smoothing_s
-        Widths of the feed-forward smoothing to try. With feed-forward the machine's filters stay
-        unchanged, and the needle goes down at the commanded time. Empty for no feed-forward.
+        Widths of the feed-forward smoothing: the search tries those from the least to the largest.
+        With feed-forward the machine's filters stay unchanged, and the needle goes down at the
+        commanded time. Empty for no feed-forward.
 
     Raises
     ------
@@ -148,7 +158,12 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
         high.append(np.log(last))
     ahead = bool(smoothing_s)
     _check_settings(machine, design)
-    low_set, high_set = ([], []) if ahead else _gain_bounds(machine, design)
+    shares = _levels(design)
+    if ahead:
+        low_set = [float(np.log(min(smoothing_s))), min(shares)]
+        high_set = [float(np.log(max(smoothing_s))), max(shares)]
+    else:
+        low_set, high_set = _gain_bounds(machine, design)
     return Space(
         machine=machine,
         names=tuple(design.parameters),
@@ -157,7 +172,7 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
         low=np.array([*low, *low_set]),
         high=np.array([*high, *high_set]),
         tolerance=np.array([p.spread for p in design.parameters.values()]),
-        levels=smoothing_s or _levels(design),
+        levels=(1.0,) if ahead else shares,
         delays_s=np.zeros(1) if ahead else _delays(design),
         ahead=ahead,
         alone=not kind_of(machine).together(machine),

@@ -23,6 +23,7 @@ from threadline.proof.option_words import LEAST_SHARE
 from threadline.proof.options import Options
 from threadline.proof.pipeline import check_loops, plan_job
 from threadline.search.allowance import FastestJob, Rung, fastest_allowed
+from threadline.search.chosen_plans import fastest_chosen
 from threadline.search.distinct import LongMoves, distinct_parts, moves_in
 from threadline.search.fastest import FINE, Fastest, Grid, check_range
 from threadline.search.feed import fastest_feed, feed_unit, search_range, searched_by
@@ -180,7 +181,7 @@ def fastest_job(asked: Question) -> FastestJob:
     job, machine, options, until = asked.job, asked.machine, asked.options, asked.until
     check_loops(machine)
     if options.interpolation == OPTIMAL:
-        return fastest_allowed(asked)
+        return fastest_chosen(asked) if asked.free else fastest_allowed(asked)
     by = searched_by(job, machine) if asked.by is None else asked.by
     low, high = search_range(job, machine, by)
     low, high = low if asked.low is None else asked.low, high if asked.high is None else asked.high
@@ -210,7 +211,7 @@ def fastest_job(asked: Question) -> FastestJob:
             None if found.best is None else planned_s(share, found.best)
         ),
         at_top_s=lambda share: planned_s(share, high),
-        expected=1 if by_feed else _STEPS,
+        expected=1 if by_feed else 2 if _only_limits(asked) else _STEPS,
         progress=asked.progress,
         until=until,
     )
@@ -219,7 +220,7 @@ def fastest_job(asked: Question) -> FastestJob:
         if by_feed:
             tried(1.0, FINE)
         else:
-            _climb(tried, rungs)
+            _climb(tried, rungs, _LADDER[:1] if _only_limits(asked) else _LADDER)
     except HaltError as halt:
         if not rungs:
             raise no_answer() from halt
@@ -252,12 +253,32 @@ def fastest_job(asked: Question) -> FastestJob:
     )
 
 
-def _climb(tried: Callable[..., Rung | None], rungs: Mapping[float, Rung]) -> None:
-    """Try shares of the limits until the neighbours of the best are not better."""
-    for share in _LADDER:
+def _only_limits(asked: Question) -> bool:
+    """Return whether less acceleration cannot win: nothing is asked but the machine's own limits.
+
+    A machine without dynamics does not ring, so only a criterion of the specification could ask
+    for less than its limits.
+    """
+    own = all(one.hard or one.limit is None for one in asked.spec.criteria)
+    return asked.machine.without_dynamics and own
+
+
+def _climb(
+    tried: Callable[..., Rung | None],
+    rungs: Mapping[float, Rung],
+    ladder: Sequence[float],
+) -> None:
+    """Try shares of the limits until the neighbours of the best are not better.
+
+    A ``ladder`` of one share is extended only where no feed is in spec at that share.
+    """
+    for share in ladder:
         tried(share, _SCAN)
     best = min(rungs.values(), key=_order)
-    if best.duration_s is not None:
+    if best.duration_s is None and len(ladder) == 1:
+        _climb(tried, rungs, _LADDER)
+        return
+    if best.duration_s is not None and len(ladder) > 1:
         for factor in (_STEP, 1.0 / _STEP):
             share = round(best.share * factor, 6)
             while LEAST_SHARE <= share <= 1.0:

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.commands.schedule import ScheduledMove
+from threadline.commands.intents import ScheduledMove
 from threadline.commands.schedule_moves import Levels, valves_of
 from threadline.errors import PlanError
 from threadline.jobs.operations import Job

@@ -52,6 +52,8 @@ class Question:
         Whether to search on machines at the ends of the tolerances, too.
     words
         Planning options of the same plan, by word, without the options that the search finds.
+    free
+        Options of ``optimal`` that were not given, so that the search may choose them.
     suspects
         Machines within the tolerances that were out of specification at another pace: they are
         tried first. The search adds to them.
@@ -72,6 +74,7 @@ class Question:
     band: float | None = None
     mismatch: bool = False
     words: Mapping[str, Word] = field(default_factory=dict)
+    free: frozenset[str] = frozenset()
     suspects: Suspects = field(default_factory=list)
 
     @property

@@ -17,6 +17,7 @@ from threadline.proof.asked import Words, with_radii_of
 from threadline.proof.option_words import parse_feed, parse_margin, parse_robust
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, with_shaping
+from threadline.search.choices import CHOSEN
 from threadline.search.feed import searched_by
 from threadline.search.paced import Question
 from threadline.search.until import Until
@@ -206,7 +207,19 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
         band=band,
         mismatch=mismatch,
         words=words.changed(robust=planned),
+        free=_free(words) if search == OPTIMAL else frozenset(),
     )
+
+
+def _free(words: Words) -> frozenset[str]:
+    """Return the options of a plan that were not given.
+
+    A contour without feed-forward is of loops that follow the path.
+    """
+    free = {word for word in CHOSEN if words.given.get(word) in (None, False)}
+    if words.text("contour") is not None:
+        free -= {"feed_forward"}
+    return frozenset(free)
 
 
 def _planned_for(words: Words) -> str | None:

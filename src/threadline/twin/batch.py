@@ -14,10 +14,10 @@ from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
 from threadline.files import (
     ChannelKind,
-    Ended,
     Event,
     Recording,
     RecordingBlock,
+    RunEnd,
     Stream,
     TickBlock,
     TickTable,
@@ -376,7 +376,7 @@ class PositionRuns:
         for session in self._sessions:
             session.resume()
 
-    def finish(self, ended: Ended = Ended.COMPLETED, text: str = "") -> None:
+    def finish(self, ended: RunEnd = RunEnd.COMPLETED, text: str = "") -> None:
         """End the run: no more rows follow."""
         for session in self._sessions:
             session.finish(ended, text)

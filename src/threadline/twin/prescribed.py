@@ -18,7 +18,7 @@ from threadline.base.arrays import FloatArray, IntArray, Recent
 from threadline.base.compiled import njit
 from threadline.dynamics.prescribed import Prescribed, prescribed, resonance_hz
 from threadline.errors import MachineError, OptionError
-from threadline.files import Channel, ChannelKind, Ended, RecordingBlock
+from threadline.files import Channel, ChannelKind, RecordingBlock, RunEnd
 from threadline.machine import Machine
 from threadline.machine.sources import PulseServo, Source
 from threadline.twin.channels import encoder_phases
@@ -419,7 +419,7 @@ class PositionSession(RowSession):
         self._events.clear()
         self.failed, self._operation = True, operation
         self._halted, self._held = None, False
-        self._ended, self._final = (Ended.FAULT, why), True
+        self._ended, self._final = (RunEnd.FAULT, why), True
         self._record_event("fault", tick=tick, name=why)
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:

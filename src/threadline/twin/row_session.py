@@ -16,7 +16,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
-from threadline.files import Channel, Ended, Event, EventKind, RecordingBlock, TickBlock
+from threadline.files import Channel, Event, EventKind, RecordingBlock, RunEnd, TickBlock
 from threadline.machine import Machine
 from threadline.twin.kernel import Reading
 
@@ -70,7 +70,7 @@ class Rows(Protocol):
     def resume(self) -> None:
         """Continue with the rows."""
 
-    def finish(self, ended: Ended = ..., text: str = ...) -> None:
+    def finish(self, ended: RunEnd = ..., text: str = ...) -> None:
         """Declare that no more rows follow."""
 
     def advance(self, rows: TickBlock | None = ..., *, ticks: int | None = ...) -> RecordingBlock:
@@ -120,7 +120,7 @@ class RowSession(ABC):
         self._operation = self._row = 0
         self._halted: Event | None = None
         self._held = False
-        self._ended: tuple[Ended, str] | None = None
+        self._ended: tuple[RunEnd, str] | None = None
         self._final = False  # the end has been recorded
         self._pending_events: list[Event] = []  # since the last block
 
@@ -167,7 +167,7 @@ class RowSession(ABC):
         return self._held
 
     @property
-    def ended(self) -> Ended | None:
+    def ended(self) -> RunEnd | None:
         """How the run ended; None while it runs, and while rows are left after ``finish``."""
         return self._ended[0] if self._ended is not None and self._final else None
 
@@ -204,7 +204,7 @@ class RowSession(ABC):
             raise OptionError(f"{name} is a limit switch of {self._machine.name}: its load sets it")
         self._inputs[name] = float(value)
 
-    def finish(self, ended: Ended = Ended.COMPLETED, text: str = "") -> None:
+    def finish(self, ended: RunEnd = RunEnd.COMPLETED, text: str = "") -> None:
         """Declare that no more rows follow.
 
         Parameters
@@ -218,7 +218,7 @@ class RowSession(ABC):
         if self._final:
             return
         self._ended = (ended, text)
-        if ended is not Ended.COMPLETED:
+        if ended is not RunEnd.COMPLETED:
             self._rows.clear()
             self._events.clear()
             self._halted, self._held = None, False

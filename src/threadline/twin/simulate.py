@@ -14,10 +14,10 @@ from threadline.dynamics.values import Values
 from threadline.errors import OptionError
 from threadline.files import (
     ChannelKind,
-    Ended,
     Event,
     Recording,
     RecordingBlock,
+    RunEnd,
     Stream,
     TickBlock,
     TickTable,
@@ -347,7 +347,7 @@ def _parts(session: Rows, commands: TickTable, options: RunOptions) -> Iterator[
             if delay_s is None:
                 yield _joined(parts)
                 halted = f"{session.halted.kind} {session.halted.name}".strip()
-                session.finish(Ended.STOPPED, f"nobody answered the {halted}")
+                session.finish(RunEnd.STOPPED, f"nobody answered the {halted}")
                 return
             if not delay_s >= 0.0:
                 raise OptionError(f"answers must be delays of 0 s or more, got {delay_s}")

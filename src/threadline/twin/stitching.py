@@ -19,10 +19,10 @@ from threadline.errors import MachineError, OptionError, RecordingError
 from threadline.files import (
     Channel,
     ChannelKind,
-    Ended,
     Event,
     Recording,
     RecordingBlock,
+    RunEnd,
     StepPlay,
     StitchBlock,
     Stream,
@@ -327,7 +327,7 @@ class StitchingSession:
             self.taken -= gone
         self._events = [event for event in self._events if event.tick < tick]
 
-    def finish(self, ended: Ended, text: str) -> None:
+    def finish(self, ended: RunEnd, text: str) -> None:
         """Record how the run ended."""
         self._pending_events.append(
             Event(tick=self.tick, kind=ended.value, operation=self._under_way, name=text)

@@ -14,7 +14,7 @@ import numpy as np
 from threadline.base.arrays import IntArray
 from threadline.dynamics.values import Values
 from threadline.errors import OptionError
-from threadline.files import Ended, Event, EventKind, RecordingBlock, SwitchSchedule
+from threadline.files import Event, EventKind, RecordingBlock, RunEnd, SwitchSchedule
 from threadline.machine import Machine
 from threadline.twin.switching import (
     SAMPLE_S,
@@ -173,7 +173,7 @@ class SwitchingSession:
         """Switch everything off at scan ``tick``, unless a later call changes the scan before."""
         self._off_at = tick
 
-    def finish(self, ended: Ended, text: str) -> None:
+    def finish(self, ended: RunEnd, text: str) -> None:
         """Record how the run ended."""
         self._pending_events.append(
             Event(tick=self.sample, kind=ended.value, operation=self._under_way, name=text)

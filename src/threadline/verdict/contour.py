@@ -19,6 +19,9 @@ _EMPTY = "the recording is empty"
 _NOTHING_M = 1e-9
 """A move no longer than this has no sample of its own, and no piece of a planned path."""
 
+POINT_MISSED = "programmed point missed"
+"""Note of a deviation that was measured at a programmed point."""
+
 
 class ContourPart(NamedTuple):
     """Arrays that a sweep over a block reads and updates for the contour error.
@@ -223,7 +226,7 @@ class Contour(SweptMeasure):
         self._line = self._line[count:]
         return left
 
-    def _settle(self, left: _Left, note: str = "programmed point missed") -> None:
+    def _settle(self, left: _Left, note: str = POINT_MISSED) -> None:
         """Judge vertices that no later sample can come nearer to."""
         if not len(left.best):
             return

@@ -17,8 +17,6 @@ from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.quantity import Quantity
 from threadline.motion.timing.extremes import derivatives, farthest, highest, hull_of, in_direction
-from threadline.motion.timing.optimal.along_path import path_use
-from threadline.motion.timing.optimal.motion_limits import along_of
 from threadline.motion.timing.types import TrajectoryBlock
 from threadline.verdict.finding import Finding, Found, Worst, largest
 from threadline.verdict.measure import Measure
@@ -143,6 +141,9 @@ def measure_path_use(plan: Plan) -> dict[str, list[Finding]]:
     The finding names the limit. A step of the speed between two pieces of a historical plan is not
     counted.
     """
+    from threadline.motion.timing.optimal.along_path import path_use
+    from threadline.motion.timing.optimal.motion_limits import along_of
+
     along = along_of(plan.machine, plan.motion.path.radius_m)
     if along is None:
         none = Finding(value=None, note="the machine file has no [path] with a limit")

@@ -9,7 +9,6 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
-from threadline.motion.shaping import longest_delay_s, parse_shaper, shaping_deviation
 from threadline.verdict.contour import Contour
 from threadline.verdict.finding import Finding
 from threadline.verdict.samples import Block
@@ -43,6 +42,8 @@ def measure_shaping_deviation(plan: Plan) -> list[Finding]:
     planned, text = plan.motion.timed, plan.options.get("shaper")
     if planned is None or text is None:
         return [Finding(value=0.0, note="the motion is not shaped")]
+    from threadline.motion.shaping import longest_delay_s, parse_shaper, shaping_deviation
+
     longest = longest_delay_s(planned.axes, parse_shaper(text), centroid_shift=True)
     found = shaping_deviation(planned, plan.motion.trajectory, plan.machine, longest)
     return [

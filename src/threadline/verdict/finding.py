@@ -20,6 +20,40 @@ Statuses = Callable[[float | None, float | None], Status]
 """Returns the status of a measured value under a limit; each may be None."""
 
 
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """What a recording does not show between two of its samples.
+
+    Parameters
+    ----------
+    channel, interval_s
+        Name of a channel, and the time between two of its samples.
+    most
+        By how much the finding may be larger between samples, in its unit; it grows with the square
+        of the interval. Infinite if samples so far apart say nothing of the finding.
+    why
+        What limits it, in words.
+    enough_s
+        Longest interval at which the samples say something of it; for an infinite ``most``.
+    """
+
+    channel: str
+    interval_s: float
+    most: float
+    why: str
+    enough_s: float = 0.0
+
+    def note(self, room: float) -> str:
+        """Return the note of a criterion that has ``room`` left under its limit at the samples."""
+        allowed_s = self.enough_s
+        if math.isfinite(self.most):
+            allowed_s = self.interval_s * math.sqrt(max(room, 0.0) / self.most)
+        return (
+            f"{self.channel} has a sample every {1e3 * self.interval_s:.4g} ms: {self.why}; "
+            f"record every {1e3 * allowed_s:.3g} ms at least"
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
     """The worst value of one measure in one run, for one axis or (``""``) the tool.
@@ -27,7 +61,9 @@ class Finding:
     ``value`` is None if nothing could be measured; ``note`` then says why. ``step`` is the step of
     a move list. ``seen`` is the worst value of places that the recording reached, if ``value`` also
     counts places that it did not. ``unseen`` says which part was not seen, if ``value`` is only the
-    worst of the rest: then it can fail a limit, but not pass one.
+    worst of the rest: then it can fail a limit, but not pass one. ``hidden`` says how much larger
+    the value may be between two samples of a recording. ``typical`` is the median of all runs, for
+    a measure of many runs together.
     """
 
     value: float | None
@@ -40,6 +76,8 @@ class Finding:
     step: str = ""
     seen: Finding | None = None
     unseen: str = ""
+    hidden: Hidden | None = None
+    typical: float | None = None
 
     def worse(self, other: Finding) -> Finding:
         """Return the worse of the same finding in two recordings.
@@ -53,16 +91,32 @@ class Finding:
             blank, known = (self, other) if self.value is None else (other, self)
             return replace(known, unseen=known.unseen or blank.note)
         larger = other if other.value > self.value else self
-        return replace(larger, unseen=self.unseen or other.unseen)
+        hidden = [one for one in (self.hidden, other.hidden) if one is not None]
+        coarsest = max(hidden, key=lambda one: one.most, default=None)
+        return replace(larger, unseen=self.unseen or other.unseen, hidden=coarsest)
 
     def under(self, limit: float | None, status: Statuses) -> Finding:
-        """Return the finding as it counts under a limit: one partly unseen can only fail it."""
+        """Return the finding as it counts under a limit: one partly unseen can only fail it.
+
+        So does one that would exceed the limit with what may be hidden between samples.
+        """
         if not self.unseen:
-            return self
+            return self._between(limit, status)
         if status(self.value, limit) is Status.FAILED:
             note = "; ".join(filter(None, (self.note, self.unseen)))
             return replace(self, note=note, unseen="")
         return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
+
+    def _between(self, limit: float | None, status: Statuses) -> Finding:
+        hidden, value = self.hidden, self.value
+        if hidden is None or value is None or limit is None:
+            return self
+        if status(value, limit) is Status.FAILED:
+            return self
+        if status(value + hidden.most, limit) is not Status.FAILED:
+            return self
+        note = hidden.note(limit - value)
+        return Finding(value=None, axis=self.axis, step=self.step, note=note)
 
     def in_unit(self, unit: str) -> Finding:
         """Return the finding for a verdict: NaN counts as not measured."""

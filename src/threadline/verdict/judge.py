@@ -271,10 +271,15 @@ def _with_operation_note(result: Result, runs: Sequence[Run]) -> Result:
 
 
 def _with_run_number(result: Result, found: Found, runs: int) -> Result:
-    """Add to a result the number of the worst run, unless its value is 0."""
+    """Add to a result the median of the runs, and the number of the worst unless its value is 0."""
     if runs == 1 or len(found) != runs or not result.measured:
         return result
-    return replace(result, run=int(np.nanargmax(found.value)) + 1)
+    typical = float(np.nanmedian(found.value))
+    return replace(
+        result,
+        run=int(np.nanargmax(found.value)) + 1,
+        typical=typical if np.isfinite(typical) else None,
+    )
 
 
 def _key(criterion: Criterion) -> Key:
@@ -390,6 +395,7 @@ def _result(criterion: Criterion, kind: MeasureKind, plan: Plan, finding: Findin
         operation=finding.operation,
         job_line=finding.job_line,
         position=finding.position,
+        typical=finding.typical,
         note="; ".join(filter(None, (finding.note, criterion.note))),
     )
 

@@ -16,7 +16,17 @@ from threadline.verdict.samples import Block
 from threadline.verdict.types import Status
 
 Dimension = Literal[
-    "tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "current", "rate", "ratio", "stitch"
+    "tool",
+    "tool/s",
+    "axis",
+    "axis/s",
+    "axis/s^2",
+    "axis/s^3",
+    "time",
+    "current",
+    "rate",
+    "ratio",
+    "stitch",
 ]
 """Dimension of a measured value: length at the tool, the axis' own unit (m or rad), rates, ..."""
 
@@ -65,11 +75,12 @@ Needs = tuple[tuple[ChannelKind, ...], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Running:
-    """A started measurement: its kind, how it reads its run, and the measure."""
+    """A started measurement: its kind, how it reads its run, the measure, and its options."""
 
     kind: MeasureKind
     reading: RunReading
     measure: Measure
+    options: Mapping[str, float] = field(default_factory=dict)
 
 
 class Run(Protocol):
@@ -323,7 +334,14 @@ class MeasureKind:
         length = "m" if axis_kind == "linear" else "rad"
         if self.dimension.startswith("axis"):
             return length + self.dimension.removeprefix("axis")
-        units = {"tool": "m", "time": "s", "current": "A", "rate": "Hz", "ratio": ""}
+        units = {
+            "tool": "m",
+            "tool/s": "m/s",
+            "time": "s",
+            "current": "A",
+            "rate": "Hz",
+            "ratio": "",
+        }
         return (units | {"stitch": "stitch"})[self.dimension]
 
     def status(self, value: float | None, limit: float | None) -> Status:

@@ -12,11 +12,13 @@ import numpy as np
 
 from threadline.commands.plan import Plan
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
+from threadline.machine.parts import Axis
 from threadline.verdict.blocks import find_first, judged_blocks, master_channel, peak_channels
 from threadline.verdict.by_time import WatchedOperations, with_operation
 from threadline.verdict.coverage import Coverage, Lack
-from threadline.verdict.finding import Finding, Found
+from threadline.verdict.finding import Finding, Found, Hidden
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
+from threadline.verdict.needle import planned_stitches
 from threadline.verdict.samples import Block, Setting, sample_interval_s, samples_of_lag
 from threadline.verdict.tracking import as_intended
 from threadline.verdict.window import PathWindow
@@ -212,12 +214,68 @@ class MotionRun(Setting):
             if one_found.axis not in absent:
                 channels = self._channels(one.reading, one_found.axis)
                 lack = self.coverage.lack(channels, begin_s, end_s)
+                hidden = self._hidden(one, one_found.axis)
+                if hidden is not None:
+                    one_found = one_found.each(partial(replace, hidden=hidden))  # noqa: PLW2901
                 found.append(
                     one_found
                     if lack is None
                     else one_found.each(partial(_as_seen, kind=one.kind, lack=lack))
                 )
         return found
+
+    def _hidden(self, one: Running, axis: str) -> Hidden | None:
+        """Return what the samples do not show of a measure; None of samples at each tick.
+
+        Between samples T apart a position leaves the straight line by at most a T^2 / 8 at an
+        acceleration of a. A speed is measured as a mean, over samples that are no further apart.
+        """
+        places = [n for n in one.reading.needs if not _PLACES.isdisjoint(n)]
+        channels = [
+            channel
+            for alternatives in places
+            for of in ((axis,) if axis else self.axes)
+            if (channel := find_first(self.recording, alternatives, of)) is not None
+        ]
+        if not channels:
+            return None
+        coarsest = max(channels, key=sample_interval_s)
+        interval_s = sample_interval_s(coarsest)
+        tick_s = float(self.plan.commands.clock.period_s)
+        if interval_s <= tick_s * (1.0 + _ROUNDING):
+            return None
+        unit = one.kind.dimension
+        over_s = _VELOCITY_S if unit == "axis/s" else one.options.get("over", 0.0)
+        if over_s:
+            over_s = max(over_s, tick_s)
+            if interval_s <= over_s * (1.0 + _ROUNDING):
+                return None
+            why = f"that says nothing of speeds over {1e3 * over_s:.4g} ms"
+            return Hidden(coarsest.name, interval_s, np.inf, why, enough_s=over_s)
+        of_axes = [self.axes.index(axis)] if axis else range(len(self.axes))
+        most = np.array([_most(self.plan.machine.axes[self.axes[k]]) for k in of_axes])
+        at_tool = float(np.linalg.norm(most * self.radius_m[list(of_axes)]))
+        away = interval_s**2 / 8.0
+        hidden_m = at_tool * away
+        why = (
+            f"between two of them the tool may be {1e3 * hidden_m:.4g} mm beside, at the "
+            f"{at_tool:.4g} m/s^2 of the machine file"
+        )
+        if unit == "tool":
+            return Hidden(coarsest.name, interval_s, hidden_m, why)
+        if unit == "axis":
+            return Hidden(coarsest.name, interval_s, float(most[0]) * away, why)
+        if unit == "time" and "band" in one.options:
+            enough_s = float(np.sqrt(8.0 * one.options["band"] / at_tool))
+            if interval_s > enough_s:
+                return Hidden(
+                    coarsest.name, interval_s, np.inf, why, enough_s=max(enough_s, tick_s)
+                )
+        if one.kind.name == "stitch_length_error":
+            first = next(iter(planned_stitches(self.plan)), None)
+            least_m = np.inf if first is None else float(first.target_m.min())
+            return Hidden(coarsest.name, interval_s, 2.0 * hidden_m / least_m, why)
+        return None
 
     def unseen(self, reading: RunReading) -> str:
         """Return which channels a measure of many runs lacks, or where; empty if none.
@@ -250,6 +308,16 @@ class MotionRun(Setting):
             return False
         left = np.linalg.norm(path.vertices[-1] - commanded[-1] * self.radius_m)
         return bool(operation[-1] >= path.operation[-1] and left <= _ARRIVED_M)
+
+
+_VELOCITY_S = 0.02  # over which the velocity of a recording is taken
+_PLACES = {ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED}
+
+
+def _most(axis: Axis) -> float:
+    """Return the largest acceleration that a machine file allows of an axis."""
+    braking = axis.acceleration if axis.deceleration is None else axis.deceleration
+    return max(axis.acceleration.si, braking.si)
 
 
 def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:

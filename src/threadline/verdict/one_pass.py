@@ -39,8 +39,10 @@ class _Begun:
                     Found.made([Finding(value=None, axis=axis, note=missing)]) for axis in for_axes
                 ]
             else:
-                measure = reading.start(run, kind.with_defaults(dict(key[1])))
-                self._running[key] = Running(kind=kind, reading=reading, measure=measure)
+                options = kind.with_defaults(dict(key[1]))
+                self._running[key] = Running(
+                    kind=kind, reading=reading, measure=reading.start(run, options), options=options
+                )
         self._measures = [one.measure for one in self._running.values()]
 
     def blocks(self) -> Iterator[Block]:

@@ -22,8 +22,10 @@ from threadline.verdict.demands import (
 )
 from threadline.verdict.demands import NAME as NEEDLE_USE
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
+from threadline.verdict.fibre import MEASURED, PLANNED, measure_planned, starter
 from threadline.verdict.finding import Finding
 from threadline.verdict.measure import (
+    Dimension,
     Measure,
     MeasureKind,
     OfPlan,
@@ -79,6 +81,29 @@ def _sewn(
     return OfRun(run=StitchRun, start=whole(measure), needs=((needs,),))
 
 
+_DIMENSIONS: Mapping[str, Dimension] = {"slip_tendency": "ratio", "fibre_speed": "tool/s"}
+"""Dimensions of the measures of a fibre that are no lengths."""
+_FIBRE = (
+    *(
+        MeasureKind(
+            name=name,
+            dimension=_DIMENSIONS.get(name.removeprefix("planned_"), "tool"),
+            per_axis=False,
+            reads=(OfPlan(intent=Motion, measure=measure_planned),),
+        )
+        for name in PLANNED
+    ),
+    *(
+        MeasureKind(
+            name=name,
+            dimension=_DIMENSIONS.get(name, "tool"),
+            per_axis=False,
+            of_worst=name != "coverage_gap",
+            reads=(_moved(starter(name), _ACTUAL, _OPERATION),),
+        )
+        for name in MEASURED
+    ),
+)
 _DEMANDS = OfPlan(intent=Motion, measure=demands.measure_demands)
 _TABLES = OfPlan(intent=Stitched, measure=stitch_measures.measure_tables)
 
@@ -356,7 +381,7 @@ _KINDS = (
     MeasureKind(name="step_rate", dimension="rate", per_axis=True, reads=(_TABLES,)),
     MeasureKind(name="fetch_use", dimension="ratio", per_axis=False, reads=(_TABLES,)),
 )
-MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}
+MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in (*_KINDS, *_FIBRE)}
 
 
 def needed_channels(spec: Spec) -> tuple[ChannelKind, ...]:

@@ -13,6 +13,7 @@ from threadline.commands.plan import Plan
 from threadline.units import without_noise
 from threadline.verdict.demands import VELOCITY_STEPS
 from threadline.verdict.types import (
+    REPEATED_RUNS,
     Change,
     Disturbance,
     Level,
@@ -54,6 +55,7 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "simulated": verdict.simulated,
         "level": verdict.level.value,
         "runs": verdict.runs,
+        "covers": verdict.covers,
         "machines": verdict.machines,
         **tolerances_json(verdict),
         **({"ends": verdict.ends} if verdict.ends else {}),
@@ -227,6 +229,8 @@ def _level(verdict: Verdict) -> str:
     if verdict.level is Level.LIMITS:
         return f"{verdict.level}: placement is not proven, the machine file has no dynamics"
     told = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
+    if verdict.runs > REPEATED_RUNS and not verdict.recorded:
+        told += f", at least {math.floor(1000.0 * verdict.covers) / 10.0:g} % of all runs"
     if verdict.tolerances is not None:
         told += f"; {'; '.join(_of_machines(verdict.tolerances))}"
     elif verdict.machines:

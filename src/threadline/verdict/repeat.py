@@ -9,7 +9,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from threadline.base.arrays import IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, MeasureOfRuns, Option, Run
 from threadline.verdict.samples import Block, Setting
@@ -26,6 +26,7 @@ class _Spread:
     def __init__(self, setting: Setting, lacking: str) -> None:
         self.setting, self._lacking = setting, lacking
         self._worst = Worst(1, len(setting.axes), note=lacking or "the recordings are empty")
+        self._squared: FloatArray = np.zeros(1)
 
     def feed(self, block: Block) -> None:
         """Take the next samples of all runs."""
@@ -34,6 +35,7 @@ class _Spread:
         mean = block.actual.mean(axis=1, keepdims=True)
         away = self.setting.lengths(block.actual - mean, block.actual)
         squared = (away**2).sum(axis=2)
+        self._squared = np.maximum(self._squared, squared.max(axis=0))
         at, run = np.unravel_index(int(np.argmax(squared)), squared.shape)
         index = np.array([at])
         self._worst.offer(
@@ -46,7 +48,8 @@ class _Spread:
 
     def finish(self) -> Sequence[Found]:
         """Return the one finding for all runs together."""
-        return [self._worst.found()]
+        typical = float(np.sqrt(np.median(self._squared)))
+        return [self._worst.found().each(lambda one: replace(one, typical=typical))]
 
 
 def start_repeatability(setting: Setting, options: Mapping[str, float]) -> Measure:

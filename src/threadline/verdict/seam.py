@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.geometry.contours import DrawnLine
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure
 from threadline.verdict.needle import has_stitches
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.sewn import SewnStitches, StitchFollower
 from threadline.verdict.stitch_run import too_short
+
+if TYPE_CHECKING:
+    from threadline.geometry.contours import DrawnLine
 
 _PARTS = 16  # of the drawn stretch of a stitch: a bow of 0.25 mm between two places is 1 um
 _NEAR = 4  # neighbouring stitches that a place may lie on: the free lag

@@ -48,6 +48,7 @@ limit = "0.5 mm"
 name = "path_deviation"
 """
 _ITS_LIMITS = f'name = "{_LIMITS_NAME}"\n'
+_ASSUMED_OF = {"ticks": _ASSUMED, "switches": _ITS_LIMITS, "steps": _ITS_LIMITS}
 
 
 def is_assumed(spec: Spec) -> bool:
@@ -112,7 +113,7 @@ def _default(machine: Machine) -> tuple[str, str]:
         file = here / base if base.endswith(".toml") else None
     if machine.without_dynamics:
         return _LIMITS_ALONE, ""
-    return (_ASSUMED if machine.commanded_by == "ticks" else _ITS_LIMITS), ""
+    return _ASSUMED_OF[machine.commanded_by], ""
 
 
 def _read(path: Path) -> str:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.intents import ScheduledMove
 from threadline.commands.plan import Plan
-from threadline.commands.schedule import ScheduledMove
 from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Clock, Event, Recording
 from threadline.verdict.coverage import Coverage, Lack

@@ -175,8 +175,8 @@ class _Past:
         """
         assert self._rows is not None and dip.rise is not None
         rows, turn_s, period_s = self._rows, dip.turn.due_s, dip.period_s
-        first, last = self._between(dip.begin_s, dip.rise.due_s)
-        corner = _corner(rows, first, last)
+        _, last = self._between(dip.begin_s, dip.rise.due_s)
+        corner = self._corner(dip, dip.rise.due_s)
         if corner is None:
             fresh = rows.first[: last + 1] & (rows.contour[: last + 1] == rows.contour[last])
             own = np.flatnonzero(fresh & (rows.due_s[: last + 1] >= dip.begin_s))
@@ -202,8 +202,8 @@ class _Past:
         assert self._rows is not None
         rows, stop_s, period_s = self._rows, dip.stop.due_s, dip.period_s
         until_s = stop_s + _TURNS * period_s if dip.rise is None else dip.rise.due_s
-        first, last = self._between(dip.begin_s, until_s)
-        corner = _corner(rows, first, last)
+        first, _ = self._between(dip.begin_s, until_s)
+        corner = self._corner(dip, until_s)
         end = len(rows)
         if corner is None:
             if dip.least > _STILL:
@@ -221,6 +221,15 @@ class _Past:
         end = min(end, int(np.searchsorted(rows.due_s, until_s, side="right")))
         back = rows.rows(np.arange(end - 1, first - 1, -1))
         return -_first_moved(replace(back, due_s=-back.due_s), acting), needle_s
+
+    def _corner(self, dip: _Dip, until_s: float) -> _Corner | None:
+        """Return the corner of a dip, up to a turn of the needle beside it.
+
+        While one axis stops and another starts, the speed may dip twice, with the corner between.
+        """
+        assert self._rows is not None
+        beside_s = dip.period_s
+        return _corner(self._rows, *self._between(dip.begin_s - beside_s, until_s + beside_s))
 
     def _between(self, begin_s: float, end_s: float) -> tuple[int, int]:
         """Return the first and the last row between two instants."""

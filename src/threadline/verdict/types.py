@@ -38,6 +38,7 @@ class Level(StrEnum):
 
 REPEATED_RUNS = 20
 """Least number of runs for the level *repeated*."""
+_NEAR = 3.0
 
 
 def level_of(runs: int, machines: int, wished: float | None) -> Level:
@@ -159,6 +160,8 @@ class Result:
     of
         ``"plan"`` if the plan was measured, and no run; ``"recording"`` if a limit of the plan was
         measured on the recording instead; else ``"run"``.
+    typical
+        Median of the runs; None if there was one run only, or no run was measured.
 
     Raises
     ------
@@ -183,6 +186,7 @@ class Result:
     hard: bool = False
     run: int | None = None
     of: Literal["plan", "recording", "run"] = "run"
+    typical: float | None = None
 
     def __post_init__(self) -> None:
         if self.measured is not None and not is_measured(self.measured, self.unit):
@@ -344,6 +348,28 @@ class Verdict:
         """
         held = [r for r in self.results if r.limit and r.measured is not None and not r.hard]
         return max(held, key=_share, default=None)
+
+    @property
+    def near(self) -> bool:
+        """Whether other runs of the machine may well exceed a limit that these runs keep.
+
+        What is left of the limit is then less than three times what the worst run is beyond the
+        median of the runs.
+        """
+        return any(
+            r.limit is not None and r.measured is not None and r.typical is not None
+            and r.status is Status.PASSED and r.measured > r.typical
+            and r.limit - r.measured < _NEAR * (r.measured - r.typical)
+            for r in self.results
+        )  # fmt: skip
+
+    @property
+    def covers(self) -> float:
+        """Share of all runs of the machine that the worst of these holds for, with 95 % confidence.
+
+        The bound of order statistics for any distribution: ``0.05 ** (1 / runs)``.
+        """
+        return float(0.05 ** (1.0 / self.runs))
 
     @property
     def answers(self) -> bool:

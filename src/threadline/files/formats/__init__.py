@@ -3,73 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from threadline.base.reading import refuse_special
 from threadline.errors import RecordingError
 from threadline.files.commands import TickTable
 from threadline.files.formats.common import Written, clear_errors
-from threadline.files.formats.plt import read_plt, write_plt
-from threadline.files.formats.recording_csv import read_recording_csv, write_recording_csv
-from threadline.files.formats.recording_npz import read_recording_npz, write_recording_npz
-from threadline.files.formats.table_text import read_table_csv
-from threadline.files.formats.tick_table import read_table_npz, write_table_csv, write_table_npz
-from threadline.files.formats.trajectory_array import read_array, write_array
 from threadline.files.recording import Recording
 
-__all__ = [
-    "Written",
-    "read_array",
-    "read_plt",
-    "read_recording",
-    "read_recording_csv",
-    "read_recording_mcap",
-    "read_recording_npz",
-    "read_table",
-    "read_table_csv",
-    "read_table_npz",
-    "write_array",
-    "write_plt",
-    "write_recording",
-    "write_recording_csv",
-    "write_recording_mcap",
-    "write_recording_npz",
-    "write_table_csv",
-    "write_table_npz",
-]
+__all__ = ["Written", "read_recording", "read_table", "write_recording"]
 
-
-def read_recording_mcap(path: Path) -> Recording:
-    """Read an MCAP recording; imports the MCAP library on the first call."""
-    from threadline.files.formats import recording_mcap
-
-    return recording_mcap.read_recording_mcap(path)
-
-
-def write_recording_mcap(recording: Recording, path: Path) -> Written:
-    """Write an MCAP recording; imports the MCAP library on the first call."""
-    from threadline.files.formats import recording_mcap
-
-    return recording_mcap.write_recording_mcap(recording, path)
-
-
-_RECORDING_READERS: dict[str, Callable[[Path], Recording]] = {
-    ".npz": read_recording_npz,
-    ".csv": read_recording_csv,
-    ".plt": read_plt,
-    ".mcap": read_recording_mcap,
+_RECORDINGS: Mapping[str, str] = {
+    ".npz": "recording_npz",
+    ".csv": "recording_csv",
+    ".plt": "plt",
+    ".mcap": "recording_mcap",
 }
-_RECORDING_WRITERS: dict[str, Callable[[Recording, Path], Written]] = {
-    ".npz": write_recording_npz,
-    ".csv": write_recording_csv,
-    ".plt": write_plt,
-    ".mcap": write_recording_mcap,
+_TABLES: Mapping[str, tuple[str, str]] = {
+    ".npz": ("tick_table", "read_table_npz"),
+    ".csv": ("table_text", "read_table_csv"),
+    ".ticks": ("trajectory_array", "read_array"),
 }
-_TABLE_READERS: dict[str, Callable[[Path], TickTable]] = {
-    ".npz": read_table_npz,
-    ".csv": read_table_csv,
-    ".ticks": read_array,
-}
+"""Module of each format of recordings; module and reader of each format of tick tables."""
+
+
+def _of_recordings(verb: str, ending: str) -> Callable[..., Any]:
+    """Return the reader or writer of a format, whose module is imported here."""
+    name = _RECORDINGS[ending]
+    found: Callable[..., Any] = getattr(import_module(f"{__name__}.{name}"), f"{verb}_{name}")
+    return found
 
 
 def _ending(path: Path, among: Mapping[str, object], what: str) -> str:
@@ -92,7 +56,8 @@ def read_recording(path: str | Path) -> Recording:
     path = Path(path)
     with clear_errors(path):
         refuse_special(path)
-        return _RECORDING_READERS[_ending(path, _RECORDING_READERS, "recording")](path)
+        found: Recording = _of_recordings("read", _ending(path, _RECORDINGS, "recording"))(path)
+        return found
 
 
 def write_recording(
@@ -118,10 +83,10 @@ def write_recording(
         If the format cannot hold the recording, or the file cannot be written.
     """
     path = Path(path)
-    ending = _ending(path, _RECORDING_WRITERS, "recording")
-    if ending == ".plt":
-        return write_plt(recording, path, every=plot_every)
-    return _RECORDING_WRITERS[ending](recording, path)
+    ending = _ending(path, _RECORDINGS, "recording")
+    of_plot = {"every": plot_every} if ending == ".plt" else {}
+    written: Written = _of_recordings("write", ending)(recording, path, **of_plot)
+    return written
 
 
 def read_table(path: str | Path) -> TickTable:
@@ -135,4 +100,6 @@ def read_table(path: str | Path) -> TickTable:
     path = Path(path)
     with clear_errors(path):
         refuse_special(path)
-        return _TABLE_READERS[_ending(path, _TABLE_READERS, "tick table")](path)
+        module, reader = _TABLES[_ending(path, _TABLES, "tick table")]
+        found: TickTable = getattr(import_module(f"{__name__}.{module}"), reader)(path)
+        return found

@@ -233,28 +233,7 @@ _GRBL = Dialect(
     needs_end=False, streams=True, grammar=grammar.GRBL,
 )  # fmt: skip
 SILENT = frozenset(
-    (
-        30,
-        31,
-        73,
-        75,
-        76,
-        77,
-        78,
-        105,
-        110,
-        111,
-        113,
-        114,
-        115,
-        117,
-        118,
-        119,
-        154,
-        155,
-        500,
-        503,
-    )
+    (30, 31, 73, 75, 76, 77, 78, 105, 110, 111, 113, 114, 115, 117, 118, 119, 154, 155, 500, 503)
 )
 """M words that only show, report or store something: a program works the same without them.
 M30 deletes a file in Marlin, and ends a program elsewhere; in neither case does it drive a tool."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,12 +19,11 @@ from threadline.jobs.gcode.dialects import DIALECTS, Dialect, Reading, dialect_o
 from threadline.jobs.gcode.feeds import f_rule, normal_feed_m_s, travelling
 from threadline.jobs.gcode.foreign import letters_of
 from threadline.jobs.gcode.modal import MILLIMETRE, RAPID, Modal, ProgramText
-from threadline.jobs.gcode.parametric.program import ParametricProgram, is_parametric, survey
 from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
 from threadline.jobs.gcode.scan import Findings, Scanner
 from threadline.jobs.gcode.subprograms import Frame, KeptText, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile, first_found, identify
-from threadline.jobs.gcode.words import ONE
+from threadline.jobs.gcode.words import ONE, is_parametric
 from threadline.jobs.gcode.zeros import FIRST, zeros_of
 from threadline.jobs.operations import (
     Feed,
@@ -38,6 +38,9 @@ from threadline.jobs.operations import (
     ToolEvent,
 )
 from threadline.machine import Machine
+
+if TYPE_CHECKING:
+    from threadline.jobs.gcode.parametric.program import ParametricProgram
 
 _STEADY_PASS = 3
 _FINE = ONE // kernel.STEPS
@@ -297,6 +300,8 @@ def read_part_program(
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
     program: PartProgram | ParametricProgram
     if spoken.flavour is not None and is_parametric(file):
+        from threadline.jobs.gcode.parametric.program import survey
+
         surveyed = survey(file, reading, linear, rule, machine)
         program, findings = surveyed.program, surveyed.findings
         moved, label = surveyed.moved, None

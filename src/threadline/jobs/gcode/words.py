@@ -297,3 +297,26 @@ class Tapes:
                 place=self._file.place(line),
                 remedy="Add a line with % at the end.",
             )
+
+
+O_WORDS = (
+    "endrepeat", "endwhile", "continue", "elseif", "repeat", "return", "endsub", "endif", "while",
+    "break", "alarm", "error", "call", "else", "sub", "do", "if",
+)  # fmt: skip
+_PARAMETRIC = re.compile(
+    rb"[#\[]|^[ \t]*(?:n[ \t]*[0-9]+[ \t]*)?o[ \t]*"
+    rb"(?:<|[0-9]+[ \t]*(?:\([^()\r\n]*\)[ \t]*)*(?:%s))" % "|".join(O_WORDS).encode(),
+    re.MULTILINE | re.IGNORECASE,
+)
+_ENCLOSED = re.compile(rb"\([^()]*\)")
+
+
+def is_parametric(file: SourceFile) -> bool:
+    """Say whether a program has parameters, expressions or O words like ``o100 sub``."""
+    for chunk in file.chunks(file.begin):
+        if _PARAMETRIC.search(chunk.data) is None:
+            continue
+        for line in chunk.data.split(b"\n"):
+            if _PARAMETRIC.search(_ENCLOSED.sub(b" ", line.partition(b";")[0])):
+                return True
+    return False

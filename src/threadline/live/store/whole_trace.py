@@ -18,10 +18,10 @@ from threadline.files import (
     Channel,
     ChannelKind,
     Clock,
-    Ended,
     Event,
     Recording,
     RecordingBlock,
+    RunEnd,
     Stream,
 )
 from threadline.files.formats import read_recording
@@ -44,7 +44,7 @@ def unfinished_run(store: Path, run: str) -> tuple[Path, RunRecord]:
         )
     folder = kept.find(run)
     record = kept.index.record(folder.name)
-    if record.ended in {Ended.COMPLETED, REFUSED}:
+    if record.ended in {RunEnd.COMPLETED, REFUSED}:
         raise StoreError(
             f"run {folder.name} was {record.ended}: there is no rest of it", remedy="Run the job."
         )

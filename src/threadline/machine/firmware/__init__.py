@@ -1,6 +1,11 @@
 """Machine files from the settings of controllers: grbl, FluidNC, Marlin, Klipper, RRF, LinuxCNC."""
 
-from threadline.machine.firmware.axis_settings import AxisSettings, Said, Settings, number_or_nan
+from threadline.machine.firmware.axis_settings import (
+    AxisSettings,
+    Settings,
+    SettingValue,
+    number_or_nan,
+)
 from threadline.machine.firmware.machine_text import (
     DEFAULTS,
     Answers,
@@ -18,7 +23,7 @@ __all__ = [
     "Answers",
     "AxisSettings",
     "Missing",
-    "Said",
+    "SettingValue",
     "Settings",
     "check_answers",
     "machine_text",

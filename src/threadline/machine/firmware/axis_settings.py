@@ -12,7 +12,7 @@ _LEAST, _MOST = 1e-6, 1e9  # plausible range: anything outside is a typing error
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class SettingValue:
     """A number in a settings file.
 
     Parameters
@@ -56,11 +56,11 @@ class AxisSettings:
         Microsteps per full step of its driver.
     """
 
-    steps: Said | None = None
-    rate: Said | None = None
-    acceleration: Said | None = None
-    travel: Said | None = None
-    microsteps: Said | None = None
+    steps: SettingValue | None = None
+    rate: SettingValue | None = None
+    acceleration: SettingValue | None = None
+    travel: SettingValue | None = None
+    microsteps: SettingValue | None = None
 
 
 @dataclass(slots=True)
@@ -95,7 +95,7 @@ class Settings:
     file: str
     form: str = ""
     axes: dict[str, AxisSettings] = field(default_factory=dict)
-    planner: dict[str, Said] = field(default_factory=dict)
+    planner: dict[str, SettingValue] = field(default_factory=dict)
     turning: dict[str, bool] = field(default_factory=dict)
     coupled: str = ""
     unheeded: list[str] = field(default_factory=list)
@@ -117,7 +117,7 @@ class Settings:
             self.number(typed, place, name)
         value = self._number(text, place, name, zero=False, typed=typed)
         settings = self.axes.setdefault(axis, AxisSettings())
-        said = Said(value, place, name, (typed or text).strip())
+        said = SettingValue(value, place, name, (typed or text).strip())
         self._refuse_another(getattr(settings, what), said)
         setattr(settings, what, said)
 
@@ -142,7 +142,7 @@ class Settings:
             earlier line.
         """
         value = self._number(text, place, name, zero=zero, typed=typed)
-        said = Said(value, place, name, (typed or text).strip())
+        said = SettingValue(value, place, name, (typed or text).strip())
         self._refuse_another(self.planner.get(key), said)
         self.planner[key] = said
 
@@ -205,7 +205,7 @@ class Settings:
             )
         return value
 
-    def _refuse_another(self, before: Said | None, said: Said) -> None:
+    def _refuse_another(self, before: SettingValue | None, said: SettingValue) -> None:
         if before is not None and before.value != said.value:
             raise MachineError(
                 f"{said.name} is {said.typed} here and {before.typed} on {_line(before, said)}",
@@ -214,7 +214,7 @@ class Settings:
             )
 
 
-def _line(before: Said, here: Said) -> str:
+def _line(before: SettingValue, here: SettingValue) -> str:
     if before.place.file == here.place.file:
         return f"line {before.place.line}"
     return str(before.place)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from threadline.base.wording import plain
 from threadline.errors import MachineError, OptionError, Place, UnitError
-from threadline.machine.firmware.axis_settings import AxisSettings, Said, Settings
+from threadline.machine.firmware.axis_settings import AxisSettings, Settings, SettingValue
 from threadline.units import parse_quantity
 
 QUESTIONS: dict[str, tuple[str, str]] = {
@@ -374,11 +374,11 @@ def _check_jumps(settings: Settings) -> None:
             )
 
 
-def _of_planner(said: Said, unit: str, firmware: str) -> str:
+def _of_planner(said: SettingValue, unit: str, firmware: str) -> str:
     return f"{said.value!r} {unit}".rstrip() + f" exact, {_source(said, firmware)}"
 
 
-def _source(said: Said, firmware: str) -> str:
+def _source(said: SettingValue, firmware: str) -> str:
     if not said.place.line:
         return f"assumed: the {said.name}"
     return f"checked: {firmware}, {said.name} in {said.source}"
@@ -467,7 +467,7 @@ def _limits_of(
 
 
 def _limit(
-    said: Said | None, answers: Answers, name: str, axis: str, unit: str, firmware: str
+    said: SettingValue | None, answers: Answers, name: str, axis: str, unit: str, firmware: str
 ) -> str:
     if said is not None:
         return f"{said.value!r} {unit} exact, {_source(said, firmware)}"

@@ -18,6 +18,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.machine.mandrel import LocalRadii
 from threadline.motion.path.greville import AHEAD, CUT, REACH
+from threadline.motion.path.outside import EVEN, Corners, moved_outside
 from threadline.motion.path.polygon import (
     CUBIC,
     EVEN_CUT,
@@ -40,23 +41,33 @@ def auto_pieces(
     *,
     degree: int = CUBIC,
     thin: bool = False,
+    corners: Corners = EVEN,
 ) -> Iterator[PieceBlock]:
     """Yield the pieces of a path that is never farther than ``cut_m + near_m`` from the program.
 
     Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
     its predecessor is left out; ``degree`` is as for ``pieces_of``. With ``thin``, chords replace
     moves where the program is rough (``thinned_runs``); the pieces of a chord belong to the last of
-    its moves.
+    its moves. With ``corners`` the path may leave the program on the outside of a corner, too,
+    or cut single corners less; then ``cut_m`` holds at corners that their neighbours do not reach.
     """
     run = _Run(programmed.radius_m, programmed.local, cut_m, degree)
-    for chunk in thinned_runs(programmed, near_m, cut_m) if thin else runs(programmed, near_m):
+    chunks = thinned_runs(programmed, near_m, cut_m) if thin else runs(programmed, near_m)
+    if corners != EVEN:
+        chunks = moved_outside(chunks, programmed, cut_m, corners)
+    for chunk in chunks:
         yield from run.extend(chunk)
 
 
-def points_added(programmed: ProgrammedPath, cut_m: float, degree: int = CUBIC) -> int:
+def points_added(
+    programmed: ProgrammedPath, cut_m: float, degree: int = CUBIC, corners: Corners = EVEN
+) -> int:
     """Return the number of added points, which are not vertices; reads the whole program."""
     run = _Run(programmed.radius_m, programmed.local, cut_m, degree)
-    for chunk in runs(programmed):
+    chunks = runs(programmed)
+    if corners != EVEN:
+        chunks = moved_outside(chunks, programmed, cut_m, corners)
+    for chunk in chunks:
         for _ in run.extend(chunk):
             pass
     return run.added
@@ -94,7 +105,7 @@ class _Run:
         while True:
             length, turn = turns(self.vertices.positions, self.radius_m, self.local)
             # At a corner too tight for a curve within the tolerance the motion comes to rest.
-            least_m = self.cut_m - self.vertices.beside_m.max()
+            least_m = self.cut_m + self.vertices.more_m - self.vertices.beside_m.max()
             tight = np.flatnonzero(least_m < cut * LEAST_SPACING_M * turn)
             tight = tight[tight >= max(self.first_chord, 1)]
             if not len(tight):

@@ -114,8 +114,8 @@ def quartic_spacing(length_m, turn, cut_m, beside_m, first, stop, spacing):
         (n - 1,), (n,), (n,) columns of vertices, including ``AHEAD`` on either side of the
         written ones, unless the run begins or ends with them.
     cut_m
-        Largest distance at the tool between spline and polygon, including the program's deviation
-        from the leg into a vertex (``beside_m``).
+        (n,) largest distance at the tool between spline and polygon at each vertex, including the
+        program's deviation from the leg into a vertex (``beside_m``).
     first, stop
         Vertices ``first`` to ``stop`` are written.
     spacing
@@ -129,8 +129,8 @@ def quartic_spacing(length_m, turn, cut_m, beside_m, first, stop, spacing):
             continue
         for k in range(max(v - 2, 0), min(v + 4, count)):
             beside[v] = max(beside[v], beside_m[k])
-        if cut_of(length_m, turn, v) > cut_m - beside[v]:
-            spacing[0, v] = (cut_m - max(beside_m[v], beside_m[v + 1])) / (CUT * turn[v])
+        if cut_of(length_m, turn, v) > cut_m[v] - beside[v]:
+            spacing[0, v] = (cut_m[v] - max(beside_m[v], beside_m[v + 1])) / (CUT * turn[v])
             least = min(length_m[v - 1], length_m[v])
             if max(length_m[v - 1], length_m[v]) <= _LIKE * least:
                 spacing[0, v] = min(spacing[0, v], least)  # one knot on either leg, midway
@@ -139,7 +139,7 @@ def quartic_spacing(length_m, turn, cut_m, beside_m, first, stop, spacing):
     for v in range(first, stop + 1):
         if spacing[1, v] > 0.0 and spacing[0, v - 1] == 0.0 and spacing[0, v + 1] == 0.0:
             after = length_m[v] >= length_m[v - 1]
-            if _one_is_enough(length_m, turn, v, after, spacing[1, v], cut_m - beside[v]):
+            if _one_is_enough(length_m, turn, v, after, spacing[1, v], cut_m[v] - beside[v]):
                 spacing[0 if after else 1, v] = 0.0
 
 

@@ -18,6 +18,7 @@ from threadline.motion.path.auto import auto_pieces, points_added
 from threadline.motion.path.bspline import PULLS, Pull
 from threadline.motion.path.deviation import path_deviation
 from threadline.motion.path.durations import polynomial_limits, smoothing_for, smoothing_share
+from threadline.motion.path.outside import EVEN, Corners
 from threadline.motion.path.polygon import CUBIC, QUARTIC
 from threadline.motion.path.runs import resting_at_reversals
 from threadline.motion.path.straight import blended_pieces, polynomial_pieces
@@ -58,10 +59,14 @@ class LazySummary(Mapping[str, float]):
 
 
 def auto_summary(
-    programmed: ProgrammedPath, planned: PlannedPath, cut_m: float, degree: int = CUBIC
+    programmed: ProgrammedPath,
+    planned: PlannedPath,
+    cut_m: float,
+    degree: int = CUBIC,
+    corners: Corners = EVEN,
 ) -> dict[str, float]:
     """Return the number of points added, the largest deviation in m and its program line."""
-    added = {"points_added": float(points_added(programmed, cut_m, degree))}
+    added = {"points_added": float(points_added(programmed, cut_m, degree, corners))}
     return added | deviation_summary(programmed, planned)
 
 
@@ -94,6 +99,7 @@ class PathOptions:
 
     tolerance_m: float = DEFAULT_TOLERANCE_M
     pull: Pull = "repeat"
+    corners: Corners = EVEN
 
 
 Planner = Callable[[ProgrammedPath, Machine, PathOptions], PlannedPath]
@@ -105,6 +111,7 @@ def plan_path(
     interpolation: str = "auto",
     tolerance_m: float = DEFAULT_TOLERANCE_M,
     pull: Pull = "repeat",
+    corners: Corners = EVEN,
 ) -> PlannedPath:
     """Return the path to follow.
 
@@ -121,6 +128,9 @@ def plan_path(
     pull
         How ``b-spline-pulled`` is pulled to its turning points: by repeating them, by points
         nearby, or by knot spacing.
+    corners
+        With ``optimal``: how far the path may leave the program on the outside of its corners, and
+        the corners with a smaller tolerance.
 
     Raises
     ------
@@ -143,7 +153,7 @@ def plan_path(
         raise OptionError(
             f"unknown way {pull!r} to pull a spline", remedy=f"There are: {', '.join(PULLS)}."
         )
-    options = PathOptions(tolerance_m=tolerance_m, pull=pull)
+    options = PathOptions(tolerance_m=tolerance_m, pull=pull, corners=corners)
     if interpolation != OPTIMAL:
         machine = within_path(machine, programmed.axes, programmed.radius_m)
     elif machine.path is not None and machine.path.asks_for_rests:
@@ -260,7 +270,7 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
     # The timing limits the jerk, so the shape may use the whole tolerance, less the distance of
     # vertices that are left out: moves of a nanometre cannot be timed.
     del machine
-    near_m = NEAR_SHARE * options.tolerance_m
+    near_m, corners = NEAR_SHARE * options.tolerance_m, options.corners
     cut_m = options.tolerance_m * (1.0 - NEAR_SHARE - _ROUNDING)
     path = PlannedPath(
         axes=programmed.axes,
@@ -268,9 +278,10 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
         interpolation=OPTIMAL,
         timing=Timing.FASTEST,
         historical=False,
-        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC),
+        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC, corners=corners),
     )
-    return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m, QUARTIC))
+    summary = LazySummary(auto_summary, programmed, path, cut_m, QUARTIC, corners)
+    return replace(path, summary=summary)
 
 
 def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:

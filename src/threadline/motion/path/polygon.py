@@ -164,7 +164,8 @@ def control_polygon(
     length_m, turn
         (n - 1,) lengths and (n,) turns from ``turns``.
     cut_m
-        Largest distance of the spline from the program, at the tool.
+        Largest distance of the spline from the program, at the tool. ``Vertices.more_m``
+        is added at each.
     begins, ends
         Whether the run begins with the first vertex, and ends with the last.
     """
@@ -173,7 +174,8 @@ def control_polygon(
         corner_spacing(length_m, turn, cut_m, vertices.beside_m, spacing[0])
         spacing[1] = spacing[0]
     else:
-        quartic_spacing(length_m, turn, cut_m, vertices.beside_m, first, stop, spacing)
+        each_m = cut_m + vertices.more_m
+        quartic_spacing(length_m, turn, each_m, vertices.beside_m, first, stop, spacing)
     columns = _points(
         vertices.positions,
         vertices.nominal_s,

@@ -25,8 +25,9 @@ class Vertices:
     """Vertices without repetitions; row i of a column belongs to vertex i or the move into it.
 
     ``positions`` are (n, axes) in m or rad; ``nominal_s``, ``operation`` and ``line`` are (n,), as
-    in ``VertexBlock``; ``beside_m`` is the largest distance of left-out vertices from the move. All
-    are read-only, so that their readers are compiled for one kind of array.
+    in ``VertexBlock``; ``beside_m`` is the largest distance of left-out vertices from the move,
+    ``more_m`` by how much more than others a vertex may be cut. All are read-only, so that their
+    readers are compiled for one kind of array.
     """
 
     positions: FloatArray
@@ -34,6 +35,7 @@ class Vertices:
     operation: IntArray
     line: IntArray
     beside_m: FloatArray
+    more_m: FloatArray
 
     def __post_init__(self) -> None:
         self.positions.flags.writeable = False
@@ -41,6 +43,7 @@ class Vertices:
         self.operation.flags.writeable = False
         self.line.flags.writeable = False
         self.beside_m.flags.writeable = False
+        self.more_m.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -53,6 +56,7 @@ class Vertices:
             operation=self.operation[rows],
             line=self.line[rows],
             beside_m=self.beside_m[rows],
+            more_m=self.more_m[rows],
         )
 
 
@@ -68,6 +72,7 @@ def join_vertices(first: Vertices | None, *others: Vertices) -> Vertices:
         operation=np.concatenate([part.operation for part in parts]),
         line=np.concatenate([part.line for part in parts]),
         beside_m=np.concatenate([part.beside_m for part in parts]),
+        more_m=np.concatenate([part.more_m for part in parts]),
     )
 
 
@@ -217,6 +222,7 @@ def _bites(programmed: ProgrammedPath) -> Iterator[tuple[Vertices, IntArray, Flo
                 operation=block.operation[rows],
                 line=block.line[rows],
                 beside_m=_NOTHING[: len(block.line[rows])],
+                more_m=_NOTHING[: len(block.line[rows])],
             )
             yield own, block.rest[rows], block.dwell_s[rows]
 

@@ -107,6 +107,7 @@ class Thinner:
             operation=held.operation[row],
             line=held.line[row],
             beside_m=beside_m,
+            more_m=np.zeros(len(row)),
         )
         if not begun:
             found = join_vertices(held.take(slice(0, 1)), found)

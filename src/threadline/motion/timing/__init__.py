@@ -8,9 +8,7 @@ from threadline.motion.timing.averaged import (
 )
 from threadline.motion.timing.by_law import Leads, leads_of, with_steps
 from threadline.motion.timing.limits import Peak, check_limits, limit_peaks
-from threadline.motion.timing.limits_used import Retimed, check_budget
-from threadline.motion.timing.path_to_trajectory import Pace, plan_trajectory
-from threadline.motion.timing.retime import retime
+from threadline.motion.timing.path_to_trajectory import Pace, check_budget, plan_trajectory
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock, TrajectoryReader
 
 __all__ = [
@@ -18,7 +16,6 @@ __all__ = [
     "Leads",
     "Pace",
     "Peak",
-    "Retimed",
     "Trajectory",
     "TrajectoryBlock",
     "TrajectoryReader",
@@ -30,6 +27,5 @@ __all__ = [
     "leads_of",
     "limit_peaks",
     "plan_trajectory",
-    "retime",
     "with_steps",
 ]

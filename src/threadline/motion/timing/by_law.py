@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +28,11 @@ from threadline.base.arrays import FloatArray
 from threadline.dynamics.eccentric import current_needed
 from threadline.files import Stream
 from threadline.machine import Machine
-from threadline.motion.laws import Law, refuse_descent
 from threadline.motion.path.types import PieceBlock, PlannedPath
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
+
+if TYPE_CHECKING:
+    from threadline.motion.laws import Law
 
 _MISSED = 1e-9  # of a move: a micrometre in a kilometre
 _PARTS = (1, 2, 4, 8, 16, 32)
@@ -111,6 +114,8 @@ def by_law(path: PlannedPath, machine: Machine, law: Law) -> Iterator[PieceBlock
     OptionError
         If the law goes back: an axis would reverse without being programmed to.
     """
+    from threadline.motion.laws import refuse_descent
+
     refuse_descent(law)
     ends, powers, found = law_pieces(law)
     shares = np.diff(ends)

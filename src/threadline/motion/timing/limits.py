@@ -14,8 +14,6 @@ from threadline.errors import LimitError
 from threadline.machine import Machine
 from threadline.machine.load import place_in
 from threadline.motion.timing.extremes import derivatives, farthest, highest, in_direction
-from threadline.motion.timing.optimal.along_path import path_use
-from threadline.motion.timing.optimal.motion_limits import along_of
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 
 Quantity = Literal["travel", "velocity", "acceleration", "deceleration", "jerk"]
@@ -130,6 +128,11 @@ def check_limits(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
 
 
 def _check_along(trajectory: Trajectory, machine: Machine) -> None:
+    if machine.path is None:
+        return
+    from threadline.motion.timing.optimal.along_path import path_use
+    from threadline.motion.timing.optimal.motion_limits import along_of
+
     column = [machine.axis_names.index(axis) for axis in trajectory.axes]
     along = along_of(machine, machine.radius_m[column])
     used = None if along is None else path_use(trajectory, along)

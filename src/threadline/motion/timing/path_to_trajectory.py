@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.progress import PLANNING
-from threadline.errors import BudgetError, OptionError
+from threadline.errors import BudgetError, OptionError, Place
 from threadline.files import KeptStream, Stream
+from threadline.jobs.feed_times import nominal_time_s, wanted_feed
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, MoveRun, gathered
 from threadline.machine import Machine
 from threadline.machine.vary import within_path
-from threadline.motion.laws import Law
 from threadline.motion.path.durations import Smoothing, smoothing_for
 from threadline.motion.path.interpolations import CHORDS, on_chords
 from threadline.motion.path.types import PieceBlock, PlannedPath, Timing
 from threadline.motion.timing import profile
 from threadline.motion.timing.averaged import Smoother
 from threadline.motion.timing.by_law import as_programmed, breaks_jerk, by_law
-from threadline.motion.timing.firmware import firmware_blocks
-from threadline.motion.timing.optimal.fastest_motion import fastest_blocks
 from threadline.motion.timing.pieces import (
     Allowance,
     Pieces,
@@ -35,6 +36,9 @@ from threadline.motion.timing.pieces import (
 )
 from threadline.motion.timing.timed import held_block, smoothed_blocks, timed_blocks
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
+
+if TYPE_CHECKING:
+    from threadline.motion.laws import Law
 
 SAMPLES = 16384  # buffered at once
 MOST_PENDING = 200_000  # pieces that wait for later ones; a longer wait is ended by a stop
@@ -276,12 +280,16 @@ def plan_trajectory(
             blocks=KeptStream(timed_blocks, path),
         )
     if path.timing is Timing.FIRMWARE and machine.planner is not None:
+        from threadline.motion.timing.firmware import firmware_blocks
+
         return Trajectory(
             axes=path.axes,
             historical=True,
             blocks=KeptStream(firmware_blocks, path, machine, machine.planner),
         )
     if path.timing is Timing.FASTEST:
+        from threadline.motion.timing.optimal.fastest_motion import fastest_blocks
+
         blocks = Stream(
             fastest_blocks, path, machine, contour_m, of_loads=of_loads, along_m_s2=along_m_s2
         )
@@ -345,3 +353,80 @@ def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
                 "machine file.",
             )
         yield block
+
+
+_MOST_WORK = 1_000_000
+_WORK_PER_ITEM = 64  # cost of a single item, in moves of a run
+
+
+def check_budget(job: Job, machine: Machine, feed: Feed | None = None) -> None:
+    """Refuse a job that takes more ticks than the machine file allows, before it is planned.
+
+    The times of the moves at their feeds are summed. Repeated passes are multiplied, so that
+    ``M98 P1 L1000000000`` costs three passes of computation. Rapid moves count at the velocity
+    limits. Only the beginning of a long job is summed, for about a second of computation: the
+    trajectory counts the rest.
+
+    Parameters
+    ----------
+    job, machine
+        The job, and the machine that does it.
+    feed
+        Replaces the programmed feeds.
+
+    Raises
+    ------
+    BudgetError
+        If the budget is exceeded; names the line of the call or move that takes most ticks.
+    JobError
+        If a block lacks a value that it needs.
+    PlanError
+        If a feed is missing or not above 0.
+    """
+    budget = machine.tick_budget.si
+    period_s = float(machine.tick_clock.period_s)
+    position = np.array(job.start)
+    ticks_by_line: defaultdict[int, float] = defaultdict(float)
+    total = work = 0.0
+    for operation, times, call in job.folded():
+        item = gathered([operation]) if isinstance(operation, Move) else operation
+        if isinstance(item, MoveRun):
+            moves_s = _times_s(item, position, feed, job, machine)
+            position = item.targets[-1]
+            line = int(item.line[int(np.argmax(moves_s))])
+            ticks = times * float(moves_s.sum()) / period_s
+        elif isinstance(item, Dwell):
+            line, ticks = item.source.line, times * item.duration_s / period_s
+        else:
+            continue
+        ticks_by_line[call or line] += ticks
+        total += ticks
+        work += _WORK_PER_ITEM + (len(item) if isinstance(item, MoveRun) else 0)
+        if total > budget:
+            worst = max(ticks_by_line, key=ticks_by_line.__getitem__)
+            raise BudgetError(
+                f"the job takes more than {total:.3g} ticks of {period_s * 1e3:g} ms at its "
+                f"feeds; the tick budget of {machine.name!r} is {budget:.3g}",
+                place=Place(job.file, worst),
+                remedy="Lower L or the dwell, raise the feed, or raise tick_budget in the "
+                "machine file.",
+            )
+        if work > _MOST_WORK:
+            return
+
+
+def _times_s(
+    run: MoveRun, position: FloatArray, feed: Feed | None, job: Job, machine: Machine
+) -> FloatArray:
+    """Return the (moves,) least times of the moves of a run that begins at ``position``."""
+    way = np.diff(run.targets, axis=0, prepend=position[None])
+    column = [machine.axis_names.index(axis) for axis in job.axes]
+    least_s: FloatArray = (np.abs(way) / machine.velocity_limit[column]).max(axis=1)
+    ends = [begin for begin, _ in run.feeds[1:]] + [len(way)]
+    for (begin, programmed), end in zip(run.feeds, ends, strict=True):
+        if programmed is None or programmed.mode is not FeedMode.RAPID:
+            wanted = wanted_feed(
+                programmed, feed, Place(run.file, int(run.line[begin])), job, machine
+            )
+            least_s[begin:end], _ = nominal_time_s(way[begin:end], wanted, feed, job, machine)
+    return least_s

@@ -2,29 +2,117 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from threadline.base.arrays import FloatArray, IntArray, real_numbers
+from threadline.base.arrays import FloatArray, IntArray, Locked, read_only, real_numbers
 from threadline.errors import PlanError
 from threadline.files import Stream
 from threadline.motion.path.auto import auto_pieces
 from threadline.motion.path.polygon import QUARTIC
 from threadline.motion.path.runs import AT_A_TIME, reversals
 from threadline.motion.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
-from threadline.motion.timing.limits_used import Retimed, limits_used
-from threadline.motion.timing.optimal import Limits
-from threadline.motion.timing.optimal.along_path import AlongPath
+from threadline.motion.timing.extremes import hull_of
+from threadline.motion.timing.optimal.along_path import AlongPath, across, true_shares
+from threadline.motion.timing.optimal.elements import restricted
 from threadline.motion.timing.optimal.fastest_motion import limited_blocks
-from threadline.motion.timing.types import Trajectory
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.optimal.rows import used_shares
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 
 _NEAR_SHARE = 0.01  # share of the tolerance: closer points are merged
 _LARGEST = 1e9  # largest coordinate or limit: squares and cubes of larger ones lose digits
 _LEAST = 1e-9  # least limit
 _NOTHING, _ZEROS = np.zeros(AT_A_TIME), np.zeros(AT_A_TIME, dtype=np.int64)
 _NOTHING.flags.writeable = _ZEROS.flags.writeable = False
+_PARTS = 4  # parts of a polynomial in time: shorter parts have tighter bounds
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Retimed(Locked, Trajectory):
+    """A motion, and the share of each limit that it uses.
+
+    Parameters
+    ----------
+    shares
+        Largest used share of each limit, by name: (axes,) for limits of axes, (1,) for limits of
+        the path. Shares of the axes and of ``centripetal`` hold at every instant, because
+        Bernstein coefficients bound polynomials. The three shares along the path are the largest
+        at thirteen instants of each polynomial in time.
+    start
+        (axes,) first point; the only position of a motion of length 0.
+    """
+
+    shares: Mapping[str, FloatArray] = field(default_factory=dict)
+    start: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", read_only(self.start, "start", ndim=1))
+
+    def __call__(self, time_s: FloatArray | float, derivative: int = 0) -> FloatArray:
+        """Return the (m, axes) ``derivative``-th derivative, as ``Trajectory`` does."""
+        found = super().__call__(time_s, derivative)
+        if derivative == 0 and self.duration_s == 0.0:
+            found[:] = self.start
+        return found
+
+    @property
+    def bound(self) -> float:
+        """Largest of all shares; at most 1, up to rounding."""
+        return max((float(share.max()) for share in self.shares.values()), default=0.0)
+
+
+def limits_used(trajectory: Trajectory, limits: Limits) -> dict[str, FloatArray]:
+    """Return bounds of the used share of each limit; see ``Retimed.shares``."""
+    out: dict[str, FloatArray] = {}
+    for block in trajectory:
+        for name, share in _of_block(block, limits).items():
+            out[name] = np.maximum(share, out.get(name, 0.0))
+    return out
+
+
+def _of_block(block: TrajectoryBlock, limits: Limits) -> dict[str, FloatArray]:
+    c, duration_s = _parted(block)
+    rates = [c]
+    for _ in range(3):
+        last = rates[-1]
+        rates.append(last[:, 1:] * np.arange(1.0, last.shape[1])[:, None])
+    v, a, j = (_hull(rates[k]) / duration_s[:, None, None] ** k for k in (1, 2, 3))
+    own = limits.along
+    out = {
+        "velocity": np.abs(v).max(axis=(0, 1)) / limits.velocity,
+        "acceleration": used_shares(v, a, limits.sides).max(axis=0),
+        "jerk": np.abs(j).max(axis=(0, 1)) / limits.jerk,
+    }
+    if own is not None:
+        names = ("path_velocity", "path_acceleration", "path_jerk")
+        for name, share in zip(names, true_shares(c, duration_s, own), strict=True):
+            out[name] = np.array([share])
+        most = float((across(c * own.radius_m) / duration_s**2).max())
+        out["centripetal"] = np.array([most / own.centripetal])
+    return out
+
+
+def _parted(block: TrajectoryBlock) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients of the parts of a block's polynomials, and the parts' durations."""
+    order = max(block.coefficients.shape[1], 4)
+    pad = ((0, 0), (0, order - block.coefficients.shape[1]), (0, 0))
+    c = np.repeat(np.pad(block.coefficients, pad), _PARTS, axis=0)
+    begin = np.tile(np.arange(_PARTS) / _PARTS, len(block))
+    return (
+        restricted(c, begin, np.full(len(c), 1.0 / _PARTS)),
+        np.repeat(block.duration_s, _PARTS) / _PARTS,
+    )
+
+
+def _hull(poly: FloatArray) -> FloatArray:
+    """Return the (n, order, axes) Bernstein coefficients of polynomials."""
+    n, order, axes = poly.shape
+    flat = np.moveaxis(poly, 1, 0).reshape(order, n * axes)
+    return np.moveaxis(hull_of(flat).reshape(order, n, axes), 0, 1)
 
 
 def retime(

@@ -1,13 +1,38 @@
 """The table of kinds of work: how each plans, simulates, varies, measures and writes."""
 
-from threadline.files import Commands
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+
+from threadline.files import Commands, StepPlay, SwitchSchedule, TickTable
 from threadline.machine import Machine
 from threadline.proof.kinds.kind import Kind
-from threadline.proof.kinds.steps import STEPS
-from threadline.proof.kinds.switches import SWITCHES
-from threadline.proof.kinds.ticks import TICKS, check_loops
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in (TICKS, SWITCHES, STEPS)}
+_COMMANDS: dict[str, type[Commands]] = {
+    "ticks": TickTable,
+    "switches": SwitchSchedule,
+    "steps": StepPlay,
+}
+
+
+class _Kinds(Mapping[str, Kind]):
+    """The rows by their name; the module of a row is imported when the row is first read."""
+
+    def __getitem__(self, name: str) -> Kind:
+        if name not in _COMMANDS:
+            raise KeyError(name)
+        found: Kind = import_module(f"{__name__}.{name}").KIND
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_COMMANDS)
+
+    def __len__(self) -> int:
+        return len(_COMMANDS)
+
+
+KINDS: Mapping[str, Kind] = _Kinds()
 """Every kind of work, by its value of ``Machine.commanded_by``."""
 
 
@@ -18,7 +43,7 @@ def kind_of(machine: Machine) -> Kind:
 
 def kind_of_commands(commands: Commands) -> Kind:
     """Return the kind of work that commands belong to."""
-    return next(kind for kind in KINDS.values() if isinstance(commands, kind.commands))
+    return next(KINDS[name] for name, taken in _COMMANDS.items() if isinstance(commands, taken))
 
 
-__all__ = ["KINDS", "Kind", "check_loops", "kind_of", "kind_of_commands"]
+__all__ = ["KINDS", "Kind", "kind_of", "kind_of_commands"]

@@ -11,6 +11,8 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Intent, Plan
 from threadline.commands.write import Target
+from threadline.dynamics.analysis import unstable_loops
+from threadline.errors import PlanError
 from threadline.files import Commands, Recording, RecordingBlock
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
@@ -80,6 +82,30 @@ class Kind:
     def planned_by(self) -> tuple[str, ...]:
         """Planning options that apply to this kind, as a command line names them."""
         return planned_by(self.name)
+
+
+def check_loops(machine: Machine) -> None:
+    """Refuse a machine without loops, or with an unstable loop, before any motion is planned.
+
+    Raises
+    ------
+    PlanError
+        Names the axis and how far the loop exceeds its limit, or says that there is no loop.
+    """
+    if not machine.axes:
+        raise PlanError(
+            f"{machine.name} has no axes with loops: its cylinders are switched on and off",
+            place=machine.place,
+            remedy="threadline prove, judge and compile take its move lists.",
+        )
+    unstable = unstable_loops(machine)
+    if unstable:
+        raise PlanError(
+            "; ".join(unstable),
+            place=machine.place,
+            remedy="Lower the gain of its controller, or correct its clock; threadline analyse "
+            "shows the loop.",
+        )
 
 
 LONG_S = 1.0  # of simulating, after which progress is reported

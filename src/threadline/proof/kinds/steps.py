@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 
 from threadline.commands.plan import Plan, Stitched
+from threadline.commands.step_files import write_steps, write_t15
 from threadline.commands.stitched import stitch
-from threadline.commands.write import STEP_TARGETS
+from threadline.commands.write import Target
 from threadline.errors import OptionError, Place, PlanError
 from threadline.files import Commands, Recording, StepPlay, played
 from threadline.jobs.operations import FeedMode, Job
@@ -33,7 +34,7 @@ def _check(machine: Machine) -> None:
 
 
 def _check_options(machine: Machine, options: Options) -> None:
-    if foreign_options(STEPS.name, machine, options):
+    if foreign_options(KIND.name, machine, options):
         raise OptionError(
             f"{machine.name} moves between its stitches by a law: it has no path, shaper or "
             "feed-forward to choose",
@@ -99,7 +100,7 @@ def _release(plan: Plan) -> None:
     """Accept every plan: tables that cannot be played were refused during planning."""
 
 
-STEPS = Kind(
+KIND = Kind(
     name="steps",
     takes=("embroidery design",),
     commands=StepPlay,
@@ -118,5 +119,8 @@ STEPS = Kind(
             "law:modified-sine", "law:cycloidal", "law:simple-harmonic", "law:4-5-6-7",
         )
     },
-    targets=STEP_TARGETS,
+    targets={
+        "steps": Target(write=lambda plan, path: write_steps(plan.stitched, path)),
+        "t15": Target(write=lambda plan, path: [write_t15(plan.stitched, path)]),
+    },
 )  # fmt: skip

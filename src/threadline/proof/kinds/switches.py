@@ -8,9 +8,11 @@ from functools import partial
 import numpy as np
 
 from threadline.commands.plan import Plan, Scheduled
+from threadline.commands.plcopen import write_plcopen, write_scl
 from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
-from threadline.commands.write import SWITCH_TARGETS
+from threadline.commands.structured_text import write_structured_text
+from threadline.commands.write import Target
 from threadline.files import Commands, Recording, SwitchSchedule, switch_schedule
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
@@ -76,7 +78,7 @@ def _release(plan: Plan) -> None:
     """Accept every plan: a schedule that its valves cannot follow was refused during planning."""
 
 
-SWITCHES = Kind(
+KIND = Kind(
     name="switches",
     takes=("move list",),
     commands=SwitchSchedule,
@@ -91,5 +93,9 @@ SWITCHES = Kind(
     with_criteria=_with_criteria,
     release=_release,
     compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},
-    targets=SWITCH_TARGETS,
+    targets={
+        "plcopen": Target(write=lambda plan, path: write_plcopen(plan.scheduled, path)),
+        "scl": Target(write=lambda plan, path: write_scl(plan.scheduled, path)),
+        "st": Target(write=lambda plan, path: write_structured_text(plan.scheduled, path)),
+    },
 )

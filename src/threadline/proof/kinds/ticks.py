@@ -7,18 +7,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import ceil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray
 from threadline.base.option_defaults import USUAL
-from threadline.commands import followed_by_loads, followed_by_motors, robust_averages
+from threadline.commands.feedforward import followed_by_loads, followed_by_motors
 from threadline.commands.plan import Following, Motion, Plan
-from threadline.commands.write import TABLES, TICK_TARGETS, TableWriter, Target, WrittenPlan
-from threadline.dynamics.analysis import unstable_loops
+from threadline.commands.write import TABLES, TICK_TARGETS, Target, WrittenPlan, table_writer
 from threadline.dynamics.values import Values
-from threadline.errors import OptionError, PlanError
+from threadline.errors import OptionError
 from threadline.files import (
     ChannelKind,
     Clock,
@@ -29,15 +29,13 @@ from threadline.files import (
     tick_table,
 )
 from threadline.files.formats.common import Written
-from threadline.files.formats.tick_table import NeedleRows
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.variants import numbers_at, variant
-from threadline.machine.vary import derate, drawn_days, varied_numbers, vary
+from threadline.machine.vary import derate, drawn_days, varied_numbers, vary, with_reserve
 from threadline.motion.path import chord_path, on_chords, plan_path, programmed_path
+from threadline.motion.path.outside import Corners
 from threadline.motion.path.types import PlannedPath, ProgrammedPath
-from threadline.motion.shaping import parse_shaper
-from threadline.motion.shaping.shaped_law import law_named
 from threadline.motion.timing import (
     Pace,
     check_budget,
@@ -46,11 +44,16 @@ from threadline.motion.timing import (
     plan_trajectory,
     with_steps,
 )
-from threadline.proof.kinds.kind import Kind
+from threadline.proof.kinds.kind import Kind, check_loops
 from threadline.proof.options import Options, PathChoice, describe
 from threadline.twin import simulate, simulate_position_runs, simulate_runs
 from threadline.verdict import Criterion, Spec
+from threadline.verdict.fibre import criteria_of
 from threadline.verdict.needle import has_stitches, planned_stitches
+from threadline.winding.product import product_of_text
+
+if TYPE_CHECKING:
+    from threadline.files.formats.tick_table import NeedleRows
 
 _SLACK = 1e-6  # ticks: a needle-down at most this long before a tick counts as at the tick
 
@@ -93,6 +96,8 @@ class NeedleColumns:
         middle_s = (first + np.arange(rows) + 0.5) * period_s
         begun = np.searchsorted(self._begin_s, middle_s, side="right")
         up = begun == np.searchsorted(self._end_s, middle_s, side="left")
+        from threadline.files.formats.tick_table import NeedleRows
+
         return NeedleRows(row=row, after_s=after_s, up=up, trim=self._trims(block))
 
     def _pull(self, until_s: float) -> None:
@@ -129,31 +134,23 @@ class NeedleColumns:
         return trims
 
 
-def check_loops(machine: Machine) -> None:
-    """Refuse a machine without loops, or with an unstable loop, before any motion is planned.
+def _check_product(machine: Machine, product: str | None) -> None:
+    """Refuse a product on a machine without an eye.
 
     Raises
     ------
-    PlanError
-        Names the axis and how far the loop exceeds its limit, or says that there is no loop.
+    OptionError
+        Names the machine.
     """
-    if not machine.axes:
-        raise PlanError(
-            f"{machine.name} has no axes with loops: its cylinders are switched on and off",
-            place=machine.place,
-            remedy="threadline prove, judge and compile take its move lists.",
-        )
-    unstable = unstable_loops(machine)
-    if unstable:
-        raise PlanError(
-            "; ".join(unstable),
-            place=machine.place,
-            remedy="Lower the gain of its controller, or correct its clock; threadline analyse "
-            "shows the loop.",
+    if product is not None and (machine.tool is None or machine.tool.kind != "eye"):
+        raise OptionError(
+            f"--product needs the eye of a winder, and {machine.name} has none",
+            remedy='Describe it in the machine file: [tool] kind = "eye", turn, along and across.',
         )
 
 
 def _check_options(machine: Machine, options: Options) -> None:
+    _check_product(machine, options.product)
     forward = options.following is Following.LOAD and options.interpolation in USUAL
     if options.robust_share is not None and not forward:
         raise OptionError(
@@ -201,12 +198,20 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
             remedy='Give a speed, like "36 mm/s", or change it in the job.',
         )
     tick_s = float(machine.tick_clock.period_s)
-    shaper = None if timing.shaper is None else parse_shaper(timing.shaper, tick_s)
-    motion_law = None if timing.law is None else law_named(timing.law)
+    shaper = motion_law = None
+    if timing.shaper is not None:
+        from threadline.motion.shaping import parse_shaper
+
+        shaper = parse_shaper(timing.shaper, tick_s)
+    if timing.law is not None:
+        from threadline.motion.shaping.shaped_law import law_named
+
+        motion_law = law_named(timing.law)
     at_limits = timing.pace is not Pace.PROGRAMMED
     programmed = programmed_path(job, machine, feed=timing.feed, at_limits=at_limits)
     check_budget(job, machine, timing.feed)
-    limited = derate(machine, timing.limit_share)
+    reserved = with_reserve(machine, timing.reserve)
+    limited = derate(reserved, timing.limit_share)
     path = _shape(programmed, limited, options.path)
     of_loads = timing.smoothing_s is not None
     timed = plan_trajectory(
@@ -224,8 +229,10 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         followed = followed_by_motors(timed, machine, job, shaper)
     elif timing.robust_share is None:
         averages = even_averages(timing.smoothing_s)
-        followed = followed_by_loads(timed, machine, job, averages, ends_m=timing.ends_m)
+        followed = followed_by_loads(timed, reserved, job, averages, ends_m=timing.ends_m)
     else:
+        from threadline.commands.robust_following import robust_averages
+
         averages, warnings = robust_averages(
             timed, machine, job, programmed.radius_m, timing.robust_share, timing.change_s
         )
@@ -255,7 +262,13 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
 def _shape(programmed: ProgrammedPath, machine: Machine, choice: PathChoice) -> PlannedPath:
     if on_chords(choice.interpolation):
         return chord_path(programmed, choice.interpolation)
-    return plan_path(programmed, machine, choice.interpolation, choice.tolerance_m)
+    return plan_path(
+        programmed,
+        machine,
+        choice.interpolation,
+        choice.tolerance_m,
+        corners=Corners(outside_m=choice.outside_m, narrow=choice.narrow),
+    )
 
 
 def _simulate(commands: Commands, machine: Machine) -> Recording:
@@ -303,21 +316,35 @@ def _others(
     phases = random.uniform(0.0, 1.0, (len(parts), len(table.axes)))
     if machine.position_sources:
         return [
-            simulate(table, variant(machine, row), encoder_phase=phase)
-            for row, phase in zip(parts, phases, strict=True)
+            _as_drawn(simulate(table, variant(machine, row), encoder_phase=phase), number)
+            for number, (row, phase) in enumerate(zip(parts, phases, strict=True))
         ]
     values = Values.of(machine, numbers_at(machine, parts))
     return [
-        simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED)
+        _as_drawn(
+            simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED),
+            int(places[0]),
+        )
         for sharing, places in values.by_delay()
     ]
+
+
+def _as_drawn(recording: Recording, number: int) -> Recording:
+    """Return runs of drawn machines with the number of the first: its product is drawn as well."""
+    return replace(recording, origin={**recording.origin, "drawn": str(number)})
 
 
 def _with_criteria(spec: Spec, options: Options) -> Spec:
     """Add ``shaping_deviation`` to the specification if the motion is shaped or smoothed.
 
-    The deviation caused by shaping is always reported, with or without a limit.
+    The deviation caused by shaping is always reported, with or without a limit. A product adds the
+    criteria of its fibre that the specification does not name.
     """
+    if options.product is not None:
+        given = {criterion.name for criterion in spec.criteria}
+        asked = criteria_of(product_of_text(options.product))
+        own = tuple(criterion for criterion in asked if criterion.name not in given)
+        spec = replace(spec, criteria=(*spec.criteria, *own))
     shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
     named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
     if named or not shaped:
@@ -330,19 +357,19 @@ def _release(plan: Plan) -> None:
     check_limits(plan.motion.trajectory, plan.machine)
 
 
-def _of_table(writer: TableWriter) -> Target:
+def _of_table(name: str) -> Target:
     """Return a target that writes the rows; for a seam also the columns of the needle."""
 
     def write(plan: WrittenPlan, path: Path) -> list[Written]:
         table = tick_table(plan.commands)
         sewn = isinstance(plan, Plan) and has_stitches(plan.job)
         needle = NeedleColumns(plan, table.clock) if isinstance(plan, Plan) and sewn else None
-        return [writer(table, path, needle)]
+        return [table_writer(name)(table, path, needle)]
 
     return Target(write=write)
 
 
-TICKS = Kind(
+KIND = Kind(
     name="ticks",
     takes=("part program", "seam"),
     commands=TickTable,
@@ -357,5 +384,5 @@ TICKS = Kind(
     with_criteria=_with_criteria,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},
-    targets={**{name: _of_table(writer) for name, writer in TABLES.items()}, **TICK_TARGETS},
+    targets={**{name: _of_table(name) for name in TABLES}, **TICK_TARGETS},
 )

@@ -26,7 +26,7 @@ def rejects(
     plan: Plan,
     judge: Judge,
     parts: FloatArray,
-    wished: float,
+    wanted_yield: float,
     random: np.random.Generator,
 ) -> tuple[Result, int]:
     """Judge machines within the tolerances; return the criterion of rejects and the number judged.
@@ -40,13 +40,13 @@ def rejects(
     ----------
     parts
         (k, n) position of each of the n numbers of k machines within its tolerance.
-    wished
-        Wanted yield, a share from 0 to 1; the limit is ``1 - wished``.
+    wanted_yield
+        Wanted yield, a share from 0 to 1; the limit is ``1 - wanted_yield``.
     random
         Generator for encoder phases.
     """
     tried = failed = 0
-    most, limit = 1.0, 1.0 - wished
+    most, limit = 1.0, 1.0 - wanted_yield
     for at in range(0, len(parts), _AT_ONCE):
         some = parts[at : at + _AT_ONCE]
         failed += _failed(kind, plan, judge, some, random)

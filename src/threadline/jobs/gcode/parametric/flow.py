@@ -13,13 +13,10 @@ from typing import NamedTuple, NoReturn
 
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.dialects import Flavour
+from threadline.jobs.gcode.words import O_WORDS
 
-WORDS = (
-    "endrepeat", "endwhile", "continue", "elseif", "repeat", "return", "endsub", "endif", "while",
-    "break", "alarm", "error", "call", "else", "sub", "do", "if",
-)  # fmt: skip
 _O_WORD = re.compile(
-    rf"(?:n[0-9]+)?o(?:<([^<>]*)>|([0-9]+)|([#\[].*?))({'|'.join(WORDS)})(.*)", re.DOTALL
+    rf"(?:n[0-9]+)?o(?:<([^<>]*)>|([0-9]+)|([#\[].*?))({'|'.join(O_WORDS)})(.*)", re.DOTALL
 )
 _NUMBERED = re.compile(r"(?:n[0-9]+)?o(?:<[^<>]*>|[0-9]+)?$")
 MAX_NESTED = 100

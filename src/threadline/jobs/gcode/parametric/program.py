@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NoReturn
@@ -15,7 +14,7 @@ from threadline.jobs.gcode.feeds import FRule
 from threadline.jobs.gcode.grammar import check_length
 from threadline.jobs.gcode.modal import Modal, ProgramText
 from threadline.jobs.gcode.parametric.course import Run
-from threadline.jobs.gcode.parametric.flow import WORDS, Flow, FlowReader, o_word
+from threadline.jobs.gcode.parametric.flow import Flow, FlowReader, o_word
 from threadline.jobs.gcode.parametric.parameters import Values
 from threadline.jobs.gcode.parametric.statements import Code, code_of
 from threadline.jobs.gcode.scan import Findings
@@ -26,25 +25,8 @@ from threadline.jobs.operations import Move, MoveRun, Operation, Source, Stop
 from threadline.machine import Machine
 
 MOST_BYTES = 16 << 20
-_SIGN = re.compile(
-    rb"[#\[]|^[ \t]*(?:n[ \t]*[0-9]+[ \t]*)?o[ \t]*"
-    rb"(?:<|[0-9]+[ \t]*(?:\([^()\r\n]*\)[ \t]*)*(?:%s))" % "|".join(WORDS).encode(),
-    re.MULTILINE | re.IGNORECASE,
-)
-_PARENTHESES = re.compile(rb"\([^()]*\)")
 _AXIS_NAMES = {f"_{letter}": letter.upper() for letter in "xyzabcuvw"}
 _PLANES = {170: 170.0, 180: 180.0, 190: 190.0}
-
-
-def is_parametric(file: SourceFile) -> bool:
-    """Say whether a program has parameters, expressions or O words like ``o100 sub``."""
-    for chunk in file.chunks(file.begin):
-        if _SIGN.search(chunk.data) is None:
-            continue
-        for line in chunk.data.split(b"\n"):
-            if _SIGN.search(_PARENTHESES.sub(b" ", line.partition(b";")[0])):
-                return True
-    return False
 
 
 @dataclass(frozen=True, slots=True)

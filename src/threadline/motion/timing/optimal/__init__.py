@@ -1,7 +1,1 @@
-"""The fastest motion along a path within velocity, acceleration and jerk."""
-
-from threadline.motion.timing.optimal.elements import Elements, elements_of
-from threadline.motion.timing.optimal.motion_limits import Limits
-from threadline.motion.timing.optimal.solve import Solution, fastest
-
-__all__ = ["Elements", "Limits", "Solution", "elements_of", "fastest"]
+"""The fastest motion along a path within limits: a convex problem in the square of the speed."""

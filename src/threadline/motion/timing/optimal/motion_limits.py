@@ -175,10 +175,12 @@ def limits_of(
     )
 
 
-def reserve_of(machine: Machine, axis: str) -> float:
-    """Return the share of voltage and current of an axis that is kept for its loop."""
-    kept = machine.drive_of(axis).amplifier.reserve
-    return RESERVE if kept is None else kept.si
+def reserve_of(machine: Machine, axis: str) -> tuple[float, float]:
+    """Return the shares of voltage and of current of an axis that are kept for its loop."""
+    amplifier = machine.drive_of(axis).amplifier
+    volts = RESERVE if amplifier.reserve is None else amplifier.reserve.si
+    own = amplifier.current_reserve
+    return volts, volts if own is None else own.si
 
 
 def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> FloatArray:
@@ -196,8 +198,9 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
     for k, axis in enumerate(axes):
         if machine.axes[axis].drive:  # a position interface: its torque is judged
             continue
-        reserve = reserve_of(machine, axis)
+        volts, current = reserve_of(machine, axis)
         for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis, of_loads)):
+            reserve = current if _UNITS[m] == "A" else volts
             left = (1.0 - reserve) * limit - still
             if not left > 0.0:
                 raise PlanError(

@@ -14,7 +14,7 @@ from tests.made import read_once
 from tests.test_limits_alone import MACHINE as LIMITS_ALONE
 from threadline.cli.main import main
 from threadline.errors import OptionError
-from threadline.files import Ended, TickTable, tick_table
+from threadline.files import RunEnd, TickTable, tick_table
 from threadline.files.formats import read_recording
 from threadline.live.sim_machine import parse_fault
 from threadline.live.sim_process import group_ticks
@@ -43,7 +43,7 @@ def test_undisturbed_it_is_the_simulation_to_the_bit(name: str, tmp_path: Path) 
     bench.wire.group = group_ticks(machine, 0.0)  # as the process of a machine has it
     bench.executor.start(table)
     bench.go_on()
-    assert bench.executor.ended == (Ended.COMPLETED, "")
+    assert bench.executor.ended == (RunEnd.COMPLETED, "")
     expected = read_once(simulate(table, machine))
     for channel in expected.channels:
         assert np.array_equal(bench.channel(channel.name), expected.samples(channel.name)[1])
@@ -87,7 +87,7 @@ def test_a_belt_that_falls_slack_ends_the_run_there() -> None:
     bench.executor.start(table)
     bench.go_on()
     ended, text = bench.executor.ended or (None, "")
-    assert (bench.executor.state, ended) == (State.FAULT, Ended.FAULT)
+    assert (bench.executor.state, ended) == (State.FAULT, RunEnd.FAULT)
     assert "links.x_belt: a run falls slack" in text
     known = simulate(table, machine).samples("X.load")[1]
     assert 1 < len(known) < table.tick_count()

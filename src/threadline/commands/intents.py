@@ -1,0 +1,486 @@
+"""Intents: the wanted result of a plan, one type for each kind of work.
+
+Modules that compute schedules or stitches are imported here for their types only, so that a plan of
+axes does not load them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray, finite
+from threadline.commands.feedforward import Following
+from threadline.files import Event, StepPlay, SwitchSchedule
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.motion.path.types import PlannedPath, ProgrammedPath
+from threadline.motion.timing.types import Trajectory
+
+if TYPE_CHECKING:
+    from threadline.commands.schedule_moves import AxisShaping, Homing, Levels
+    from threadline.commands.stitch_pace import Moves, Pace
+    from threadline.dynamics.preview import Demand
+    from threadline.motion.laws import Law
+
+ON_OFF = "on-off"
+"""Name that plans of on/off machines give in place of an interpolation."""
+_CONVERGED = 1.0 + 1e-5
+"""Share of a tolerance up to which rounding puts no stitch beyond it."""
+
+
+class Intent(Protocol):
+    """The intended result of the commands: an interface for every kind of work."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the moving axes, in the order of all columns."""
+
+    @property
+    def duration_s(self) -> float:
+        """Planned duration of the commands, s."""
+
+    @property
+    def historical(self) -> bool:
+        """Whether acceleration and jerk are unlimited, as with the 1994 interpolations."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings for the user, in words."""
+
+    def interpolation(self, options: Mapping[str, str]) -> str:
+        """Return the requested interpolation, or the name that takes its place."""
+
+    def planned_with(self, options: Mapping[str, str]) -> str:
+        """Return words for the planning method."""
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+        """Return the entries that this kind of work adds to the JSON of a verdict."""
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
+        """Return the line of the job for each of ``operations``, 0 for one without a line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """The intent of axes that follow a path.
+
+    Parameters
+    ----------
+    programmed
+        Path of the job, in axis space.
+    path
+        Planned path.
+    trajectory
+        Planned path over time.
+    following
+        Whether the motors follow the trajectory, which is their reference, or the loads follow it
+        and the inverses of the axes give the references of the motors.
+    timed
+        Timed path before shaping, or before smoothing for the inverses; None without either.
+    demands
+        Demand of the inverse model on each axis; empty if the motors follow.
+    rests_s
+        Rests of the loads in the table before and after their motion, which the inverses need, s.
+    table_s
+        Duration of a table that ends before the loads stand, s; None if the table is as long as the
+        trajectory.
+    needle_follows
+        Whether a needle turns with the path of the head, and keeps no times of its own.
+    of_averages
+        Warnings about the smoothing of the motion.
+    """
+
+    programmed: ProgrammedPath
+    path: PlannedPath
+    trajectory: Trajectory
+    following: Following = Following.MOTOR
+    timed: Trajectory | None = None
+    demands: tuple[Demand, ...] = ()
+    rests_s: tuple[float, float] = (0.0, 0.0)
+    needle_follows: bool = False
+    of_averages: tuple[str, ...] = ()
+    table_s: float | None = None
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes, in the order of all columns."""
+        return self.programmed.axes
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the commands, s."""
+        return self.trajectory.duration_s if self.table_s is None else self.table_s
+
+    @property
+    def moving_s(self) -> tuple[float, float]:
+        """Start and end of the motion on the clock of the table, s."""
+        before_s, after_s = self.rests_s
+        return before_s, self.trajectory.duration_s - after_s
+
+    @property
+    def historical(self) -> bool:
+        """Whether this is a motion of the 1994 controller, which respects no limits."""
+        return self.trajectory.historical
+
+    @property
+    def of_loads(self) -> Trajectory | None:
+        """Intended positions of the loads; None if the motors follow the trajectory."""
+        return self.trajectory if self.following is Following.LOAD else None
+
+    @property
+    def of_needle(self) -> Trajectory:
+        """The motion to which a needle is geared.
+
+        With feed-forward, a needle with times of its own is geared to the motion before smoothing.
+        """
+        if self.of_loads is not None and self.timed is not None and not self.needle_follows:
+            return self.timed
+        return self.trajectory
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about smoothing, and about axes whose drive cannot give the feed-forward."""
+        beyond = tuple(line for demand in self.demands if (line := _beyond(demand)))
+        return self.of_averages + beyond
+
+    def interpolation(self, options: Mapping[str, str]) -> str:
+        """Return the requested interpolation, or the path's interpolation if none is requested."""
+        return options.get("interpolation", self.path.interpolation)
+
+    def planned_with(self, options: Mapping[str, str]) -> str:
+        """Return words for the interpolation, with feed-forward if the loads follow."""
+        name = self.interpolation(options)
+        return name if self.of_loads is None else f"{name}, feed-forward"
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+        """Return times of the motion and the feed-forward of each axis, if the loads follow."""
+        if self.of_loads is None:
+            return {}
+        begin_s, end_s = self.moving_s
+        return {
+            "motion": {"begin_s": begin_s, "end_s": end_s, "duration_s": end_s - begin_s},
+            "feed_forward": [
+                {
+                    "axis": demand.axis,
+                    "current_a": demand.current_a,
+                    "current_limit_a": finite(demand.current_limit_a),
+                    "current_at_s": demand.current_at_s,
+                    "volts": demand.volts,
+                    "volt_limit": demand.volt_limit,
+                    "bound_by": demand.bound_by,
+                    "share": demand.share,
+                }
+                for demand in self.demands
+            ],
+        }
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
+        """Return the line of each operation; one without motion has the line of the motion before.
+
+        The programmed path is read once, and no further than needed.
+        """
+        wanted = np.unique(np.array(list(operations), dtype=np.int64))
+        lines: dict[int, int] = {}
+        latest = 0
+        for block in self.programmed if len(wanted) else ():
+            if len(lines) == len(wanted) or not len(block):
+                break
+            due = wanted[len(lines) :]
+            due = due[due < block.operation[-1]]
+            at = np.searchsorted(block.operation, due, side="right") - 1
+            for operation, index in zip(due.tolist(), at.tolist(), strict=True):
+                lines[operation] = int(block.line[index]) if index >= 0 else latest
+            latest = int(block.line[-1])
+        for operation in wanted[len(lines) :].tolist():
+            lines[operation] = latest
+        return lines
+
+
+def _beyond(demand: Demand) -> str:
+    """Return words for a demand of an axis beyond its limit; empty if there is none."""
+    if demand.share <= 1.0:
+        return ""
+    if demand.bound_by == "current":
+        need = (
+            f"{demand.current_a:.1f} A at {demand.current_at_s:.3f} s; its amplifier gives "
+            f"{demand.current_limit_a:g} A"
+        )
+    else:
+        need = f"{demand.volts:.2f} V; its controller puts out {demand.volt_limit:g} V"
+    return (
+        f"axes.{demand.axis}: the reference needs {need}. Smooth it over a longer time, or lower "
+        "the speed"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScheduledMove:
+    """A move of the schedule: positions, scans and levels.
+
+    Parameters
+    ----------
+    operation, step, axis, forward
+        Operation of the job, step of the cycle, cylinder, and direction of the move.
+    begin_m, end_m
+        Positions at the start and at the end of the move, m.
+    first_tick, last_tick
+        Scans of the first and the last switching.
+    levels
+        Levels of the move; their ticks count from ``first_tick``.
+    """
+
+    operation: int
+    step: str
+    axis: str
+    begin_m: float
+    end_m: float
+    first_tick: int
+    last_tick: int
+    levels: Levels
+
+    @property
+    def forward(self) -> bool:
+        """Whether the move goes away from 0."""
+        return self.end_m > self.begin_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scheduled:
+    """A schedule with its moves, timeouts, warnings and shaping.
+
+    Parameters
+    ----------
+    job, machine
+        Job and machine of the schedule.
+    commands
+        Switch schedule; its events name the steps (kind ``tool``) and the waits.
+    moves, homings
+        All moves, and all cylinders that an operation brings home, in order.
+    wait_timeouts_s
+        Timeout of each event of kind ``wait``, in order, s.
+    warnings
+        Distances that whole scans do not give exactly, moves without travel, and waits for a
+        switch whose piston stands near the switch point.
+    shaping
+        Shaping of each cylinder; cylinders not named move unshaped.
+    """
+
+    job: Job
+    machine: Machine
+    commands: SwitchSchedule
+    moves: tuple[ScheduledMove, ...]
+    wait_timeouts_s: tuple[float, ...]
+    homings: tuple[Homing, ...] = ()
+    warnings: tuple[str, ...] = ()
+    shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the cylinders, in the order of all columns."""
+        return self.job.axes
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the schedule, s; late inputs make a cycle longer."""
+        return self.commands.duration_ticks * float(self.commands.clock.period_s)
+
+    @property
+    def historical(self) -> bool:
+        """False: the limits of a schedule are the limits of its valves, and always hold."""
+        return False
+
+    def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return the name that takes the place of an interpolation."""
+        return ON_OFF
+
+    def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return words for the planning method."""
+        return "switched"
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+        """Return the shaping of each cylinder if a shaper was requested, else nothing."""
+        if "shaper" not in options:
+            return {}
+        return {"shaping": {axis: one.as_json() for axis, one in self.shaping.items()}}
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
+        """Return the line of each operation, 0 for an operation without one."""
+        return {i: o.source.line for i, o in enumerate(job) if i in operations}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turns:
+    """Every turn of the shaft; n turns, A axes.
+
+    Parameters
+    ----------
+    moves
+        Moves of the frame.
+    operation, line
+        (n,) operation of the job, and record of the file.
+    stitch, block
+        (n,) numbers of the stitch and of its block, both from 1; stitch is 0 while the needle is
+        up.
+    turn_s
+        (n,) planned time of each turn.
+    begin, window
+        (n,) start and length of each window, in ticks of the timer.
+    events
+        Events of the job, by turn.
+    """
+
+    moves: Moves
+    operation: IntArray
+    line: IntArray
+    stitch: IntArray
+    block: IntArray
+    turn_s: FloatArray
+    begin: IntArray
+    window: IntArray
+    events: tuple[Event, ...]
+
+    def __len__(self) -> int:
+        return len(self.stitch)
+
+    def name(self, turn: int) -> str:
+        """Return the name of a turn: its block and stitch."""
+        if self.stitch[turn]:
+            return f"block {self.block[turn]}, stitch {self.stitch[turn]}"
+        return f"block {self.block[turn]}, travel behind stitch {self.stitch[:turn].max(initial=0)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stitched:
+    """The plan of a design on a machine with a main shaft.
+
+    Parameters
+    ----------
+    job, machine, law
+        Job, machine and motion law of the plan.
+    commands
+        Commands for the controller.
+    turns
+        Every planned turn.
+    pace
+        Time that each turn needs, and the swing tolerance of the plan.
+    constant, given
+        Whether the shaft turns at one speed, and whether the user gave that speed.
+    alone_s
+        Time if each stitch were planned as if the frame were at rest before it, on a spindle
+        without inertia, s. A schedule that cancels the swing of earlier stitches may be shorter.
+    slowest_s
+        Time at the constant speed that the slowest stitch alone needs, s.
+    bound_s
+        No schedule on the grid of speeds takes less time, s; None without a schedule.
+    """
+
+    job: Job
+    machine: Machine
+    law: Law
+    commands: StepPlay
+    turns: Turns
+    pace: Pace
+    constant: bool
+    given: bool
+    alone_s: float
+    slowest_s: float
+    bound_s: float | None
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes, in the order of all columns."""
+        return self.commands.axes
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the commands, s."""
+        return self.commands.duration_ticks * float(self.commands.clock.period_s)
+
+    @property
+    def historical(self) -> bool:
+        """False: moves of a design keep the machine's limits, or the verdict checks them."""
+        return False
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Which stitches the forecast has beyond the tolerance, unless the user gave the speed."""
+        if self.given:
+            return ()
+        turns, limit_m = self.turns, self.pace.tolerance_m
+        swings_m = self.pace.robust_swings_m(turns.moves, turns.turn_s)
+        over = np.flatnonzero(swings_m > limit_m * _CONVERGED)
+        if not len(over):
+            return ()
+        worst = int(np.argmax(swings_m))
+        return (
+            f"no speeds of the shaft were found at which every needle enters within "
+            f"{limit_m * 1e3:.4g} mm: {len(over)} of {int((turns.stitch > 0).sum())} stitches are "
+            f"forecast beyond it, the worst by {swings_m[worst] * 1e3:.4g} mm at "
+            f"{turns.name(worst)}. Give a larger --tolerance, a smaller --robust, or another --law",
+        )
+
+    def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return the motion law, which takes the place of an interpolation."""
+        return f"law:{self.law.name}"
+
+    def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return words for law and speed of the plan."""
+        speed = f"{60.0 / float(self.turns.turn_s.max()):.4g}"
+        if np.ptp(self.turns.turn_s) > 0.0:
+            fastest = 60.0 / float(self.turns.turn_s.min())
+            return f"{self.law.name}, {speed} to {fastest:.4g} stitches a minute"
+        return f"{self.law.name}, {speed} stitches a minute"
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+        """Return the entries about stitches for the JSON of a verdict."""
+        sewn = self.turns.stitch > 0
+        return {
+            "stitches": {
+                "count": int(sewn.sum()),
+                "frame_moves": int(self.frame_moves.sum()),
+                "longest_move_m": self.longest_move_m,
+                "turns": len(self.turns),
+                "steps": int(np.abs(self.turns.moves.units).sum()) * self.steps_per_unit,
+                "law": self.law.name,
+                "constant_speed": self.constant,
+                "slowest_turn_s": float(self.turns.turn_s.max()),
+                "fastest_turn_s": float(self.turns.turn_s.min()),
+                "each_alone_s": self.alone_s,
+                "slowest_alone_s": self.slowest_s,
+                "schedule_bound_s": self.bound_s,
+                "robust_share": self.pace.robust_share,
+            }
+        }
+
+    @property
+    def frame_moves(self) -> IntArray:
+        """(n,) 1 where the frame moves from stitch to stitch, pulling the thread."""
+        sewn = self.turns.stitch > 0
+        follows = np.concatenate(([False], sewn[:-1]))
+        return np.asarray(sewn & follows, dtype=np.int64)
+
+    @property
+    def longest_move_m(self) -> float:
+        """Longest travel of an axis from stitch to stitch, m."""
+        ways = np.abs(self.turns.moves.units[self.frame_moves == 1])
+        return float(ways.max(initial=0)) * self.pace.tables.unit.si
+
+    @property
+    def steps_per_unit(self) -> int:
+        """Steps of a drive per unit of the design."""
+        return round(float(self.commands.steps_per_unit[0]) * self.pace.tables.unit.si)
+
+    @property
+    def places_m(self) -> FloatArray:
+        """(n, A) position of the frame after each turn, m."""
+        ways = np.cumsum(self.turns.moves.units, axis=0)
+        return np.asarray(ways * self.pace.tables.unit.si + np.array(self.job.start))
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
+        """Return the record of each operation, 0 for an operation without one."""
+        at = {int(o): int(n) for o, n in zip(self.turns.operation, self.turns.line, strict=True)}
+        return {operation: at.get(operation, 0) for operation in operations}

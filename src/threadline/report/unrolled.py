@@ -1,0 +1,207 @@
+"""Figures of a winding: the unrolled mandrel with its bands, and slip and layers along it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.files import ChannelKind
+from threadline.proof.pipeline import Proof
+from threadline.report.style import ACTUAL, LIMIT, PLANNED, WORST
+from threadline.verdict.replayed import Wound, WoundJob, least_friction, planned_fibre, wound_job
+from threadline.verdict.types import Status
+from threadline.winding.raster import Raster
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_BINS = 200  # places along the mandrel
+_MOST_COLUMNS = 700  # of the map
+_MOST_DRAWN = 4000  # points of the centre line of the last fibre
+_OF_FIBRE = ("slip_tendency", "bridging", "lifting", "laid_error", "coverage_gap")
+_LOADS = (ChannelKind.TOOL, ChannelKind.LOAD)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Laid:
+    """The fibre of one run: u, angle and winding angle, whether known, steering, operation."""
+
+    u: FloatArray
+    angle: FloatArray
+    winding: FloatArray
+    known: FloatArray
+    steer: FloatArray
+    operation: IntArray
+    of_run: bool
+
+
+def winding_figures(proof: Proof) -> dict[str, Figure]:
+    """Return the figures of a proof with a product; none without one."""
+    job = wound_job(proof.plan)
+    if job is None:
+        return {}
+    laid = _laid(proof, job)
+    if not (laid.known > 0.0).any():
+        return {}
+    surface = job.surface
+    ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
+    raster = Raster(surface, job.width_m, float(ends[0]), float(ends[1]))
+    raster.lay(laid.u, laid.angle, laid.winding, laid.known > 0.0, laid.operation)
+    return {
+        "winding-map": _map(proof, job, laid, raster),
+        "winding-along": _along(job, laid, raster),
+    }
+
+
+def winding_caption(name: str) -> str:
+    """Return the caption of a figure of ``winding_figures``."""
+    if name == "winding-map":
+        return (
+            "The unrolled mandrel: the darker, the more bands lie on each other; white is bare. "
+            "The line is the middle of the last fibre, the marks are the worst places with their "
+            "program lines. Fibre whose place is not known is not drawn."
+        )
+    return (
+        "Along the mandrel: the largest steering of the fibre, mean of a block, against the lower "
+        "end of the friction; and the mean number of bands on each other."
+    )
+
+
+def _laid(proof: Proof, job: WoundJob) -> _Laid:
+    """Return the fibre of the recorded run, else of the planned motion."""
+    found = _of_run(proof, job)
+    parts = list(planned_fibre(proof.plan, job)) if found is None else [found]
+
+    def joined(columns: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate(columns) if columns else np.empty(0)
+
+    fibres = [part.fibres[0] for part in parts]
+    operations = [part.operation for part in parts if part.operation is not None]
+    return _Laid(
+        u=joined([fibre.u for fibre in fibres]),
+        angle=joined([fibre.angle for fibre in fibres]),
+        winding=joined([fibre.winding for fibre in fibres]),
+        known=joined([fibre.known.astype(np.float64) for fibre in fibres]),
+        steer=joined([fibre.steer for fibre in fibres]),
+        operation=np.concatenate(operations) if operations else np.empty(0, dtype=np.int64),
+        of_run=found is not None,
+    )
+
+
+def _of_run(proof: Proof, job: WoundJob) -> Wound | None:
+    """Return the replay of the drawn recording; None without a position of every axis."""
+    recording = proof.recording
+    operation = recording.find(ChannelKind.OPERATION)
+    channels = [
+        next((c for kind in _LOADS if (c := recording.find(kind, axis)) is not None), None)
+        for axis in job.axes
+    ]
+    if operation is None or any(channel is None for channel in channels):
+        return None
+    names = [channel.name for channel in channels if channel is not None]
+    rows = [
+        [block.samples[name] for name in (operation.name, *names) if name in block.samples]
+        for block in recording.blocks
+    ]
+    if any(len(row) != 1 + len(names) or len({part.shape for part in row}) > 1 for row in rows):
+        return None
+    columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
+    if not columns or columns[0].ndim != 1:
+        return None
+    of = columns[0].astype(np.int64)
+    eyes = job.eyes(np.column_stack(columns[1:]))
+    fibre = job.replay().feed(eyes, of)
+    return Wound(np.full(len(of), np.nan), of, np.column_stack(columns[1:]), [fibre], [eyes])
+
+
+def _map(proof: Proof, job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    figure = Figure(figsize=(7.2, 4.6))
+    panel = figure.subplots()
+    x = 1e3 * job.surface.at(raster.places)[0][:, 0]
+    count = raster.count.T[:: max(raster.count.shape[1] // _MOST_COLUMNS, 1)]
+    thin = max(count.shape[1] // _MOST_COLUMNS, 1)
+    shown = panel.pcolormesh(
+        x[::thin],
+        np.linspace(0.0, 360.0, len(count)),
+        count[:, ::thin],
+        cmap="Greys",
+        vmin=0,
+        vmax=max(2.0 * float(count.max()), 4.0),
+        shading="nearest",
+        rasterized=True,
+    )
+    bar = figure.colorbar(shown, ax=panel, label="bands on each other")
+    bar.locator = MaxNLocator(integer=True)
+    bar.update_ticks()
+    known = np.flatnonzero(laid.known > 0.0)[-_MOST_DRAWN:]
+    line_x = 1e3 * job.surface.at(laid.u[known])[0][:, 0]
+    line_a = np.degrees(laid.angle[known]) % 360.0
+    # No line across the seam, nor where the fibre was not known.
+    line_a[1:][(np.abs(np.diff(line_a)) > 180.0) | (np.diff(known) > 1)] = np.nan
+    panel.plot(line_x, line_a, **ACTUAL)
+    _mark(proof, job, laid, panel)
+    panel.set_xlim(float(x[0]), float(x[-1]))
+    panel.set_ylim(0.0, 360.0)
+    panel.set_yticks(range(0, 361, 60))
+    panel.set_xlabel("along the mandrel, mm")
+    panel.set_ylabel("round it, deg")
+    panel.set_title(f"The unrolled mandrel, {'as wound' if laid.of_run else 'as planned'}")
+    return figure
+
+
+def _mark(proof: Proof, job: WoundJob, laid: _Laid, panel: Axes) -> None:
+    """Mark the worst places of the measures of the fibre."""
+    marked = False
+    for result in proof.verdict.results:
+        bad = result.status is Status.FAILED or result.name == "slip_tendency"
+        if result.name not in _OF_FIBRE or result.operation is None or not bad:
+            continue
+        rows = np.flatnonzero((laid.operation == result.operation) & np.isfinite(laid.u))
+        if not len(rows):
+            continue
+        at = rows[len(rows) // 2 : len(rows) // 2 + 1]
+        x, angle = 1e3 * job.surface.at(laid.u[at])[0][0, 0], np.degrees(laid.angle[at[0]]) % 360.0
+        panel.plot([x], [angle], label=None if marked else "worst", **WORST)
+        where = "" if result.job_line is None else f", line {result.job_line}"
+        panel.annotate(
+            f"{result.name}{where}",
+            (x, angle),
+            textcoords="offset points",
+            xytext=(6, 6),
+            fontsize=7,
+        )
+        marked = True
+
+
+def _along(job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 4.6))
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    judged = np.flatnonzero((laid.known > 0.0) & np.isfinite(laid.steer))
+    x = 1e3 * job.surface.at(laid.u[judged])[0][:, 0]
+    places = 1e3 * job.surface.at(raster.places)[0][:, 0]
+    edges = np.linspace(places[0], places[-1], _BINS + 1)
+    at = np.clip(np.searchsorted(edges, x) - 1, 0, _BINS - 1)
+    most = np.full(_BINS, np.nan)
+    np.fmax.at(most, at, np.abs(laid.steer[judged]))
+    upper.plot(0.5 * (edges[1:] + edges[:-1]), 1e2 * most, label="largest", **ACTUAL)
+    upper.axhline(1e2 * least_friction(job.product), label="friction, lower end", **LIMIT)
+    upper.set_ylabel("steering, %")
+    upper.set_title("Slip along the mandrel")
+    upper.legend()
+    mean = raster.count.mean(axis=1)
+    thick = job.product.thickness
+    lower.plot(places, mean if thick is None else 1e3 * thick * mean, **PLANNED)
+    lower.set_ylabel("bands" if thick is None else "thickness, mm")
+    lower.set_xlabel("along the mandrel, mm")
+    lower.set_title("Mean of what lies on it")
+    return figure

@@ -1,0 +1,417 @@
+"""Search over all that a plan of ``optimal`` may choose, by what the loops make of each plan.
+
+A plan may choose how far its path leaves the program on the inside and the outside of corners, how
+much of volts and current it leaves to the loops, over which time feed-forward smooths, and how far
+the loops may leave the path. Each choice makes the plan shorter the bolder it is, up to a point: a
+bolder plan has larger errors. Whether a plan passes is not monotone in any of them, since a tick of
+0 V or a step of the DAC moves to another instant. So the search neither bisects nor changes one
+choice after the other. It keeps everything that was tried, fits a plane to durations and another to
+the errors, and tries next what promises the largest gain by these planes.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.option_defaults import DEFAULT_CONTOUR_M
+from threadline.machine import Machine
+from threadline.motion.timing.optimal.motion_limits import reserve_of
+from threadline.proof.option_words import (
+    LEAST_CONTOUR_M,
+    Reserve,
+    parse_reserve,
+    parse_tolerance_m,
+    parse_width_s,
+)
+from threadline.proof.options import Options
+from threadline.verdict import Spec, Status, Verdict
+from threadline.verdict.contour import POINT_MISSED
+
+CHOSEN = (
+    "tolerance", "outside", "narrow", "reserve", "smoothing", "contour", "feed_forward",
+)  # fmt: skip
+"""Options of a plan that a search may choose, where they were not given."""
+RESERVES = ("volts", "current")
+"""The two knobs of ``reserve``."""
+BUDGET = "contour_error"
+"""Criterion whose limit bounds what path and loops may spend together."""
+_SEED = 1994
+_CANDIDATES = 600
+AS_GOOD = 0.5  # ticks: a plan that is no shorter than the best less this is not simulated
+_FIRST, _LAST, _WIDER, _NARROWER = 0.15, 0.02, 1.3, 0.8  # half width of the candidates
+_PATIENCE = 4  # failures in a row until candidates come from nearer the best
+_LEAST, _MOST = 0.2, 1.5  # used shares beyond these say no more
+_NOISE = 0.03  # least scatter of errors about their plane
+_TICKS = 0.5  # least scatter of durations about their plane, in ticks
+_NEAR = 0.3  # trials farther from the best than this count little
+_RIDGE = 1e-3
+_CAUTION = 2.0  # power of the chance to pass: small steps that pass teach more than long ones
+_CLAMPED, _FREE = 1.1, 0.9  # stand for the use of a limit of 0 that is broken, and kept
+_MENDED = 0.1  # of a limit: corners that are missed by more are not mended one by one
+_BESIDES = 0.01  # of a limit: by how much more a corner is mended than it was missed
+_LEAST_VOLTS = 0.0025  # reserve: a loop asks for some, whatever the motion
+_AT_CORNERS = frozenset({"contour_error", "turning_point_error"})
+_OF_PLANS = frozenset({"travel", "velocity", "acceleration", "jerk"})
+"""Criteria that every plan keeps, however bold."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Knob:
+    """One choice of a plan, from the most careful value at 0 to the boldest at 1.
+
+    Parameters
+    ----------
+    word
+        The option.
+    careful, bold
+        Values at 0 and 1.
+    digit
+        Values are multiples of this.
+    typed
+        Reads a number in the unit that is typed, so that what is typed gives the same value.
+    """
+
+    word: str
+    careful: float
+    bold: float
+    digit: float
+    typed: Callable[[str], float] = float
+
+    def value(self, place: float) -> float:
+        """Return the value at a place from 0 to 1."""
+        steps = round((self.careful + place * (self.bold - self.careful)) / self.digit)
+        return self.typed(f"{steps * self.digit:.9g}")
+
+    def place(self, value: float) -> float:
+        """Return the place of a value."""
+        return min(max((value - self.careful) / (self.bold - self.careful), 0.0), 1.0)
+
+
+def knobs_of(
+    machine: Machine, spec: Spec, options: Options, free: frozenset[str]
+) -> tuple[Knob, ...]:
+    """Return what a search may choose for a job.
+
+    Without a limit of the contour error nothing bounds the path, and its options stay as they are.
+
+    Parameters
+    ----------
+    options
+        Options of the plan; with or without feed-forward.
+    free
+        Options that were not given.
+    """
+    spent_m = budget_m(spec)
+    found = []
+    forward = options.feed_forward_s is not None
+    tick_s = float(machine.tick_clock.period_s)
+    if spent_m is not None:
+        um = 10.0 ** math.floor(math.log10(spent_m) - 2.5)
+        least_m = min(options.tolerance_m, 0.2 * spent_m)
+        found.append(
+            Knob(word="tolerance", careful=least_m, bold=0.98 * spent_m, digit=um, typed=_mm)
+        )
+        found.append(Knob(word="outside", careful=0.0, bold=1.0, digit=0.005))  # of the tolerance
+        if forward or (options.follows_contour and not machine.takes_positions):
+            least_m = max(min(0.5 * DEFAULT_CONTOUR_M, 0.2 * spent_m), LEAST_CONTOUR_M)
+            most_m = (1.0 if forward else 1.5) * spent_m
+            found.append(Knob(word="contour", careful=least_m, bold=most_m, digit=um, typed=_mm))
+    if not machine.takes_positions and "reserve" in free:
+        kept = _kept(machine)
+        for word, own, least in (
+            ("volts", kept.volts, _LEAST_VOLTS),
+            ("current", kept.current, 0.0),
+        ):
+            found.append(
+                Knob(word=word, careful=max(own, 0.05), bold=least, digit=1e-4, typed=_percent)
+            )
+    if forward:
+        found.append(
+            Knob(
+                word="smoothing",
+                careful=4.0 * tick_s,
+                bold=0.5 * tick_s,
+                digit=tick_s / 100,
+                typed=_ms,
+            )
+        )
+    return tuple(knob for knob in found if knob.word in free or knob.word in RESERVES)
+
+
+def budget_m(spec: Spec) -> float | None:
+    """Return what path and loops may spend together, m; None without a limit."""
+    limits = [one.limit for one in spec.criteria if one.name == BUDGET and one.limit is not None]
+    return min(limits, default=None)
+
+
+def _kept(machine: Machine) -> Reserve:
+    """Return the largest reserves of the drives of a machine."""
+    kept = [reserve_of(machine, name) for name, axis in machine.axes.items() if not axis.drive]
+    return Reserve(*(max((one[k] for one in kept), default=0.0) for k in range(2)))
+
+
+def chosen(
+    options: Options,
+    knobs: Sequence[Knob],
+    places: Sequence[float],
+    narrower: Mapping[int, float] | None = None,
+) -> Options:
+    """Return the options at a place of each knob.
+
+    Parameters
+    ----------
+    narrower
+        By line of the program: the tolerance there, as a share of the tolerance elsewhere.
+    """
+    values = {knob.word: knob.value(at) for knob, at in zip(knobs, places, strict=True)}
+    tolerance_m = values.get("tolerance", options.tolerance_m)
+    outside_m = options.outside_m
+    if "outside" in values:
+        outside_m = min(_typed_m(values["outside"] * tolerance_m), tolerance_m)
+    narrow = options.narrow
+    if narrower:
+        narrow = tuple(
+            (line, _typed_m(share * tolerance_m)) for line, share in sorted(narrower.items())
+        )
+    return replace(
+        options,
+        tolerance_m=tolerance_m,
+        outside_m=outside_m,
+        narrow=narrow,
+        contour_m=values.get("contour", options.contour_m),
+        reserve=Reserve(*(values[word] for word in RESERVES))
+        if "volts" in values
+        else options.reserve,
+        feed_forward_s=values.get("smoothing", options.feed_forward_s),
+    )
+
+
+def _mm(text: str) -> float:
+    return parse_tolerance_m(f"{float(text) * 1e3:.6g} mm")
+
+
+def _ms(text: str) -> float:
+    return parse_width_s(f"{float(text) * 1e3:.6g} ms")
+
+
+def _percent(text: str) -> float:
+    return parse_reserve(f"{float(text) * 1e2:.6g} %").volts
+
+
+def _typed_m(length_m: float) -> float:
+    """Return a length of four digits, as it is read from a text in mm."""
+    return _mm(f"{length_m:.4g}") if length_m > 0.0 else 0.0
+
+
+def narrowed(
+    options: Options, verdict: Verdict, lines: Sequence[int], end_s: float
+) -> Options | None:
+    """Return options with a smaller tolerance at the corner that alone is missed by too much.
+
+    None where another criterion fails, or the corner fails by much more than its tolerance gives.
+    Beside a leg, and not at a programmed point, both corners of the leg get a smaller tolerance.
+    After the end of a table of feed-forward the loads may leave their motion by less.
+
+    Parameters
+    ----------
+    lines
+        Lines of the moves of the program, in increasing order.
+    end_s
+        End of the table.
+    """
+    failed = [one for one in verdict.results if one.status is Status.FAILED]
+    if not failed or {one.name for one in failed} - _AT_CORNERS:
+        return None
+    worst = max(failed, key=lambda one: abs(one.measured or 0.0) / (one.limit or math.inf))
+    if not worst.job_line or not worst.limit or worst.measured is None:
+        return None
+    over_m = abs(worst.measured) - worst.limit
+    if options.feed_forward_s is not None and (worst.time_s or 0.0) > end_s:
+        less_m = options.allowance_m - over_m - _BESIDES * worst.limit
+        if math.isinf(less_m) or less_m < 0.5 * options.allowance_m:
+            return None
+        return replace(options, contour_m=_typed_m(less_m))
+    places = {worst.job_line}
+    before = bisect_left(lines, worst.job_line) - 1
+    if worst.name == BUDGET and worst.note != POINT_MISSED and before >= 0:
+        places.add(lines[before])
+    widths = dict(options.narrow)
+    for line in places:
+        now_m = widths.get(line, options.tolerance_m)
+        if over_m > _MENDED * worst.limit or now_m - over_m < 0.5 * options.tolerance_m:
+            return None
+        widths[line] = _typed_m(now_m - over_m - _BESIDES * worst.limit)
+    return replace(options, narrow=tuple(sorted(widths.items())))
+
+
+def places_of(options: Options, knobs: Sequence[Knob], machine: Machine) -> tuple[float, ...]:
+    """Return the places of the knobs at which ``chosen`` returns about these options."""
+    kept = _kept(machine) if options.reserve is None else options.reserve
+    values = {
+        "tolerance": options.tolerance_m,
+        "outside": options.outside_m / options.tolerance_m,
+        "contour": min(options.allowance_m, 1.0),
+        "volts": kept.volts,
+        "current": kept.current,
+        "smoothing": options.feed_forward_s or 0.0,
+    }
+    return tuple(knob.place(values[knob.word]) for knob in knobs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tried:
+    """One plan that was tried.
+
+    Parameters
+    ----------
+    places
+        Places of the knobs.
+    duration_s
+        Duration of the plan; None where it breaks a limit of the machine.
+    used
+        Used share of the limit of each measured criterion; empty where the plan was not simulated,
+        because it is no shorter than the best.
+    passed
+        Whether the plan is in specification.
+    """
+
+    places: tuple[float, ...]
+    duration_s: float | None
+    used: Mapping[str, float]
+    passed: bool
+
+
+def used_of(verdict: Verdict) -> dict[str, float]:
+    """Return the largest used share of each criterion whose use depends on the loops."""
+    found: dict[str, float] = {}
+    for one in verdict.results:
+        failed = one.status is Status.FAILED
+        if one.measured is None or one.limit is None or (one.name in _OF_PLANS and not failed):
+            continue
+        share = abs(one.measured) / one.limit if one.limit else (_CLAMPED if failed else _FREE)
+        found[one.name] = max(share, found.get(one.name, 0.0))
+    return found
+
+
+Try = Callable[[tuple[float, ...], float], Tried]
+"""Plans at places of the knobs, and judges the plan if it is shorter than a time in s."""
+
+
+def boldest(
+    attempt: Try, careful: tuple[float, ...], bold: tuple[float, ...], most: int
+) -> list[Tried]:
+    """Try plans from a bold place to a careful one, until one passes."""
+    found: list[Tried] = []
+    for k in range(most):
+        share = 1.0 - k / max(most - 1, 1)
+        at = tuple(c + share * (b - c) for c, b in zip(careful, bold, strict=True))
+        found.append(attempt(at, math.inf))
+        if found[-1].passed:
+            break
+    return found
+
+
+def improved(
+    attempt: Try,
+    tried: list[Tried],
+    most: int,
+    tick_s: float,
+    careful: tuple[float, ...],
+) -> None:
+    """Try plans that promise to be shorter than the best one, ``most`` of them.
+
+    Parameters
+    ----------
+    attempt
+        Tries a plan.
+    tried
+        Plans tried so far; the search adds its own.
+    most
+        Largest number of further plans.
+    tick_s
+        Tick of the machine: a plan is shorter than another by whole ticks.
+    careful
+        Places to begin from where no plan passes yet.
+    """
+    random = np.random.default_rng(_SEED)
+    width, failed, count = _FIRST, 0, len(careful)
+    steps = [tuple(1.0 if k == j else 0.0 for k in range(count)) for j in range(count)]
+    for _ in range(most):
+        best = best_of(tried)
+        places = careful if best is None else best.places
+        best_s = math.inf if best is None or best.duration_s is None else best.duration_s
+        if steps:  # first each choice alone, a little bolder
+            step = steps.pop(0)
+            at = tuple(min(p + _FIRST * s, 1.0) for p, s in zip(places, step, strict=True))
+        else:
+            at = _promising(tried, places, best_s, width, tick_s, random)
+        tried.append(attempt(at, best_s - AS_GOOD * tick_s))
+        if tried[-1].passed:
+            width, failed = min(width * _WIDER, _FIRST), 0
+            continue
+        failed += 1 if tried[-1].used else 0
+        width = width if tried[-1].used else min(width * _WIDER, _FIRST)  # a level stretch
+        if tried[-1].used and failed % _PATIENCE == 0:
+            width = width * _NARROWER if width > _LAST else _FIRST
+
+
+def best_of(tried: Sequence[Tried]) -> Tried | None:
+    """Return the shortest plan that passes; None without one."""
+    passed = [one for one in tried if one.passed and one.duration_s is not None]
+    return min(
+        passed, key=lambda one: (one.duration_s, max(one.used.values(), default=0.0)), default=None
+    )
+
+
+def _promising(
+    tried: Sequence[Tried],
+    places: tuple[float, ...],
+    best_s: float,
+    width: float,
+    tick_s: float,
+    random: np.random.Generator,
+) -> tuple[float, ...]:
+    """Return the place about the best one with the largest expected gain of time."""
+    centre = np.array(places)
+    near = np.clip(centre + width * random.standard_normal((_CANDIDATES, len(centre))), 0.0, 1.0)
+    timed = [one for one in tried if one.duration_s is not None]
+    if len(timed) < 2:
+        return tuple(near[0].tolist())
+    seconds, off_s = _plane(timed, [one.duration_s or 0.0 for one in timed], centre, near)
+    most_s = best_s if math.isfinite(best_s) else max(one.duration_s or 0.0 for one in timed)
+    off_s = max(off_s, _TICKS * tick_s)
+    ahead = (most_s - AS_GOOD * tick_s - seconds) / off_s
+    normal = NormalDist()
+    value = np.array([a * normal.cdf(a) + normal.pdf(a) for a in ahead.tolist()])
+    for name in {name for one in tried for name in one.used}:
+        judged = [one for one in tried if name in one.used]
+        excess = [math.log(min(max(one.used[name], _LEAST), _MOST)) for one in judged]
+        errors, scatter = _plane(judged, excess, centre, near)
+        scatter = max(scatter, _NOISE)
+        value *= [normal.cdf(-error / scatter) ** _CAUTION for error in errors.tolist()]
+    return tuple(near[int(np.argmax(value))].tolist())
+
+
+def _plane(
+    tried: Sequence[Tried], values: Sequence[float], centre: FloatArray, at: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return the values at places by a plane fitted about ``centre``, and the scatter about it."""
+    away = np.array([one.places for one in tried]) - centre
+    weight = np.exp(-0.5 * (away**2).sum(axis=1) / _NEAR**2) + 1e-6
+    rows = np.concatenate([np.ones((len(away), 1)), away], axis=1)
+    value = np.array(values)
+    ridge = _RIDGE * weight.sum() * np.eye(rows.shape[1])
+    ridge[0, 0] = 0.0
+    weighted = (rows * weight[:, None]).T
+    fitted = np.linalg.solve(weighted @ rows + ridge, weighted @ value)
+    off = value - rows @ fitted
+    scatter = math.sqrt(float((weight * off**2).sum() / weight.sum()))
+    predicted = np.concatenate([np.ones((len(at), 1)), at - centre], axis=1) @ fitted
+    return np.asarray(predicted), scatter

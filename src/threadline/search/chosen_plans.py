@@ -1,0 +1,217 @@
+"""The fastest plan of a job over all that a plan of ``optimal`` may choose.
+
+``choices`` says what to try next; here each plan is made, judged and kept. A plan that is no
+shorter than the best one is not simulated. A plan that is out of specification at single corners
+alone gets a smaller tolerance at these, one after the other, before it is given up: so that the
+others can use all of theirs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from threadline.base.option_defaults import OPTIMAL_FEED_FORWARD
+from threadline.commands.plan import Plan
+from threadline.errors import LimitError
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.motion.path import programmed_path
+from threadline.proof.option_words import Reserve, parse_width_s
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, try_plan
+from threadline.search.allowance import LIMITS, FastestJob, Rung, rung_of
+from threadline.search.choices import (
+    BUDGET,
+    Knob,
+    Tried,
+    best_of,
+    boldest,
+    budget_m,
+    chosen,
+    improved,
+    knobs_of,
+    narrowed,
+    places_of,
+    used_of,
+)
+from threadline.search.feed import feed_range_m_s
+from threadline.search.forbidden import closeness
+from threadline.search.least_times import Bound, bounds_of, least_on_any_path
+from threadline.search.paced import Question, beyond
+from threadline.search.until import as_far_as
+from threadline.verdict import Verdict
+
+_CONFIRMED = 200  # runs, by which a plan must pass that is to be the best so far
+_MOST_NARROWED = 6
+_STEPS = 6  # plans between careful and bold
+_LEAST_PLANS, _MOST_PLANS = 12, 240
+_ALL_TICKS = 150_000  # of all plans of a search together
+BOLD: Mapping[str, float] = {
+    "tolerance": 0.8, "outside": 1.0, "volts": 0.9, "current": 0.7, "contour": 0.6,
+    "smoothing": 0.57,
+}  # fmt: skip
+"""Places of the knobs of the boldest plan that is tried first."""
+
+
+@dataclass
+class Choosing:
+    """A search over all that the plans of a job may choose.
+
+    Parameters
+    ----------
+    asked
+        The question.
+    knobs
+        The choices.
+    options
+        Options of the plans, but for the choices.
+    rungs
+        Every plan that was planned, in order; a plan that is longer than the best is not judged.
+    narrower
+        Shares of the tolerance at single corners of the best plan, by line.
+    """
+
+    asked: Question
+    knobs: tuple[Knob, ...]
+    options: Options
+    rungs: list[Rung] = field(default_factory=list)
+    narrower: dict[int, float] = field(default_factory=dict)
+    most: int = 1
+
+    @property
+    def best_s(self) -> float:
+        """Duration of the shortest plan in specification."""
+        return min((one.duration_s for one in self.rungs if one.duration_s), default=math.inf)
+
+    def attempt(self, places: tuple[float, ...], below_s: float) -> Tried:
+        """Plan and judge; narrow single corners while they alone are missed."""
+        options = chosen(self.options, self.knobs, places, self.narrower)
+        used: dict[str, float] = {}
+        first_s: float | None = None
+        missed = math.inf
+        for again in range(_MOST_NARROWED):
+            try:
+                plan = self._planned(options)
+            except LimitError as error:
+                if error.quantity == "travel":
+                    raise
+                self._tried(options, beyond(error, self.asked.machine), None)
+                return Tried(places=places, duration_s=first_s, used=used, passed=False)
+            first_s = plan.duration_s if first_s is None else first_s
+            if plan.duration_s >= below_s:
+                break
+            verdict = self._judged(plan)
+            kept = used_of(verdict)
+            used = used if again else kept
+            self._tried(options, verdict, plan.duration_s)
+            if verdict.passed:
+                self.narrower = {
+                    line: width / options.tolerance_m for line, width in options.narrow
+                }
+                places = places_of(options, self.knobs, self.asked.machine)
+                return Tried(places=places, duration_s=plan.duration_s, used=kept, passed=True)
+            mended = None
+            if "narrow" in self.asked.free and kept.get(BUDGET, 0.0) < missed:
+                mended = narrowed(options, verdict, self._lines, plan.duration_s)
+            missed = kept.get(BUDGET, 0.0)
+            if mended is None:
+                break
+            options = mended
+        return Tried(places=places, duration_s=first_s, used=used, passed=False)
+
+    @cached_property
+    def _lines(self) -> list[int]:
+        """Lines of the moves of the job."""
+        programmed = programmed_path(self.asked.job, self.asked.machine, at_limits=True)
+        return sorted({line for block in programmed for line in block.line.tolist()})
+
+    def _planned(self, options: Options) -> Plan:
+        asked = self.asked
+        if asked.until is not None:
+            asked.until.check()
+        if asked.progress is not None:
+            asked.progress("proving", min(len(self.rungs) / self.most, 1.0))
+        return plan_job(asked.job, asked.machine, options)
+
+    def _judged(self, plan: Plan) -> Verdict:
+        """Judge a plan; one that passes by few runs must pass by many."""
+        asked = self.asked
+        verdict = asked.judged(plan)
+        if not verdict.passed or not 1 < asked.trials.repeats < _CONFIRMED:
+            return verdict
+        more = replace(asked.trials.alone, repeats=_CONFIRMED)
+        many = try_plan(plan, asked.spec, more, asked.actual).verdict
+        return verdict if many.passed else many
+
+    def _tried(self, options: Options, verdict: Verdict, duration_s: float | None) -> None:
+        feed = options.feed
+        assert feed is not None
+        contour = options.follows_contour and not self.asked.machine.takes_positions
+        rung = rung_of(options, feed.value, verdict, duration_s, contour)
+        self.rungs.append(replace(rung, options=options))
+
+
+def fastest_chosen(asked: Question) -> FastestJob:
+    """Return the fastest plan in spec over all options of ``optimal`` that were not given."""
+    machine, until = asked.machine, asked.until
+    top = feed_range_m_s(machine)[1] if asked.high is None else asked.high
+    options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
+    tick_s = float(machine.tick_clock.period_s)
+    searches: list[Choosing] = []
+    with as_far_as(until, lambda: any(one.rungs for one in searches)):
+        for one in _followings(options, asked):
+            knobs = knobs_of(machine, asked.spec, one, asked.free)
+            search = Choosing(asked, knobs, one, most=_LEAST_PLANS)
+            searches.append(search)
+            careful = places_of(one, knobs, machine)
+            bold = tuple(BOLD[knob.word] for knob in knobs)
+            tried = boldest(search.attempt, careful, bold, _STEPS)
+            if best_of(tried) is None:
+                continue
+            ticks = max(search.best_s / tick_s, 1.0)
+            search.most = int(min(max(_ALL_TICKS / ticks, _LEAST_PLANS), _MOST_PLANS))
+            improved(search.attempt, tried, search.most, tick_s, careful)
+            break
+    rungs = [rung for search in searches for rung in search.rungs]
+    passed = [rung for rung in rungs if rung.duration_s is not None]
+    if passed:
+        best = min(passed, key=lambda rung: rung.duration_s or math.inf)
+        best = replace(best, found=replace(best.found, limited_by=_limited_by(rungs)))
+    else:
+        best = min(rungs, key=lambda rung: closeness(rung.found.verdict))
+    return FastestJob(
+        best=best,
+        rungs=tuple(rungs),
+        bounds=_bounds(asked, best.options or options),
+        ended="" if until is None else until.ended,
+    )
+
+
+def _followings(options: Options, asked: Question) -> Iterator[Options]:
+    """Yield the options with feed-forward, if the machine and the question allow it, and as given.
+
+    Loads that follow the motion itself leave it by less than the loops of motors that follow it, so
+    they come first.
+    """
+    able = not asked.machine.takes_positions and options.timing.shaper is None
+    if options.feed_forward_s is None and "feed_forward" in asked.free and able:
+        yield replace(options, feed_forward_s=parse_width_s(OPTIMAL_FEED_FORWARD))
+    yield options
+
+
+def _limited_by(rungs: Sequence[Rung]) -> str:
+    """Return the criterion that failed most often in plans shorter than the best."""
+    failed = [rung.found.limited_by for rung in rungs if rung.duration_s is None]
+    return max(sorted(set(failed)), key=failed.count, default=LIMITS) if failed else LIMITS
+
+
+def _bounds(asked: Question, options: Options) -> tuple[Bound, ...]:
+    """Return the least times along the path of a plan, and along any path in specification."""
+    free = replace(options, reserve=Reserve(0.0, 0.0))
+    found = bounds_of(asked.job, asked.machine, free)
+    within_m = budget_m(asked.spec)
+    if within_m is None:
+        return found
+    return (*found, *least_on_any_path(asked.job, asked.machine, options, within_m))

@@ -1,0 +1,399 @@
+"""Measures of the laid fibre, by the replay of a run or of the planned motion on its product."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.commands.plan import Plan
+from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.measure import Measure
+from threadline.verdict.replayed import (
+    Wound,
+    WoundJob,
+    least_friction,
+    planned_fibre,
+    programmed_fibre,
+    shared_replays,
+    wound_job,
+)
+from threadline.verdict.samples import Block, Setting
+from threadline.verdict.types import Criterion
+from threadline.winding.laying import BRIDGED, LIFTED, WAITING
+from threadline.winding.product import Product
+from threadline.winding.raster import Raster
+from threadline.winding.replay import Fibre
+from threadline.winding.surface import Surface
+
+_NO_PRODUCT = "no product: give --product NAME.wind.toml"
+_NEVER = (
+    "the fibre is never known: nothing is laid on this mandrel for five free lengths in a row; is "
+    "it the mandrel of this program?"
+)
+_NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
+_OUTLINE = 8193  # places of the meridian for the distance of the eye
+
+
+Values = Callable[[Wound, int], FloatArray]
+"""Returns (n,) values of a run, NaN where there is none."""
+
+
+class _Largest:
+    """The largest value of each run."""
+
+    def __init__(
+        self, runs: int, axes: int, values: Values, note: Callable[[Fibre, int], str] | None = None
+    ) -> None:
+        self._worst = Worst(runs, axes, note=_NEVER)
+        self._values, self._note = values, note
+
+    def take(self, samples: Wound) -> None:
+        """Take the next samples."""
+        rows = [self._values(samples, run) for run in range(len(samples.fibres))]
+        values = np.column_stack(rows)
+        safe = np.where(np.isnan(values), -np.inf, values)
+        at = safe.argmax(axis=0)
+        most = safe[at, np.arange(len(at))]
+        if not self._worst.is_beaten(most):
+            return
+        notes = [
+            "" if self._note is None else self._note(fibre, int(row))
+            for fibre, row in zip(samples.fibres, at, strict=True)
+        ]
+        self._worst.offer(
+            np.where(np.isneginf(most), np.nan, most),
+            time_s=samples.time_s[at],
+            operation=self._operations(samples, at),
+            position=samples.actual[at],
+            note=np.array(notes, dtype=object),
+        )
+
+    def _operations(self, samples: Wound, at: IntArray) -> IntArray | None:
+        """Return the operation of the value of each run."""
+        return None if samples.operation is None else samples.operation[at]
+
+    def found(self) -> Found:
+        """Return the worst of each run."""
+        return self._worst.found()
+
+
+class _Lifted(_Largest):
+    """The most fibre that is unwound in one go, at the operation where that begins."""
+
+    def __init__(self, runs: int, axes: int) -> None:
+        super().__init__(runs, axes, _lifted)
+        self._begun: IntArray = np.full(runs, -1, dtype=np.int64)
+
+    def take(self, samples: Wound) -> None:
+        """Take the next samples."""
+        if samples.operation is not None:
+            began = np.empty((len(samples.operation), len(samples.fibres)), dtype=np.int64)
+            for run, fibre in enumerate(samples.fibres):
+                lifted = fibre.state == LIFTED
+                first = lifted & ~np.concatenate([[self._begun[run] >= 0], lifted[:-1]])
+                began[:, run] = _held(np.where(first, samples.operation, -1), self._begun[run])
+                self._begun[run] = began[-1, run] if len(lifted) and lifted[-1] else -1
+            self._began = began
+        super().take(samples)
+
+    def _operations(self, samples: Wound, at: IntArray) -> IntArray | None:
+        if samples.operation is None:
+            return None
+        began = self._began[at, np.arange(len(at))]
+        return np.where(began >= 0, began, samples.operation[at])
+
+
+def _held(values: IntArray, before: int) -> IntArray:
+    """Return (n,) values with -1 replaced by the value before it."""
+    known = np.concatenate([[True], values >= 0])
+    places = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))
+    return np.concatenate([[before], values])[places][1:]
+
+
+class _OfRun:
+    """A measure that takes the samples of the shared replays."""
+
+    def __init__(self, setting: Setting, taking: _Largest | _Covering) -> None:
+        self._shared, self._taking = shared_replays(setting), taking
+
+    def feed(self, block: Block) -> None:
+        """Take the next samples."""
+        self._taking.take(self._shared.samples(block))
+
+    def finish(self) -> Sequence[Found]:
+        """Return the worst of each run."""
+        return [self._taking.found()]
+
+
+class _Absent:
+    """A measure of a run without a product."""
+
+    def __init__(self, runs: int, why: str) -> None:
+        self._runs, self._why = runs, why
+
+    def feed(self, block: Block) -> None:
+        """Do nothing."""
+
+    def finish(self) -> Sequence[Found]:
+        """Return the reason for every run."""
+        return [Found.alike(Finding(value=None, note=self._why), self._runs)]
+
+
+def _steer(samples: Wound, run: int) -> FloatArray:
+    fibre = samples.fibres[run]
+    return np.where(fibre.known, np.abs(fibre.steer), np.nan)
+
+
+def _wobble(fibre: Fibre, at: int) -> str:
+    """Say how far the steering wobbles in a block, and which step would halve it."""
+    low, high = float(fibre.least[at]), float(fibre.most[at])
+    if not np.isfinite(high - low) or high - low < 1e-3:
+        return ""
+    before = np.flatnonzero(np.isfinite(fibre.steer[:at]))
+    step = fibre.length_m[at] - (fibre.length_m[before[-1]] if len(before) else np.nan)
+    halved = f"; steps of {5e2 * step:.2g} mm would halve that" if np.isfinite(step) else ""
+    return f"it wobbles from {1e2 * low:.1f} to {1e2 * high:.1f} %{halved}"
+
+
+def _bridged(samples: Wound, run: int) -> FloatArray:
+    fibre = samples.fibres[run]
+    return np.where(fibre.known, np.where(fibre.state == BRIDGED, fibre.bridge_m, 0.0), np.nan)
+
+
+def _lifted(samples: Wound, run: int) -> FloatArray:
+    fibre = samples.fibres[run]
+    return np.where(fibre.known | (fibre.lifted_m > 0.0), fibre.lifted_m, np.nan)
+
+
+def _free(samples: Wound, run: int) -> FloatArray:
+    fibre = samples.fibres[run]
+    return np.where(fibre.known, fibre.free_m, np.nan)
+
+
+def _slack(samples: Wound, run: int) -> FloatArray:
+    fibre = samples.fibres[run]
+    return np.where(fibre.state == WAITING, np.nan, fibre.slack_m)
+
+
+def _paid_out(samples: Wound, run: int) -> FloatArray:
+    fibre, step_s = samples.fibres[run], np.diff(samples.time_s, prepend=np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(fibre.known, np.abs(fibre.used_m) / step_s, np.nan)
+
+
+class _Near:
+    """How far the eye comes nearer to the mandrel than the product allows."""
+
+    def __init__(self, jobs: Sequence[WoundJob]) -> None:
+        self._trees, self._outlines, self._wanted = [], [], []
+        for job in jobs:
+            surface = job.surface
+            x, r = surface.at(np.linspace(0.0, surface.length_m, _OUTLINE))
+            self._outlines.append((x[:, 0], r[:, 0]))
+            self._trees.append(cKDTree(np.column_stack([x[:, 0], r[:, 0]])))
+            self._wanted.append(job.product.clearance or 0.0)
+
+    def __call__(self, samples: Wound, run: int) -> FloatArray:
+        eyes, (x, r) = samples.eyes[run], self._outlines[run]
+        place = np.column_stack([eyes[:, 1], np.hypot(eyes[:, 2], eyes[:, 3])])
+        distance = np.asarray(self._trees[run].query(place)[0])
+        inside = (place[:, 0] > x[0]) & (place[:, 0] < x[-1])
+        inside &= place[:, 1] < np.interp(place[:, 0], x, r)
+        signed = np.where(inside, -distance, distance)
+        return np.asarray(np.maximum(self._wanted[run] - signed, 0.0))
+
+
+@njit(nogil=True)
+def _off_design(
+    points: FloatArray, operation: IntArray, design: FloatArray, of: IntArray, state: IntArray
+) -> FloatArray:
+    """Return (n,) distances of points to the designed fibre, searched in order along it.
+
+    ``design`` is (m, 4): place and laid length; ``of`` its operations; ``state`` the chord of the
+    point before, -1 for none.
+    """
+    found = np.full(len(points), np.nan)
+    near = state[0]
+    for i in range(len(points)):
+        if np.isnan(points[i, 0]):
+            continue
+        if near < 0:
+            near = min(np.searchsorted(of, operation[i]), len(design) - 2)
+        low, high = near, near
+        while low > 0 and design[near, 3] - design[low, 3] < _NEAR_M:
+            low -= 1
+        while high < len(design) - 2 and design[high, 3] - design[near, 3] < _NEAR_M:
+            high += 1
+        best = np.inf
+        for k in range(low, high + 1):
+            span, along = 0.0, 0.0
+            for j in range(3):
+                d = design[k + 1, j] - design[k, j]
+                span += d * d
+                along += d * (points[i, j] - design[k, j])
+            share = min(max(along / span, 0.0), 1.0) if span > 0.0 else 0.0
+            away = 0.0
+            for j in range(3):
+                d = points[i, j] - design[k, j] - share * (design[k + 1, j] - design[k, j])
+                away += d * d
+            if away < best:
+                best, near = away, k
+        found[i] = np.sqrt(best)
+    state[0] = near
+    return found
+
+
+def _points(surface: Surface, fibre: Fibre) -> FloatArray:
+    """Return (n, 3) places in the mandrel's frame; NaN where they are not known."""
+    u = np.where(fibre.known, fibre.u, 0.0)
+    x, r = (values[:, 0] for values in surface.at(u))
+    places = np.column_stack([x, r * np.cos(fibre.angle), r * np.sin(fibre.angle)])
+    places[~fibre.known] = np.nan
+    return places
+
+
+class _Apart:
+    """Distance between the laid fibre and the fibre of the program."""
+
+    def __init__(self, plan: Plan, jobs: Sequence[WoundJob]) -> None:
+        job = wound_job(plan)
+        assert job is not None
+        rows, operations = [], []
+        for samples in programmed_fibre(plan, job):
+            fibre = samples.fibres[0]
+            points = _points(job.surface, fibre)
+            kept = np.isfinite(points[:, 0])
+            rows.append(np.column_stack([points, fibre.length_m])[kept])
+            assert samples.operation is not None
+            operations.append(samples.operation[kept])
+        self._design = np.vstack(rows) if rows else np.empty((0, 4))
+        self._of = np.concatenate(operations) if rows else np.empty(0, dtype=np.int64)
+        self._surfaces = [job.surface for job in jobs]
+        self._state = [np.full(1, -1, dtype=np.int64) for _ in jobs]
+
+    def __call__(self, samples: Wound, run: int) -> FloatArray:
+        fibre = samples.fibres[run]
+        if len(self._design) < 2 or samples.operation is None:
+            return np.full(len(fibre), np.nan)
+        points = _points(self._surfaces[run], fibre)
+        return np.asarray(
+            _off_design(points, samples.operation, self._design, self._of, self._state[run])
+        )
+
+
+class _Covering:
+    """The largest gap between the bands of each run."""
+
+    def __init__(self, jobs: Sequence[WoundJob], axes: int) -> None:
+        self._worst = Worst(len(jobs), axes, note=_NEVER)
+        self._rasters = []
+        for job in jobs:
+            begin, end = job.product.covered or (0.0, 0.0)
+            self._rasters.append(Raster(job.surface, job.width_m, begin, end))
+
+    def take(self, samples: Wound) -> None:
+        """Lay the bands of the next samples."""
+        for raster, fibre in zip(self._rasters, samples.fibres, strict=True):
+            operation = samples.operation
+            lines = np.zeros(len(fibre), dtype=np.int64) if operation is None else operation
+            raster.lay(fibre.u, fibre.angle, fibre.winding, fibre.known, lines)
+
+    def found(self) -> Found:
+        """Return the largest gap of each run, beside the operation that laid the band there."""
+        gaps = [raster.gap() for raster in self._rasters]
+        self._worst.offer(
+            np.array([gap.width_m for gap in gaps]),
+            operation=np.array([gap.operation for gap in gaps]),
+            note=np.array([gap.words for gap in gaps], dtype=object),
+        )
+        return self._worst.found()
+
+
+_OF_FIBRE: Mapping[str, tuple[Values, Callable[[Fibre, int], str] | None]] = {
+    "slip_tendency": (_steer, _wobble),
+    "bridging": (_bridged, None),
+    "free_length": (_free, None),
+    "slack": (_slack, None),
+    "fibre_speed": (_paid_out, None),
+}
+
+
+def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
+    """Return the starter of a measure of the laid fibre."""
+
+    def start(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
+        runs, axes, plan = setting.runs, len(setting.axes), setting.plan
+        shared = shared_replays(setting)
+        jobs = [job for job in shared.jobs if job is not None]
+        if not jobs:
+            return _Absent(runs, _NO_PRODUCT)
+        if name == "coverage_gap":
+            if jobs[0].product.covered is None:
+                return _Absent(runs, "the product names no [coverage]")
+            return _OfRun(setting, _Covering(jobs, axes))
+        if name == "clearance":
+            return _OfRun(setting, _Largest(runs, axes, _Near(jobs)))
+        if name == "laid_error":
+            return _OfRun(setting, _Largest(runs, axes, _Apart(plan, jobs)))
+        if name == "lifting":
+            return _OfRun(setting, _Lifted(runs, axes))
+        values, note = _OF_FIBRE[name]
+        return _OfRun(setting, _Largest(runs, axes, values, note))
+
+    return start
+
+
+MEASURED = (*_OF_FIBRE, "lifting", "clearance", "laid_error", "coverage_gap")
+"""Names of the measures of a run."""
+PLANNED = ("planned_slip_tendency", "planned_bridging", "planned_lifting", "planned_coverage_gap")
+"""Names of the measures of the planned motion."""
+
+
+def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
+    """Return the measures of the fibre that the planned motion lays."""
+    job = wound_job(plan)
+    if job is None:
+        return {name: [Finding(value=None, note=_NO_PRODUCT)] for name in PLANNED}
+    axes = len(plan.axes)
+    taking: dict[str, _Largest | _Covering] = {
+        f"planned_{name}": _Largest(1, axes, *_OF_FIBRE[name])
+        for name in ("slip_tendency", "bridging")
+    }
+    taking["planned_lifting"] = _Lifted(1, axes)
+    if job.product.covered is not None:
+        taking["planned_coverage_gap"] = _Covering([job], axes)
+    for samples in planned_fibre(plan, job):
+        for one in taking.values():
+            one.take(samples)
+    return {name: [one.found().worst()] for name, one in taking.items()}
+
+
+_LEAST_M = 5e-5  # lifted or bridged: a tow is thicker
+
+
+def criteria_of(product: Product) -> tuple[Criterion, ...]:
+    """Return the criteria that a product asks for, beside those of the specification."""
+    slip = least_friction(product)
+    wanted: dict[str, float | None] = {
+        "planned_slip_tendency": slip,
+        "planned_bridging": _LEAST_M,
+        "planned_lifting": _LEAST_M,
+        "slip_tendency": slip,
+        "bridging": _LEAST_M,
+        "lifting": _LEAST_M,
+        "clearance": 0.0,
+        "slack": product.take_up,
+        "laid_error": None,
+        "free_length": None,
+        "fibre_speed": None,
+    }
+    if product.covered is not None:
+        wanted |= {"planned_coverage_gap": product.gap, "coverage_gap": product.gap}
+    return tuple(
+        Criterion(name=name, limit=limit, required=limit is not None)
+        for name, limit in wanted.items()
+    )

@@ -1,0 +1,182 @@
+"""The replayed fibre of runs and of planned motions, beside their product."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from threading import local
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
+from threadline.machine.parts import Tool
+from threadline.verdict.samples import Block, Setting
+from threadline.winding.product import Product, product_of_text
+from threadline.winding.replay import Fibre, Replay, eye_columns
+from threadline.winding.surface import Surface
+
+_PER_PIECE = 8  # points on a planned piece
+_DRAWS = 20_000_717  # seed of the products within their tolerances
+_FINE_M = 5e-4  # longest chord of the designed fibre
+
+
+def product_of(plan: Plan) -> Product | None:
+    """Return the product of a plan; None for a plan without one."""
+    text = plan.options.get("product")
+    return None if text is None else product_of_text(text)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WoundJob:
+    """A product beside the eye of its machine.
+
+    Parameters
+    ----------
+    number
+        Number of a product drawn within its tolerances; None for the product as it is.
+    """
+
+    product: Product
+    tool: Tool
+    axes: tuple[str, ...]
+    number: int | None = None
+
+    @property
+    def _draws(self) -> FloatArray:
+        """(3,) of -1 to 1: errors of the radius, of the place and of the width of the band."""
+        if self.number is None:
+            return np.zeros(3)
+        return np.random.default_rng((_DRAWS, self.number)).uniform(-1.0, 1.0, 3)
+
+    @property
+    def surface(self) -> Surface:
+        """The mandrel with its error of radius."""
+        error = self.product.radius_error
+        by = error.si + float(self._draws[0]) * error.tolerance
+        return self.product.surface if by == 0.0 else self.product.surface.grown(by)
+
+    @property
+    def at_m(self) -> float:
+        """Machine place of its left end."""
+        return self.product.at.si + float(self._draws[1]) * self.product.at.tolerance
+
+    @property
+    def width_m(self) -> float:
+        """Width of the band."""
+        return self.product.width.si + float(self._draws[2]) * self.product.width.tolerance
+
+    def eyes(self, positions: FloatArray) -> FloatArray:
+        """Return (n, 6) coordinates of the eye from the mandrel's left end."""
+        columns = eye_columns(self.tool, self.axes, positions)
+        columns[:, 1] -= self.at_m
+        return columns
+
+    def replay(self) -> Replay:
+        """Return a replay that has read nothing."""
+        return Replay(self.surface, self.tool, least_friction(self.product), self.product.tied)
+
+
+def least_friction(product: Product) -> float:
+    """Return the lower end of the product's friction."""
+    return product.friction.si - product.friction.tolerance
+
+
+def wound_job(plan: Plan, number: int | None = None) -> WoundJob | None:
+    """Return the product of a plan beside its eye; None for a plan without one."""
+    product, tool = product_of(plan), plan.machine.tool
+    if product is None or tool is None:
+        return None
+    return WoundJob(product, tool, plan.axes, number)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wound:
+    """Consecutive samples of parallel runs with their replayed fibres."""
+
+    time_s: FloatArray
+    operation: IntArray | None
+    actual: FloatArray
+    fibres: Sequence[Fibre]
+    eyes: Sequence[FloatArray]
+
+
+class SharedReplays:
+    """The replays of the parallel runs of a recording, which all measures of it share."""
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting = setting
+        drawn = setting.recording.origin.get("drawn")
+        numbers = [None if drawn is None else int(drawn) + run for run in range(setting.runs)]
+        self.jobs = [wound_job(setting.plan, number) for number in numbers]
+        self._replays = [None if job is None else job.replay() for job in self.jobs]
+        self._block: Block | None = None
+        self._found: Wound | None = None
+
+    def samples(self, block: Block) -> Wound:
+        """Return the samples of a block; replayed once."""
+        if block is self._block and self._found is not None:
+            return self._found
+        assert block.actual is not None
+        fibres, eyes = [], []
+        for run, (job, replay) in enumerate(zip(self.jobs, self._replays, strict=True)):
+            assert job is not None and replay is not None
+            eyes.append(job.eyes(np.ascontiguousarray(block.actual[:, run])))
+            fibres.append(replay.feed(eyes[-1], block.operation))
+        actual = block.actual[:, 0] if block.commanded is None else block.commanded
+        self._block = block
+        self._found = Wound(block.time_s, block.operation, actual, fibres, eyes)
+        return self._found
+
+
+_LATEST = local()
+
+
+def shared_replays(setting: Setting) -> SharedReplays:
+    """Return the replays of a run: the measures of a run are started one after the other."""
+    latest: SharedReplays | None = getattr(_LATEST, "shared", None)
+    if latest is None or latest.setting is not setting:
+        latest = SharedReplays(setting)
+        _LATEST.shared = latest
+    return latest
+
+
+def programmed_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
+    """Yield the replay of the programmed path, with several points on long chords."""
+    replay, last = job.replay(), None
+    reach = float(job.surface.r[:, 0].max())
+    for block in plan.motion.programmed:
+        if not len(block):
+            continue
+        vertices = np.asarray(block.positions)
+        before = vertices[:1] if last is None else last
+        chain = np.vstack([before, vertices])
+        last = chain[-1:]
+        eyes = job.eyes(chain)
+        way = np.abs(np.diff(eyes, axis=0))
+        size = np.maximum(np.hypot(reach * way[:, 0], way[:, 1]), way[:, 2])
+        count = np.maximum(np.ceil(size / _FINE_M), 1.0).astype(np.int64)
+        row = np.repeat(np.arange(len(count)), count)
+        within = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
+        points = chain[row] + within[:, None] * (chain[row + 1] - chain[row])
+        operation = np.asarray(block.operation)[row]
+        eyes = job.eyes(points)
+        times = np.full(len(points), np.nan)
+        yield Wound(times, operation, points, [replay.feed(eyes, operation)], [eyes])
+
+
+def planned_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
+    """Yield the replay of the planned motion."""
+    replay = job.replay()
+    for block in plan.motion.trajectory:
+        if not len(block):
+            continue
+        order = block.coefficients.shape[1]
+        count = _PER_PIECE if order > 2 else 1
+        powers = (np.arange(1, count + 1) / count)[:, None] ** np.arange(order)
+        points = np.einsum("uk,nka->nua", powers, block.coefficients)
+        points = points.reshape(-1, points.shape[2])
+        operation = np.maximum.accumulate(np.repeat(block.operation, count))
+        eyes = job.eyes(points)
+        times = np.full(len(points), np.nan)
+        yield Wound(times, operation, points, [replay.feed(eyes, operation)], [eyes])

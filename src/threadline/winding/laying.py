@@ -1,0 +1,379 @@
+"""The laying of a fibre, compiled: from the motion of the eye to the place of the fibre.
+
+The fibre leaves the mandrel along its tangent t, and the eye is at the free length L along it. With
+n inwards, b = n x t and the eye's velocity v relative to the turning mandrel, the fibre is laid at
+``s' = (v . n) / (L k_n)`` and steered by ``k_g / k_n = (v . b) / (v . n)``. Only the place of the
+point that is laid is integrated. Its direction is the direction to the eye. After each step a
+Newton step along the fibre puts the eye back into the tangent plane, so that no error adds up.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.winding.surface import meridian
+
+LAID, LIFTED, BRIDGED, OFF, WAITING = range(5)
+"""States of a block: laid, unwound, over a hollow, off the end of the mandrel, nothing laid yet."""
+KNOWN_AFTER = 5.0
+"""Free lengths after which a wrong start is forgotten: what is left of it is exp(-5), below 1 %."""
+_ROTATION = 0.08  # rad of a step
+_SHARE = 0.12  # of the free length, of a step
+_BENT = 0.15  # rad that the fibre turns in a step
+_MOST_STEPS = 10_000  # in a block
+_SLACK_M = 5e-5  # unwound in one go: less is no lifting, as a tow is thicker
+_FLAT = 1e-6  # 1/m, the least normal curvature that a fibre lies on
+_WINDOW_M = 5e-4  # a block that lays less than this is judged with the blocks after it
+_ALONG = 48  # places along the free fibre where it is compared with the mandrel
+_TOUCH_M = 1e-6  # a free fibre that is this much below the surface touches it
+
+
+class Tables(NamedTuple):
+    """A mandrel and an eye, for compiled code.
+
+    Parameters
+    ----------
+    nodes, x, r
+        As ``Surface``.
+    payout
+        (3,) pay-out point along, across and up from its carrier at yaw and roll 0, m.
+    friction
+        Coefficient of friction, above which the place of the fibre is not known.
+    convex
+        Whether no straight line touches the mandrel in two places.
+    """
+
+    nodes: FloatArray
+    x: FloatArray
+    r: FloatArray
+    payout: FloatArray
+    friction: float
+    convex: bool
+
+
+class Laid(NamedTuple):
+    """What was laid in each of n blocks; see ``replay.Fibre`` for the meaning.
+
+    ``state`` is (n,), the others are (n, columns).
+    """
+
+    state: IntArray
+    place: FloatArray
+    steer: FloatArray
+
+
+@njit(nogil=True)
+def _eye(
+    q: FloatArray, v: FloatArray, payout: FloatArray
+) -> tuple[float, float, float, float, float, float]:
+    """Return place and velocity of the pay-out point along, across and up, on the machine.
+
+    ``q`` and ``v`` are turn, along, across, up, yaw and roll, and their rates.
+    """
+    along, across, up = q[1], q[2], q[3]
+    d_along, d_across, d_up = v[1], v[2], v[3]
+    if payout[0] != 0.0 or payout[1] != 0.0 or payout[2] != 0.0:
+        cos, sin = math.cos(q[5]), math.sin(q[5])
+        a = payout[0] * cos + payout[2] * sin
+        h = payout[2] * cos - payout[0] * sin
+        da, dh = h * v[5], -a * v[5]
+        cos, sin = math.cos(q[4]), math.sin(q[4])
+        a2 = a * cos - payout[1] * sin
+        c2 = a * sin + payout[1] * cos
+        along += a2
+        across += c2
+        up += h
+        d_along += da * cos - c2 * v[4]
+        d_across += da * sin + a2 * v[4]
+        d_up += dh
+    return along, across, up, d_along, d_across, d_up
+
+
+@njit(nogil=True)
+def _rates(
+    u: float, theta: float, q: FloatArray, v: FloatArray, tables: Tables, hint: int, out: FloatArray
+) -> int:
+    """Write the rates of laying at a place into ``out``; return the piece of the meridian.
+
+    ``out`` becomes: rates of u and of the angle, rate of laying, v . b, v . n, k_n, free length,
+    cosine and sine of the fibre's angle with the meridian, distance of the eye behind the tangent
+    plane, radius, place along the axis, v . t, length along the meridian per u.
+    """
+    hint, x, r, cb, sb, bend, speed = meridian(tables.nodes, tables.x, tables.r, u, hint)
+    along, across, up, d_along, d_across, d_up = _eye(q, v, tables.payout)
+    psi = theta + q[0]
+    cos, sin = math.cos(psi), math.sin(psi)
+    er, ec = across * cos + up * sin, up * cos - across * sin
+    vr = d_across * cos + d_up * sin + v[0] * ec
+    vc = d_up * cos - d_across * sin - v[0] * er
+    dx, dr = along - x, er - r
+    dm, dn = dx * cb + dr * sb, dx * sb - dr * cb
+    vm, vn = d_along * cb + vr * sb, d_along * sb - vr * cb
+    free = math.sqrt(dm * dm + ec * ec)
+    ca, sa = dm / free, ec / free
+    kn = bend * ca * ca + cb / r * sa * sa
+    laying = vn / (free * kn)
+    out[0] = laying * ca / speed
+    out[1] = laying * sa / r
+    out[2] = laying
+    out[3] = ca * vc - sa * vm
+    out[4] = vn
+    out[5] = kn
+    out[6] = free
+    out[7] = ca
+    out[8] = sa
+    out[9] = dn
+    out[10] = r
+    out[11] = x
+    out[12] = ca * vm + sa * vc
+    out[13] = speed
+    return hint
+
+
+@njit(nogil=True)
+def _steps(ds: float, out: FloatArray, v: FloatArray, radius: float) -> int:
+    """Return the number of steps for a block with rates ``out`` at its start."""
+    vn, vb, vt, free = out[4], out[3], out[12], out[6]
+    speed = math.sqrt(vn * vn + vb * vb + vt * vt)
+    turned = max(abs(v[0]) / _ROTATION, speed / (_SHARE * free), abs(v[4]) / _ROTATION)
+    bent = abs(ds) * max(abs(out[5]), 1.0 / radius) / _BENT
+    count = max(turned, bent, abs(v[5]) / _ROTATION)
+    return int(min(max(math.ceil(count), 1.0), float(_MOST_STEPS)))
+
+
+@njit(nogil=True)
+def _bridge(
+    u: float, theta: float, q: FloatArray, tables: Tables, hint: int, out: FloatArray
+) -> bool:
+    """Return whether the free fibre touches the mandrel ahead of the place where it leaves it.
+
+    Then ``out`` becomes u and angle of the place that it touches, and the largest height, m, of
+    the fibre over the hollow between.
+    """
+    hint, x0, r0, _, _, _, _ = meridian(tables.nodes, tables.x, tables.r, u, hint)
+    along, across, up = _eye(q, q, tables.payout)[:3]
+    psi = theta + q[0]
+    dx = along - x0
+    dr = across * math.cos(psi) + up * math.sin(psi) - r0
+    dc = up * math.cos(psi) - across * math.sin(psi)
+    deepest, at_u, at_angle, height, highest = 0.0, 0.0, 0.0, 0.0, 0.0
+    place = u
+    for k in range(1, _ALONG):
+        share = k / _ALONG
+        x = x0 + share * dx
+        # The piece at this x: along the meridian x increases.
+        while hint < len(tables.x) - 1 and tables.x[hint + 1, 0] <= x:
+            hint += 1
+        while hint > 0 and tables.x[hint, 0] > x:
+            hint -= 1
+        place = min(max(place, tables.nodes[hint]), tables.nodes[hint + 1])
+        for _ in range(4):
+            hint, px, r, cb, _sb, _, speed = meridian(tables.nodes, tables.x, tables.r, place, hint)
+            place += (x - px) / (cb * speed)
+            place = min(max(place, 0.0), tables.nodes[-1])
+        radius = math.hypot(r0 + share * dr, share * dc)
+        over = (radius - r) * cb
+        if abs(px - x) > 1e-6:
+            continue  # beyond the end of the mandrel
+        highest = max(highest, over)
+        if over < deepest:
+            deepest, at_u, height = over, place, highest
+            at_angle = theta + math.atan2(share * dc, r0 + share * dr)
+    out[0], out[1], out[2] = at_u, at_angle, height
+    return deepest < -_TOUCH_M and height > _TOUCH_M
+
+
+@njit(nogil=True)
+def _step(
+    u: float, theta: float, q: FloatArray, v: FloatArray, h: float, tables: Tables,
+    work: FloatArray, hint: int,
+) -> tuple[float, float, float, int]:  # fmt: skip
+    """Return place, angle, laid length and piece after a step of the share ``h`` of a block.
+
+    The rows of ``work`` become the rates at the start, twice in the middle, at the end, and at the
+    place that was found; the first has to be there already.
+    """
+    w = work[5, :6]
+    for j in range(6):
+        w[j] = q[j] + v[j] * 0.5 * h
+    hint = _rates(
+        u + 0.5 * h * work[0, 0], theta + 0.5 * h * work[0, 1], w, v, tables, hint, work[1]
+    )
+    hint = _rates(
+        u + 0.5 * h * work[1, 0], theta + 0.5 * h * work[1, 1], w, v, tables, hint, work[2]
+    )
+    for j in range(6):
+        w[j] = q[j] + v[j] * h
+    hint = _rates(u + h * work[2, 0], theta + h * work[2, 1], w, v, tables, hint, work[3])
+    ds = h / 6.0 * (work[0, 2] + 2.0 * work[1, 2] + 2.0 * work[2, 2] + work[3, 2])
+    u += h / 6.0 * (work[0, 0] + 2.0 * work[1, 0] + 2.0 * work[2, 0] + work[3, 0])
+    theta += h / 6.0 * (work[0, 1] + 2.0 * work[1, 1] + 2.0 * work[2, 1] + work[3, 1])
+    # Twice: the first correction leaves the square of its size.
+    for _ in range(2):
+        hint = _rates(u, theta, w, v, tables, hint, work[4])
+        free = work[4, 6]
+        back = min(max(work[4, 9] / (free * work[4, 5]), -0.1 * free), 0.1 * free)
+        u += back * work[4, 7] / work[4, 13]
+        theta += back * work[4, 8] / work[4, 10]
+        ds += back
+    return u, theta, ds, hint
+
+
+@njit(nogil=True)
+def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third of the speed
+    eyes: FloatArray, group: IntArray, tables: Tables, start: FloatArray, laid: Laid, first: int
+) -> int:
+    """Lay the fibre over blocks; return the number of the block at which it needs a new start.
+
+    Parameters
+    ----------
+    eyes
+        (n + 1, 6) turn, along, across, up, yaw and roll at the ends of n blocks, linear between.
+    group
+        (n,) blocks of equal consecutive numbers are steered together.
+    tables
+        Mandrel and eye.
+    start
+        (12,) state, which is updated: u, angle, laid length, free lengths since it was unknown,
+        length unwound since the fibre was last laid, piece of the meridian, slack; steering, laid
+        length, least and largest steering since the last mean; 1 if the fibre was known when it
+        began to be unwound.
+    laid
+        What was laid in each block; rows from ``first`` on are written.
+    first
+        Block to begin with.
+
+    Returns
+    -------
+    int
+        n, or the block in which the fibre ran off the mandrel or was unwound by a free length.
+    """
+    count = len(eyes) - 1
+    work, v, q, touched = np.empty((6, 14)), np.empty(6), np.empty(6), np.empty(3)
+    u, theta, length = start[0], start[1], start[2]
+    since, unwound, hint, slack = start[3], start[4], int(start[5]), start[6]
+    area, lengthwise, low, high = start[7], start[8], start[9], start[10]
+    held = start[11]
+    last = tables.nodes[-1]
+    for i in range(first, count):
+        for j in range(6):
+            v[j] = eyes[i + 1, j] - eyes[i, j]
+            q[j] = eyes[i, j]
+        hint = _rates(u, theta, q, v, tables, hint, work[0])
+        steps = _steps(work[0, 2], work[0], v, work[0, 10])
+        h, begin, taken_up = 1.0 / steps, length, work[0, 6]
+        state, peeled, height, longest = LAID, 0.0, 0.0, work[0, 6]
+        for step in range(steps):
+            if step:
+                for j in range(6):
+                    q[j] = eyes[i, j] + v[j] * (step * h)
+                hint = _rates(u, theta, q, v, tables, hint, work[0])
+            u, theta, ds, hint = _step(u, theta, q, v, h, tables, work, hint)
+            if not (work[4, 5] > _FLAT and work[0, 5] > _FLAT and math.isfinite(u + theta)):
+                state, peeled = LIFTED, work[0, 6]
+                break
+            if u < 0.0 or u > last:
+                state = OFF
+                break
+            length += ds
+            lengthwise += ds
+            # k_g / k_n is (v . b) / (v . n), and ds = (v . n) / (L k_n): their product is finite.
+            for k, weight in ((0, 1.0), (2, 4.0), (3, 1.0)):
+                area += h / 6.0 * weight * work[k, 3] / (work[k, 6] * work[k, 5])
+                if work[k, 4] > 0.0:
+                    ratio = work[k, 3] / work[k, 4]
+                    low, high = min(low, ratio), max(high, ratio)
+            longest = max(longest, work[4, 6])
+            if ds > 0.0:
+                since += ds / work[4, 6]
+                unwound = max(unwound - ds, 0.0)
+            else:
+                if unwound == 0.0:
+                    held = 1.0 if since >= KNOWN_AFTER else 0.0
+                unwound -= ds
+                peeled = max(peeled, unwound)
+        if peeled > _SLACK_M:
+            state = LIFTED
+        if not tables.convex and state == LAID:
+            for j in range(6):
+                q[j] = eyes[i + 1, j]
+            if _bridge(u, theta, q, tables, hint, touched):
+                state, height = BRIDGED, touched[2]
+                u, theta = touched[0], touched[1]
+        used = length - begin + work[4, 6] - taken_up
+        slack = max(slack - used, 0.0)
+        mean = math.nan
+        ends = i + 1 == count or group[i + 1] != group[i]
+        if ends and lengthwise >= _WINDOW_M:
+            mean = area / lengthwise
+        laid.state[i] = state
+        laid.place[i, 0] = u
+        laid.place[i, 1] = theta
+        laid.place[i, 2] = length
+        laid.place[i, 3] = longest
+        laid.place[i, 4] = since
+        laid.place[i, 5] = height if state == BRIDGED else peeled
+        laid.place[i, 6] = slack
+        laid.place[i, 7] = math.atan2(work[4, 8], work[4, 7])
+        laid.place[i, 8] = used
+        laid.place[i, 9] = held
+        laid.steer[i, 0] = mean
+        laid.steer[i, 1] = low
+        laid.steer[i, 2] = high
+        if state in (LIFTED, BRIDGED):
+            since = 0.0
+        if ends and not math.isnan(mean):
+            if abs(mean) > tables.friction and since >= KNOWN_AFTER:
+                since = 0.0
+            area, lengthwise, low, high = 0.0, 0.0, math.inf, -math.inf
+        lost = state == LIFTED and peeled >= work[4, 6]
+        if state == OFF or lost or not math.isfinite(u + theta):
+            start[2], start[6] = length, slack
+            return i
+    start[0], start[1], start[2] = u, theta, length
+    start[3], start[4], start[5], start[6] = since, unwound, float(hint), slack
+    start[7], start[8], start[9], start[10] = area, lengthwise, low, high
+    start[11] = held
+    return count
+
+
+@njit(nogil=True)
+def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray) -> FloatArray:
+    """Return, for places u and both sides, where the eye sees the mandrel edge-on.
+
+    Parameters
+    ----------
+    eye, rate
+        (6,) positions as in ``lay``, and their rates.
+    places
+        (m,) places u.
+
+    Returns
+    -------
+    FloatArray
+        (m, 2, 3) angle, v . n and v . b of the tangents from the eye; NaN where there is none.
+    """
+    found = np.full((len(places), 2, 3), np.nan)
+    out = np.empty(14)
+    along, across, up = _eye(eye, rate, tables.payout)[:3]
+    away = math.sqrt(across * across + up * up)
+    at = math.atan2(up, across) - eye[0]
+    hint = 0
+    for i in range(len(places)):
+        hint, x, r, cb, sb, _, _ = meridian(tables.nodes, tables.x, tables.r, places[i], hint)
+        cos = (r + sb * (along - x) / cb) / away
+        if abs(cos) >= 1.0:
+            continue
+        for side in range(2):
+            theta = at - math.acos(cos) if side == 0 else at + math.acos(cos)
+            hint = _rates(places[i], theta, eye, rate, tables, hint, out)
+            if out[5] > _FLAT:
+                found[i, side, 0] = theta
+                found[i, side, 1] = out[4]
+                found[i, side, 2] = out[3]
+    return found

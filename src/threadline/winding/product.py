@@ -1,0 +1,434 @@
+"""Product files (``NAME.wind.toml``): the mandrel, the band and the friction of a winding."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.reading import read_text
+from threadline.base.wording import nearest, toml_fault
+from threadline.errors import JobError, Place, UnitError
+from threadline.units import parse_quantity
+from threadline.winding.shapes import ellipse, isotensoid, nose, table
+from threadline.winding.surface import Stretch, Surface, line, surface_of
+
+_MAX_BYTES = 1_000_000
+_MOST_ROWS = 20_000
+_MOST_FRICTION = 1.0
+_TABLES: Mapping[str, tuple[str, ...]] = {
+    "": ("name", "mandrel", "part", "band", "friction", "fibre", "coverage"),
+    "mandrel": ("at", "radius_error", "edge"),
+    "band": ("width", "thickness", "tex"),
+    "friction": ("value",),
+    "fibre": ("tied", "take_up", "clearance"),
+    "coverage": ("begin", "end", "gap"),
+}
+_PARTS: Mapping[str, tuple[str, ...]] = {
+    "cylinder": ("radius", "length"),
+    "cone": ("radius", "end_radius", "length"),
+    "hemisphere": ("radius", "opening", "pole"),
+    "ellipsoid": ("radius", "height", "opening", "pole"),
+    "isotensoid": ("radius", "opening", "pole"),
+    "nose": ("radius", "height", "opening", "pole"),
+    "table": ("file",),
+}
+_EXAMPLE = '[[part]] kind = "cylinder", radius = "50 mm", length = "200 mm"'
+_NUMBER = re.compile(r"(?P<value>.+?)(?:\s*(?:\+-|\+/-|±)\s*(?P<tolerance>.+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Toleranced:
+    """A number in SI with the half width of its tolerance."""
+
+    si: float
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Product:
+    """A product of a winder.
+
+    Parameters
+    ----------
+    name
+        For people.
+    file
+        Its file, for messages.
+    text
+        Its content with the tables of its mandrel, on one line; ``product_of_text`` reads it.
+    surface
+        The mandrel in its own coordinate: its left end is at 0.
+    at
+        Machine place of the left end of the mandrel, m.
+    radius_error
+        Amount by which the mandrel's radius is larger than drawn, m, with its tolerance.
+    width, thickness
+        Of the band, m; the thickness is None if unknown.
+    friction
+        Coefficient of friction between fibre and mandrel.
+    tied
+        Place on the mandrel, m, where the fibre is tied at the start; None if unknown.
+    take_up
+        Slack that the tensioner takes up, m; None if unknown.
+    clearance
+        Least distance between eye and mandrel, m; None if it may be anything above 0.
+    covered
+        Places on the mandrel between which it is covered, m; None for no coverage.
+    gap
+        Largest allowed gap between bands, m.
+    """
+
+    name: str
+    file: str
+    text: str
+    surface: Surface
+    at: Toleranced
+    radius_error: Toleranced
+    width: Toleranced
+    friction: Toleranced
+    thickness: float | None = None
+    tied: float | None = None
+    take_up: float | None = None
+    clearance: float | None = None
+    covered: tuple[float, float] | None = None
+    gap: float | None = None
+
+
+def product_text(given: str | Path) -> str:
+    """Return the content of a product file on one line, with the tables of its mandrel.
+
+    A text that was returned before is returned unchanged, so that a recording keeps its product.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read, or is no product.
+    """
+    text = str(given)
+    if text.startswith("{"):
+        return product_of_text(text).text
+    path = Path(text)
+    written = read_text(path, _MAX_BYTES, JobError, "product file", "utf-8-sig")
+    try:
+        content = tomllib.loads(written)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        what, at = toml_fault(error, written)
+        raise JobError(what, place=Place(text, at), remedy="Correct that line.") from error
+    reader = _Reader(text, written)
+    parts = content.get("part")
+    if isinstance(parts, list):
+        for index, part in enumerate(parts):
+            if isinstance(part, dict) and isinstance(part.get("file"), str):
+                reader.index = index
+                part["points"] = _points(path.parent / part.pop("file"), reader)
+    reader.product(content)
+    return json.dumps({"file": path.name, **content}, ensure_ascii=True, sort_keys=True)
+
+
+@lru_cache(maxsize=8)
+def product_of_text(text: str) -> Product:
+    """Return the product in a text of ``product_text``.
+
+    Raises
+    ------
+    JobError
+        If it is no product.
+    """
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise JobError(
+            "the product of this recording is damaged", remedy="Give --product again."
+        ) from error
+    file = str(content.pop("file", "product")) if isinstance(content, dict) else "product"
+    return _Reader(file, "", text).product(content)
+
+
+def _points(path: Path, reader: _Reader) -> list[list[float]]:
+    """Return the points of a table with the columns x_mm and radius_mm, m."""
+    if path.suffix.lower() == ".dxf":
+        reader.refuse(
+            "file", f"{path.name}: a meridian cannot be read from DXF",
+            "Save its points as CSV, with the columns x_mm and radius_mm.",
+        )  # fmt: skip
+    text = read_text(path, _MAX_BYTES, JobError, "table of a meridian", "utf-8-sig")
+    rows = [(i, row) for i, row in enumerate(csv.reader(text.splitlines()), 1) if any(row)]
+    header = [cell.strip() for cell in rows[0][1]] if rows else []
+    if sorted(header) != ["radius_mm", "x_mm"]:
+        raise JobError(
+            "a meridian has the columns x_mm and radius_mm",
+            place=Place(str(path), 1),
+            remedy="Begin it with the line x_mm,radius_mm.",
+        )
+    if not 3 <= len(rows) <= _MOST_ROWS:
+        raise JobError(
+            f"the meridian has {len(rows) - 1} points, needed are 2 to {_MOST_ROWS - 1}",
+            place=Place(str(path)),
+            remedy="Give as many points as its shape needs.",
+        )
+    found: list[list[float]] = []
+    for number, row in rows[1:]:
+        try:
+            cells = dict(zip(header, map(float, row), strict=True))
+        except ValueError:
+            cells = {"x_mm": math.nan, "radius_mm": math.nan}
+        point = [1e-3 * cells["x_mm"], 1e-3 * cells["radius_mm"]]
+        if not all(map(math.isfinite, point)):
+            raise JobError(
+                f"{','.join(row)[:60]!r} is no point of a meridian",
+                place=Place(str(path), number),
+                remedy="Write two numbers, like 12.5,40.",
+            )
+        if point[1] <= 0.0:
+            raise JobError(
+                f"the mandrel crosses its axis: radius {1e3 * point[1]:g} mm",
+                place=Place(str(path), number),
+                remedy="End it at a polar opening with a radius above 0.",
+            )
+        if found and point[0] <= found[-1][0]:
+            raise JobError(
+                f"the mandrel doubles back: x = {1e3 * point[0]:g} mm follows "
+                f"{1e3 * found[-1][0]:g} mm",
+                place=Place(str(path), number),
+                remedy="Sort the points by x; each x once.",
+            )
+        found.append(point)
+    return found
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Reads the content of a product file; knows the line of each key while the file is there."""
+
+    file: str
+    written: str
+    text: str = ""
+    table: str = ""
+    index: int = -1
+    lengths: dict[str, float] = field(default_factory=dict)
+
+    def refuse(self, key: str, message: str, remedy: str) -> NoReturn:
+        raise JobError(message, place=Place(self.file, self._line(key)), remedy=remedy)
+
+    def _line(self, key: str) -> int:
+        """Return the line of a key in the present table, of the table without it, or 0."""
+        table, count, header = "", -1, 0
+        for number, row in enumerate(self.written.splitlines(), start=1):
+            opened = re.match(r"\s*\[\[?\s*([A-Za-z_]+)\s*\]", row)
+            if opened:
+                table = opened[1]
+                count += table == "part"
+            here = table == self.table and (table != "part" or count == self.index)
+            if here and opened:
+                header = number
+            if here and re.match(rf"\s*{re.escape(key)}\s*=", row):
+                return number
+        return header
+
+    def product(self, content: Any) -> Product:
+        if not isinstance(content, dict):
+            self.refuse("", "a product is a table", _EXAMPLE)
+        self._known(content, _TABLES[""])
+        name = content.get("name", Path(self.file).name.removesuffix(".wind.toml"))
+        if not isinstance(name, str):
+            self.refuse("name", "name must be a text", 'Write name = "vessel".')
+        mandrel = self._table(content, "mandrel")
+        at = self._number(mandrel, "at", "m", "0 mm")
+        error = self._number(mandrel, "radius_error", "m", "0 mm")
+        edge = self._number(mandrel, "edge", "m", "1 mm").si
+        if edge <= 0.0:
+            self.refuse("edge", "edge must be above 0: no mandrel is sharper", 'Like "1 mm".')
+        parts = content.get("part")
+        self.table, self.index = "part", 0
+        if not isinstance(parts, list) or not parts or not all(isinstance(p, dict) for p in parts):
+            self.refuse("part", "the mandrel has no [[part]]", f"Write its parts like {_EXAMPLE}.")
+        surface = self._surface(parts, edge)
+        self.index = -1
+        band = self._table(content, "band")
+        width = self._number(band, "width", "m", None)
+        smallest = float(surface.r[:, 0].min())
+        if not width.si - width.tolerance > 0.0:
+            self.refuse("width", "the width of the band must be above 0", 'Like "5 mm +- 0.3 mm".')
+        if width.si > 2.0 * smallest:
+            self.refuse(
+                "width",
+                f"the band is {1e3 * width.si:g} mm wide, the smallest opening of the mandrel is "
+                f"{2e3 * smallest:.4g} mm",
+                "Correct the width, or end the mandrel at a larger opening.",
+            )
+        thickness = self._number(band, "thickness", "m", "0 mm").si or None
+        self._number(band, "tex", "", "0")
+        friction = self._number(self._table(content, "friction"), "value", "", None)
+        if not 0.0 < friction.si <= _MOST_FRICTION or friction.tolerance >= friction.si:
+            self.refuse(
+                "value",
+                f"a friction of {friction.si:g} +- {friction.tolerance:g}: it must be above 0 "
+                f"and at most {_MOST_FRICTION:g}",
+                'Dry glass on a mandrel has 0.2 to 0.4: value = "0.25 +- 0.05".',
+            )
+        fibre = self._table(content, "fibre")
+        tied = self._number(fibre, "tied", "m", "0 mm").si if "tied" in fibre else None
+        take_up = self._number(fibre, "take_up", "m", "0 mm").si if "take_up" in fibre else None
+        apart = self._number(fibre, "clearance", "m", "0 mm").si if "clearance" in fibre else None
+        ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
+        if tied is not None and not ends[0] <= tied <= ends[1]:
+            self.refuse("tied", f"tied = {1e3 * tied:g} mm is beside the mandrel", _within(ends))
+        coverage = self._table(content, "coverage")
+        covered, gap = None, None
+        if coverage:
+            begin = self._number(coverage, "begin", "m", None).si
+            end = self._number(coverage, "end", "m", None).si
+            gap = self._number(coverage, "gap", "m", "0 mm").si
+            if not ends[0] <= begin < end <= ends[1]:
+                self.refuse("begin", "the covered part is not on the mandrel", _within(ends))
+            covered = begin, end
+        return Product(
+            name=name, file=self.file, text=self.text, surface=surface, at=at, radius_error=error,
+            width=width, friction=friction, thickness=thickness, tied=tied, take_up=take_up,
+            clearance=apart, covered=covered, gap=gap,
+        )  # fmt: skip
+
+    def _known(self, content: Mapping[str, Any], keys: Sequence[str]) -> None:
+        for key in content:
+            if key not in keys:
+                self.refuse(key, f"unknown key {key[:60]!r}", nearest(key, keys))
+
+    def _table(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+        self.table = name
+        found = content.get(name, {})
+        if not isinstance(found, dict):
+            self.table = ""
+            self.refuse(name, f"{name} must be a table", f"Write [{name}].")
+        self._known(found, _TABLES[name])
+        return found
+
+    def _number(
+        self, content: Mapping[str, Any], key: str, unit: str, default: str | None
+    ) -> Toleranced:
+        text = content.get(key, default)
+        like = f'Write {key} = "{"0.25 +- 0.05" if not unit else "5 mm +- 0.3 mm"}".'
+        if text is None:
+            self.refuse(key, f"{self.table}.{key} is missing", like)
+        if not unit and isinstance(text, int | float) and not isinstance(text, bool):
+            text = repr(text)
+        if not isinstance(text, str):
+            self.refuse(key, f"{key} = {str(text)[:60]!r} is not a quantity", like)
+        match = _NUMBER.fullmatch(text.strip())
+        try:
+            if match is None:
+                raise UnitError("there is no number")
+            value = parse_quantity(match["value"].strip(), unit)
+            spread = (match["tolerance"] or "").strip()
+            if spread.endswith("%"):
+                around = abs(value) * parse_quantity(spread, "")
+            else:
+                around = parse_quantity(spread, unit) if spread else 0.0
+        except UnitError as error:
+            self.refuse(key, f"{key}: {error.message}", like)
+        if abs(value) > 1e4 or not 0.0 <= around <= 1e4:
+            self.refuse(key, f"{key} = {text[:60]!r} is out of reach", like)
+        return Toleranced(value, around)
+
+    def _surface(self, parts: Sequence[Mapping[str, Any]], edge: float) -> Surface:
+        chain: list[Stretch] = []
+        for index, part in enumerate(parts):
+            self.index = index
+            kind = part.get("kind", "table" if "points" in part else None)
+            if not isinstance(kind, str) or kind not in _PARTS:
+                self.refuse("kind", f"a part of the kind {kind!r}"[:80], nearest(str(kind), _PARTS))
+            own = ("points",) if kind == "table" else _PARTS[kind]
+            self._known(part, ("kind", *own))
+            x = 0.0 if not chain else float(chain[-1].x[-1, 0])
+            made = self._part(kind, part, x)
+            if chain:
+                before, after = float(chain[-1].r[-1, 0]), float(made[0].r[0, 0])
+                if abs(before - after) > 1e-6:
+                    self.refuse(
+                        "radius",
+                        f"the mandrel is open at x = {1e3 * x:.6g} mm: a part ends with radius "
+                        f"{1e3 * before:.6g} mm, and the next begins with {1e3 * after:.6g} mm",
+                        "Let each part begin with the radius at which the one before it ends.",
+                    )
+            chain += made
+        self.index = len(parts) - 1
+        return surface_of(chain, edge, self.file)
+
+    def _part(self, kind: str, part: Mapping[str, Any], x: float) -> list[Stretch]:
+        if kind == "table":
+            points = self._table_points(part.get("points"))
+            points[:, 0] += x - points[0, 0]
+            return table(points)
+        sizes = {}
+        for key in _PARTS[kind]:
+            if key == "pole":
+                continue
+            sizes[key] = self._number(part, key, "m", None).si
+            if sizes[key] <= 0.0:
+                self.refuse(
+                    key,
+                    f"{key} = {1e3 * sizes[key]:g} mm: the mandrel would reach its axis"
+                    if "radius" in key or key == "opening"
+                    else f"{key} must be above 0",
+                    f'Write {key} = "50 mm".',
+                )
+        radius = sizes["radius"]
+        if kind == "cylinder":
+            return [line(x, radius, x + sizes["length"], radius)]
+        if kind == "cone":
+            return [line(x, radius, x + sizes["length"], sizes["end_radius"])]
+        pole = part.get("pole")
+        if pole not in ("left", "right"):
+            self.refuse("pole", f"pole = {pole!r}", 'Write pole = "left" or pole = "right".')
+        left, opening = pole == "left", sizes["opening"]
+        most = radius / math.sqrt(1.5) if kind == "isotensoid" else radius
+        if opening >= 0.999 * most:
+            self.refuse(
+                "opening",
+                f"the opening of {1e3 * opening:g} mm is too large for a radius of "
+                f"{1e3 * radius:g} mm",
+                f"It must be below {1e3 * most:.4g} mm.",
+            )
+        height = sizes.get("height", radius)
+        # With the pole on the left the equator comes last: shift the part to begin at x.
+        shift = 0.0
+        for _ in range(2):
+            if kind == "isotensoid":
+                made = isotensoid(x - shift, radius, opening, left=left)
+            elif kind == "nose":
+                made = nose(x - shift, radius, height, opening, left=left)
+            else:
+                made = [ellipse(x - shift, radius, height, opening, left=left)]
+            shift = float(made[0].x[0, 0]) - x
+        return made
+
+    def _table_points(self, points: Any) -> FloatArray:
+        try:
+            found = np.array(points, dtype=np.float64)
+        except (TypeError, ValueError):
+            found = np.empty(0)
+        if found.ndim != 2 or found.shape[1:] != (2,) or len(found) < 2:
+            self.refuse("file", "a table needs a file", 'Write file = "meridian.csv".')
+        if not (np.isfinite(found).all() and (np.diff(found[:, 0]) > 0.0).all()):
+            self.refuse("file", "the points of a meridian must go from left to right", "Sort them.")
+        return found
+
+
+def _within(ends: FloatArray) -> str:
+    return f"It goes from {1e3 * ends[0]:.6g} mm to {1e3 * ends[1]:.6g} mm."
+
+
+def digest(product: Product) -> str:
+    """Return the SHA-256 of a product's content."""
+    return hashlib.sha256(product.text.encode()).hexdigest()

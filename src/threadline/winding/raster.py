@@ -1,0 +1,249 @@
+"""Coverage of a mandrel: bands of fibre on a raster of the meridian and the angle round it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.errors import JobError
+from threadline.winding.surface import Surface, meridian
+
+_PARTS = 20.0  # cells in the width of a band, at least
+_MOST_CELLS = 40_000_000
+_MARGIN = 2.0  # widths of the band beside the covered part
+_SAME = 3.0  # widths of laid fibre that count as one pass of the band
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """The largest gap: its width, the share that is not covered, and the place in words.
+
+    ``operation`` laid the band beside it; -1 if there is none.
+    """
+
+    width_m: float
+    share: float
+    operation: int
+    words: str
+
+
+@njit(nogil=True)
+def _edge(
+    nodes: FloatArray, x: FloatArray, r: FloatArray, u: float, angle: float, winding: float,
+    half: float, hint: int,
+) -> tuple[float, float, int]:  # fmt: skip
+    """Return the place, u and angle, beside the fibre at a signed distance in the surface."""
+    hint, _, _, _, _, _, speed = meridian(nodes, x, r, u, hint)
+    du = -half * math.sin(winding) / speed
+    middle = min(max(u + 0.5 * du, 0.0), nodes[-1])
+    hint, _, r1, _, _, _, _ = meridian(nodes, x, r, middle, hint)
+    return u + du, angle + half * math.cos(winding) / r1, hint
+
+
+@njit(nogil=True)
+def _draw(
+    count: NDArray[np.uint16], stamp: NDArray[np.float32], of: NDArray[np.int32],
+    first: float, cell: FloatArray, corners: FloatArray, length: float, same: float, operation: int,
+) -> None:  # fmt: skip
+    """Mark the cells whose centres are in a quadrangle; ``corners`` is (4, 2), in order.
+
+    A cell counts again only if the fibre was laid on by ``same`` since it was marked.
+    """
+    rows, columns = count.shape
+    low_u = min(corners[0, 0], corners[1, 0], corners[2, 0], corners[3, 0])
+    high_u = max(corners[0, 0], corners[1, 0], corners[2, 0], corners[3, 0])
+    begin = max(math.ceil((low_u - first) / cell[0] - 0.5), 0)
+    end = min(math.floor((high_u - first) / cell[0] - 0.5), rows - 1)
+    for row in range(begin, end + 1):
+        u = first + (row + 0.5) * cell[0]
+        low, high = math.inf, -math.inf
+        for k in range(4):
+            a, b = corners[k], corners[(k + 1) % 4]
+            if (a[0] <= u) != (b[0] <= u):
+                at = a[1] + (u - a[0]) / (b[0] - a[0]) * (b[1] - a[1])
+                low, high = min(low, at), max(high, at)
+        left = math.ceil(low / cell[1] - 0.5)
+        right = math.ceil(high / cell[1] - 0.5)
+        for column in range(left, min(right, left + columns)):
+            at_column = column % columns
+            if count[row, at_column] == 0 or length - stamp[row, at_column] > same:
+                count[row, at_column] += 1
+            stamp[row, at_column] = length
+            of[row, at_column] = operation
+
+
+@njit(nogil=True)
+def _bands(
+    table: tuple[FloatArray, FloatArray, FloatArray],
+    path: FloatArray,
+    operation: IntArray,
+    raster: tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.int32]],
+    grid: FloatArray,
+    last: FloatArray,
+) -> None:
+    """Draw the bands along a path.
+
+    Parameters
+    ----------
+    path
+        (n, 3) u, angle and angle with the meridian; NaN where there is no band.
+    grid
+        (5,) first u, cell in u, cell in angle, half width, length of one pass.
+    last
+        (4,) the place before and the laid length, which are updated.
+    """
+    nodes, x, r = table
+    count, stamp, of = raster
+    corners, cell = np.empty((4, 2)), grid[1:3]
+    hint = 0
+    for i in range(len(path)):
+        u, angle, winding = path[i, 0], path[i, 1], path[i, 2]
+        if not (math.isfinite(last[0]) and math.isfinite(u)):
+            last[0], last[1], last[2] = u, angle, winding
+            continue
+        hint, _, radius, _, _, _, _ = meridian(nodes, x, r, last[0], hint)
+        du, da = u - last[0], angle - last[1]
+        length = math.hypot(du, radius * da)
+        # Chords of a quarter of the band: on a cylinder the quadrangles are exact.
+        steps = max(math.ceil(length / (0.5 * grid[3])), 1)
+        turn = math.atan2(math.sin(winding - last[2]), math.cos(winding - last[2]))
+        for step in range(steps):
+            for end in range(2):
+                share = (step + end) / steps
+                at_u, at_angle = last[0] + share * du, last[1] + share * da
+                at_winding = last[2] + share * turn
+                for side in range(2):
+                    half = grid[3] if side == end else -grid[3]
+                    b_u, b_angle, hint = _edge(nodes, x, r, at_u, at_angle, at_winding, half, hint)
+                    k = 2 * end + side
+                    corners[k, 0], corners[k, 1] = b_u, b_angle
+            last[3] += length / steps
+            _draw(count, stamp, of, grid[0], cell, corners, last[3], grid[4], operation[i])
+        last[0], last[1], last[2] = u, angle, winding
+
+
+class Raster:
+    """Bands of fibre on a part of a mandrel, in bounded memory.
+
+    Parameters
+    ----------
+    surface
+        The mandrel.
+    width_m
+        Width of the band.
+    begin_m, end_m
+        Places along the axis between which coverage counts.
+
+    Raises
+    ------
+    JobError
+        If the raster would have too many cells.
+    """
+
+    def __init__(self, surface: Surface, width_m: float, begin_m: float, end_m: float) -> None:
+        self._surface = surface
+        begin, end = surface.place_of(np.array([begin_m, end_m]))
+        radius = float(surface.at(np.linspace(begin, end, 2001))[1][:, 0].max())
+        rows = max(math.ceil((end - begin) / width_m * _PARTS), 1)
+        columns = max(math.ceil(2.0 * math.pi * radius / width_m * _PARTS), 1)
+        if rows * columns > _MOST_CELLS:
+            raise JobError(
+                f"the coverage needs {rows * columns} cells of a twentieth of the band, limit "
+                f"{_MOST_CELLS}",
+                remedy="Cover a shorter part of the mandrel, or give the real width of the band.",
+            )
+        shape = rows, columns
+        self.count = np.zeros(shape, dtype=np.uint16)
+        self._stamp = np.zeros(shape, dtype=np.float32)
+        self._of = np.full(shape, -1, dtype=np.int32)
+        self._cell = np.array([(end - begin) / rows, 2.0 * math.pi / columns])
+        self._grid = np.array([begin, *self._cell, 0.5 * width_m, _SAME * width_m])
+        self._last = np.array([np.nan, np.nan, np.nan, 0.0])
+
+    @property
+    def places(self) -> FloatArray:
+        """(rows,) u of the middles of the cells, m."""
+        return np.asarray(self._grid[0] + (np.arange(len(self.count)) + 0.5) * self._cell[0])
+
+    def lay(
+        self,
+        u: FloatArray,
+        angle: FloatArray,
+        winding: FloatArray,
+        known: NDArray[np.bool_],
+        operation: IntArray,
+    ) -> None:
+        """Draw the band along (n,) places; none where the place is not known."""
+        path = np.column_stack([u, angle, winding])
+        path[~known] = np.nan
+        surface = self._surface
+        _bands(
+            (surface.nodes, surface.x, surface.r),
+            path,
+            operation,
+            (self.count, self._stamp, self._of),
+            self._grid,
+            self._last,
+        )
+
+    def covered(self) -> float:
+        """Return the share of the surface that is covered."""
+        radius = self._surface.at(self.places)[1][:, 0]
+        return float(radius @ (self.count > 0).mean(axis=1) / radius.sum())
+
+    def overlap(self) -> float:
+        """Return the mean number of bands on the surface that is covered."""
+        radius = self._surface.at(self.places)[1][:, 0]
+        over = radius @ (self.count > 0).mean(axis=1)
+        return float(radius @ self.count.mean(axis=1) / over) if over else 0.0
+
+    def gap(self) -> Gap:
+        """Return the largest gap.
+
+        The width of a strip without fibre, of length g along the meridian and h round the mandrel,
+        is g h / sqrt(g^2 + h^2).
+        """
+        bare = self.count == 0
+        share = 1.0 - self.covered()
+        if not bare.any():
+            return Gap(0.0, 0.0, -1, "")
+        x, r = (values[:, 0] for values in self._surface.at(self.places))
+        along = _runs(bare.T, around=False).T * self._cell[0]
+        around = _runs(bare, around=True) * (self._cell[1] * r[:, None])
+        with np.errstate(invalid="ignore"):
+            width = np.where(bare, along * around / np.hypot(along, around), 0.0)
+        row, column = np.unravel_index(int(width.argmax()), width.shape)
+        beside = self._of[:, column]
+        laid = np.flatnonzero(beside >= 0)
+        nearest = -1 if not len(laid) else int(beside[laid[np.abs(laid - row).argmin()]])
+        words = (
+            f"at {1e3 * x[row]:.4g} mm along the mandrel, "
+            f"{math.degrees(self._cell[1]) * column:.4g} deg round it; {1e2 * share:.2g} % is not "
+            "covered"
+        )
+        return Gap(float(width[row, column]), share, nearest, words)
+
+
+def _runs(bare: NDArray[np.bool_], *, around: bool) -> FloatArray:
+    """Return for each cell the length of the run of bare cells in its row, in cells."""
+    found = np.zeros(bare.shape)
+    for row, cells in enumerate(bare):
+        if not cells.any():
+            continue
+        if cells.all():
+            found[row] = len(cells)
+            continue
+        # Begin behind a covered cell, so that no run is cut by the seam.
+        shift = int(np.argmin(cells)) + 1 if around else 0
+        rolled = np.roll(cells, -shift)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], rolled, [False]]).astype(np.int8)))
+        lengths = np.zeros(len(cells))
+        for begin, end in edges.reshape(-1, 2):
+            lengths[begin:end] = end - begin
+        found[row] = np.roll(lengths, shift)
+    return found

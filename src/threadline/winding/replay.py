@@ -1,0 +1,222 @@
+"""Replay: from the positions of axes to the place of the fibre on its mandrel.
+
+Nothing of a planner is read. The start of the fibre is searched for where the eye sees the mandrel
+edge-on, and forgotten after five free lengths. Until the mandrel begins to turn, nothing is laid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.machine.parts import Tool
+from threadline.winding.laying import (
+    BRIDGED,
+    KNOWN_AFTER,
+    LAID,
+    LIFTED,
+    OFF,
+    WAITING,
+    Laid,
+    Tables,
+    lay,
+    looks,
+)
+from threadline.winding.surface import Surface
+
+_SIDES = 2
+_GUESSES = 801  # places along the meridian where a start is looked for
+_STATE = 12
+_TURNED_M = 1e-4  # at the largest radius; until the mandrel turns, the fibre is only tied
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fibre:
+    """Where the fibre lies after each of n blocks.
+
+    Parameters
+    ----------
+    state
+        (n,) ``LAID``, ``LIFTED``, ``BRIDGED``, ``OFF`` or ``WAITING``.
+    u, angle
+        (n,) place along the meridian, m, and angle on the mandrel, rad, without wrap-round.
+    length_m
+        (n,) laid length since the start of the replay.
+    free_m
+        (n,) longest free length of the block.
+    known
+        (n,) whether five free lengths were laid since the place was last not known.
+    lifted_m
+        (n,) fibre that was unwound in one go until then, if it was known when that began.
+    bridge_m
+        (n,) height of the fibre over the hollow that it bridges.
+    used_m
+        (n,) fibre that the eye gave out; negative: took back.
+    slack_m
+        (n,) slack that the eye has given back and not yet taken again.
+    winding
+        (n,) angle between fibre and meridian, rad: 0 along the axis, positive round it.
+    steer, least, most
+        (n,) mean of k_g / k_n of the block, and its least and largest value; NaN for a block that
+        is taken together with the blocks after it.
+    """
+
+    state: IntArray
+    u: FloatArray
+    angle: FloatArray
+    length_m: FloatArray
+    free_m: FloatArray
+    known: NDArray[np.bool_]
+    lifted_m: FloatArray
+    bridge_m: FloatArray
+    used_m: FloatArray
+    slack_m: FloatArray
+    winding: FloatArray
+    steer: FloatArray
+    least: FloatArray
+    most: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+
+def eye_columns(eye: Tool, axes: Sequence[str], positions: FloatArray) -> FloatArray:
+    """Return (n, 6) turn, along, across, up, yaw and roll of (n, axes) positions.
+
+    An axis that is not among ``axes`` stands at 0.
+    """
+    columns = np.zeros((len(positions), 6))
+    for number, part in enumerate(eye.parts):
+        if part is None:
+            continue
+        if part.axis in axes:
+            columns[:, number] = part.factor * positions[:, axes.index(part.axis)]
+        columns[:, number] += part.zero_si
+    return columns
+
+
+class Replay:
+    """The replay of one run, block by block.
+
+    Parameters
+    ----------
+    surface
+        The mandrel.
+    eye
+        The eye and its axes.
+    friction
+        Coefficient of friction.
+    tied
+        Place along the axis, m, where the fibre is tied at the start; None if unknown.
+    """
+
+    def __init__(
+        self, surface: Surface, eye: Tool, friction: float, tied: float | None = None
+    ) -> None:
+        self.surface = surface
+        self._tables = Tables(
+            nodes=surface.nodes,
+            x=surface.x,
+            r=surface.r,
+            payout=np.array(eye.payout_m),
+            friction=friction,
+            convex=surface.convex,
+        )
+        self._state = np.zeros(_STATE)
+        self._tied = None if tied is None else float(surface.place_of(np.array([tied]))[0])
+        self._places = np.linspace(0.0, surface.length_m, _GUESSES)
+        self._begun = False
+        self._least_turn = _TURNED_M / float(surface.r[:, 0].max())
+        self._rest: float | None = None
+        self._turns = False
+        self._last: FloatArray | None = None
+
+    def feed(self, eyes: FloatArray, group: IntArray | None = None) -> Fibre:
+        """Take the next (n, 6) positions of ``eye_columns``; return the fibre at each of them.
+
+        Before the first position nothing is laid: its block is ``WAITING``.
+
+        Parameters
+        ----------
+        group
+            (n,) blocks with the same number are judged together; None: each for itself.
+        """
+        count = len(eyes)
+        before = eyes[:1] if self._last is None else self._last
+        chain = np.vstack([before, eyes])
+        self._last = chain[-1:]
+        groups = np.arange(count) if group is None else group
+        laid = Laid(
+            state=np.full(count, WAITING, dtype=np.int64),
+            place=np.full((count, 10), np.nan),
+            steer=np.full((count, 3), np.nan),
+        )
+        at = 0
+        while at < count:
+            if not self._begun:
+                at = self._start(chain, at)
+                if at == count:
+                    break
+            end = lay(chain, groups, self._tables, self._state, laid, at)
+            self._begun = end == count
+            at = end + 1
+        place, steer, state = laid.place, laid.steer, laid.state
+        return Fibre(
+            state=state,
+            u=place[:, 0],
+            angle=place[:, 1],
+            length_m=place[:, 2],
+            free_m=place[:, 3],
+            known=place[:, 4] >= KNOWN_AFTER,
+            lifted_m=np.where((state == LIFTED) & (place[:, 9] == 1.0), place[:, 5], 0.0),
+            bridge_m=np.where(state == BRIDGED, place[:, 5], 0.0),
+            used_m=place[:, 8],
+            slack_m=place[:, 6],
+            winding=place[:, 7],
+            steer=steer[:, 0],
+            least=steer[:, 1],
+            most=steer[:, 2],
+        )
+
+    def _start(self, chain: FloatArray, at: int) -> int:
+        """Find the fibre for the next block that lays any; return its number."""
+        if self._rest is None:
+            self._rest = float(chain[0, 0])
+        if not self._turns:
+            turned = np.abs(chain[1:, 0] - self._rest) > self._least_turn
+            if not turned.any():
+                return len(chain) - 1
+            self._turns, at = True, max(at, int(np.argmax(turned)))
+        for block in range(at, len(chain) - 1):
+            rate = chain[block + 1] - chain[block]
+            if not rate.any():
+                continue
+            places = self._places if self._tied is None else np.array([self._tied])
+            found = looks(chain[block], rate, self._tables, places)
+            with np.errstate(invalid="ignore"):
+                steer = np.where(found[..., 1] > 0.0, np.abs(found[..., 2] / found[..., 1]), np.nan)
+            if np.isnan(steer).all():
+                continue
+            row, side = divmod(int(np.nanargmin(steer)), _SIDES)
+            state = np.zeros(_STATE)
+            state[0], state[1] = places[row], found[row, side, 0]
+            state[2], state[6] = self._state[2], self._state[6]
+            state[3] = 0.0 if self._tied is None else KNOWN_AFTER
+            state[9], state[10] = np.inf, -np.inf
+            self._tied = None
+            self._state, self._begun = state, True
+            return block
+        return len(chain) - 1
+
+
+STATES: Mapping[int, str] = {
+    LAID: "laid",
+    LIFTED: "lifted",
+    BRIDGED: "bridged",
+    OFF: "off the mandrel",
+    WAITING: "not laid",
+}

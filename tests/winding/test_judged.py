@@ -1,0 +1,171 @@
+"""The fibre of whole jobs: a program that passes, and faults that fail at their lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.winding import programs
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.errors import OptionError
+from threadline.machine import Machine, load_machine
+from threadline.proof.options import describe, options_from, options_of
+from threadline.proof.pipeline import NOMINAL, open_job, plan_job, prove_plan, with_shaping
+from threadline.report.proof import write_report
+from threadline.search.studied import Studied
+from threadline.verdict import load_spec
+from threadline.verdict.fibre import MEASURED, PLANNED, measure_planned
+from threadline.verdict.finding import Finding
+from threadline.winding.product import Product, product_of_text, product_text
+from threadline.winding.raster import Gap, Raster
+from threadline.winding.replay import Replay
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+VESSEL, WAIST = EXAMPLES / "vessel.wind.toml", EXAMPLES / "vessel-waist.wind.toml"
+FIRST_LINE = 3
+"""Line of the first block of a circuit."""
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("lathe-winder")
+
+
+@pytest.fixture(scope="module")
+def vessel() -> Product:
+    return product_of_text(product_text(VESSEL))
+
+
+@pytest.fixture(scope="module")
+def circuit(vessel: Product) -> FloatArray:
+    """Return the eye of a circuit."""
+    return programs.eyes(vessel.surface, programs.geodesic(vessel.surface)[1])
+
+
+def _plan(folder: Path, machine: Machine, text: str, product: Path = VESSEL) -> Plan:
+    file = folder / "p.prg"
+    file.write_text(text)
+    options = options_of(product=str(product))
+    return plan_job(open_job(file, machine, options), machine, options)
+
+
+def _found(plan: Plan) -> dict[str, Finding]:
+    return {name: finding for name, (finding,) in measure_planned(plan).items()}
+
+
+def _line(plan: Plan, finding: Finding) -> int:
+    assert finding.operation is not None
+    return plan.intent.lines_of(plan.job, [finding.operation])[finding.operation]
+
+
+def test_the_examples_are_what_the_tests_write(circuit: FloatArray) -> None:
+    circuits = programs.CIRCUITS
+    for name, text in {
+        "vessel": programs.program(circuit, circuits),
+        "vessel-gap": programs.program(circuit, programs.TOO_FEW),
+        "vessel-slips": programs.program(circuit, circuits - 1, programs.slipping(circuit)),
+        "vessel-lifts": programs.program(circuit, circuits - 1, programs.lifting(circuit)),
+    }.items():
+        assert (EXAMPLES / f"{name}.prg").read_text() == text
+
+
+def test_a_geodesic_program_slips_nowhere(
+    tmp_path: Path, machine: Machine, circuit: FloatArray
+) -> None:
+    """Planned on the programmed chords: steering by rounding alone, no bridge and no lifting."""
+    found = _found(_plan(tmp_path, machine, programs.program(circuit, 2)))
+    assert found["planned_slip_tendency"].value == pytest.approx(0.0, abs=0.03)
+    assert found["planned_bridging"].value == 0.0
+    assert found["planned_lifting"].value == 0.0
+
+
+def test_a_slip_is_found_at_its_line(tmp_path: Path, machine: Machine, circuit: FloatArray) -> None:
+    text = programs.program(circuit, 1, programs.slipping(circuit))
+    plan = _plan(tmp_path, machine, text)
+    finding = _found(plan)["planned_slip_tendency"]
+    assert finding.value is not None and finding.value > 0.25
+    faulty = text.splitlines().index(f"M98 P 999 L {1};") + 2 + programs.FAULTY
+    assert abs(_line(plan, finding) - faulty) <= 1
+
+
+def test_lifting_is_found_at_its_line(
+    tmp_path: Path, machine: Machine, circuit: FloatArray
+) -> None:
+    text = programs.program(circuit, 1, programs.lifting(circuit))
+    plan = _plan(tmp_path, machine, text)
+    finding = _found(plan)["planned_lifting"]
+    assert finding.value is not None and finding.value > 1e-3
+    faulty = text.splitlines().index("M98 P 999 L 1;") + 2 + programs.FAULTY
+    # Where it begins: the most is unwound in the next block, as the planner rounds the corner.
+    assert _line(plan, finding) == faulty
+
+
+def test_a_waist_is_bridged(tmp_path: Path, machine: Machine, circuit: FloatArray) -> None:
+    """The program of the smooth vessel on a vessel with a waist of 5 mm over its cylinder."""
+    plan = _plan(tmp_path, machine, programs.program(circuit, 1), WAIST)
+    finding = _found(plan)["planned_bridging"]
+    # Less than the depth of the waist: the fibre lies on the cone in front of it for a while.
+    assert finding.value is not None and 5e-4 < finding.value < 5e-3
+    assert FIRST_LINE < _line(plan, finding) < FIRST_LINE + len(circuit)
+
+
+def _gap(vessel: Product, machine: Machine, circuit: FloatArray, circuits: int) -> Gap:
+    turn = circuit[-1, 0] - circuit[0, 0]
+    rows = [circuit[1:] + np.array([k * turn, 0.0, 0.0]) for k in range(circuits)]
+    eyes = np.zeros((1 + circuits * (len(circuit) - 1), 6))
+    eyes[:, :3] = np.vstack([circuit[:1], *rows])
+    eyes[:, 1] -= programs.AT_M
+    assert machine.tool is not None and vessel.covered is not None
+    fibre = Replay(vessel.surface, machine.tool, 0.2, vessel.tied).feed(eyes)
+    raster = Raster(vessel.surface, vessel.width.si, *vessel.covered)
+    raster.lay(fibre.u, fibre.angle, fibre.winding, fibre.known, np.arange(len(fibre)))
+    return raster.gap()
+
+
+def test_the_pattern_closes_and_missing_circuits_leave_a_gap(
+    vessel: Product, machine: Machine, circuit: FloatArray
+) -> None:
+    assert _gap(vessel, machine, circuit, programs.CIRCUITS).width_m == 0.0
+    # Bare is only where a missing band of one direction crosses one of the other.
+    missing = _gap(vessel, machine, circuit, programs.TOO_FEW)
+    assert 2e-3 < missing.width_m < 8e-3
+    assert 0.0 < missing.share < 0.03
+    assert missing.operation >= 0
+
+
+def test_a_run_is_judged_like_its_plan(
+    tmp_path: Path, machine: Machine, circuit: FloatArray
+) -> None:
+    """One circuit on the simulated machine: every measure has a value; a product stays recorded."""
+    plan = _plan(tmp_path, machine, programs.program(circuit, 1))
+    options = options_from(describe(plan.job, machine, options_of(product=str(VESSEL))))
+    assert options.product == plan.options["product"]
+    spec = with_shaping(load_spec(None, machine), machine, options)
+    proof = prove_plan(plan, spec, None, NOMINAL)
+    results = {result.name: result for result in proof.verdict.results}
+    assert {*MEASURED, *PLANNED} <= set(results)
+    for name in ("slip_tendency", "lifting", "bridging", "free_length", "laid_error", "slack"):
+        assert results[name].measured is not None, name
+    slip, laid = results["slip_tendency"].measured, results["laid_error"].measured
+    assert slip is not None and slip < 0.2
+    # The controller is within 0.5 mm of its program, and so is the fibre on the mandrel.
+    assert laid is not None and laid < 5e-4
+    assert results["free_length"].measured == pytest.approx(programs.FREE_M, rel=0.03)
+    assert not proof.verdict.passed  # one circuit leaves gaps
+    page = write_report(Studied(proof=proof), tmp_path / "report")
+    names = {file.name for file in page.parent.iterdir()}
+    assert {"report-winding-map.svg", "report-winding-along.svg"} <= names
+    # The page names the product and does not quote it.
+    assert "vessel.wind.toml, sha256" in page.read_text() and "isotensoid" not in page.read_text()
+
+
+def test_a_machine_without_an_eye_takes_no_product(tmp_path: Path) -> None:
+    stitcher = load_machine("stepper-winder")
+    options = options_of(product=str(VESSEL))
+    file = tmp_path / "p.nc"
+    file.write_text("G21\nG90\nG1 X10 F600\nM2\n")
+    with pytest.raises(OptionError, match="--product needs the eye of a winder"):
+        plan_job(open_job(file, stitcher, options), stitcher, options)

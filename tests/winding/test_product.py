@@ -1,0 +1,157 @@
+"""Product files: shapes against closed forms, and one line for each fault."""
+
+from __future__ import annotations
+
+import math
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from threadline.errors import JobError
+from threadline.winding.product import Product, product_of_text, product_text
+
+BAND = '[band]\nwidth = "5 mm +- 0.3 mm"\n[friction]\nvalue = "0.25 +- 0.05"\n'
+CYLINDER = '[[part]]\nkind = "cylinder"\nradius = "50 mm"\nlength = "200 mm"\n'
+
+
+def _read(folder: Path, text: str) -> Product:
+    file = folder / "p.wind.toml"
+    file.write_text(text)
+    return product_of_text(product_text(file))
+
+
+def _refused(folder: Path, text: str) -> str:
+    with pytest.raises(JobError) as caught:
+        _read(folder, text)
+    said = str(caught.value)
+    assert "\n" not in said.strip()
+    return said
+
+
+def test_numbers_and_tolerances(tmp_path: Path) -> None:
+    product = _read(tmp_path, CYLINDER + BAND)
+    assert (product.width.si, product.width.tolerance) == pytest.approx((5e-3, 3e-4))
+    assert (product.friction.si, product.friction.tolerance) == (0.25, 0.05)
+    assert product.surface.length_m == pytest.approx(0.2)
+    assert product_text(product.text) == product.text
+
+
+def test_an_isotensoid_has_the_slope_of_netting_theory(tmp_path: Path) -> None:
+    part = '[[part]]\nkind = "isotensoid"\nradius = "50 mm"\nopening = "15 mm"\npole = "right"\n'
+    surface = _read(tmp_path, part + BAND).surface
+    big, hole = 0.05, 0.015
+
+    def slope(r: float) -> float:
+        sin = (r / big) ** 3 * math.sqrt((big**2 - hole**2) / (r**2 - hole**2))
+        return sin / math.sqrt(1.0 - sin**2)
+
+    for r in (0.045, 0.03, 0.02):
+        depth = quad(slope, r, big, limit=200, epsabs=1e-12)[0]
+        u = float(surface.place_of(np.array([depth]))[0])
+        x, radius = surface.at(np.array([u]))
+        assert radius[0, 0] == pytest.approx(r, abs=1e-8)
+        assert -x[0, 1] / radius[0, 1] == pytest.approx(slope(r), rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["hemisphere", "ellipsoid", "nose"])
+def test_domes_lie_on_their_curves(tmp_path: Path, kind: str) -> None:
+    height = "" if kind == "hemisphere" else 'height = "120 mm"\n'
+    part = f'[[part]]\nkind = "{kind}"\nradius = "50 mm"\n{height}opening = "8 mm"\npole = "left"\n'
+    surface = _read(tmp_path, part + CYLINDER + BAND).surface
+    u = np.linspace(0.0, float(surface.nodes[-2]), 500)
+    x, r = (values[:, 0] for values in surface.at(u))
+    tall = 0.05 if kind == "hemisphere" else 0.12
+    base = surface.at(np.array([surface.length_m]))[0][0, 0] - 0.2
+    depth = (base - x)[:-1]
+    if kind == "nose":
+        p = np.arccos(1.0 - 2.0 * (tall - depth) / tall)
+        expected = 0.05 * np.sqrt((p - 0.5 * np.sin(2.0 * p)) / np.pi)
+    else:
+        expected = 0.05 * np.sqrt(1.0 - (depth / tall) ** 2)
+    np.testing.assert_allclose(r[:-1], expected, atol=2e-8)
+
+
+def test_a_table_of_a_sphere_has_its_curvature(tmp_path: Path) -> None:
+    angles = np.radians(np.linspace(-60.0, 60.0, 121))
+    rows = [f"{50 * math.sin(a):.9f},{50 * math.cos(a):.9f}" for a in angles]
+    (tmp_path / "m.csv").write_text("x_mm,radius_mm\n" + "\n".join(rows) + "\n")
+    surface = _read(tmp_path, '[[part]]\nfile = "m.csv"\n' + BAND).surface
+    x, r = surface.at(np.linspace(0.01, surface.length_m - 0.01, 300))
+    bend = -(x[:, 1] * r[:, 2] - r[:, 1] * x[:, 2])
+    np.testing.assert_allclose(bend, 20.0, rtol=2e-3)
+
+
+def test_a_corner_of_a_table_is_rounded(tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_text("x_mm,radius_mm\n0,40\n50,40\n100,20\n")
+    surface = _read(tmp_path, '[[part]]\nfile = "m.csv"\n' + BAND).surface
+    x, r = surface.at(np.linspace(0.0, surface.length_m, 2001))
+    near = np.abs(x[:, 0] - 0.05) < 1e-3
+    # An edge of 1 mm takes R (1 / cos(turn / 2) - 1) off the corner.
+    turn = math.atan2(20, 50)
+    assert 0.04 - r[near, 0][np.argmin(np.abs(x[near, 0] - 0.05))] == pytest.approx(
+        1e-3 * (1 / math.cos(turn / 2) - 1), rel=0.3
+    )
+    assert surface.convex
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("0,40\n10,-1\n", "m.csv:3: the mandrel crosses its axis"),
+        ("0,40\n10,41\n5,42\n", "m.csv:4: the mandrel doubles back"),
+        ("0,40\n10,x\n", "m.csv:3: '10,x' is no point"),
+        ("0,40\n10\n", "m.csv:3: '10' is no point"),
+        ("0,40\n10,nan\n", "is no point"),
+        ("0,40\n", "has 1 points"),
+    ],
+)
+def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -> None:
+    (tmp_path / "m.csv").write_text("x_mm,radius_mm\n" + rows)
+    assert said in _refused(tmp_path, '[[part]]\nfile = "m.csv"\n' + BAND)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (CYLINDER + BAND.replace("0.25 +- 0.05", "0"), "p.wind.toml:8: a friction of 0"),
+        (CYLINDER + BAND.replace("0.25 +- 0.05", "2"), "p.wind.toml:8: a friction of 2"),
+        (CYLINDER + BAND.replace("5 mm +- 0.3 mm", "120 mm"), "p.wind.toml:6: the band is 120 mm"),
+        (CYLINDER + BAND.replace("5 mm +- 0.3 mm", "5"), "p.wind.toml:6: width"),
+        (CYLINDER.replace("50 mm", "-1 mm") + BAND, "p.wind.toml:3: radius = -1 mm"),
+        (CYLINDER.replace("cylinder", "cylindre") + BAND, "Did you mean 'cylinder'?"),
+        (CYLINDER + CYLINDER.replace("50", "40") + BAND, "p.wind.toml:7: the mandrel is open"),
+        (BAND, "the mandrel has no [[part]]"),
+        (CYLINDER, "band.width is missing"),
+        (CYLINDER + BAND + '[fibre]\ntied = "300 mm"\n', "p.wind.toml:10: tied = 300 mm"),
+        (CYLINDER + BAND + 'colour = "red"\n', "unknown key 'colour'"),
+        (CYLINDER + BAND + "[", "not valid TOML"),
+        ('[[part]]\nfile = "x.dxf"\n' + BAND, "cannot be read from DXF"),
+    ],
+)
+def test_faults_name_their_line(tmp_path: Path, text: str, said: str) -> None:
+    assert said in _refused(tmp_path, text)
+
+
+def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
+    """2000 files with a damaged byte or a lost line are read or refused, never anything else."""
+    text = (
+        '[[part]]\nkind = "nose"\nradius = "50 mm"\nheight = "90 mm"\nopening = "5 mm"\n'
+        'pole = "left"\n' + CYLINDER + BAND + '[coverage]\nbegin = "95 mm"\nend = "200 mm"\n'
+    )
+    _read(tmp_path, text)
+    chance = random.Random(1)
+    refused = 0
+    for _ in range(2000):
+        letters = list(text)
+        for _ in range(chance.randint(1, 3)):
+            at = chance.randrange(len(letters))
+            letters[at] = chance.choice('0123456789.-"[]=\n e\x00é')
+        try:
+            _read(tmp_path, "".join(letters))
+        except JobError as error:
+            refused += 1
+            assert "\n" not in str(error).strip()
+    assert refused > 500
