@@ -61,7 +61,7 @@ print(*sorted(name for name in sys.modules if name.startswith("threadline.")))
 def test_a_proof_of_a_part_program_imports_what_it_uses(examples: Path) -> None:
     """Other kinds of work, other files and the drawing of reports are imported where they begin.
 
-    The count is that of 2026 with a tenth to spare; before, 350 modules were imported.
+    217 modules are imported, seven of them for the measures of a winding; a few may come.
     """
     words = _PROVE.format(job=str(examples / "x-180.prg"))
     found = subprocess.run(
@@ -78,4 +78,4 @@ def test_a_proof_of_a_part_program_imports_what_it_uses(examples: Path) -> None:
     )  # fmt: skip
     assert "threadline.twin.simulate" in modules
     assert [m for m in modules if m.removeprefix("threadline.").startswith(foreign)] == []
-    assert len(modules) < 215
+    assert len(modules) < 230

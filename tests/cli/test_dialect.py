@@ -33,10 +33,14 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 
 
 @pytest.mark.parametrize("command", ["compare", "fastest"])
-def test_without_a_dialect_it_is_refused(
+def test_without_a_dialect_it_is_guessed_and_said(
     command: str, job: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, err = run(capsys, command, job, "-m", "lathe-winder")
+    """A dialect that is named is never overruled."""
+    code, _, err = run(capsys, command, job, "-m", "lathe-winder", "--nominal")
+    assert code in (0, 1)
+    assert "read in the dialect grbl, guessed from the file (it has" in err
+    code, out, err = run(capsys, command, job, "-m", "lathe-winder", "--dialect", "winder")
     assert (code, out) == (2, "")
     assert "part.gcode:1" in err
 

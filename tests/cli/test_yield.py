@@ -13,7 +13,7 @@ from threadline.cli import yield_
 from threadline.cli import yield_tables as why
 from threadline.cli.main import main
 from threadline.machine.variants import Uncertain
-from threadline.search import machine_yield
+from threadline.proof.worst_search import WorstSearch
 from threadline.search.machine_yield import Yield, quantile
 from threadline.verdict import CriterionRow, EachRun
 
@@ -152,7 +152,8 @@ def test_what_is_not_measured_is_not_passed_over(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(machine_yield, "_ROUNDS", 0)
+    monkeypatch.setattr(WorstSearch, "begin", lambda _: None)
+    monkeypatch.setattr(WorstSearch, "go_on", lambda _: None)
     spec, job = tmp_path / "spec.toml", tmp_path / "turn.prg"
     spec.write_text(f'name = "s"\n{CONTOUR}{REQUIRED.format(name, required)}', encoding="utf-8")
     job.write_text("G91\nG1 X25.714 F1000\nG1 X-25.714\nM30\n", encoding="utf-8")

@@ -116,6 +116,7 @@ def test_an_x_winder_program_goes_to_other_axes(tmp_path: Path, axy: Machine) ->
         ("G21\nM3 S200\nG1 X5 F600\nM5\n", "grbl", "M3 S2"),
         ("G17 G21\nG1 X5 F600\nG2 X9 Y4 I4\nM2\n", "linuxcnc", "G17"),
         ("G17 G21\nG1 X5 F600\nG2 X9 Y4 I4\n", "grbl", "G17"),
+        ("G21\nG1 X5 F600 M03\nG1 X9\nM30\n", "linuxcnc", "G1 X5 F600 M03"),
         ("O0001\nG54\nG1 X5. F600\nM30\n", "fanuc", "O0001"),
     ],
 )

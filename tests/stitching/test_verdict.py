@@ -143,7 +143,10 @@ def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:
     used = max(float(row["window_use"]) for row in rows)
     assert 0.3 < used <= verdict.result("window_use").measured  # that of a travel
     slow = [row for row in rows if float(row["alone it can at [stitch/min]"]) < 60.0]
-    assert slow and all(float(row["speed [stitch/min]"]) < 60.5 for row in slow)
+    # Swings that cancel let them be sooner than alone, and still slower than the usual stitch.
+    speeds = [float(row["speed [stitch/min]"]) for row in rows]
+    assert slow
+    assert max(float(row["speed [stitch/min]"]) for row in slow) < np.median(speeds)
 
 
 def test_a_frame_that_is_off_while_the_needle_is_up_sews_well() -> None:

@@ -186,7 +186,7 @@ class Result:
     hard: bool = False
     run: int | None = None
     of: Literal["plan", "recording", "run"] = "run"
-    typical: float | None = None
+    typical: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if self.measured is not None and not is_measured(self.measured, self.unit):

@@ -112,7 +112,7 @@ _WORDS: Mapping[str, str] = {
     "grbl": r"^[ \t]*(?:\$H|M3[ \t]*S\d|[^(;\n]*\bM0?4[ \t]+S\d)",
 }
 """Words that few controls but these have, by dialect."""
-_PREAMBLE = re.compile(r"^[^(;\n]*\bG(?:17|5[4-9])\b", re.IGNORECASE | re.MULTILINE)
+_PREAMBLE = re.compile(r"^[^(;\n]*\b(?:G17|G5[4-9]|M0?[34])\b", re.IGNORECASE | re.MULTILINE)
 """Words of every control for machine tools, and of no winder."""
 _END = re.compile(rb"^[ \t]*(?:N\d+[ \t]*)?(?:M0?2|M30|%)[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
 _COMMENT = re.compile(r"\(([^()\n]*)\)|;([^\n]*)")
