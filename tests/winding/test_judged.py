@@ -9,16 +9,29 @@ import pytest
 
 from tests.winding import programs
 from threadline.base.arrays import FloatArray
+from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
+from threadline.proof.asked import Words
+from threadline.proof.option_form import Door
 from threadline.proof.options import describe, options_from, options_of
-from threadline.proof.pipeline import NOMINAL, open_job, plan_job, prove_plan, with_shaping
+from threadline.proof.pipeline import (
+    NOMINAL,
+    open_job,
+    plan_job,
+    prove_plan,
+    with_product,
+    with_shaping,
+)
 from threadline.report.proof import write_report
+from threadline.search.compare import compare, placement_spec
+from threadline.search.question import question_of
 from threadline.search.studied import Studied
-from threadline.verdict import load_spec
-from threadline.verdict.fibre import MEASURED, PLANNED, measure_planned
+from threadline.verdict import Spec, load_spec
+from threadline.verdict.fibre import MEASURED, PLANNED, Near, measure_planned
 from threadline.verdict.finding import Finding
+from threadline.verdict.replayed import Wound, WoundJob
 from threadline.winding.product import Product, product_of_text, product_text
 from threadline.winding.raster import Gap, Raster
 from threadline.winding.replay import Replay
@@ -169,3 +182,68 @@ def test_a_machine_without_an_eye_takes_no_product(tmp_path: Path) -> None:
     file.write_text("G21\nG90\nG1 X10 F600\nM2\n")
     with pytest.raises(OptionError, match="--product needs the eye of a winder"):
         plan_job(open_job(file, stitcher, options), stitcher, options)
+
+
+def test_every_verb_that_judges_takes_the_fibre(
+    tmp_path: Path, machine: Machine, circuit: FloatArray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that only its fibre faults is out of spec for ``compare`` and ``yield`` as well."""
+    file = tmp_path / "p.prg"
+    file.write_text(programs.program(circuit, 1, programs.slipping(circuit)))
+    options = options_of(product=str(VESSEL), interpolation="linear")
+    job = open_job(file, machine, options)
+    found = compare(job, machine, load_spec(None, machine), [options], with_fastest=False)
+    failed = {r.name for r in found.proofs[0].verdict.results if r.status == "failed"}
+    assert "slip_tendency" in failed and "contour_error" not in failed
+    words = Words.of("fastest", Door.LINE, {"product": str(VESSEL), "margin": "10 %"})
+    asked = {one.name: one.limit for one in question_of(words, file, machine).spec.criteria}
+    assert asked["slip_tendency"] == pytest.approx(0.9 * 0.2)
+    searched = placement_spec(with_product(load_spec(None, machine), machine, options))
+    assert {one.name for one in searched.criteria if one.limit} >= {"slip_tendency", "lifting"}
+    # The search for its worst machine takes minutes: only its specification is read.
+    given: list[set[str]] = []
+
+    def taken(plan: Plan, spec: Spec) -> None:
+        given.append({one.name for one in spec.criteria})
+        raise OptionError("far enough", remedy="Go on.")
+
+    monkeypatch.setattr("threadline.cli.yield_.MachineYield", taken)
+    with pytest.raises(SystemExit):
+        main(["yield", str(file), "-m", "lathe-winder", "--product", str(VESSEL)])
+    assert given[0] >= {"slip_tendency", "planned_lifting"}
+
+
+def test_compile_says_who_takes_a_product(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["compile", "p.prg", "-m", "lathe-winder", "--product", "p.wind.toml"])
+    assert ended.value.code == 2
+    assert "compile takes no --product; prove, run, " in capsys.readouterr().err
+
+
+def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
+    """A wandering eye beside, inside and beyond a cylinder, whose distance is a closed form."""
+    file = tmp_path / "c.wind.toml"
+    file.write_text(
+        '[[part]]\nkind = "cylinder"\nradius = "50 mm"\nlength = "200 mm"\n'
+        '[band]\nwidth = "5 mm"\n[friction]\nvalue = "0.3"\n[fibre]\nclearance = "3 mm"\n'
+    )
+    product = product_of_text(product_text(file))
+    tool = load_machine("lathe-winder").tool
+    assert tool is not None
+    chance = np.random.default_rng(1)
+    eyes = np.zeros((20_000, 6))
+    eyes[:, 1] = 0.1 + np.cumsum(chance.normal(0.0, 1e-3, 20_000))
+    eyes[:, 2] = 0.055 + 0.01 * np.sin(np.arange(20_000) / 300.0)
+    blank = np.zeros((20_000, 3))
+    found = Near([WoundJob(product, tool, ("A", "X", "Y"))])(
+        Wound(blank[:, 0], None, blank, [], [eyes]), 0
+    )
+    x, out = eyes[:, 1], eyes[:, 2] - 0.05
+    beyond = np.maximum(np.maximum(-x, x - 0.2), 0.0)
+    distance = np.where(beyond > 0.0, np.hypot(beyond, np.maximum(out, 0.0)), out)
+    # The ends are open: below their rims there is no face to keep away from.
+    rim = (out < 0.0) & (np.minimum(x, 0.2 - x) < -out)
+    wanted = np.maximum(0.003 - distance, 0.0)
+    assert (wanted > 0.0).mean() > 0.1
+    # The outline has a point every 25 um.
+    np.testing.assert_allclose(found[~rim], wanted[~rim], atol=1.25e-5)

@@ -66,6 +66,22 @@ def test_a_gap_has_its_width_across(winding: float) -> None:
     assert raster.gap().width_m == pytest.approx(wanted, abs=2.1 * WIDTH / 20.0)
 
 
+def test_a_gap_names_the_band_beside_it() -> None:
+    """Of two rings far from each other, the nearer one to the widest gap, wherever it is round."""
+    raster = Raster(CYLINDER, WIDTH, 0.05, 0.25)
+    for number, u in ((7, 0.06), (8, 0.20)):
+        angle = np.linspace(0.0, 2.0, 400)
+        places = np.full(400, u)
+        laid = np.ones(400, dtype=bool)
+        full = np.full(400, number, dtype=np.int64)
+        raster.lay(places, angle, np.full(400, 0.5 * math.pi), laid, full)
+        raster.lay(places[:1], angle[:1], angle[:1], ~laid[:1], full[:1])
+    gap = raster.gap()
+    # No band crosses it round the mandrel: it is as wide as the bare part, about 3.2 rad of arc.
+    assert gap.width_m > 0.1
+    assert gap.operation in (7, 8)
+
+
 def test_no_fibre_is_a_gap_and_all_is_none() -> None:
     raster = Raster(CYLINDER, WIDTH, 0.05, 0.25)
     assert raster.gap().share == pytest.approx(1.0)

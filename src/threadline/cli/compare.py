@@ -59,8 +59,9 @@ def compare(
     """Prove JOB with several interpolations at several feeds, and print them side by side.
 
     On an on/off machine shapers are compared instead, on an embroidery machine motion laws. The
-    fastest feed of each interpolation is searched within the placement criteria alone. For a move
-    list, a design, or a machine file without dynamics the output names the command that searches.
+    fastest feed of each interpolation is searched within the criteria of placement and of the laid
+    fibre alone. For a move list, a design, or a machine file without dynamics the output names the
+    command that searches.
 
     Exit status: 0 when every proof is in spec, 1 when one is not, 2 wrong input.
 

@@ -101,6 +101,17 @@ def _of_arguments(error: TyperException) -> str:
         what, remedy = field_fault(fault)
         told = f"{error.param.get_error_hint()} {what}. {remedy}"
         return f"[{OptionError.code}] {told} See the command's --help."
+    # Imported only here: the table of options imports numpy.
+    from threadline.proof.option_table import TABLE
+
+    verb = getattr(getattr(error, "ctx", None), "info_name", None)
+    name = getattr(error, "option_name", "")
+    elsewhere = next((one.verbs for one in TABLE if one.typed == name), ())
+    if elsewhere and verb not in elsewhere:
+        return (
+            f"[{OptionError.code}] {verb} takes no {name}; {', '.join(elsewhere)} take it. "
+            "Leave it out."
+        )
     return (
         f"[{OptionError.code}] {error.format_message().rstrip('.')}. "
         "See the command's --help for its arguments and options."

@@ -40,7 +40,7 @@ from threadline.errors import OptionError
 from threadline.machine.variants import not_drawn
 from threadline.proof.asked import Words
 from threadline.proof.option_words import parse_yield
-from threadline.proof.pipeline import check_machine, open_job, plan_job
+from threadline.proof.pipeline import check_machine, open_job, plan_job, with_product
 from threadline.proof.proof_file import spec_sha256
 from threadline.proof.worst_machine import Worst, worst_toml
 from threadline.search.influence import MACHINES, cheapest_set
@@ -116,7 +116,7 @@ def yield_(
     options = words.options()
     check_machine(chosen)
     plan = plan_job(open_job(job, chosen, options), chosen, options)
-    asked = words.spec(chosen)
+    asked = with_product(words.spec(chosen), chosen, options)
     judged = MachineYield(plan, asked)
     if wanted is not None:
         _check_reachable(variants, wanted, at_least or "")

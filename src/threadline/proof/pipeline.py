@@ -54,6 +54,7 @@ __all__ = [
     "target_names",
     "target_of",
     "try_plan",
+    "with_product",
     "with_shaping",
     "write",
     "yielding",
@@ -243,6 +244,11 @@ def with_shaping(spec: Spec, machine: Machine, options: Options) -> Spec:
     The path deviation due to shaping and smoothing is always listed, with or without a limit.
     """
     return kind_of(machine).with_criteria(spec, options)
+
+
+def with_product(spec: Spec, machine: Machine, options: Options) -> Spec:
+    """Return the specification with the criteria of a winder's product, if there is one."""
+    return spec if options.product is None else with_shaping(spec, machine, options)
 
 
 def target_names() -> tuple[str, ...]:

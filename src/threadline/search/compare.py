@@ -16,13 +16,22 @@ from threadline.machine import Machine
 from threadline.motion.path.interpolations import FIRMWARE
 from threadline.proof.kinds import kind_of
 from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Proof, Trials, check_machine, plan_job, prove_plan
+from threadline.proof.pipeline import (
+    NOMINAL,
+    Proof,
+    Trials,
+    check_machine,
+    plan_job,
+    prove_plan,
+    with_product,
+)
 from threadline.search.allowance import FastestJob
 from threadline.search.least_limits import fastest_job
 from threadline.search.paced import Question
 from threadline.verdict import Spec
+from threadline.verdict.fibre import MEASURED, PLANNED
 
-PLACEMENT = ("contour_error", "turning_point_error")
+PLACEMENT = ("contour_error", "turning_point_error", *MEASURED, *PLANNED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,7 +122,7 @@ def compare(
             refused.append((options.shaper, error.message))
             why = error
             continue
-        proofs.append(prove_plan(plan, spec, trials=trials))
+        proofs.append(prove_plan(plan, with_product(spec, machine, options), trials=trials))
     if not proofs and why is not None:
         raise why
     fastest = {}
@@ -123,8 +132,8 @@ def compare(
             chosen = replace(options, feed=None, shaper=None)
             fastest[interpolation] = fastest_job(
                 Question(
-                    job=job, machine=machine, spec=placement_spec(spec), options=chosen,
-                    trials=trials,
+                    job=job, machine=machine, options=chosen, trials=trials,
+                    spec=placement_spec(with_product(spec, machine, options)),
                 )
             )  # fmt: skip
     return Comparison(

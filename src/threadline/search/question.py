@@ -16,7 +16,7 @@ from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.asked import Words, with_radii_of
 from threadline.proof.option_words import parse_feed, parse_margin, parse_robust
 from threadline.proof.options import Options
-from threadline.proof.pipeline import open_job, with_shaping
+from threadline.proof.pipeline import open_job, with_product, with_shaping
 from threadline.search.choices import CHOSEN
 from threadline.search.feed import searched_by
 from threadline.search.paced import Question
@@ -181,7 +181,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     refuse_others(job, options, given)
     search = searched_as(job, options)
     low, high, by = ASKED[search].span(job, chosen, words.text("low"), words.text("high"))
-    spec = words.spec(chosen).with_margin(margin)
+    spec = with_product(words.spec(chosen), chosen, options).with_margin(margin)
     actual, mismatch, band = words.actual(), words.flag("mismatch"), None
     if job.paced_by == "switchings":  # commands made for a band are judged all over it
         trials, band = replace(trials, band=None), trials.band

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from threadline.base.arrays import FloatArray, IntArray
@@ -35,6 +36,8 @@ _NEVER = (
     "it the mandrel of this program?"
 )
 _NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
+_SELDOM = 32  # samples between two at which the distance of a far eye is searched
+_CLOSE_M = 1e-4  # more than half a step of the outline and than any rounding
 _OUTLINE = 8193  # places of the meridian for the distance of the eye
 
 
@@ -185,7 +188,7 @@ def _paid_out(samples: Wound, run: int) -> FloatArray:
         return np.where(fibre.known, np.abs(fibre.used_m) / step_s, np.nan)
 
 
-class _Near:
+class Near:
     """How far the eye comes nearer to the mandrel than the product allows."""
 
     def __init__(self, jobs: Sequence[WoundJob]) -> None:
@@ -198,13 +201,28 @@ class _Near:
             self._wanted.append(job.product.clearance or 0.0)
 
     def __call__(self, samples: Wound, run: int) -> FloatArray:
+        """Return (n,) lengths, m, by which the eye of a run is too near."""
         eyes, (x, r) = samples.eyes[run], self._outlines[run]
         place = np.column_stack([eyes[:, 1], np.hypot(eyes[:, 2], eyes[:, 3])])
-        distance = np.asarray(self._trees[run].query(place)[0])
         inside = (place[:, 0] > x[0]) & (place[:, 0] < x[-1])
         inside &= place[:, 1] < np.interp(place[:, 0], x, r)
+        distance = self._distances(place, inside, run)
         signed = np.where(inside, -distance, distance)
         return np.asarray(np.maximum(self._wanted[run] - signed, 0.0))
+
+    def _distances(self, place: FloatArray, inside: NDArray[np.bool_], run: int) -> FloatArray:
+        """Return (n,) distances to the surface; infinite where it is surely further than wanted.
+
+        The distance changes by no more than the eye moves, so most samples need no search.
+        """
+        moved = np.hypot(*np.diff(place, axis=0, prepend=place[:1]).T).cumsum()
+        tree, seldom = self._trees[run], np.arange(0, len(place), _SELDOM)
+        group = np.arange(len(place)) // _SELDOM
+        least = np.asarray(tree.query(place[seldom])[0])[group] - (moved - moved[seldom][group])
+        near = inside | (least <= self._wanted[run] + _CLOSE_M)
+        distance = np.full(len(place), np.inf)
+        distance[near] = tree.query(place[near])[0]
+        return distance
 
 
 @njit(nogil=True)
@@ -336,7 +354,7 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
                 return _Absent(runs, "the product names no [coverage]")
             return _OfRun(setting, _Covering(jobs, axes))
         if name == "clearance":
-            return _OfRun(setting, _Largest(runs, axes, _Near(jobs)))
+            return _OfRun(setting, _Largest(runs, axes, Near(jobs)))
         if name == "laid_error":
             return _OfRun(setting, _Largest(runs, axes, _Apart(plan, jobs)))
         if name == "lifting":

@@ -213,14 +213,12 @@ class Raster:
         if not bare.any():
             return Gap(0.0, 0.0, -1, "")
         x, r = (values[:, 0] for values in self._surface.at(self.places))
-        along = _runs(bare.T, around=False).T * self._cell[0]
-        around = _runs(bare, around=True) * (self._cell[1] * r[:, None])
+        along = _runs(np.ascontiguousarray(bare.T), False).T * self._cell[0]
+        around = _runs(bare, True) * (self._cell[1] * r[:, None])
         with np.errstate(invalid="ignore"):
             width = np.where(bare, along * around / np.hypot(along, around), 0.0)
         row, column = np.unravel_index(int(width.argmax()), width.shape)
-        beside = self._of[:, column]
-        laid = np.flatnonzero(beside >= 0)
-        nearest = -1 if not len(laid) else int(beside[laid[np.abs(laid - row).argmin()]])
+        nearest = self._beside(int(row), int(column), x, r)
         words = (
             f"at {1e3 * x[row]:.4g} mm along the mandrel, "
             f"{math.degrees(self._cell[1]) * column:.4g} deg round it; {1e2 * share:.2g} % is not "
@@ -228,22 +226,42 @@ class Raster:
         )
         return Gap(float(width[row, column]), share, nearest, words)
 
+    def _beside(self, row: int, column: int, x: FloatArray, r: FloatArray) -> int:
+        """Return the operation that laid the band nearest to a cell; -1 if there is none."""
+        nearest, found = math.inf, -1
+        for other, of in enumerate(self._of):  # row by row: the raster may fill half the memory
+            laid = np.flatnonzero(of >= 0)
+            if not len(laid):
+                continue
+            away = np.abs(laid - column)
+            away = np.minimum(away, len(of) - away)
+            at = int(away.argmin())
+            around = r[row] * self._cell[1] * float(away[at])
+            distance = math.hypot(x[other] - x[row], r[other] - r[row], around)
+            if distance < nearest:
+                nearest, found = distance, int(of[laid[at]])
+        return found
 
-def _runs(bare: NDArray[np.bool_], *, around: bool) -> FloatArray:
+
+@njit(nogil=True)
+def _runs(bare: NDArray[np.bool_], around: bool) -> FloatArray:
     """Return for each cell the length of the run of bare cells in its row, in cells."""
-    found = np.zeros(bare.shape)
-    for row, cells in enumerate(bare):
-        if not cells.any():
-            continue
-        if cells.all():
-            found[row] = len(cells)
-            continue
+    rows, columns = bare.shape
+    found = np.zeros((rows, columns))
+    for row in range(rows):
         # Begin behind a covered cell, so that no run is cut by the seam.
-        shift = int(np.argmin(cells)) + 1 if around else 0
-        rolled = np.roll(cells, -shift)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], rolled, [False]]).astype(np.int8)))
-        lengths = np.zeros(len(cells))
-        for begin, end in edges.reshape(-1, 2):
-            lengths[begin:end] = end - begin
-        found[row] = np.roll(lengths, shift)
+        shift = 0
+        while around and shift < columns and bare[row, shift]:
+            shift += 1
+        if around and shift == columns:
+            found[row] = columns
+            continue
+        run = 0
+        for place in range(columns + 1):
+            if place < columns and bare[row, (place + shift) % columns]:
+                run += 1
+                continue
+            for back in range(place - run, place):
+                found[row, (back + shift) % columns] = run
+            run = 0
     return found
