@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from threadline.search.compare import compare, placement_spec
 from threadline.search.question import question_of
 from threadline.search.studied import Studied
 from threadline.verdict import Spec, load_spec
-from threadline.verdict.fibre import MEASURED, PLANNED, Near, measure_planned
+from threadline.verdict.fibre import MEASURED, PLANNED, Closing, Near, measure_planned
 from threadline.verdict.finding import Finding
 from threadline.verdict.replayed import Wound, WoundJob
 from threadline.winding.product import Product, product_of_text, product_text
@@ -93,6 +94,7 @@ def test_a_geodesic_program_slips_nowhere(
     assert found["planned_slip_tendency"].value == pytest.approx(0.0, abs=0.03)
     assert found["planned_bridging"].value == 0.0
     assert found["planned_lifting"].value == 0.0
+    assert "after 2 circuits" in found["planned_pattern_closure"].note
 
 
 def test_a_slip_is_found_at_its_line(tmp_path: Path, machine: Machine, circuit: FloatArray) -> None:
@@ -125,12 +127,18 @@ def test_a_waist_is_bridged(tmp_path: Path, machine: Machine, circuit: FloatArra
     assert FIRST_LINE < _line(plan, finding) < FIRST_LINE + len(circuit)
 
 
-def _gap(vessel: Product, machine: Machine, circuit: FloatArray, circuits: int) -> Gap:
+def _eyes(circuit: FloatArray, circuits: int) -> FloatArray:
+    """Return (n, 6) eyes of equal circuits, from the mandrel's left end."""
     turn = circuit[-1, 0] - circuit[0, 0]
     rows = [circuit[1:] + np.array([k * turn, 0.0, 0.0]) for k in range(circuits)]
     eyes = np.zeros((1 + circuits * (len(circuit) - 1), 6))
     eyes[:, :3] = np.vstack([circuit[:1], *rows])
     eyes[:, 1] -= programs.AT_M
+    return eyes
+
+
+def _gap(vessel: Product, machine: Machine, circuit: FloatArray, circuits: int) -> Gap:
+    eyes = _eyes(circuit, circuits)
     assert machine.tool is not None and vessel.covered is not None
     fibre = Replay(vessel.surface, machine.tool, 0.2, vessel.tied).feed(eyes)
     raster = Raster(vessel.surface, vessel.width.si, *vessel.covered)
@@ -247,3 +255,25 @@ def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
     assert (wanted > 0.0).mean() > 0.1
     # The outline has a point every 25 um.
     np.testing.assert_allclose(found[~rim], wanted[~rim], atol=1.25e-5)
+
+
+@pytest.mark.parametrize("circuits", [programs.CIRCUITS, programs.TOO_FEW, 3])
+def test_a_pattern_closes_after_its_number_of_circuits(
+    vessel: Product, machine: Machine, circuit: FloatArray, circuits: int
+) -> None:
+    """A circuit is 63/44 of a turn by number theory, and the fibre's angle is Clairaut's."""
+    assert machine.tool is not None
+    eyes = _eyes(circuit, circuits)
+    job = WoundJob(vessel, machine.tool, machine.axis_names)
+    closing = Closing([job], 3)
+    replay = job.replay()
+    for part in np.array_split(eyes, 7):
+        fibre = replay.feed(part)
+        blank = np.zeros((len(part), 3))
+        closing.take(Wound(blank[:, 0], None, blank, [fibre], [part]))
+    away = closing.found().worst()
+    share = circuits * programs.TURNS / programs.CIRCUITS % 1.0
+    share = min(share, 1.0 - share)
+    cos = math.sqrt(1.0 - (programs.TURN_M / 0.05) ** 2)
+    assert away.value == pytest.approx(share * 2.0 * math.pi * 0.05 * cos, abs=3e-4)
+    assert f"after {circuits} circuits" in away.note

@@ -120,7 +120,7 @@ def _held(values: IntArray, before: int) -> IntArray:
 class _OfRun:
     """A measure that takes the samples of the shared replays."""
 
-    def __init__(self, setting: Setting, taking: _Largest | _Covering) -> None:
+    def __init__(self, setting: Setting, taking: _Largest | _Covering | Closing) -> None:
         self._shared, self._taking = shared_replays(setting), taking
 
     def feed(self, block: Block) -> None:
@@ -331,6 +331,68 @@ class _Covering:
         return self._worst.found()
 
 
+class Closing:
+    """How far a pattern is from its closure: where one more circuit would lie beside the first.
+
+    A circuit begins where the fibre crosses the middle of the widest place from left to right.
+    """
+
+    def __init__(self, jobs: Sequence[WoundJob], axes: int) -> None:
+        self._worst = Worst(len(jobs), axes, note="fewer than two known circuits")
+        self._width_m, self._radius_m, self._at_u = [], [], []
+        for job in jobs:
+            u = np.linspace(0.0, job.surface.length_m, _OUTLINE)
+            r = job.surface.at(u)[1][:, 0]
+            self._width_m.append(job.width_m)
+            self._radius_m.append(float(r.max()))
+            self._at_u.append(float(np.median(u[r > r.max() * (1.0 - 1e-9)])))
+        self._last = [np.full((1, 2), np.nan) for _ in jobs]
+        # Angle, angle with the meridian and operation of each beginning.
+        self._circuits: list[list[FloatArray]] = [[] for _ in jobs]
+
+    def take(self, samples: Wound) -> None:
+        """Look for circuits that begin in the next samples."""
+        for run, fibre in enumerate(samples.fibres):
+            if not len(fibre):
+                continue
+            rows = np.column_stack([fibre.u - self._at_u[run], fibre.angle])
+            rows[~fibre.known] = np.nan
+            chain = np.vstack([self._last[run], rows])
+            self._last[run] = chain[-1:]
+            at = np.flatnonzero((chain[:-1, 0] < 0.0) & (chain[1:, 0] >= 0.0))
+            share = chain[at, 0] / (chain[at, 0] - chain[at + 1, 0])
+            angle = chain[at, 1] + share * (chain[at + 1, 1] - chain[at, 1])
+            none = np.full(len(fibre), -1)
+            operation = none if samples.operation is None else samples.operation
+            self._circuits[run].append(np.column_stack([angle, fibre.winding[at], operation[at]]))
+
+    def found(self) -> Found:
+        """Return the distance of each run across the bands, at the last circuit."""
+        values, operations, notes = [], [], []
+        for run, circuits in enumerate(self._circuits):
+            rows = np.vstack([np.empty((0, 3)), *circuits])
+            if len(rows) < 2:
+                values.append(np.nan)
+                operations.append(-1)
+                notes.append("")
+                continue
+            off = 2.0 * rows[-1, 0] - rows[-2, 0] - rows[0, 0]
+            off = abs(float(np.arctan2(np.sin(off), np.cos(off))))
+            away = off * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
+            values.append(away)
+            operations.append(int(rows[-1, 2]))
+            notes.append(
+                f"after {len(rows)} circuits the next would lie {away / self._width_m[run]:.2f} "
+                "bands beside the first"
+            )
+        self._worst.offer(
+            np.array(values),
+            operation=np.array(operations),
+            note=np.array(notes, dtype=object),
+        )
+        return self._worst.found()
+
+
 _OF_FIBRE: Mapping[str, tuple[Values, Callable[[Fibre, int], str] | None]] = {
     "slip_tendency": (_steer, _wobble),
     "bridging": (_bridged, None),
@@ -353,6 +415,8 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
             if jobs[0].product.covered is None:
                 return _Absent(runs, "the product names no [coverage]")
             return _OfRun(setting, _Covering(jobs, axes))
+        if name == "pattern_closure":
+            return _OfRun(setting, Closing(jobs, axes))
         if name == "clearance":
             return _OfRun(setting, _Largest(runs, axes, Near(jobs)))
         if name == "laid_error":
@@ -365,9 +429,12 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
     return start
 
 
-MEASURED = (*_OF_FIBRE, "lifting", "clearance", "laid_error", "coverage_gap")
+MEASURED = (*_OF_FIBRE, "lifting", "clearance", "laid_error", "pattern_closure", "coverage_gap")
 """Names of the measures of a run."""
-PLANNED = ("planned_slip_tendency", "planned_bridging", "planned_lifting", "planned_coverage_gap")
+PLANNED = (
+    "planned_slip_tendency", "planned_bridging", "planned_lifting", "planned_pattern_closure",
+    "planned_coverage_gap",
+)  # fmt: skip
 """Names of the measures of the planned motion."""
 
 
@@ -377,11 +444,12 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     if job is None:
         return {name: [Finding(value=None, note=_NO_PRODUCT)] for name in PLANNED}
     axes = len(plan.axes)
-    taking: dict[str, _Largest | _Covering] = {
+    taking: dict[str, _Largest | _Covering | Closing] = {
         f"planned_{name}": _Largest(1, axes, *_OF_FIBRE[name])
         for name in ("slip_tendency", "bridging")
     }
     taking["planned_lifting"] = _Lifted(1, axes)
+    taking["planned_pattern_closure"] = Closing([job], axes)
     if job.product.covered is not None:
         taking["planned_coverage_gap"] = _Covering([job], axes)
     for samples in planned_fibre(plan, job):
@@ -408,6 +476,8 @@ def criteria_of(product: Product) -> tuple[Criterion, ...]:
         "laid_error": None,
         "free_length": None,
         "fibre_speed": None,
+        "planned_pattern_closure": None,
+        "pattern_closure": None,
     }
     if product.covered is not None:
         wanted |= {"planned_coverage_gap": product.gap, "coverage_gap": product.gap}

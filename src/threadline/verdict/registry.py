@@ -98,7 +98,7 @@ _FIBRE = (
             name=name,
             dimension=_DIMENSIONS.get(name, "tool"),
             per_axis=False,
-            of_worst=name != "coverage_gap",
+            of_worst=name not in {"pattern_closure", "coverage_gap"},
             reads=(_moved(starter(name), _ACTUAL, _OPERATION),),
         )
         for name in MEASURED
