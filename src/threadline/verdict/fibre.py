@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
@@ -192,6 +191,9 @@ class Near:
     """How far the eye comes nearer to the mandrel than the product allows."""
 
     def __init__(self, jobs: Sequence[WoundJob]) -> None:
+        # Imported only here: few jobs have a product, and the library takes long to load.
+        from scipy.spatial import cKDTree
+
         self._trees, self._outlines, self._wanted = [], [], []
         for job in jobs:
             surface = job.surface

@@ -6,7 +6,6 @@ import itertools
 import math
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from threadline.base.arrays import FloatArray
 from threadline.winding.surface import Stretch, line, stretch_of
@@ -154,6 +153,9 @@ def _spline(points_m: FloatArray) -> Stretch:
         (x0, r0), (x1, r1) = points_m.tolist()
         return line(x0, r0, x1, r1)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points_m, axis=0).T))])
+    # Imported only here: few mandrels have a table, and the library takes long to load.
+    from scipy.interpolate import CubicSpline
+
     curve = CubicSpline(along, points_m, bc_type="natural")
 
     def drawn(p: FloatArray) -> tuple[FloatArray, FloatArray]:
