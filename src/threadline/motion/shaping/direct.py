@@ -230,7 +230,7 @@ class _Problem:
                 break
             low, high = high, 1.5 * high
         else:
-            raise ShaperError(f"direct shaper: no positive train within {high:.3g} periods")
+            raise ShaperError(f"direct shaper: no positive train found within {high:.3g} periods")
         while high - low > 1e-2 * high:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if self._least(middle, points)[0] <= small else (middle, high)
