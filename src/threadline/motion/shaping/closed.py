@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError
 from threadline.motion.shaping.response import Rows, pole
 from threadline.motion.shaping.solvers import System, follow
 
@@ -208,16 +209,35 @@ def binomial(order: int, zeta: float) -> Train:
     )
 
 
-def modified_zv(zeta: float) -> Train:
-    """MZV: three impulses, 3/8 of a damped period apart, so that V is 0 at the mode.
+def modified_zv(zeta: float, n: int = 3, lasts: float = 0.75) -> Train:
+    """MZV: ``n`` impulses evenly over ``lasts`` damped periods, so that V is 0 at the mode.
 
-    1 + sqrt(2) z + z^2 vanishes at z = exp(j 3 pi / 4), which fixes the amplitudes.
+    The undamped train is a polynomial in z whose n - 1 roots lie on the unit circle, evenly from
+    the angle 2 pi ``lasts`` / (n - 1) to its conjugate: zeros of V at the mode, and above it at
+    steps of (n - 1 - 2 ``lasts``) / (``lasts`` (n - 2)) of its frequency. With three impulses
+    over 3/4 of a period it is 1 + sqrt(2) z + z^2.
+
+    Raises
+    ------
+    OptionError
+        If there are fewer than 3 impulses; within half a period some would be negative, and from
+        (n - 1) / 2 periods on the zeros of V meet.
     """
-    k = _decay(zeta, 0.375)
-    weights: FloatArray = np.array([1.0, math.sqrt(2.0) * k, k**2], dtype=np.float64)
-    return weights / float(weights.sum()), np.arange(3, dtype=np.float64) * (
-        0.375 * _damped_period(zeta)
-    )
+    if n < 3:
+        raise OptionError(f"mzv: n must be at least 3, got {n}")
+    if not 0.5 <= lasts < 0.5 * (n - 1) - 1e-7:
+        raise OptionError(
+            f"mzv: {n} impulses over {lasts:.6g} damped periods; t must be at least 0.5 and below "
+            f"(n - 1) / 2 = {0.5 * (n - 1):g}",
+            remedy="Take more impulses, or less time.",
+        )
+    first = 2.0 * math.pi * lasts / (n - 1)
+    roots = np.exp(1j * np.linspace(first, 2.0 * math.pi - first, n - 1))
+    plain = np.real(np.poly(roots))
+    at = np.arange(n, dtype=np.float64) * lasts / (n - 1)
+    used = plain > 1e-12
+    weights: FloatArray = plain[used] * _decay(zeta, lasts / (n - 1)) ** np.flatnonzero(used)
+    return weights / float(weights.sum()), at[used] * _damped_period(zeta)
 
 
 def _zero_system(order: int, zeta: float, amplitudes: FloatArray) -> System:
