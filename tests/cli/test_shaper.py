@@ -178,7 +178,8 @@ def test_ticks_klipper_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[
     [
         (["--mode", "3 mm"], ["mode '3 mm'"]),
         (["--mode", "3Hz", "--kind", "zw"], ["'zw' is unknown", "um-zv"]),
-        (["--mode", "3Hz", "--damping", "0.5"], ["the damping ratio", "real part"]),
+        (["--mode", "3Hz", "--damping", "1.5"], ["the damping ratio", "real part"]),
+        (["--mode", "3Hz", "--damping", "0.5", "--kind", "ei"], ["the damping ratio", "real part"]),
         (["--mode", "3Hz", "--damping", "0.1", "--damping", "0.2"], ["2 damping ratios"]),
         (["--mode", "3Hz", "--kind", "si", "--band", "0"], ["band"]),
         (["--mode", "3Hz", "--dwell", "5ms"], ["--tick"]),

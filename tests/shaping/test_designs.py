@@ -203,7 +203,10 @@ def test_what_the_misread_damping_ratio_costs() -> None:
 
 def test_errors_say_what_is_wrong() -> None:
     with pytest.raises(OptionError, match="the damping ratio must be in"):
-        FlexibleMode(3.04, 0.3)
+        FlexibleMode(3.04, 0.99)
+    for kind in ("ei", "um-zv", "negative-2ei"):
+        with pytest.raises(OptionError, match=r"the damping ratio must be in \[0, 0.3\)"):
+            design(kind, FlexibleMode(3.04, 0.3))
     with pytest.raises(OptionError, match="zvx"):
         design("zvx", FlexibleMode(1.0))
     with pytest.raises(ShaperError, match="did not converge"):
@@ -266,3 +269,25 @@ def test_many_humps_with_much_damping(kind: str, zeta: float, tolerance: float) 
 def test_what_was_not_found_is_not_called_missing() -> None:
     with pytest.raises(ShaperError, match="not found"):
         design("3hump-ei", FlexibleMode(1.0, 0.29), tolerance=0.1)
+
+
+@pytest.mark.parametrize("zeta", [0.3, 0.5, 0.7])
+def test_closed_forms_take_any_damping(zeta: float) -> None:
+    """ZV: 1 and k = exp(-pi zeta / sqrt(1 - zeta^2)); MZV likewise silent, by a simulation."""
+    mode, omega = FlexibleMode(3.0, zeta), 2 * np.pi * 3.0
+    k = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
+    zv = design("zv", mode)
+    assert zv.amplitudes == pytest.approx(np.array([1, k]) / (1 + k), rel=1e-12)
+    zvd = design("zvd", mode)
+    assert zvd.amplitudes == pytest.approx(np.array([1, 2 * k, k**2]) / (1 + k) ** 2, rel=1e-12)
+    for train in (zv, zvd, design("mzv", mode), design("mzv(n=5,t=1.2)", mode)):
+
+        def slope(t: float, y: NDArray[np.float64], s: Shaper = train) -> list[float]:
+            u = s.levels[np.searchsorted(s.times_s, t, side="right") - 1]
+            return [y[1], omega**2 * (u - y[0]) - 2 * zeta * omega * y[1]]
+
+        y = np.zeros(2)
+        for a, b in zip(train.times_s[:-1], train.times_s[1:], strict=True):
+            inner = (a + 1e-12, b - 1e-12)
+            y = solve_ivp(slope, inner, y, rtol=1e-10, atol=1e-12).y[:, -1]
+        assert y == pytest.approx([1.0, 0.0], abs=1e-7)

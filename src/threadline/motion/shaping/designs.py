@@ -261,7 +261,8 @@ def design(
         See :class:`ShaperKind`, or ``mzv(n=4,t=0.9)``, see :func:`mzv_shape`. Negative
         (over-pressure) kinds are for comparison: their step leaves [0, 1].
     mode
-        Undamped frequency, Hz, and damping ratio in [0, 0.3).
+        Undamped frequency, Hz, and damping ratio: in [0, 0.3), or in [0, 0.99) for the kinds in
+        closed form, ZV, MZV, ZVD and ZVDD.
     tolerance
         Height of the humps of the EI kinds, in (0, 0.5); the others ignore it.
     over_level
@@ -297,6 +298,8 @@ def design(
     if not 0.0 < tolerance < 0.5:
         raise OptionError(f"shaper tolerance must be in (0, 0.5), got {tolerance!r}")
     zeta = mode.damping_ratio
+    if chosen not in _POSITIVE_ORDER and chosen is not ShaperKind.MZV:
+        mode.refuse_much_damping(f"shaper '{chosen}'")
     if chosen in _POSITIVE_HUMPS:
         return _proved_humps(
             chosen, mode, positive_humps(_POSITIVE_HUMPS[chosen], zeta, tolerance), tolerance

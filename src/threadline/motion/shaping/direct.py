@@ -68,6 +68,7 @@ class Requirement:
     derivatives: int = 0
 
     def __post_init__(self) -> None:
+        self.mode.refuse_much_damping(f"requirement at {self.mode.frequency_hz:g} Hz")
         if not 0.0 <= self.tolerance < 1.0 or not 0.0 <= self.relative < 1.0:
             raise OptionError(
                 f"requirement at {self.mode.frequency_hz:g} Hz: tolerance {self.tolerance!r} and "
