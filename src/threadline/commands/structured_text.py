@@ -1,7 +1,8 @@
 """IEC 61131-3 structured text of a schedule: a function block that plays its Petri net.
 
-The text is standard (second and third edition): it calls no vendor functions, declares and types
-every name, and puts located variables in a VAR block of their own.
+It is written as two files, units and configuration, or as one file for OpenPLC. The text is
+standard (second and third edition): it calls no vendor functions, declares and types every name,
+and puts located variables in a VAR block of their own.
 """
 
 from __future__ import annotations
@@ -70,8 +71,13 @@ _INTERNAL = (
 _ONCE = ("start", "acknowledge", "home")
 
 
-def plc_program(scheduled: Scheduled) -> PlcProgram:
-    """Return the program units of ``scheduled``.
+OPENPLC = ("Config0", "Res0")
+"""Names of configuration and resource with OpenPLC, whose build moves and compiles the files
+``Config0.c`` and ``Res0.c``."""
+
+
+def plc_program(scheduled: Scheduled, cell: tuple[str, str] = ("cell", "cpu")) -> PlcProgram:
+    """Return the program units of ``scheduled``; ``cell`` names configuration and resource.
 
     Raises
     ------
@@ -83,6 +89,8 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
     assert machine.plc is not None
     roles = {kind: _of_kind(machine, kind) for kind in ("light-grid", "enable", *_ONCE)}
     names = Names(_INTERNAL)
+    # First of all: these names have to stay as they are.
+    configuration, resource = names.give(cell[0]), names.give(cell[1])
     block_name, main_name = names.give(scheduled.job.name), names.give(f"{machine.name}_main")
     inputs = {contact: names.give(contact) for contact in machine.contacts}
     outputs = {output: names.give(output) for output in machine.outputs}
@@ -121,8 +129,8 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
     return PlcProgram(
         block=block,
         main=main,
-        configuration=names.give("cell"),
-        resource=names.give("cpu"),
+        configuration=configuration,
+        resource=resource,
         task=names.give("timed"),
         instance=names.give("machine"),
         interval_ms=net.scan_ms,
@@ -299,15 +307,17 @@ class StructuredText:
     configuration: str
 
 
-def structured_text(scheduled: Scheduled) -> StructuredText:
-    """Return the structured text of ``scheduled``.
+def structured_text(
+    scheduled: Scheduled, cell: tuple[str, str] = ("cell", "cpu")
+) -> StructuredText:
+    """Return the structured text of ``scheduled``; ``cell`` names configuration and resource.
 
     Raises
     ------
     PlanError
         As ``plc_program``.
     """
-    program = plc_program(scheduled)
+    program = plc_program(scheduled, cell)
     units = [*pou_text(program.block), "", *pou_text(program.main)]
     return StructuredText("\n".join(units) + "\n", "\n".join(configuration_text(program)) + "\n")
 
@@ -321,3 +331,11 @@ def write_structured_text(scheduled: Scheduled, path: Path) -> list[Written]:
             with atomic_file(file) as stream:
                 stream.write(content.encode("ascii"))
         return [written(path, scheduled.warnings), written(beside)]
+
+
+def write_openplc(scheduled: Scheduled, path: Path) -> list[Written]:
+    """Write units and configuration to ``path`` as the one file that OpenPLC takes."""
+    text = structured_text(scheduled, OPENPLC)
+    with atomic_file(path) as stream:
+        stream.write(f"{text.units}\n{text.configuration}".encode("ascii"))
+    return [written(path, scheduled.warnings)]

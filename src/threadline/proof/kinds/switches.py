@@ -11,7 +11,7 @@ from threadline.commands.plan import Plan, Scheduled
 from threadline.commands.plcopen import write_plcopen, write_scl
 from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
-from threadline.commands.structured_text import write_structured_text
+from threadline.commands.structured_text import write_openplc, write_structured_text
 from threadline.commands.write import Target
 from threadline.files import Commands, Recording, SwitchSchedule, switch_schedule
 from threadline.jobs.operations import Job
@@ -94,6 +94,7 @@ KIND = Kind(
     release=_release,
     compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},
     targets={
+        "openplc": Target(write=lambda plan, path: write_openplc(plan.scheduled, path)),
         "plcopen": Target(write=lambda plan, path: write_plcopen(plan.scheduled, path)),
         "scl": Target(write=lambda plan, path: write_scl(plan.scheduled, path)),
         "st": Target(write=lambda plan, path: write_structured_text(plan.scheduled, path)),
