@@ -13,7 +13,12 @@ from tests.plc.reading import IDENTIFIER, Unit, code_of, read
 from tests.plc.texts import emitted, text_of, units_of
 from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
-from threadline.commands.structured_text import OPENPLC, structured_text
+from threadline.commands.structured_text import (
+    OPENPLC,
+    structured_text,
+    write_openplc,
+    write_structured_text,
+)
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 
@@ -204,6 +209,26 @@ def test_a_job_called_as_the_configuration_gets_another_name(tmp_path: Path) -> 
     text = structured_text(made, OPENPLC)
     assert text.units.startswith("FUNCTION_BLOCK config0_2\n")
     assert text.configuration.startswith("CONFIGURATION Config0\n")
+
+
+@pytest.mark.parametrize(("pairs", "large"), [(1, False), (100, True)])
+def test_a_program_that_is_large_for_its_scan_is_told(
+    tmp_path: Path, pairs: int, large: bool
+) -> None:
+    """Every branch is in the text; the controller comes to each of them in every scan."""
+    down, up = (
+        f'[[operation]]\nmove = {{ Z = "{to} mm" }}\n[[operation]]\nwait = "{switch}"\n'
+        for to, switch in ((100, "z_is_down"), (0, "z_is_up"))
+    )
+    file = tmp_path / "list.toml"
+    file.write_text('[[operation]]\nvalve = "main_air"\n' + pairs * (down + up), "utf-8")
+    machine = load_machine("letter-placer")
+    made = compile_schedule(read_job(file, machine), machine)
+    for write in (write_structured_text, write_openplc):
+        warned = " ".join(write(made, tmp_path / "a.st")[0].warnings)
+        body = (tmp_path / "a.st").read_text("ascii").partition("END_FUNCTION_BLOCK")[0]
+        branches = len(re.findall(r"^ *(?:IF|ELSIF) ", body, re.MULTILINE))
+        assert (f"the program is large: {branches} branches" in warned) == large
 
 
 def test_no_time_stands_without_a_name() -> None:

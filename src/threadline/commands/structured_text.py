@@ -137,6 +137,33 @@ def plc_program(scheduled: Scheduled, cell: tuple[str, str] = ("cell", "cpu")) -
     )
 
 
+_BRANCH_US = 2.0
+"""Time of a branch with its comparisons on a small controller, us; a fast one needs a tenth."""
+_LARGE = 0.25
+"""Share of the scan that the branches may take before the program is called large."""
+
+
+def branches_of(program: PlcProgram) -> int:
+    """Return the number of branches; the controller comes to nearly all of them in every scan."""
+    lines = (line.lstrip() for line in program.block.body)
+    return sum(line.startswith(("IF ", "ELSIF ")) for line in lines)
+
+
+def size_warnings(scheduled: Scheduled, program: PlcProgram) -> tuple[str, ...]:
+    """Return the warnings of ``scheduled``, with one more if the program is large for its scan."""
+    branches, scan_ms = branches_of(program), program.interval_ms
+    takes_ms = 1e-3 * _BRANCH_US * branches
+    if takes_ms <= _LARGE * scan_ms:
+        return scheduled.warnings
+    return (
+        *scheduled.warnings,
+        f"the program is large: {branches} branches in every scan take about {takes_ms:.3g} ms at "
+        f"{_BRANCH_US:g} us each, and the scan is {scan_ms} ms; more than "
+        f"{_LARGE * 100.0:g} % of it is much for a small PLC. Measure its scan time, take a faster "
+        "PLC or a longer scan, or divide the list",
+    )
+
+
 def _of_kind(machine: Machine, kind: str) -> list[str]:
     found = [name for name, contact in machine.contacts.items() if contact.kind == kind]
     if not found or (kind in _ONCE and len(found) > 1):
@@ -330,7 +357,8 @@ def write_structured_text(scheduled: Scheduled, path: Path) -> list[Written]:
         for file, content in ((path, text.units), (beside, text.configuration)):
             with atomic_file(file) as stream:
                 stream.write(content.encode("ascii"))
-        return [written(path, scheduled.warnings), written(beside)]
+        warned = size_warnings(scheduled, plc_program(scheduled))
+        return [written(path, warned), written(beside)]
 
 
 def write_openplc(scheduled: Scheduled, path: Path) -> list[Written]:
@@ -338,4 +366,4 @@ def write_openplc(scheduled: Scheduled, path: Path) -> list[Written]:
     text = structured_text(scheduled, OPENPLC)
     with atomic_file(path) as stream:
         stream.write(f"{text.units}\n{text.configuration}".encode("ascii"))
-    return [written(path, scheduled.warnings)]
+    return [written(path, size_warnings(scheduled, plc_program(scheduled)))]
