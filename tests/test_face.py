@@ -222,7 +222,7 @@ def test_ends_of_tolerances_are_judged_as_on_the_command_line() -> None:
         ("x-180.prg", "lathe-winder", "fastest_job", {}, None),
         ("x-180.prg", "lathe-winder", "fastest_job", {"interpolation": "optimal"}, None),
         ("stitcher-robust.seam.toml", "stitcher", "fastest_needle", {"feed_forward": True}, 1.0),
-        ("rosette.dst", "schiffli-frame", "fastest_shaft", {}, None),
+        ("rosette.dst", "schiffli-frame", "fastest_shaft", {}, 1.0),
     ],
 )
 def test_a_search_is_asked_to_hold_at_the_ends_of_tolerances(

@@ -170,7 +170,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "turns that are taken back": (
         attribute(StitchingSession, "drop_from", nothing),
-        lambda: test_turns.test_a_stop_lets_the_turn_under_way_end_and_no_more(2503),
+        lambda: test_turns.test_a_stop_lets_the_turn_under_way_end_and_no_more(2600),
     ),
     "turns beyond the travel": (
         attribute(TurnsAhead, "_check", nothing),

@@ -85,7 +85,7 @@ def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
     assert told == [event for block in simulated() for event in block.events]
 
 
-@pytest.mark.parametrize("tick", [1, 700, 2503, 3111])
+@pytest.mark.parametrize("tick", [1, 700, 2600, 3111])
 def test_a_stop_lets_the_turn_under_way_end_and_no_more(tick: int) -> None:
     made = bench()
     made.go_on(tick)

@@ -23,6 +23,7 @@ from starlette.websockets import WebSocketDisconnect
 from tests.panel.bench import LOCAL, PROGRAM, Operator, operator, served
 from threadline.errors import InputError, JobError, OptionError
 from threadline.machine import load_machine
+from threadline.machine.parts import Tool
 from threadline.panel import admission, server
 from threadline.panel.admission import Admission, PromptHttp
 from threadline.panel.programs import planned, program_names, program_path, take_program
@@ -253,7 +254,9 @@ def test_jobs_of_the_machine_are_offered_and_no_other_files(tmp_path: Path) -> N
     ):
         assert program_names(tmp_path, load_machine(machine)) == offered
     upright = load_machine("lathe-winder")
-    upright = replace(upright, axes={**upright.axes, "Y": upright.axes["A"]})
+    assert upright.tool is not None
+    bare = Tool(radius=upright.tool.radius)
+    upright = replace(upright, axes={**upright.axes, "Y": upright.axes["A"]}, tool=bare)
     assert program_names(tmp_path, upright) == ["a.prg", "job.txt"]  # nothing to sew with
 
 

@@ -34,6 +34,7 @@ from threadline.proof.kinds import kind_of
 from threadline.twin import fastest_rates
 from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
 from threadline.verdict.rendering import shown
+from threadline.verdict.types import EQUAL_SHARES
 
 _COUNTS = "axes.*.counts"
 
@@ -203,15 +204,17 @@ def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
     """Return (runs,) the largest used share of a limit in each run, and the criterion.
 
     Criteria of the plan alone do not count: they are the same for every machine. The machine's own
-    limits count only where they are exceeded, since a plan is made to use them.
+    limits count only where they are exceeded, since a plan is made to use them. Of equal shares
+    the first criterion counts.
     """
     rows = [row for row in found.rows if row.limit is not None and not row.of_plan]
     if not rows:
         return np.zeros(found.runs), [""] * found.runs
     table = np.stack([np.where(row.failed, _share(row), 0.0) if row.hard else _share(row)
                       for row in rows])  # fmt: skip
-    at = np.argmax(table, axis=0)
-    return table[at, np.arange(found.runs)], [rows[k].text for k in at.tolist()]
+    most = table.max(axis=0)
+    at = np.argmax(table >= most * (1.0 - EQUAL_SHARES), axis=0)
+    return most, [rows[k].text for k in at.tolist()]
 
 
 def _share(row: CriterionRow) -> FloatArray:

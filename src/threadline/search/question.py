@@ -14,6 +14,7 @@ from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
 from threadline.machine import Machine
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.asked import Words, with_radii_of
+from threadline.proof.kinds import kind_of
 from threadline.proof.option_words import parse_feed, parse_margin, parse_robust
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, with_shaping
@@ -172,7 +173,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     share = None if robust is None else parse_robust(robust)
     trials = words.trials(ends=robust if share and words.text("ends") is None else None)
     named, margin = words.machine(machine), parse_margin(words.text("margin") or "0 %")
-    planned = words.text("robust") if named.commanded_by == "steps" else _planned_for(words)
+    planned = _planned_for(words, named)
     options = words.options(robust=planned)
     chosen = with_radii_of(named, options)
     options = options.on(chosen)
@@ -222,11 +223,15 @@ def _free(words: Words) -> frozenset[str]:
     return frozenset(free)
 
 
-def _planned_for(words: Words) -> str | None:
+def _planned_for(words: Words, machine: Machine) -> str | None:
     """Return the share of tolerances that plans are made for; None for the file's machine.
 
-    A plan without averages to choose is made for the file's machine, and judged on the others, too.
+    Where a kind of work has feed-forward, only plans with it are made for other machines; the rest
+    are made for the file's machine, and judged on the others, too.
     """
+    taken = kind_of(machine).planned_by
+    if "robust" in taken and "feed-forward" not in taken:
+        return words.text("robust")
     plain = words.text("interpolation") in USUAL and words.text("law") is None
     return words.text("robust") if words.flag("feed_forward") and plain else None
 

@@ -38,6 +38,9 @@ class Level(StrEnum):
 
 REPEATED_RUNS = 20
 """Least number of runs for the level *repeated*."""
+EQUAL_SHARES = 1e-6
+"""Share by which two used shares of limits may differ and count as equal: rounding then does not
+decide which criterion is named, but their order."""
 _NEAR = 3.0
 
 
@@ -344,10 +347,12 @@ class Verdict:
     def tightest(self) -> Result | None:
         """The result that uses most of its limit; None if no limit above 0 was measured.
 
-        The machine's own limits do not count, since a plan is made to use them.
+        The machine's own limits do not count, since a plan is made to use them. Of equal shares
+        the first counts.
         """
         held = [r for r in self.results if r.limit and r.measured is not None and not r.hard]
-        return max(held, key=_share, default=None)
+        most = max(map(_share, held), default=0.0) * (1.0 - EQUAL_SHARES)
+        return next((result for result in held if _share(result) >= most), None)
 
     @property
     def near(self) -> bool:
