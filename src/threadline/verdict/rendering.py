@@ -76,10 +76,9 @@ def continuous(verdict: Verdict, plan: Plan) -> dict[str, float]:
     They are of every cycle but the first, simulated or recorded. Empty if every cycle is as the
     first, or the cycle time was not measured.
     """
-    if plan.machine.commanded_by != "switches" or plan.scheduled.single is None:
-        return {}
+    # Only cycles of switchings have a cycle time.
     found = [r.measured for r in verdict.results if r.name == "cycle_time"]
-    if not found or found[0] is None:
+    if not found or found[0] is None or plan.scheduled.single is None:
         return {}
     return {"cycle_s": found[0], "pieces_per_hour": 3600.0 / found[0]}
 
