@@ -280,7 +280,8 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
         array of the 1994 controller. ``nc``: the planned motion as a part program for LinuxCNC,
         a block for each stretch of time. ``grbl``, ``fluidnc``, ``marlin``, ``klipper``,
         ``reprapfirmware``, ``linuxcnc``, ``fanuc``: chords for a controller that plans its own
-        ramps. ``st``: structured text for a PLC, its configuration in a second file. ``plcopen``:
+        ramps. ``st``: structured text for a PLC, its configuration in a second file. ``openplc``:
+        both in one file, as OpenPLC takes it. ``plcopen``:
         the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
         stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
     slower
