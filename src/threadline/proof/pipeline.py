@@ -205,6 +205,8 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
         told["axes"] = options.axes
     if options.needle is not None:
         told["needle_speed"] = options.needle
+    if options.long_stitches is not None:
+        told["long_stitches"] = options.long_stitches
     known = with_radii(machine, options.radius)
     return shifted(read_job(job_file, known, **told), known, options.offset)
 
