@@ -285,6 +285,7 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
         ramps. ``st``: structured text for a PLC, its configuration in a second file. ``plcopen``:
         the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
         stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
+        ``dst``, ``u01``: the design for Tajima's and Barudan's machines.
     slower
         Whether a program may take longer on its firmware than the job as it stands.
 

@@ -108,6 +108,21 @@ def read_records(path: Path) -> Records:
     return Records(position_m=position, act=act, content=content, warnings=warnings)
 
 
+def sewn_units(content: bytes, suffix: str) -> IntArray:
+    """Return the (n, 2) places of the stitches in units of 0.1 mm, X and Y (up).
+
+    Parameters
+    ----------
+    content
+        All bytes of a file in a format that pystitch reads.
+    suffix
+        Ending of the format.
+    """
+    table = np.array(_decoded(content, suffix, Place("")), dtype=np.float64).reshape(-1, 3)
+    sewn = table[table[:, 2].astype(np.int64) & 0xFF == Act.STITCH, :2]
+    return np.rint(sewn * (1.0, -1.0)).astype(np.int64)
+
+
 def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
     """Return x, y and code of every record, from the reader of pystitch."""
     from threadline.jobs.embroidery.peer_readers import CutOffError, SenselessError, read_with_peer
