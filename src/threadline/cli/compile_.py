@@ -28,7 +28,7 @@ def compile_(
         typer.Option(
             help="ticks, csv, npz, nc, grbl, fluidnc, marlin, klipper, reprapfirmware, linuxcnc, "
             "fanuc; on an on/off machine st, openplc, plcopen, scl; on an embroidery machine "
-            "steps, t15."
+            "steps, t15, dst, u01."
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],
