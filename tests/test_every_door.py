@@ -39,7 +39,7 @@ GIVEN: dict[str, Any] = {
     "damping": "0.1", "feed-forward": True, "smoothing": "50 ms", "robust": "100 %",
     "contour": "0.45 mm", "outside": "0.05 mm", "reserve": "volts 1 %, current 3 %",
     "narrow": "1: 0.05 mm, 2: 0.06 mm",
-    "axes": "A=X,X=A", "product": str(EXAMPLES / "vessel.wind.toml"),
+    "axes": "A=X,X=A", "product": str(EXAMPLES / "vessel.wind.toml"), "long-stitches": "split",
 }  # fmt: skip
 """A value for each planning option."""
 WITH: dict[str, dict[str, Any]] = {

@@ -86,6 +86,7 @@ PLACES: tuple[Words, ...] = (
     ["run", "@", "-m", "lathe-winder", "--link", "sim"],
     ["yield", "@", "-m", "lathe-winder", "--variants", "2"],
     ["yield", "short.prg", "-m", "lathe-winder", "--variants", "2", "--resume", "@"],
+    ["yield", "--merge", "@"],
     ["prove", "short.prg", "-m", "lathe-winder", "--nominal", "--law", "@"],
     ["law", "@"],
     ["@"],

@@ -481,7 +481,8 @@ def compile(
     target
         For a machine with axes ``csv``, ``npz``, ``ticks``, ``nc``, ``grbl``, ``fluidnc``,
         ``marlin``, ``klipper``, ``reprapfirmware``, ``linuxcnc`` or ``fanuc``; for an on/off
-        machine ``st``, ``plcopen`` or ``scl``; for an embroidery machine ``steps`` or ``t15``.
+        machine ``st``, ``openplc``, ``plcopen`` or ``scl``; for an embroidery machine ``steps``,
+        ``t15``, ``dst`` or ``u01``.
     out
         The file.
     slower

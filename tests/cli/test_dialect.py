@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from threadline.cli.main import main
+from threadline.machine.load import library_file
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
 
@@ -71,8 +72,23 @@ def test_compare_reads_it_as_prove_does(job: Path, capsys: pytest.CaptureFixture
 
 
 def test_what_fastest_prints_reads_it_so(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command that it prints proves the same job: with dialect and radius."""
-    code, out, _ = run(capsys, "fastest", job, *AS_GRBL, "--interpolation", "optimal", "--nominal")
+    """The command that it prints proves the same job: with dialect and radius.
+
+    The search may choose nothing but feed and limits, and ends early: a wider placement than the
+    machine's own 0.5 mm lets one of its first plans pass.
+    """
+    text = (
+        library_file("lathe-winder").with_name("lathe-winder.spec.toml").read_text(encoding="utf-8")
+    )
+    spec = job.with_name("wide.spec.toml")
+    spec.write_text(
+        text.replace('"contour_error"\nlimit = "0.5 mm"', '"contour_error"\nlimit = "1 mm"')
+    )
+    code, out, _ = run(
+        capsys, "fastest", job, *AS_GRBL, "--interpolation", "optimal", "--nominal", "-s", spec,
+        "--tolerance", "0.3 mm", "--contour", "0.1 mm", "--outside", "0 mm", "--reserve", "10 %",
+        "--within", "20 s",
+    )  # fmt: skip
     assert code == 0
     (printed,) = re.findall(r"threadline prove .*", out)
     words = shlex.split(printed)

@@ -163,6 +163,11 @@ def test_ticks_klipper_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert np.diff(content["ticks"]).min() >= 5
     assert content["times_s"] == pytest.approx(np.array(content["ticks"]) * 1e-3, abs=1e-12)
     assert content["vibration"] > 1e-6
+    words = ("shaper", "--mode", "40Hz", "--kind", "zvd", "--firmware")
+    code, out, _ = run(capsys, *words, "reprapfirmware", "--json")
+    assert code == 0 and json.loads(out)["reprapfirmware"] == 'M593 P"zvd" F40 S0\n'
+    code, out, _ = run(capsys, *words, "marlin")
+    assert code == 0 and "the nearest, M593 F40 D0" in out
     code, out, _ = run(capsys, "shaper", "--mode", "40Hz", "--kind", "um-zv", "--klipper")
     assert code == 0
     assert "no type of Klipper's plays" in out
@@ -173,7 +178,8 @@ def test_ticks_klipper_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[
     [
         (["--mode", "3 mm"], ["mode '3 mm'"]),
         (["--mode", "3Hz", "--kind", "zw"], ["'zw' is unknown", "um-zv"]),
-        (["--mode", "3Hz", "--damping", "0.5"], ["the damping ratio", "real part"]),
+        (["--mode", "3Hz", "--damping", "1.5"], ["the damping ratio", "real part"]),
+        (["--mode", "3Hz", "--damping", "0.5", "--kind", "ei"], ["the damping ratio", "real part"]),
         (["--mode", "3Hz", "--damping", "0.1", "--damping", "0.2"], ["2 damping ratios"]),
         (["--mode", "3Hz", "--kind", "si", "--band", "0"], ["band"]),
         (["--mode", "3Hz", "--dwell", "5ms"], ["--tick"]),
@@ -189,6 +195,10 @@ def test_ticks_klipper_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[
         (["--mode", "3Hz", "--tick", "1000s"], ["tick_s 1000", "unit"]),
         (["--mode", "3Hz", "--tick", "1e-30s"], ["tick_s 1e-30", "unit"]),
         ([w for k in range(30) for w in ("--mode", f"{k + 1}Hz")], ["10000 impulses", "direct"]),
+        (["--mode", "3Hz", "--firmware", "grbl"], ["'grbl' is unknown", "reprapfirmware"]),
+        (["--mode", "3Hz", "--klipper", "--firmware", "marlin"], ["two firmwares"]),
+        (["--mode", "3Hz", "--mode", "4Hz", "--firmware", "marlin"], ["one mode"]),
+        (["--mode", "3Hz", "--kind", "mzv(n=3,t=2)"], ["mzv", "more impulses"]),
         (["--klipper", *(w for k in "345" for w in ("--mode", f"{k}Hz"))], ["one mode per axis"]),
         (["--mode", "3Hz", "--mode", "4Hz", "--klipper", "--tick", "1 ms"], ["--tick", "two"]),
         (["--mode", "3Hz", "--kind", "ei", "--tolerance", "2"], ["tolerance"]),

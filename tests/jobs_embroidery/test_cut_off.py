@@ -46,6 +46,46 @@ def test_a_design_that_is_cut_off_is_refused_wherever_that_is(suffix: str, tmp_p
         assert refused.value.place is not None
 
 
+SEEDS = {"random": lambda: made.seeds()["dst"], "rosette": made.EXAMPLE.read_bytes}
+
+
+@pytest.mark.parametrize("fill", [b"", b"\x1a"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_dst_that_lacks_only_its_end_mark_is_read_with_a_warning(
+    seed: str, fill: bytes, tmp_path: Path
+) -> None:
+    """One record fewer is a design that is cut off, as any other."""
+    content = SEEDS[seed]()
+    file = tmp_path / "a.dst"
+    file.write_bytes(content)
+    whole = read_job(file, MACHINE)
+    assert not any("end is missing" in said for said in whole.warnings)
+    end = content.rindex(b"\x00\x00\xf3")
+    file.write_bytes(content[:end] + fill)
+    read = read_job(file, MACHINE)
+    assert any("the mark of its end is missing" in said for said in read.warnings)
+    assert [str(item) for item in read] == [str(item) for item in whole]
+    for less in (3, 6, 30):
+        file.write_bytes(content[: end - less] + fill)
+        with pytest.raises(JobError, match="without the mark of its end"):
+            read_job(file, MACHINE)
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
+@pytest.mark.parametrize("name", ["tree.dst", "peace.dst", "Star.DST", "Embroidermodder.DST"])
+def test_real_dst_files_lack_their_end_mark_and_nothing_else(name: str, tmp_path: Path) -> None:
+    """Their programs count the end mark as a record, or do not."""
+    content = (SAMPLES / name).read_bytes()
+    file = tmp_path / name
+    end = 512 + (content[512:].rindex(b"\xf3") // 3) * 3
+    file.write_bytes(content[:end])
+    assert "the mark of its end is missing" in read_job(file, MACHINE).warnings[0]
+    for cut in np.linspace(515, end - 3, 40).astype(int).tolist():
+        file.write_bytes(content[:cut])
+        with pytest.raises(JobError):
+            read_job(file, MACHINE)
+
+
 def records_of_peer(content: bytes) -> np.ndarray:
     pattern = EmbPattern()
     HusReader.read(io.BytesIO(content), pattern)

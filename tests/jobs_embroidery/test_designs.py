@@ -113,20 +113,87 @@ def test_what_is_no_design_is_refused_in_one_line(
     assert "\n" not in str(refused.value)
 
 
-def test_a_stitch_of_half_a_metre_is_refused_by_its_record(tmp_path: Path) -> None:
-    """VP3 holds such a stitch in one record; as jumps it is travel."""
-    for contingency, name in (
-        (pystitch.CONTINGENCY_LONG_STITCH_NONE, "a.vp3"),
-        (pystitch.CONTINGENCY_LONG_STITCH_JUMP_NEEDLE, "b.dst"),
-    ):
-        pattern = pystitch.EmbPattern()
-        for x in (0, 10, 5010, 5020):
-            pattern.add_stitch_absolute(pystitch.STITCH, x, 0)
-        pattern.end()
-        pystitch.write(pattern, str(tmp_path / name), {"long_stitch_contingency": contingency})
-    with pytest.raises(JobError, match=r"a\.vp3:\d+: a stitch of 500 mm, the longest.*16\.5 mm"):
-        read_job(tmp_path / "a.vp3", MACHINE)
-    assert 0 in [number for *_, number, _ in moves(read_job(tmp_path / "b.dst", MACHINE))][1:]
+def long_stitch(folder: Path, suffix: str, x: int, y: int) -> Path:
+    """Write a design whose third stitch is long, of even units for the writer of VP3.
+
+    VP3 holds the stitch in one record, DST as jumps and a stitch.
+    """
+    pattern = pystitch.EmbPattern()
+    for at in ((0, 0), (10, 0), (10 + x, y), (20 + x, y)):
+        pattern.add_stitch_absolute(pystitch.STITCH, at[0], -at[1])
+    pattern.end()
+    file = folder / f"a.{suffix}"
+    kept = {
+        "vp3": pystitch.CONTINGENCY_LONG_STITCH_NONE,
+        "dst": pystitch.CONTINGENCY_LONG_STITCH_JUMP_NEEDLE,
+    }
+    pystitch.write(pattern, str(file), {"long_stitch_contingency": kept[suffix]})
+    return file
+
+
+@pytest.mark.parametrize("suffix", ["vp3", "dst"])
+def test_a_long_stitch_is_refused_by_its_record_where_that_is_asked(
+    suffix: str, tmp_path: Path
+) -> None:
+    file = long_stitch(tmp_path, suffix, 224, 100)
+    with pytest.raises(JobError, match=r"a\.\w+:\d: a stitch of 22\.4 mm, the longest.*16\.5 mm"):
+        read_job(file, MACHINE, long_stitches="refuse")
+
+
+def test_a_stitch_of_half_a_metre_is_travel(tmp_path: Path) -> None:
+    """In VP3 as one record, and in DST as jumps, which are a trim too."""
+    for suffix in ("vp3", "dst"):
+        job = read_job(long_stitch(tmp_path, suffix, 5000, 0), MACHINE)
+        assert 0 in [number for *_, number, _ in moves(job)][1:]
+
+
+@pytest.mark.parametrize(
+    ("asked", "parts"),
+    [
+        (None, [((224, 100), 0), ((224, 100), 3), ((234, 100), 4)]),
+        ("travel", [((224, 100), 0), ((224, 100), 3), ((234, 100), 4)]),
+        ("split", [((112, 50), 3), ((224, 100), 4), ((234, 100), 5)]),
+    ],
+)
+def test_a_long_stitch_is_sewn_alike_with_jumps_and_without(
+    asked: str | None, parts: list[tuple[tuple[int, int], int]], tmp_path: Path
+) -> None:
+    """22.4 mm of at most 16.5: one record of VP3, two of DST; before, VP3 was refused."""
+    options = {} if asked is None else {"long_stitches": asked}
+    for suffix in ("vp3", "dst"):
+        job = read_job(long_stitch(tmp_path, suffix, 224, 100), MACHINE, **options)
+        found = list(moves(job))[-5:]
+        second = found[1] if asked != "split" else found[-4]
+        origin = (second[0], second[1])
+        told = [((x - origin[0], y - origin[1]), n) for x, y, n, _ in found[-3:]]
+        assert told == parts
+        assert any("--long-stitches" in said for said in job.warnings) == (
+            suffix == "vp3" or asked == "split"
+        )
+
+
+def test_the_parts_of_a_long_stitch_are_short_enough_and_on_the_grid(tmp_path: Path) -> None:
+    for x, y in ((166, 166), (330, 2), (332, -331), (1000, 7)):
+        job = read(tmp_path, exp((1, 0), (1, 0), *[jump(x // 10, y // 10)] * 9,
+                                 (x - 9 * (x // 10), y - 9 * (y // 10))))  # fmt: skip
+        assert 0 in [number for *_, number, _ in moves(job)][1:]
+        split = read_job(tmp_path / "a.exp", MACHINE, long_stitches="split")
+        places = np.array([(0, 0), *((x, y) for x, y, *_ in moves(split))])
+        ways = np.abs(np.diff(places, axis=0)).max(axis=1)
+        assert ways.max() <= 165
+        assert np.array_equal(places, np.rint(places))
+        assert tuple(places[-1]) == (2 + x, y)
+        assert len(places) == 1 + 3 + -(-max(abs(x), abs(y)) // 165)
+
+
+def test_behind_a_trim_or_another_thread_no_way_is_split(tmp_path: Path) -> None:
+    for event in (TRIM, COLOUR):
+        read(tmp_path, exp((1, 0), (1, 0), event, jump(100, 0), (100, 0), (1, 0)))
+        for asked in ("split", "refuse"):
+            job = read_job(tmp_path / "a.exp", MACHINE, long_stitches=asked)
+            assert [(x, number) for x, _, number, _ in moves(job)][-3:] == [
+                (202, 0), (202, 3), (203, 4),
+            ]  # fmt: skip
 
 
 def test_a_machine_without_tables_is_refused(tmp_path: Path) -> None:

@@ -73,6 +73,24 @@ def test_every_name_is_declared_and_every_tag_is_in_the_table() -> None:
     assert len(set(named.values())) == 26
 
 
+def test_the_tables_for_a_panel_hold_every_alarm_and_every_variable_without_an_address() -> None:
+    files = emitted("letter-placer", "zv", "scl")
+    text = source()
+    codes = re.findall(r"^    f_\w+ : Int := (\d+);  // (.*)", text, re.MULTILINE)
+    alarms = files["alarms.csv"].decode("ascii").splitlines()
+    assert alarms[0] == "ID,Alarm text,Trigger variable"
+    assert alarms[1:] == [f"{c},{told},letter_cycle_data.fault_code" for c, told in codes]
+    tagged = {line.split(",")[0] for line in files["tags.csv"].decode("ascii").splitlines()[1:]}
+    wanted = []
+    for block, access in (("VAR_INPUT", "write"), ("VAR_OUTPUT", "read")):
+        part = text[text.index(f"  {block}") :].partition("END_VAR")[0]
+        for name, kind in re.findall(r"^    (\w+) : (\w+)", part, re.MULTILINE):
+            if name not in tagged:
+                wanted.append(f"{name},{kind},{access},letter_cycle_data.{name}")
+    assert files["hmi.csv"].decode("ascii").splitlines()[1:] == wanted
+    assert "fault_text,String,read,letter_cycle_data.fault_text" in wanted
+
+
 @pytest.mark.parametrize("jitter", [0.0, 0.2])
 def test_the_body_runs_the_cycle_as_the_structured_text_does(jitter: float) -> None:
     units = read_in_parts(undressed(source()))

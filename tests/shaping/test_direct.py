@@ -7,10 +7,16 @@ import math
 import numpy as np
 import pytest
 
+from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError
-from threadline.motion.shaping.designs import convolve, design, simulated_vibration
+from threadline.motion.shaping.designs import convolve, design, parse_shaper, simulated_vibration
 from threadline.motion.shaping.direct import Requirement, direct_shaper, specified_insensitivity
-from threadline.motion.shaping.firmwares import klipper_export, klipper_impulses
+from threadline.motion.shaping.firmwares import (
+    klipper_export,
+    klipper_impulses,
+    marlin_export,
+    reprap_export,
+)
 from threadline.motion.shaping.onoff.body_and_modes import RestToRest, worst_ringing
 from threadline.motion.shaping.onoff.switched import residual_front, switched_command
 from threadline.motion.shaping.response import pole, response, responses
@@ -139,13 +145,112 @@ def test_klipper_plays_the_common_kinds(zeta: float) -> None:
         assert simulated_vibration(theirs, 40.0, zeta) < limit
 
 
+def klipper_mzv(n: int, t: float, zeta: float) -> tuple[FloatArray, FloatArray]:
+    """Amplitudes, and times in damped periods, by the equations of Klipper's manual and source.
+
+    Sum 1, and cosine and sine sums 0 at the frequencies 1 + i / tau; then the decay.
+    """
+    tau = t * (n - 2) / (n - 2 * t - 1)
+    at = np.linspace(0.0, t, n)
+    phase = 2 * np.pi * (1 + np.arange(n - 1) / tau)[:, None] * at
+    rows = np.vstack((np.ones(n), np.cos(phase), np.sin(phase)))
+    wanted = np.append(1.0, np.zeros(2 * n - 2))
+    weights = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    weights *= np.exp(-2 * np.pi * zeta / np.sqrt(1 - zeta**2) * at)
+    return weights / weights.sum(), at
+
+
+@pytest.mark.parametrize(
+    ("word", "n", "t"),
+    [
+        ("mzv", 3, 0.75),
+        ("mzv(n=4,t=0.9)", 4, 0.9),
+        ("mzv(5, 1.1)", 5, 1.1),
+        # t = tau (n - 1) / (n + 2 tau - 2)
+        ("mzv(n=5,tau=1)", 5, 0.8),
+        ("mzv(n=6, t=1.0)", 6, 1.0),
+    ],
+)
+@pytest.mark.parametrize("zeta", [0.0, 0.1])
+def test_mzv_takes_klippers_parameters(word: str, n: int, t: float, zeta: float) -> None:
+    mode = FlexibleMode(40.0, zeta)
+    amplitudes, at = klipper_mzv(n, t, zeta)
+    for train in (design(word, mode), klipper_impulses(word, mode)):
+        assert train.amplitudes == pytest.approx(amplitudes, abs=1e-9)
+        assert train.times_s == pytest.approx(at * mode.damped_period_s, abs=1e-12)
+        assert simulated_vibration(train, 40.0, zeta) < 1e-10
+    export = klipper_export(design(word, mode), mode)
+    said = "mzv" if word == "mzv" else f"mzv(n={n},t={t:g})"
+    assert f"shaper_type_x: {said}\n" in export.section
+    per_axis = parse_shaper(f"X={word}:40Hz:{zeta}, Y=zv:20Hz")
+    assert isinstance(per_axis, dict) and set(per_axis) == {"X", "Y"}
+    assert per_axis["X"].times_s == pytest.approx(at * mode.damped_period_s)
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("mzv(n=2)", "whole number from 3"),
+        ("mzv(n=nan)", "whole number from 3"),
+        ("mzv(n=3,t=1)", "below"),
+        ("mzv(n=8,t=0.4)", "at least 0.5"),
+        ("mzv(t=0.9,tau=1)", "leave one out"),
+        ("mzv(m=3)", "unknown"),
+        ("mzv(t=inf)", "positive numbers"),
+        ("mzv(t=x)", "no number"),
+    ],
+)
+def test_mzv_refuses_what_klipper_cannot_play(word: str, said: str) -> None:
+    with pytest.raises(OptionError) as raised:
+        design(word, FlexibleMode(40.0))
+    assert said in str(raised.value)
+
+
+def test_klippers_ei_takes_the_tolerance() -> None:
+    mode = FlexibleMode(40.0, 0.05)
+    export = klipper_export(design("ei", mode, tolerance=0.1), mode)
+    assert "shaper_type_x: ei(v_tol=0.1000)\n" in export.section
+    theirs = klipper_impulses("ei(v_tol=0.1000)", mode)
+    assert simulated_vibration(theirs, 40.0, 0.05) == pytest.approx(0.1, abs=0.005)
+
+
+def test_m593_of_marlin_and_reprapfirmware() -> None:
+    mode = FlexibleMode(40.0, 0.1)
+    damped_hz = 40.0 * np.sqrt(1 - 0.1**2)
+    assert marlin_export(design("zv", mode), mode).section == f"M593 F{damped_hz:.6g} D0.1\n"
+    for kind, word in (("mzv", "mzv"), ("zvd", "zvd"), ("zvdd", "zvdd"), ("2hump-ei", "ei2")):
+        made = design(kind, mode)
+        assert reprap_export(made, mode).section == f'M593 P"{word}" F40 S0.1\n'
+        other = marlin_export(made, mode)
+        assert other.section == "" and "the nearest, M593 F39.7995 D0.1, is" in other.explanation
+
+
+@pytest.mark.parametrize("kind", ["zvdd", "um-zv", "negative-zv"])
+def test_the_nearest_substitute_is_named_where_a_kind_has_no_counterpart(kind: str) -> None:
+    """By the simulated vibration, no type of Klipper's comes nearer."""
+    mode = FlexibleMode(40.0, 0.05)
+    made = design(kind, mode)
+
+    def off(word: str) -> float:
+        theirs = klipper_impulses(word, mode)
+        return max(
+            abs(simulated_vibration(theirs, f, 0.05) - simulated_vibration(made, f, 0.05))
+            for f in np.linspace(30.0, 50.0, 41)
+        )
+
+    words = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")
+    nearest = min(words, key=off)
+    explanation = klipper_export(made, mode).explanation
+    assert f"the nearest, {nearest}, is {off(nearest):.3f} of V off" in explanation
+
+
 def test_klipper_has_no_type_for_others() -> None:
     mode = FlexibleMode(40.0, 0.05)
     for kind in ("zvdd", "um-zv", "um-2ei", "negative-zv"):
         export = klipper_export(design(kind, mode), mode)
         assert export.section == ""
         assert "no type of Klipper's" in export.explanation
-    at_ten_percent = klipper_export(design("ei", mode, tolerance=0.1), mode)
+    at_ten_percent = klipper_export(design("2hump-ei", mode, tolerance=0.1), mode)
     assert at_ten_percent.section == ""
     with pytest.raises(OptionError, match="axes x and y"):
         klipper_export(design("zv", mode), mode, axes="z")

@@ -142,7 +142,7 @@ def test_text_of_shapers() -> None:
         ("zx:12Hz", "unknown"),
         ("X=zv:12Hz,zv:9Hz", "no axis before"),
         ("X=zv:12Hz,X=zv:9Hz", "has two"),
-        ("zv:12Hz:0.5", "the damping ratio must be in"),
+        ("ei:12Hz:0.5", "the damping ratio must be in"),
         ("zv:12mm", "mode '12mm'"),
         ("", "kind:frequency"),
     ]

@@ -71,7 +71,9 @@ def test_unknown_targets_name_the_nearest(tmp_path) -> None:
         write(plan, "tick", tmp_path / "x")
     with pytest.raises(OptionError, match=r"unknown target 'dxf'. Known: csv, fanuc, fluidnc"):
         write(plan, "dxf", tmp_path / "x")
-    with pytest.raises(OptionError, match=r"unknown target 'nosuch'. Known: plcopen, scl, st"):
+    with pytest.raises(
+        OptionError, match=r"unknown target 'nosuch'. Known: openplc, plcopen, scl, st"
+    ):
         target_of("nosuch", load_machine("letter-placer"))
     assert {"csv", "nc", "npz", "ticks"} <= set(target_names())
     assert list(tmp_path.iterdir()) == []
@@ -93,7 +95,9 @@ def test_commands_of_another_kind_are_refused(tmp_path) -> None:
     with pytest.raises(OptionError, match=r"this needs a table of counts, which an on/off machine"):
         write(plan, "csv", tmp_path / "x")
     plan.machine = load_machine("letter-placer")
-    with pytest.raises(OptionError, match=r"commanded by switches. Use plcopen or scl or st"):
+    with pytest.raises(
+        OptionError, match=r"commanded by switches. Use openplc or plcopen or scl or st"
+    ):
         write(plan, "csv", tmp_path / "x")
 
 
@@ -179,5 +183,7 @@ def test_a_target_is_refused_before_anything_is_planned() -> None:
         target_of("st", winder())
     placer = load_machine("letter-placer")
     assert target_of("plcopen", placer).takes_shaped
-    with pytest.raises(OptionError, match=r"than letter-placer, .* Use plcopen or scl or st"):
+    with pytest.raises(
+        OptionError, match=r"than letter-placer, .* Use openplc or plcopen or scl or st"
+    ):
         target_of("csv", placer)

@@ -27,7 +27,8 @@ def compile_(
         str,
         typer.Option(
             help="ticks, csv, npz, nc, grbl, fluidnc, marlin, klipper, reprapfirmware, linuxcnc, "
-            "fanuc; on an on/off machine st, plcopen, scl; on an embroidery machine steps, t15."
+            "fanuc; on an on/off machine st, openplc, plcopen, scl; on an embroidery machine "
+            "steps, t15, dst, u01."
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -31,15 +32,17 @@ from threadline.cli.shaper_text import (
 from threadline.errors import OptionError
 from threadline.motion.shaping import (
     ControllerLimits,
+    FirmwareExport,
     FlexibleMode,
     Insensitivity,
-    KlipperExport,
     Realised,
     Shaper,
     check_higher_modes,
     insensitivity,
     klipper_export,
+    marlin_export,
     realise,
+    reprap_export,
     vibration_of,
 )
 from threadline.motion.shaping.onoff.study import MoveStudy, study_move
@@ -47,6 +50,11 @@ from threadline.report.document import Table
 from threadline.report.shaper import write_shaper
 from threadline.units import parse_number, without_noise
 
+_EXPORTS: dict[str, Callable[[Shaper, FlexibleMode], FirmwareExport]] = {
+    "klipper": klipper_export,
+    "marlin": marlin_export,
+    "reprapfirmware": reprap_export,
+}
 _STILL = 0.01  # allowed ringing, share of one full step's
 _SI_BAND = 0.2  # half width over frequency: how well a stiffness is usually known
 
@@ -58,7 +66,7 @@ class _Answer:
     tolerances: tuple[float, ...]
     realised: Realised | None
     widths: tuple[Insensitivity, ...]
-    klipper: KlipperExport | None
+    firmware: tuple[str, FirmwareExport] | None
     warnings: tuple[str, ...]
     study: MoveStudy | None = None
 
@@ -85,7 +93,9 @@ def shaper(
             help="Vibration allowed, share of one unit impulse's: 0.05 is 5 %.",
         ),
     ] = 0.05,
-    kind: Annotated[str, typer.Option(help=", ".join(KINDS) + '; convolved: "zv*um-2ei".')] = "zv",
+    kind: Annotated[
+        str, typer.Option(help=", ".join(KINDS) + '; convolved: "zv*um-2ei"; "mzv(n=4,t=0.9)".')
+    ] = "zv",
     band: Annotated[
         float | None,
         typer.Option(
@@ -126,6 +136,13 @@ def shaper(
             "--klipper", help="Print Klipper's section; two modes are one for X and one for Y."
         ),
     ] = False,
+    firmware: Annotated[
+        str | None,
+        typer.Option(
+            help="Print the settings of klipper, marlin or reprapfirmware for this shaper, or the "
+            "nearest that it plays."
+        ),
+    ] = None,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -162,6 +179,8 @@ def shaper(
     if band is None and kind in BANDED:
         band = _SI_BAND
     bands, tolerances = bands_of(asked, band or 0.0), tolerances_of(asked, tolerance)
+    firmware = _firmware(firmware, klipper, len(modes))
+    klipper = firmware == "klipper"
     if klipper and len(modes) > 1:
         of_one_train = (tick, move, acceleration, report)
         shape_two_axes(kind, asked, tolerances, bands, of_one_train, json)
@@ -194,7 +213,7 @@ def shaper(
         made = realised.shaper
         refuse_worse_than_none(made, modes)
     asked_of = tuple(zip(modes, bands, tolerances, strict=True))
-    warnings = damping_warnings(modes) if klipper else list(suspicions(modes))
+    warnings = damping_warnings(modes) if firmware else list(suspicions(modes))
     warnings += [*_spoiled(realised), *(missed(made, asked_of) if kind in BANDED else ())]
     # A train of positive amplitudes amplifies at no frequency.
     for one in modes if bool((made.amplitudes < 0.0).any()) else ():
@@ -221,7 +240,7 @@ def shaper(
         widths=tuple(
             insensitivity(made, one, own) for one, own in zip(modes, tolerances, strict=True)
         ),
-        klipper=klipper_export(made, modes[0]) if klipper else None,
+        firmware=None if firmware is None else (firmware, _EXPORTS[firmware](made, modes[0])),
         warnings=tuple(warnings),
         study=studied,
     )
@@ -233,16 +252,21 @@ def shaper(
     if json:
         print_json(_content(answer, written))
         return
-    for said in warnings:
+    _print(answer, written)
+
+
+def _print(answer: _Answer, written: Path | None) -> None:
+    for said in answer.warnings:
         warning(said)
     for table in _tables(answer):
         print_table(table.title, table.header, table.rows)
-    for line in curve_lines(made, modes, tolerances):
+    for line in curve_lines(answer.shaper, answer.modes, answer.tolerances):
         say(line)
-    if answer.klipper is not None:
-        say(answer.klipper.explanation)
-        if answer.klipper.section:
-            say_lines(answer.klipper.section)
+    if answer.firmware is not None:
+        export = answer.firmware[1]
+        say(export.explanation)
+        if export.section:
+            say_lines(export.section)
     if written is not None:
         say(f"Report: {written}")
 
@@ -342,12 +366,31 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
         content["bands"] = price_content(answer.realised)
     if answer.study is not None:
         content["move"] = study_content(answer.study)
-    if answer.klipper is not None:
-        content["klipper"] = answer.klipper.section or None
-        content["klipper_note"] = answer.klipper.explanation
+    if answer.firmware is not None:
+        name, export = answer.firmware
+        content[name] = export.section or None
+        content[f"{name}_note"] = export.explanation
     if written is not None:
         content["report"] = str(written)
     return content
+
+
+def _firmware(name: str | None, klipper: bool, modes: int) -> str | None:
+    """Return the firmware whose settings are asked for; None if none is."""
+    if name is not None and name not in _EXPORTS:
+        raise OptionError(
+            f"--firmware {name!r} is unknown", remedy=f"Firmwares: {', '.join(_EXPORTS)}."
+        )
+    if klipper and name not in (None, "klipper"):
+        raise OptionError(
+            f"--klipper and --firmware {name} ask for two firmwares", remedy="Leave one out."
+        )
+    chosen = "klipper" if klipper else name
+    if chosen not in (None, "klipper") and modes > 1:
+        raise OptionError(
+            f"--firmware {chosen} takes one mode, {modes} are given", remedy="Give one --mode."
+        )
+    return chosen
 
 
 def register(app: typer.Typer) -> None:

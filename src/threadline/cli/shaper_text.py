@@ -27,6 +27,7 @@ from threadline.motion.shaping import (
     unit_magnitude_over_bands,
     vibration_of,
 )
+from threadline.motion.shaping.designs import mzv_shape
 from threadline.motion.shaping.firmwares import klipper_export
 from threadline.motion.shaping.types import MAX_DAMPING_RATIO
 from threadline.report.document import Table
@@ -223,7 +224,7 @@ def designed(
         return direct_unit_magnitude([Requirement(m) for m in modes])
     kinds = [part.strip() for part in kind.split("*")]
     for one in kinds:
-        if one not in list(ShaperKind):
+        if one not in list(ShaperKind) and mzv_shape(one) is None:
             whole = "" if len(kinds) == 1 else f" in {kind!r}"
             alone = " It cannot be convolved." if one in KINDS else ""
             raise OptionError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, log
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,18 +13,26 @@ import typer
 
 from threadline import __version__
 from threadline.base.arrays import finite
+from threadline.base.progress import Progress
 from threadline.base.writing import together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import (
-    JobArgument,
     JsonOption,
-    MachineOption,
     ReportOption,
     keep_inputs,
 )
 from threadline.cli.found import command_line
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
+from threadline.cli.yield_sharing import (
+    Question,
+    asked_here,
+    asked_of_parts,
+    check_part_options,
+    finish_part,
+    part_identity,
+    record_of,
+)
 from threadline.cli.yield_tables import (
     Sensitivities,
     counted,
@@ -37,19 +45,21 @@ from threadline.cli.yield_tables import (
 )
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
+from threadline.machine import Machine
 from threadline.machine.variants import not_drawn
 from threadline.proof.asked import Words
 from threadline.proof.option_words import parse_yield
 from threadline.proof.pipeline import check_machine, open_job, plan_job, with_product
 from threadline.proof.proof_file import spec_sha256
 from threadline.proof.worst_machine import Worst, worst_toml
-from threadline.search.influence import MACHINES, cheapest_set
+from threadline.search.influence import MACHINES, CheapestSet, cheapest_set
 from threadline.search.machine_yield import (
     MachineYield,
     Yield,
     limited_rows,
     quantile,
 )
+from threadline.search.yield_parts import Part, PartFile, check_same, merged, parse_part
 from threadline.search.yield_state import YieldState
 from threadline.verdict import CriterionRow, Spec
 from threadline.verdict.each_run import CONFIDENCE, clopper_pearson
@@ -88,11 +98,50 @@ class Drawing:
         Path | None,
         typer.Option(help="Keep the results of the machines in this file, and resume from it."),
     ] = None
+    part: Annotated[
+        str | None,
+        typer.Option(
+            help='Judge only this part of the machines, "3/16", and write it to the file of '
+            "--output: parts may be made on different computers."
+        ),
+    ] = None
+    merge: Annotated[
+        bool,
+        typer.Option(
+            "--merge",
+            help="Merge the files of all parts, given in place of JOB, into the answer of one run. "
+            "Job, machine and options are those of the parts.",
+        ),
+    ] = False
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "--out", "-o", help="With --part: write the part to this file."),
+    ] = None
+
+
+_VARIANTS, _SEED = Drawing().variants, Drawing().seed
+ThisMachineOption = Annotated[
+    str | None,
+    typer.Option(
+        "--machine",
+        "-m",
+        help="Machine file (.toml) or library name (threadline machines lists them), overlays "
+        "after a plus: lathe-winder+physical. Not with --merge.",
+    ),
+]
+JobsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="JOB",
+        help="Part program, seam or move list; with --merge, the files of all parts.",
+    ),
+]
 
 
 def yield_(
-    job: JobArgument,
-    machine: MachineOption,
+    job: JobsArgument,
+    *,
+    machine: ThisMachineOption = None,
     words: Words,
     drawing: Drawing,
     report: ReportOption = None,
@@ -103,81 +152,169 @@ def yield_(
     All machines get the commands of JOB as planned for the nominal machine. Encoders, friction and
     supply vary only within their own tolerances.
 
-    Exit status: 0 when every drawn machine is in spec (with --at-least: when enough are), 1 when
-    not, 2 wrong input.
+    Exit status: 0 when every drawn machine is in spec (with --at-least: when enough are; with
+    --part: when the part is written), 1 when not, 2 wrong input.
 
     Example: threadline yield examples/x-180.prg -m lathe-winder --variants 1000
     """
-    variants, seed, worst, resume = drawing.variants, drawing.seed, drawing.worst, drawing.resume
-    at_least = drawing.at_least
+    worst, at_least = drawing.worst, drawing.at_least
     wanted = None if at_least is None else parse_yield(at_least)
-    chosen = words.machine(machine)
-    _check_files(worst, resume, report, [job, chosen.file, *words.files()])
-    options = words.options()
-    check_machine(chosen)
-    plan = plan_job(open_job(job, chosen, options), chosen, options)
-    asked = with_product(words.spec(chosen), chosen, options)
-    judged = MachineYield(plan, asked)
+    part = _part(drawing, report)
+    question = _question(job, machine, words, drawing)
+    variants, seed = question.variants, question.seed
+    chosen = question.words.machine(question.machine)
+    _check_files(drawing, report, [*job, question.job, chosen.file, *question.words.files()])
+    judged, asked = _planned(question, chosen)
     if wanted is not None:
         _check_reachable(variants, wanted, at_least or "")
-    warn(chosen, plan.job, own_feed=options.own_feeds)
-    state = None if resume is None else _opened(resume, plan, asked, seed)
+    warn(chosen, judged.plan.job, own_feed=question.words.options().own_feeds)
     with progress_bar(not json) as progress:
-        found = judged.drawn(
-            variants, seed, counted(progress, "simulating and judging machines", variants), state
-        )
+        found = _found(question, part, (judged, asked), drawing.resume, progress)
+        if part is not None and drawing.output is not None:
+            record = record_of(question, part_identity(judged.plan, asked), part)
+            finish_part(drawing.output, record, found, json=json)
+            raise typer.Exit(0)
         bad = judged.worst(found, counted(progress, "looking for the worst machine"))
         sensitivities = sensitivities_of(judged, variants, seed, progress) if drawing.why else None
         enough = found.passed == variants if wanted is None else found.interval[0] >= wanted
         better = None
         if wanted is not None and not enough:
-            told_set = counted(progress, "looking for the cheapest set of tolerances")
-            machines = MACHINES if judged.together else min(MACHINES, variants)
-            better = cheapest_set(judged, wanted, seed, machines=machines, done=told_set)
+            better = _cheapest(judged, wanted, question, progress)
         level = Level.DRAWN
-        title = f"{plan.job.name} on {chosen.name}: {_words(found, level)}"
-        drawn = None
+        title = f"{judged.plan.job.name} on {chosen.name}: {_words(found, level)}"
         with together(worst):
             if worst is not None:
                 worst.write_text(worst_toml(chosen, bad, worst.parent, "yield"), encoding="utf-8")
-            if report is not None:
-                drawn = _drawn(found, title, report)
-    again = command_line(
-        "prove", job, {"-m": machine, "--actual": worst, **words.typed(), "--nominal": ""}
+            drawn = None if report is None else _drawn(found, title, report)
+    proving = command_line(
+        "prove",
+        question.job,
+        {"-m": question.machine, "--actual": worst, **question.words.typed(), "--nominal": ""},
     )
     if json:
         more: dict[str, Any] = {} if drawn is None else {"report": str(drawn)}
-        more |= {} if worst is None else {"command": again}
+        more |= {} if worst is None else {"command": proving}
         more |= {} if better is None else {"cheapest": set_content(better, judged)}
         print_json(_content(found, bad, judged, sensitivities, level) | more)
-    else:
-        _show(found, bad, judged, sensitivities, title)
-        say(_words(found, level))
-        if better is not None:
-            show_set(better, judged, at_least or "")
-        if worst is not None:
-            say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
-            say(f"  {again}")
-        if drawn is not None:
-            say(f"Report: {drawn}")
+        raise typer.Exit(0 if enough else 1)
+    _show(found, bad, judged, sensitivities, title)
+    say(_words(found, level))
+    if better is not None:
+        show_set(better, judged, at_least or "")
+    if worst is not None:
+        say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
+        say(f"  {proving}")
+    if drawn is not None:
+        say(f"Report: {drawn}")
     raise typer.Exit(0 if enough else 1)
 
 
-def _check_files(
-    worst: Path | None,
+def _planned(question: Question, machine: Machine) -> tuple[MachineYield, Spec]:
+    """Return the judge of the machines, and the specification."""
+    if question.parts and not question.job.exists():
+        raise OptionError(
+            f"the parts are of job {str(question.job)!r}, and it is not here",
+            remedy="Merge in the folder in which the parts were made, or in a copy of it.",
+        )
+    options = question.words.options()
+    check_machine(machine)
+    plan = plan_job(open_job(question.job, machine, options), machine, options)
+    asked = with_product(question.words.spec(machine), machine, options)
+    return MachineYield(plan, asked), asked
+
+
+def _cheapest(
+    judged: MachineYield, wanted: float, question: Question, progress: Progress
+) -> CheapestSet:
+    told = counted(progress, "looking for the cheapest set of tolerances")
+    most = MACHINES if judged.together else min(MACHINES, question.variants)
+    return cheapest_set(judged, wanted, question.seed, machines=most, done=told)
+
+
+def _found(
+    question: Question,
+    part: Part | None,
+    how: tuple[MachineYield, Spec],
     resume: Path | None,
-    report: Path | None,
-    inputs: Sequence[Path | str | None],
+    progress: Progress,
+) -> Yield:
+    """Return the results of all machines, drawn or merged, or of those of one part."""
+    judged, asked = how
+    if question.parts:
+        return _merged(question.parts, judged, asked, progress)
+    seed, variants, state = question.seed, question.variants, None
+    machines = range(variants) if part is None else part.machines(variants)
+    if resume is not None:
+        own = {} if part is None else {"part": f"{part} of {variants}"}
+        state = _opened(resume, _identity(judged.plan, asked, seed) | own)
+    told = counted(progress, "simulating and judging machines", len(machines))
+    return judged.drawn(len(machines), seed, told, state, first=machines.start)
+
+
+def _merged(
+    parts: Sequence[PartFile], judged: MachineYield, asked: Spec, progress: Progress
+) -> Yield:
+    """Return the answer of all parts, if job, machine and versions here are those of the parts."""
+    identity = part_identity(judged.plan, asked)
+    for one in parts:
+        here = replace(one.record, identity=identity)
+        check_same(one, here, "this Threadline and the files here")
+    return merged(parts, judged, counted(progress, "judging the first of each part", len(parts)))
+
+
+def _part(drawing: Drawing, report: Path | None) -> Part | None:
+    """Return the part that is asked for; None for the whole yield."""
+    if drawing.part is None:
+        if drawing.output is not None:
+            raise OptionError(
+                "--output is the file of a part, and there is no --part",
+                remedy="Give --part, or --worst FILE for the worst machine.",
+            )
+        return None
+    if drawing.merge:
+        raise OptionError("--part and --merge exclude each other", remedy="Give one of them.")
+    part = parse_part(drawing.part)
+    part.machines(drawing.variants)  # refuses too few of them before a long plan
+    whole = {
+        "--why": drawing.why,
+        "--at-least": drawing.at_least,
+        "--worst": drawing.worst,
+        "--report": report,
+    }
+    check_part_options(drawing.output, whole)
+    return part
+
+
+def _question(
+    files: Sequence[Path], machine: str | None, words: Words, drawing: Drawing
+) -> Question:
+    """Return whose yield is wanted: by the command line, or with --merge by the parts."""
+    if not drawing.merge:
+        return asked_here(files, machine, words, drawing.variants, drawing.seed)
+    given = {
+        "--resume": drawing.resume,
+        "--variants": None if drawing.variants == _VARIANTS else drawing.variants,
+        "--seed": None if drawing.seed == _SEED else drawing.seed,
+    }
+    return asked_of_parts(files, machine, words, given)
+
+
+def _check_files(
+    drawing: Drawing, report: Path | None, inputs: Sequence[Path | str | None]
 ) -> None:
     """Refuse outputs that would replace an input or each other, or that cannot be written."""
-    keep_inputs(worst, *inputs, resume)
+    worst, resume, output = drawing.worst, drawing.resume, drawing.output
+    for one in (worst, output):
+        keep_inputs(one, *inputs, resume)
     keep_inputs(resume, *inputs)
     check_outputs(file=worst, folder=report)
     check_outputs(file=resume)
-    if worst is not None and resume is not None and worst.resolve() == resume.resolve():
-        raise OptionError(
-            f"--worst and --resume are the same file {str(worst)!r}", remedy="Name two files."
-        )
+    check_outputs(file=output)
+    for name, one in ("--worst", worst), ("--output", output):
+        if one is not None and resume is not None and one.resolve() == resume.resolve():
+            raise OptionError(
+                f"{name} and --resume are the same file {str(one)!r}", remedy="Name two files."
+            )
 
 
 def _drawn(found: Yield, title: str, folder: Path) -> Path:
@@ -199,9 +336,9 @@ def _check_reachable(variants: int, wanted: float, text: str) -> None:
         )
 
 
-def _opened(file: Path, plan: Plan, spec: Spec, seed: int) -> YieldState:
+def _opened(file: Path, identity: dict[str, str]) -> YieldState:
     """Return the results already in ``file``; warn if its last line was cut short."""
-    state = YieldState(file, _identity(plan, spec, seed))
+    state = YieldState(file, identity)
     if state.cut:
         tell([f"{file.name}: its last line was cut short; that machine is simulated again"])
     return state

@@ -267,6 +267,11 @@ class Scheduled:
         switch whose piston stands near the switch point.
     shaping
         Shaping of each cylinder; cylinders not named move unshaped.
+    again_tick
+        Scan at which further cycles begin; 0 if every cycle is as the first.
+    single
+        The schedule of one cycle, for the program of a PLC, if this one has a first and a further
+        cycle.
     """
 
     job: Job
@@ -277,6 +282,13 @@ class Scheduled:
     homings: tuple[Homing, ...] = ()
     warnings: tuple[str, ...] = ()
     shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
+    again_tick: int = 0
+    single: Scheduled | None = None
+
+    @property
+    def steady_tick(self) -> int:
+        """Scan at which the cycle begins that counts: the further one if there are two."""
+        return 0 if self.single is None else self.single.commands.duration_ticks
 
     @property
     def axes(self) -> tuple[str, ...]:

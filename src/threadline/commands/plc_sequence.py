@@ -155,6 +155,8 @@ class Sequence:
         Constant of the place in which every output is off.
     air
         Outputs of kind ``soft-start``.
+    again
+        Place with which every further cycle begins.
     """
 
     net: PetriNet
@@ -168,6 +170,7 @@ class Sequence:
     interlocks: Mapping[str, tuple[str, ...]]
     idle: str
     air: tuple[str, ...]
+    again: str
 
     @property
     def places(self) -> tuple[NamedPlace, ...]:
@@ -240,6 +243,22 @@ def sequence_of(
         interlocks=interlocked(machine, (*cycle, *homing)),
         idle=idle,
         air=tuple(n for n, o in machine.outputs.items() if o.kind == "soft-start"),
+        again=_again(scheduled, cycle),
+    )
+
+
+def _again(scheduled: Scheduled, cycle: tuple[NamedPlace, ...]) -> str:
+    """Return the place with which further cycles begin: the first wait of those they have.
+
+    Its time is counted from there; the time limit of that wait is as long as in the first cycle or
+    longer.
+    """
+    if not scheduled.job.once:
+        return cycle[0].name
+    return next(
+        named.name
+        for named in cycle
+        if named.place.wait is not None and named.place.begin_tick >= scheduled.again_tick
     )
 
 

@@ -2,7 +2,8 @@
 
 The SCL source is for TIA Portal (S7-1200, S7-1500). It contains the function block with interface,
 BEGIN and body, an instance data block, and an organisation block for a cyclic interrupt that calls
-the function block with symbolic tags. A table of these tags is a file beside the source. The body
+the function block with symbolic tags. Tables of these tags, of the alarm texts and of the variables
+for a panel are files beside the source. The body
 has the lines of the structured text; local names start with ``#``, tags stand in quotes, and timers
 are IEC timers.
 """
@@ -18,8 +19,8 @@ from threadline import __version__
 from threadline.base.wording import plain, st_comment
 from threadline.base.writing import together
 from threadline.commands.intents import Scheduled
-from threadline.commands.plc_sequence import Block, PlcProgram, Pou, Variable
-from threadline.commands.structured_text import plc_program
+from threadline.commands.plc_sequence import FAULTS, Block, PlcProgram, Pou, Variable
+from threadline.commands.structured_text import plc_program, size_warnings
 from threadline.files.formats.common import Written, atomic_file, written
 
 _TYPES = {
@@ -135,14 +136,48 @@ def scl_tags(scheduled: Scheduled) -> str:
     return "\n".join(("Name,Data Type,Logical Address", *rows)) + "\n"
 
 
+def scl_alarms(program: PlcProgram) -> str:
+    """Return the table of alarms: value of ``fault_code``, its text, and the variable."""
+    variable = f"{program.block.name}_data.fault_code"
+    rows = [f"{code},{text},{variable}" for code, text in enumerate(FAULTS.values()) if code]
+    return "\n".join(("ID,Alarm text,Trigger variable", *rows)) + "\n"
+
+
+def scl_panel(program: PlcProgram) -> str:
+    """Return the table of the variables for a panel: name, type, access and path in the PLC."""
+    located = _located(program)
+    rows = [
+        f"{variable.name},{_TYPES[variable.type]},"
+        f"{'write' if block.kind == 'VAR_INPUT' else 'read'},"
+        f"{program.block.name}_data.{variable.name}"
+        for block in program.block.blocks
+        if block.kind in {"VAR_INPUT", "VAR_OUTPUT"}
+        for variable in block.variables
+        if variable.name not in located
+    ]
+    return "\n".join(("Name,Data Type,Access,PLC variable", *rows)) + "\n"
+
+
 def write_scl(scheduled: Scheduled, path: Path) -> list[Written]:
-    """Write the source to ``path`` and the tags beside it to ``NAME.tags.csv``."""
-    beside = path.with_name(f"{path.stem}.tags.csv")
+    """Write the source to ``path``, and three tables beside it.
+
+    ``NAME.tags.csv`` has the tags, ``NAME.alarms.csv`` the alarm texts, and ``NAME.hmi.csv`` the
+    variables for a panel.
+    """
+    program = plc_program(scheduled)
+    tables = {
+        "tags": scl_tags(scheduled),
+        "alarms": scl_alarms(program),
+        "hmi": scl_panel(program),
+    }
+    beside = [path.with_name(f"{path.stem}.{name}.csv") for name in tables]
     with together():
-        for file, content in ((path, scl_source(scheduled)), (beside, scl_tags(scheduled))):
+        for file, content in zip(
+            (path, *beside), (scl_source(scheduled), *tables.values()), strict=True
+        ):
             with atomic_file(file) as stream:
                 stream.write(content.encode("ascii"))
-        return [written(path, scheduled.warnings), written(beside)]
+        return [written(path, size_warnings(scheduled, program)), *map(written, beside)]
 
 
 NAMESPACE = "http://www.plcopen.org/xml/tc6_0201"
@@ -248,4 +283,4 @@ def write_plcopen(scheduled: Scheduled, path: Path) -> list[Written]:
     """Write the PLCopen XML project to ``path``."""
     with atomic_file(path) as stream:
         stream.write(plcopen_xml(scheduled))
-    return [written(path, scheduled.warnings)]
+    return [written(path, size_warnings(scheduled, plc_program(scheduled)))]

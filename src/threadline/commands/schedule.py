@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from threadline.commands.intents import Scheduled, ScheduledMove
 from threadline.commands.schedule_moves import (
@@ -34,7 +36,7 @@ from threadline.commands.schedule_options import (
 )
 from threadline.errors import BudgetError, Place, PlanError
 from threadline.files import Clock, Event, SwitchSchedule
-from threadline.jobs.moves import REST, STEP_EVENT
+from threadline.jobs.moves import REST, STEP_EVENT, repeated
 from threadline.jobs.operations import (
     Dwell,
     Home,
@@ -69,8 +71,56 @@ def compile_schedule(
     """
     builder = _Builder(job, machine, dict(shaping or {}))
     for index, operation in enumerate(job):
+        if index == job.once:
+            builder.mark_again()
         builder.add(index, operation)
     return builder.finish()
+
+
+def compile_cycles(
+    job: Job, machine: Machine, shaping: Mapping[str, AxisShaping] | None = None
+) -> tuple[Job, Scheduled]:
+    """Return job and schedule of continuous production: a first cycle and a further one.
+
+    A job whose cycles are all as the first is returned as it is, with its schedule.
+
+    Raises
+    ------
+    PlanError
+        As ``compile_schedule``, or if the cycle ends otherwise than a further one begins.
+    """
+    single = compile_schedule(job, machine, shaping)
+    if not job.once:
+        return job, single
+    _check_again(job, single)
+    both = repeated(job)
+    scheduled = compile_schedule(both, machine, shaping)
+    return both, replace(scheduled, single=single, warnings=single.warnings)
+
+
+def _check_again(job: Job, single: Scheduled) -> None:
+    """Refuse a cycle that leaves outputs or cylinders otherwise than a further one finds them."""
+    place = Place(job.file)
+    commands = single.commands
+    row = int(np.searchsorted(commands.ticks, single.again_tick)) - 1
+    begin = commands.levels[row] if row >= 0 else np.zeros_like(commands.levels[-1])
+    for name, first, last in zip(commands.outputs, begin, commands.levels[-1], strict=True):
+        if first != last:
+            raise PlanError(
+                f"the output {name!r} is {'on' if last else 'off'} at the end of the list, and "
+                f"{'on' if first else 'off'} where every further cycle begins",
+                place=place,
+                remedy="Switch it within the list, so that both are the same.",
+            )
+    for axis, start in zip(job.axes, job.start, strict=True):
+        ends = [move.end_m for move in single.moves if move.axis == axis]
+        if ends and abs(ends[-1] - start) > _SAME_M:
+            raise PlanError(
+                f"{axis} is at {ends[-1] * 1e3:g} mm at the end of the list, and at "
+                f"{start * 1e3:g} mm where every further cycle begins",
+                place=place,
+                remedy="Bring it back within the list.",
+            )
 
 
 @dataclass(slots=True)
@@ -91,6 +141,7 @@ class _Builder:
     state: dict[str, int] = field(default_factory=dict)
     position: dict[str, float] = field(default_factory=dict)
     on_its_way: set[str] = field(default_factory=set)
+    again_tick: int = 0
 
     def __post_init__(self) -> None:
         self.state = dict.fromkeys(self.machine.outputs, 0)
@@ -100,6 +151,10 @@ class _Builder:
     def clock(self) -> Clock:
         assert self.machine.plc is not None
         return self.machine.clock(self.machine.plc.clock)
+
+    def mark_again(self) -> None:
+        """Note that further cycles begin here."""
+        self.again_tick = self.tick
 
     def _ticks(self, time_s: float) -> int:
         return max(1, math.ceil(time_s / float(self.clock.period_s) - 1e-9))
@@ -301,4 +356,5 @@ class _Builder:
             wait_timeouts_s=tuple(self.timeouts),
             warnings=tuple(self.warnings),
             shaping=self.shaping,
+            again_tick=self.again_tick,
         )

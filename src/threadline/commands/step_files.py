@@ -13,20 +13,33 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline import __version__
-from threadline.base.arrays import FloatArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.writing import is_stdout
 from threadline.commands.intents import Stitched
 from threadline.commands.step_tables import shortest_s, steps_residual_m
-from threadline.errors import OptionError, PlanError
+from threadline.errors import OptionError, Place, PlanError
 from threadline.files import StepPlay
 from threadline.files.formats.common import Written, atomic_file, written
-from threadline.jobs.embroidery.records import SUFFIXES, UNIT_M
+from threadline.jobs.embroidery.records import SUFFIXES, UNIT_M, sewn_units
 from threadline.jobs.embroidery.t15 import MOST, SUFFIX, t15_bytes
+from threadline.jobs.embroidery.tapes import (
+    DST,
+    DST_MOST,
+    FAST,
+    MOST_JUMPS,
+    SLOW,
+    U01,
+    dst_bytes,
+    u01_bytes,
+)
 
 FORMAT = "threadline step tables 1"
 _CUTS = ("colour", "trim")
+_DESIGNS = {SUFFIX: "a Saurer T15 card", DST: "a DST design", U01: "a U01 design"}
+_ROUNDING = 1e-9
 TABLES_MAGIC, STITCHES_MAGIC = b"TLSTEPT1", b"TLSTEPS1"
 
 
@@ -114,29 +127,138 @@ def write_t15(stitched: Stitched, path: Path) -> Written:
     OptionError
         If the file name has the ending of another design format.
     """
-    unit_m = stitched.pace.tables.unit.si
-    if abs(unit_m / UNIT_M - 1.0) > 1e-9 or stitched.pace.tables.longest_units > MOST:
+    said = _check_design(stitched, path, SUFFIX, MOST)
+    units = _units_xy(stitched)
+    turns = stitched.turns
+    changes = {e.tick for e in stitched.turns.events if e.kind == "tool" and e.name in _CUTS}
+    with atomic_file(path) as file:
+        file.write(t15_bytes(units, turns.moves.needle, changes | {len(turns)}))
+    return replace(written(path), warnings=said)
+
+
+def write_dst(stitched: Stitched, path: Path) -> Written:
+    """Write the design as DST, as it was read: merged, with its trims and thread changes.
+
+    Raises
+    ------
+    PlanError
+        If DST does not have the units of the design, or it reads back as another design.
+    OptionError
+        If the file name has the ending of another design format.
+    """
+    said = _check_design(stitched, path, DST, (MOST_JUMPS + 1) * DST_MOST)
+    events = _events(stitched)
+    needle = stitched.turns.moves.needle
+    content = dst_bytes(_units_xy(stitched), needle, events, stitched.job.name)
+    names = [name for found in events.values() for name in found]
+    if stops := names.count("stop"):
+        said += (f"{path}: DST has no stops: {stops} are written as thread changes",)
+    if paces := names.count(SLOW) + names.count(FAST):
+        said += (f"{path}: DST has no marks of speed: {paces} are left out",)
+    return _write_design(stitched, path, content, DST, said)
+
+
+def write_u01(stitched: Stitched, path: Path) -> Written:
+    """Write the design as Barudan's U01, with SLOW and FAST where planned speeds change most.
+
+    A machine has one speed for each mark. A stitch is SLOW if its planned speed is below a
+    threshold; the threshold is the one with the shortest total time, if the stitches of each mark
+    are sewn at the slowest speed planned for one of them. Marks of the design are replaced.
+
+    Raises
+    ------
+    PlanError
+        If U01 does not have the units of the design, or it reads back as another design.
+    OptionError
+        If the file name has the ending of another design format.
+    """
+    said = _check_design(stitched, path, U01, MOST)
+    turn_s = stitched.turns.turn_s
+    slow, facts = two_speeds(turn_s)
+    events = _events(stitched)
+    for tick, names in events.items():
+        events[tick] = [name for name in names if name not in {SLOW, FAST}]
+    for turn in np.flatnonzero(np.diff(slow.astype(np.int64), prepend=0)).tolist():
+        events.setdefault(turn, []).append(SLOW if slow[turn] else FAST)
+    content = u01_bytes(_units_xy(stitched), stitched.turns.moves.needle, events)
+    file = _write_design(stitched, path, content, U01, said)
+    return replace(file, facts=(*file.facts, *facts))
+
+
+def two_speeds(turn_s: FloatArray) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
+    """Return which turns are slow if a machine has two speeds, and the facts about both speeds.
+
+    Parameters
+    ----------
+    turn_s
+        (n,) planned time of each turn, s.
+    """
+    order = np.sort(turn_s)
+    count = np.arange(1, len(order) + 1)
+    total = count * order + (len(order) - count) * order[-1]
+    fast_s, slow_s = float(order[int(np.argmin(total))]), float(order[-1])
+    slow = turn_s > fast_s * (1.0 + _ROUNDING)
+    if not slow.any():
+        return slow, (f"no SLOW or FAST: {60.0 / slow_s:.4g} stitches a minute for all",)
+    return slow, (
+        f"SLOW for {int(slow.sum())} of {len(slow)} turns, whose slowest is planned with "
+        f"{60.0 / slow_s:.4g} stitches a minute, FAST for the others, planned with at least "
+        f"{60.0 / fast_s:.4g}; at those two speeds {float(total.min()):.4g} s, as planned "
+        f"{float(turn_s.sum()):.4g} s, all at the slower {len(slow) * slow_s:.4g} s",
+    )
+
+
+def _check_design(stitched: Stitched, path: Path, suffix: str, most: int) -> tuple[str, ...]:
+    """Refuse what a format cannot hold; return a warning about a name without its ending."""
+    name, unit_m = _DESIGNS[suffix], stitched.pace.tables.unit.si
+    if abs(unit_m / UNIT_M - 1.0) > 1e-9 or stitched.pace.tables.longest_units > most:
         raise PlanError(
-            f"a T15 card is in units of {UNIT_M * 1e3:g} mm and holds {MOST} in a stitch; the "
+            f"{name} is in units of {UNIT_M * 1e3:g} mm and holds {most} in a stitch; the "
             f"machine moves by {unit_m * 1e3:g} mm, {stitched.pace.tables.longest_units} at most",
             place=stitched.machine.place,
             remedy="Take a machine with such units.",
         )
     ending = path.suffix.lower()
-    if ending in SUFFIXES and ending != SUFFIX:
+    if ending in SUFFIXES and ending != suffix:
         raise OptionError(
-            f"a Saurer T15 card, and the name of {str(path)!r} ends in {path.suffix}: whoever "
+            f"{name}, and the name of {str(path)!r} ends in {path.suffix}: whoever "
             "reads it would take it for another format",
-            remedy=f"Name it {str(path.with_suffix(SUFFIX))!r}.",
+            remedy=f"Name it {str(path.with_suffix(suffix))!r}.",
         )
-    turns = stitched.turns
-    changes = {e.tick for e in stitched.turns.events if e.kind == "tool" and e.name in _CUTS}
+    if ending == suffix or is_stdout(path):
+        return ()
+    return (f"{path}: {name} is known by the ending {suffix}, which this name has not",)
+
+
+def _units_xy(stitched: Stitched) -> IntArray:
+    """Return the (n, 2) displacements with X first, whatever the order of the machine's axes."""
+    return stitched.turns.moves.units[:, [stitched.axes.index(axis) for axis in ("X", "Y")]]
+
+
+def _events(stitched: Stitched) -> dict[int, list[str]]:
+    """Return the names of the events before each turn."""
+    found: dict[int, list[str]] = {}
+    for event in stitched.turns.events:
+        if event.kind == "tool":
+            found.setdefault(event.tick, []).append(event.name)
+    return found
+
+
+def _write_design(
+    stitched: Stitched, path: Path, content: bytes, suffix: str, said: tuple[str, ...]
+) -> Written:
+    """Write a design that reads back, by the reader of its format, with the same stitches."""
+    sewn = np.cumsum(_units_xy(stitched), axis=0)[stitched.turns.moves.needle == 1]
+    if not np.array_equal(sewn_units(content, suffix), sewn):
+        raise PlanError(
+            f"the design reads back from {suffix[1:].upper()} with other stitches",
+            place=Place(stitched.job.file),
+            remedy="Write another format, and report the design.",
+        )
     with atomic_file(path) as file:
-        file.write(t15_bytes(turns.moves.units, turns.moves.needle, changes | {len(turns)}))
-    if ending == SUFFIX or is_stdout(path):
-        return written(path)
-    said = f"{path}: a Saurer T15 card is known by the ending {SUFFIX}, which this name has not"
-    return replace(written(path), warnings=(said,))
+        file.write(content)
+    fact = f"{len(sewn)} stitches, which read back at the same places"
+    return replace(written(path), warnings=said, facts=(fact,))
 
 
 def _manifest(stitched: Stitched, files: Iterable[Written]) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """IEC 61131-3 structured text of a schedule: a function block that plays its Petri net.
 
-The text is standard (second and third edition): it calls no vendor functions, declares and types
-every name, and puts located variables in a VAR block of their own.
+It is written as two files, units and configuration, or as one file for OpenPLC. The text is
+standard (second and third edition): it calls no vendor functions, declares and types every name,
+and puts located variables in a VAR block of their own.
 """
 
 from __future__ import annotations
@@ -70,8 +71,13 @@ _INTERNAL = (
 _ONCE = ("start", "acknowledge", "home")
 
 
-def plc_program(scheduled: Scheduled) -> PlcProgram:
-    """Return the program units of ``scheduled``.
+OPENPLC = ("Config0", "Res0")
+"""Names of configuration and resource with OpenPLC, whose build moves and compiles the files
+``Config0.c`` and ``Res0.c``."""
+
+
+def plc_program(scheduled: Scheduled, cell: tuple[str, str] = ("cell", "cpu")) -> PlcProgram:
+    """Return the program units of ``scheduled``; ``cell`` names configuration and resource.
 
     Raises
     ------
@@ -83,6 +89,8 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
     assert machine.plc is not None
     roles = {kind: _of_kind(machine, kind) for kind in ("light-grid", "enable", *_ONCE)}
     names = Names(_INTERNAL)
+    # First of all: these names have to stay as they are.
+    configuration, resource = names.give(cell[0]), names.give(cell[1])
     block_name, main_name = names.give(scheduled.job.name), names.give(f"{machine.name}_main")
     inputs = {contact: names.give(contact) for contact in machine.contacts}
     outputs = {output: names.give(output) for output in machine.outputs}
@@ -121,11 +129,38 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
     return PlcProgram(
         block=block,
         main=main,
-        configuration=names.give("cell"),
-        resource=names.give("cpu"),
+        configuration=configuration,
+        resource=resource,
         task=names.give("timed"),
         instance=names.give("machine"),
         interval_ms=net.scan_ms,
+    )
+
+
+_BRANCH_US = 2.0
+"""Time of a branch with its comparisons on a small controller, us; a fast one needs a tenth."""
+_LARGE = 0.25
+"""Share of the scan that the branches may take before the program is called large."""
+
+
+def branches_of(program: PlcProgram) -> int:
+    """Return the number of branches; the controller comes to nearly all of them in every scan."""
+    lines = (line.lstrip() for line in program.block.body)
+    return sum(line.startswith(("IF ", "ELSIF ")) for line in lines)
+
+
+def size_warnings(scheduled: Scheduled, program: PlcProgram) -> tuple[str, ...]:
+    """Return the warnings of ``scheduled``, with one more if the program is large for its scan."""
+    branches, scan_ms = branches_of(program), program.interval_ms
+    takes_ms = 1e-3 * _BRANCH_US * branches
+    if takes_ms <= _LARGE * scan_ms:
+        return scheduled.warnings
+    return (
+        *scheduled.warnings,
+        f"the program is large: {branches} branches in every scan take about {takes_ms:.3g} ms at "
+        f"{_BRANCH_US:g} us each, and the scan is {scan_ms} ms; more than "
+        f"{_LARGE * 100.0:g} % of it is much for a small PLC. Measure its scan time, take a faster "
+        "PLC or a longer scan, or divide the list",
     )
 
 
@@ -299,15 +334,17 @@ class StructuredText:
     configuration: str
 
 
-def structured_text(scheduled: Scheduled) -> StructuredText:
-    """Return the structured text of ``scheduled``.
+def structured_text(
+    scheduled: Scheduled, cell: tuple[str, str] = ("cell", "cpu")
+) -> StructuredText:
+    """Return the structured text of ``scheduled``; ``cell`` names configuration and resource.
 
     Raises
     ------
     PlanError
         As ``plc_program``.
     """
-    program = plc_program(scheduled)
+    program = plc_program(scheduled, cell)
     units = [*pou_text(program.block), "", *pou_text(program.main)]
     return StructuredText("\n".join(units) + "\n", "\n".join(configuration_text(program)) + "\n")
 
@@ -320,4 +357,13 @@ def write_structured_text(scheduled: Scheduled, path: Path) -> list[Written]:
         for file, content in ((path, text.units), (beside, text.configuration)):
             with atomic_file(file) as stream:
                 stream.write(content.encode("ascii"))
-        return [written(path, scheduled.warnings), written(beside)]
+        warned = size_warnings(scheduled, plc_program(scheduled))
+        return [written(path, warned), written(beside)]
+
+
+def write_openplc(scheduled: Scheduled, path: Path) -> list[Written]:
+    """Write units and configuration to ``path`` as the one file that OpenPLC takes."""
+    text = structured_text(scheduled, OPENPLC)
+    with atomic_file(path) as stream:
+        stream.write(f"{text.units}\n{text.configuration}".encode("ascii"))
+    return [written(path, size_warnings(scheduled, plc_program(scheduled)))]

@@ -356,7 +356,7 @@ def _end(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
         return
     yield "count := count + 1;"
     yield "IF continuous AND NOT ending THEN"
-    yield from (f"  {line}" for line in _begin(sequence.cycle[0].name, words))
+    yield from (f"  {line}" for line in _begin(sequence.again, words))
     yield "ELSE"
     yield f"  place := {sequence.idle};"
     yield "  finished := TRUE;"

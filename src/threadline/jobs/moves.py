@@ -1,7 +1,8 @@
 """Move lists (``.toml``): the steps of an on/off machine, as a sequence of ``[[operation]]``.
 
 Each operation has one of the keys ``move``, ``dwell``, ``valve``, ``vacuum``, ``output``,
-``wait`` and ``home``. The key ``step`` names a step of the cycle that begins with the operation.
+``wait`` and ``home``. The key ``step`` names a step of the cycle that begins with the operation;
+``first_cycle_only`` leaves it out of every cycle but the first.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -45,6 +46,9 @@ OPERATION_KEYS = {
     "home": ("home",),
 }
 """Allowed keys of each kind of operation, by the key that names the kind."""
+FIRST = "first_cycle_only"
+ANY_KEYS = ("step", FIRST)
+"""Allowed keys of every operation."""
 DEFAULT_TIMEOUT_S = 2.0
 """Time after which a missing input is a fault, unless the list gives another time."""
 MAX_BYTES = 4 * 1024 * 1024
@@ -106,7 +110,14 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
         operations=Stream.of(operations),
         paced_by="switchings",
         home=reader.home(table, operations),
+        once=reader.once,
     )
+
+
+def repeated(job: Job) -> Job:
+    """Return the first cycle of ``job`` followed by a further one, with steps of the same names."""
+    first = list(job)
+    return replace(job, operations=Stream.of([*first, *first[job.once :]]))
 
 
 @dataclass(slots=True)
@@ -116,6 +127,7 @@ class _Reader:
     file: str
     text: str
     machine: Machine
+    once: int = 0
 
     def operations(self, table: Mapping[str, Any]) -> list[Operation]:
         if not self.machine.cylinders:
@@ -134,7 +146,7 @@ class _Reader:
         headers = self._headers()
         for index, row in enumerate(rows):
             self._known(
-                row, ("step", *{k for keys in OPERATION_KEYS.values() for k in keys}), index
+                row, (*ANY_KEYS, *{k for keys in OPERATION_KEYS.values() for k in keys}), index
             )
             source = Source(self.file, headers[index] if index < len(headers) else 0)
             if "step" in row:
@@ -145,7 +157,31 @@ class _Reader:
                     )
                 found.append(ToolEvent(STEP_EVENT + step, 0.0, source))
             found += self._operation(row, index, source, position)
+            if self._flag(row, index, FIRST, False):
+                self._check_first(rows, index)
+                self.once = len(found)
         return found
+
+    def _check_first(self, rows: list[dict[str, Any]], index: int) -> None:
+        """Refuse a first-cycle operation that moves, stands behind others, or before no wait."""
+        if "move" in rows[index]:
+            self.refuse(f"a move belongs to every cycle, it has no {FIRST}", index, FIRST)
+        if index and FIRST not in rows[index - 1]:
+            self.refuse(
+                f"{FIRST} stands behind an operation that every cycle has",
+                index,
+                FIRST,
+                "Put what only the first cycle does at the beginning of the list.",
+            )
+        behind = rows[index + 1] if index + 1 < len(rows) else {}
+        if not behind.get(FIRST, False) and "wait" not in behind:
+            self.refuse(
+                f"behind the last operation with {FIRST} there is no wait: every further cycle "
+                "begins there, and the PLC counts its times from an input",
+                index,
+                FIRST,
+                'Let the next operation wait for an end switch, like wait = "x_is_left".',
+            )
 
     def home(self, table: Mapping[str, Any], operations: list[Operation]) -> tuple[str, ...]:
         """Return the homing order of the cylinders, with every cylinder once; empty without one.
@@ -193,7 +229,7 @@ class _Reader:
                 f"Use one of {', '.join(OPERATION_KEYS)}; the rest is another [[operation]].",
             )
         verb = verbs[0]
-        self._known(row, ("step", *OPERATION_KEYS[verb]), index)
+        self._known(row, (*ANY_KEYS, *OPERATION_KEYS[verb]), index)
         if verb == "move":
             return [self._move(row, index, source, position)]
         if verb == "dwell":

@@ -348,6 +348,8 @@ class Job:
         Largest acceleration along the path, m/s^2, from the limit of a needle that follows.
     home
         Homing order of the cylinders; empty if the moves of the list decide the order.
+    once
+        Number of operations at the beginning that only the first cycle has.
     """
 
     name: str
@@ -365,6 +367,7 @@ class Job:
     home: tuple[str, ...] = ()
     needle_follows: bool = False
     along_m_s2: float = math.inf
+    once: int = 0
 
     def __iter__(self) -> Iterator[Operation]:
         return iter(self.operations)

@@ -165,6 +165,7 @@ class Format:
 _TYPED = {
     "dialect": "--dialect", "feed_mode": "--feed-mode", "base_axes": "--feed-mode",
     "needle_speed": "--needle", "axes": "--axes",
+    "long_stitches": "--long-stitches",
 }  # fmt: skip
 """Command-line option for each reader option that has one."""
 
@@ -210,6 +211,7 @@ FORMATS: tuple[Format, ...] = (
         (".dst", ".exp", ".jef", ".xxx", ".u01", ".hus", ".t15", ".pes", ".pec", ".vp3"),
         "threadline.jobs.embroidery",
         "read_design",
+        "DESIGN_OPTIONS",
     ),
 )
 

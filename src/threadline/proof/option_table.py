@@ -42,6 +42,7 @@ from threadline.proof.option_words import (
     parse_contour_m,
     parse_damping,
     parse_feed,
+    parse_long_stitches,
     parse_narrow,
     parse_outside_m,
     parse_reserve,
@@ -197,6 +198,16 @@ TABLE: tuple[Option, ...] = (
         help='Replaces the needle speed of a seam: "75 stitch/s".',
         attribute="needle", parse=str,
         recorded=FileForm(key="needle", write=_same, read=str),
+    ),
+    Option(
+        name="long-stitches", group=Group.PLAN, kinds=(STEPS,),
+        verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
+        help="How stitches of a design that are longer than the machine's longest move are sewn: "
+        "travel (needle up; the default), split (the needle enters on the way) or refuse. With "
+        "jumps before it or without, a stitch is the same.",
+        helps={"judge": _AS_GIVEN},
+        attribute="long_stitches", parse=parse_long_stitches, doors=(Door.LINE, Door.PYTHON),
+        recorded=FileForm(key="long-stitches", write=_same, read=parse_long_stitches),
     ),
     Option(
         name="tolerance", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS, STEPS),

@@ -12,6 +12,7 @@ from threadline.jobs.operations import Feed, FeedMode
 from threadline.units import parse_number, parse_quantity, same_dimension, split_quantity
 
 LEAST_CONTOUR_M = 1e-6
+LONG_STITCHES = ("travel", "split", "refuse")
 FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 """Units of feeds that are not speeds of the fastest axis."""
 F_UNIT = "mm/min"
@@ -211,6 +212,21 @@ def length_words(length_m: float) -> str:
     """
     text = f"{length_m * 1e3:.9g} mm"
     return text if parse_quantity(text, "m") == length_m else f"{length_m!r} m"
+
+
+def parse_long_stitches(text: str) -> str:
+    """Return how long stitches of a design are sewn: ``travel``, ``split`` or ``refuse``.
+
+    Raises
+    ------
+    OptionError
+        If it is another word.
+    """
+    if text not in LONG_STITCHES:
+        raise OptionError(
+            f"long-stitches {text!r} is not known", remedy=f"Known: {', '.join(LONG_STITCHES)}."
+        )
+    return text
 
 
 def parse_contour_m(text: str) -> float:

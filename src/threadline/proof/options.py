@@ -134,6 +134,9 @@ class Options:
         machine's zero.
     needle
         Text of the needle speed that replaces the speed of a seam; None keeps the seam's.
+    long_stitches
+        How stitches of a design that are longer than the machine's longest move are sewn:
+        ``travel``, ``split`` or ``refuse``; None: ``travel``.
     tolerance_m
         Largest deviation of the planned from the programmed path, at the tool.
     limit_share
@@ -173,6 +176,7 @@ class Options:
     product: str | None = None
     offset: str | None = None
     needle: str | None = None
+    long_stitches: str | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
     limit_share: float = 1.0
     shaper: str | None = None

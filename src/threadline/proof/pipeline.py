@@ -206,6 +206,8 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
         told["axes"] = options.axes
     if options.needle is not None:
         told["needle_speed"] = options.needle
+    if options.long_stitches is not None:
+        told["long_stitches"] = options.long_stitches
     known = with_radii(machine, options.radius)
     return shifted(read_job(job_file, known, **told), known, options.offset)
 
@@ -286,9 +288,11 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
         array of the 1994 controller. ``nc``: the planned motion as a part program for LinuxCNC,
         a block for each stretch of time. ``grbl``, ``fluidnc``, ``marlin``, ``klipper``,
         ``reprapfirmware``, ``linuxcnc``, ``fanuc``: chords for a controller that plans its own
-        ramps. ``st``: structured text for a PLC, its configuration in a second file. ``plcopen``:
+        ramps. ``st``: structured text for a PLC, its configuration in a second file. ``openplc``:
+        both in one file, as OpenPLC takes it. ``plcopen``:
         the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
         stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
+        ``dst``, ``u01``: the design for Tajima's and Barudan's machines.
     slower
         Whether a program may take longer on its firmware than the job as it stands.
 

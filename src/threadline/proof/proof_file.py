@@ -129,7 +129,7 @@ def proof_content(proof: Proof, folder: Path, key: bytes | None = None) -> dict[
     Reads the commands once.
     """
     plan = proof.plan
-    given = {key: value for key, value in plan.options.items() if key not in _NAMES}
+    given = _given(plan)
     content = {
         "format": FORMAT,
         "threadline": __version__,
@@ -401,6 +401,15 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
         return early
     plan = plan_job(job, machine, options)
     return check_proof(known, plan, with_shaping(spec, machine, options), actual)
+
+
+def options_sha256(plan: Plan) -> str:
+    """Return the hash of the planning options, as a proof has it."""
+    return _canonical_sha256(_given(plan))
+
+
+def _given(plan: Plan) -> dict[str, Any]:
+    return {key: value for key, value in plan.options.items() if key not in _NAMES}
 
 
 def spec_sha256(spec: Spec) -> str:

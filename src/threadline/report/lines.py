@@ -15,6 +15,7 @@ from threadline.jobs.gcode.feeds import of_which
 from threadline.jobs.operations import Job, Source, begins_circuit
 from threadline.proof.pipeline import Proof
 from threadline.verdict import is_assumed
+from threadline.verdict.rendering import continuous
 
 if TYPE_CHECKING:
     from threadline.dynamics.preview import Demand
@@ -306,8 +307,22 @@ def _speed_words(plan: Plan) -> str:
 
 
 def about_switching(proof: Proof) -> list[str]:
-    """Return the lines below the verdict: the shaper of each cylinder."""
-    return [f"Cylinder {axis}:".ljust(22) + words for axis, words in shaping_rows(proof.plan)]
+    """Return the lines below the verdict: production, and the shaper of each cylinder."""
+    produced = production(proof)
+    rows = [["Production", produced]] if produced else []
+    rows += [[f"Cylinder {axis}", words] for axis, words in shaping_rows(proof.plan)]
+    return [f"{name}:".ljust(22) + words for name, words in rows]
+
+
+def production(proof: Proof) -> str:
+    """Return words for continuous production; empty if every cycle is as the first."""
+    steady = continuous(proof.verdict, proof.plan)
+    if not steady:
+        return ""
+    return (
+        f"{steady['pieces_per_hour']:.0f} pieces an hour, a cycle of {steady['cycle_s']:.4g} s "
+        "behind the first"
+    )
 
 
 def shaping_rows(plan: Plan) -> list[list[str]]:

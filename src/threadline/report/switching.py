@@ -25,7 +25,7 @@ from threadline.report.document import (
     origin_facts,
     run_facts,
 )
-from threadline.report.lines import shaping_rows
+from threadline.report.lines import production, shaping_rows
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import (
@@ -275,7 +275,8 @@ def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = 
             captions[name] = captions[name].format(beside=beside)
         for name in ("frame", "cycle"):
             captions[name] += run.words(proof)
-        for number, figure in enumerate(petri_figures(plan.scheduled), start=1):
+        net = plan.scheduled.single or plan.scheduled
+        for number, figure in enumerate(petri_figures(net), start=1):
             name = "petri-net" if number == 1 else f"petri-net-{number}"
             figures[name] = figure
             captions[name] = _CAPTIONS["petri-net"] if number == 1 else "The sequence, continued."
@@ -285,6 +286,7 @@ def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = 
                 [
                     plan.machine.title,
                     how,
+                    *filter(None, [production(proof)]),
                     *(f"{axis} {words}" for axis, words in shaping_rows(plan)),
                 ]
             ),

@@ -94,13 +94,20 @@ class MachineYield(WithinTolerances):
         seed: int,
         done: Done | None = None,
         state: YieldState | None = None,
+        *,
+        first: int = 0,
     ) -> Yield:
-        """Return the results of the first machines in the sequence of a seed.
+        """Return the results of consecutive machines in the sequence of a seed.
 
         Parameters
         ----------
+        variants
+            How many machines.
         state
-            Known results for the same plan, specification and seed; new results are added to it.
+            Known results for the same plan, specification, seed and ``first``; new results are
+            added to it.
+        first
+            Number of the first machine in the sequence.
 
         Raises
         ------
@@ -115,14 +122,14 @@ class MachineYield(WithinTolerances):
         through = 0
         if state is not None and state.known is not None:
             through = min(state.known.runs, variants)
-            state.check_first(self.judged(drawn(self.plan.machine, seed, np.arange(1))))
+            state.check_first(self.judged(drawn(self.plan.machine, seed, first + np.arange(1))))
             found.append(state.known.taken(np.arange(through)))
             if done is not None:
                 done(through)
         at_once = AT_ONCE if self._many is not None else _AT_ONCE_ALONE
         for at in range(through, variants, at_once):
             index: IntArray = np.arange(at, min(at + at_once, variants))
-            found.append(self.judged(drawn(self.plan.machine, seed, index), done))
+            found.append(self.judged(drawn(self.plan.machine, seed, first + index), done))
             if state is not None:
                 state.add(found[-1])
         return Yield(numbers=self.numbers, found=EachRun.joined(found), seed=seed)

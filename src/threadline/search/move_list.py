@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from threadline.commands.schedule_moves import joined_levels, levels_by_axis
 from threadline.errors import OptionError
 from threadline.files import Stream
-from threadline.jobs.moves import OVERLAP, REST
+from threadline.jobs.moves import FIRST, OVERLAP, REST
 from threadline.jobs.operations import (
     Dwell,
     Home,
@@ -182,7 +182,7 @@ def move_list(job: Job, machine: Machine) -> str:
         lines.append(f"home = [{', '.join(map(_quoted, job.home))}]")
     step = ""
     position = dict(zip(job.axes, job.start, strict=True))
-    for operation in job:
+    for index, operation in enumerate(job):
         if isinstance(operation, ToolEvent):
             step = operation.name.removeprefix("step ")
             continue
@@ -190,6 +190,8 @@ def move_list(job: Job, machine: Machine) -> str:
         if step:
             lines.append(f"step = {_quoted(step)}")
             step = ""
+        if index < job.once:
+            lines.append(f"{FIRST} = true")
         lines += _operation_lines(operation, machine, job.axes, position)
     return "\n".join(lines) + "\n"
 

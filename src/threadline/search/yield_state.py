@@ -19,6 +19,7 @@ import math
 import sys
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -36,11 +37,84 @@ if sys.platform != "win32":
     import fcntl
 
 FORMAT = "threadline yield 2"
-_MOST_LINE = 64 << 20
+_REMEDY = "Give another file to --resume, or remove this one to begin anew."
+MOST_LINE = 64 << 20
 _MOST_RUNS = 1 << 20  # machines in one line
 _TEXTS = ("name", "axis", "step", "unit")
 _FLAGS = ("required", "hard", "of_plan")
 _TOLD = (*_TEXTS, "limit", *_FLAGS)
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Reads the lines of a file of judged machines, and refuses a changed one by its number.
+
+    Parameters
+    ----------
+    path
+        The file.
+    subject, remedy
+        What cannot be read, and what to do, for the messages.
+    """
+
+    path: Path
+    subject: str
+    remedy: str
+
+    def content(self, text: bytes, line: int) -> dict[str, Any]:
+        """Return the content of a line, and check its check sum.
+
+        Raises
+        ------
+        RecordingError
+            If the line was changed.
+        """
+        told, _, body = text.rstrip(b"\n").partition(b" ")
+        if told != b"%08x" % zlib.crc32(body):
+            self.refuse(f"it is not {self.subject}, or it was changed", line)
+        content = parse_json(body.decode(errors="replace"), Place(str(self.path), line))
+        if not isinstance(content, dict):
+            self.refuse("it was changed", line)
+        return content
+
+    def judged(self, content: Mapping[str, Any], at: int, line: int) -> EachRun:
+        """Return the results in a line, whose first machine is ``at`` in the sequence.
+
+        Raises
+        ------
+        RecordingError
+            If the line has other machines, or was changed.
+        """
+        runs, first = content.get("runs"), content.get("first")
+        if type(first) is not int or first != at or type(runs) is not int:
+            self.refuse(f"machines {at} and on should stand here", line)
+        if not 0 < runs <= _MOST_RUNS:
+            self.refuse(f"it has {runs} machines in one line, not 1 to {_MOST_RUNS}", line)
+        incomplete = content.get("incomplete")
+        try:
+            rows = tuple(_unpacked(row, k, runs) for k, row in enumerate(content["rows"]))
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            OverflowError,
+            zlib.error,
+            binascii.Error,
+        ) as error:
+            told = f": {error}" if type(error) is ValueError else ""
+            self.refuse(f"it was changed{told}", line)
+        if not isinstance(incomplete, str) or not rows:
+            self.refuse("it was changed", line)
+        return EachRun(rows=rows, runs=runs, incomplete=incomplete)
+
+    def refuse(self, why: str, line: int) -> NoReturn:
+        """Raise the error that a line cannot be read."""
+        raise RecordingError(
+            f"{self.subject} cannot be read: {why}",
+            place=Place(str(self.path), line),
+            remedy=self.remedy,
+        )
 
 
 class YieldState:
@@ -77,6 +151,7 @@ class YieldState:
                 f"--resume {str(path)!r} is where the answer is printed", remedy="Name a file."
             )
         self._path = path
+        self._lines = Lines(path, "the state of a yield", _REMEDY)
         self.known: EachRun | None = None
         self.cut = False
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -99,9 +174,7 @@ class YieldState:
     def add(self, found: EachRun) -> None:
         """Keep the results of the next machines of the sequence."""
         at = 0 if self.known is None else self.known.runs
-        rows = [{"number": k, **_packed(row)} for k, row in enumerate(found.rows)]
-        content = {"first": at, "runs": found.runs, "incomplete": found.incomplete, "rows": rows}
-        self._append(content)
+        self._append(content_of_runs(found, at))
         parts = [found] if self.known is None else [self.known, found]
         self.known = EachRun.joined(parts)
 
@@ -114,12 +187,8 @@ class YieldState:
             If they differ.
         """
         assert self.known is not None
-        told, now = (
-            [(*_table(row), row.values[:1].tobytes()) for row in one.rows]
-            for one in (self.known, found)
-        )
-        if told != now or self.known.incomplete != found.incomplete:
-            self._refuse("its first machine comes to something else today", 2)
+        if not same_first(self.known, found) or self.known.incomplete != found.incomplete:
+            self._lines.refuse("its first machine comes to something else today", 2)
 
     def _lock(self) -> None:
         """Keep other processes from writing the file, until this process closes it or ends."""
@@ -139,84 +208,68 @@ class YieldState:
             ) from error
 
     def _append(self, content: Mapping[str, Any]) -> None:
-        text = json.dumps(content, ensure_ascii=True, separators=(",", ":")).encode()
         with naming(self._path, self._path):
-            self._file.write(b"%08x %s\n" % (zlib.crc32(text), text))
+            self._file.write(line_of(content))
             self._file.flush()
 
     def _read(self, identity: Mapping[str, str]) -> None:
         found: list[EachRun] = []
         file = self._file
         file.seek(0)
-        head = self._content(file.readline(_MOST_LINE), 1)
+        head = self._lines.content(file.readline(MOST_LINE), 1)
         if head.get("format") != FORMAT:
-            self._refuse("it is not the state of a yield of this version", 1)
+            self._lines.refuse("it is not the state of a yield of this version", 1)
         self._check_identity(head.get("identity"), identity)
         good, line = file.tell(), 1
-        while text := file.readline(_MOST_LINE):
+        while text := file.readline(MOST_LINE):
             line += 1
             if not text.endswith(b"\n") and not file.read(1):
                 self.cut = True
                 break
             at = sum(part.runs for part in found)
-            found.append(self._part(self._content(text, line), at, line))
-            if [*map(_table, found[-1].rows)] != [*map(_table, found[0].rows)]:
-                self._refuse("it has other criteria than the lines before it", line)
+            found.append(self._lines.judged(self._lines.content(text, line), at, line))
+            if not same_rows(found[-1], found[0]):
+                self._lines.refuse("it has other criteria than the lines before it", line)
             good = file.tell()
         if self.cut:
             file.truncate(good)
         if found:
             self.known = EachRun.joined(found)
 
-    def _content(self, text: bytes, line: int) -> dict[str, Any]:
-        """Return the content of a line, and check its check sum."""
-        told, _, body = text.rstrip(b"\n").partition(b" ")
-        if told != b"%08x" % zlib.crc32(body):
-            self._refuse("it is not the state of a yield, or it was changed", line)
-        content = parse_json(body.decode(errors="replace"), Place(str(self._path), line))
-        if not isinstance(content, dict):
-            self._refuse("it was changed", line)
-        return content
-
     def _check_identity(self, told: Any, identity: Mapping[str, str]) -> None:
         known = told if isinstance(told, dict) else {}
-        other = [name for name, value in identity.items() if known.get(name) != value]
+        names = [*identity, *(name for name in known if name not in identity)]
+        other = [str(name) for name in names if known.get(name) != identity.get(name)]
         if other:
             raise OptionError(
                 f"{str(self._path)!r} was begun with another {', '.join(other)}",
-                remedy="Give another file to --resume, or remove this one to begin anew.",
+                remedy=_REMEDY,
             )
 
-    def _part(self, content: dict[str, Any], at: int, line: int) -> EachRun:
-        runs, first = content.get("runs"), content.get("first")
-        if type(first) is not int or first != at or type(runs) is not int:
-            self._refuse(f"machines {at} and on should stand here", line)
-        if not 0 < runs <= _MOST_RUNS:
-            self._refuse(f"it has {runs} machines in one line, not 1 to {_MOST_RUNS}", line)
-        incomplete = content.get("incomplete")
-        try:
-            rows = tuple(_unpacked(row, k, runs) for k, row in enumerate(content["rows"]))
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            OverflowError,
-            zlib.error,
-            binascii.Error,
-        ) as error:
-            told = f": {error}" if type(error) is ValueError else ""
-            self._refuse(f"it was changed{told}", line)
-        if not isinstance(incomplete, str) or not rows:
-            self._refuse("it was changed", line)
-        return EachRun(rows=rows, runs=runs, incomplete=incomplete)
 
-    def _refuse(self, why: str, line: int) -> NoReturn:
-        raise RecordingError(
-            f"the state of a yield cannot be read: {why}",
-            place=Place(str(self._path), line),
-            remedy="Give another file to --resume, or remove this one to begin anew.",
-        )
+def content_of_runs(found: EachRun, first: int) -> dict[str, Any]:
+    """Return the content of a line: judged machines, ``first`` in the sequence and on."""
+    rows = [{"number": k, **_packed(row)} for k, row in enumerate(found.rows)]
+    return {"first": first, "runs": found.runs, "incomplete": found.incomplete, "rows": rows}
+
+
+def line_of(content: Mapping[str, Any]) -> bytes:
+    """Return a line of the file, with its check sum."""
+    text = json.dumps(content, ensure_ascii=True, separators=(",", ":")).encode()
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def same_rows(one: EachRun, other: EachRun) -> bool:
+    """Return whether two results are of the same criteria, axes, steps and limits."""
+    return [*map(_table, one.rows)] == [*map(_table, other.rows)]
+
+
+def same_first(known: EachRun, found: EachRun) -> bool:
+    """Return whether the first machine of both comes to the same, to the bit."""
+    told, now = (
+        [(*_table(row), row.values[:1].tobytes()) for row in one.rows] for one in (known, found)
+    )
+    return told == now
 
 
 def _table(row: CriterionRow) -> tuple[Any, ...]:

@@ -66,7 +66,21 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "events": [_disturbance(one) for one in verdict.disturbances],
         "options": dict(plan.options),
         **plan.intent.told(plan.options),
+        **({"continuous": steady} if (steady := continuous(verdict, plan)) else {}),
     }
+
+
+def continuous(verdict: Verdict, plan: Plan) -> dict[str, float]:
+    """Return ``cycle_s`` and ``pieces_per_hour`` of continuous production.
+
+    They are of every cycle but the first, simulated or recorded. Empty if every cycle is as the
+    first, or the cycle time was not measured.
+    """
+    # Only cycles of switchings have a cycle time.
+    found = [r.measured for r in verdict.results if r.name == "cycle_time"]
+    if not found or found[0] is None or plan.scheduled.single is None:
+        return {}
+    return {"cycle_s": found[0], "pieces_per_hour": 3600.0 / found[0]}
 
 
 def _tightest_json(result: Result | None) -> dict[str, Any] | None:

@@ -257,12 +257,18 @@ def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
 
 
 def cycle_time(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """Time from the start to the end of the last step, s: with waits for inputs, without holds."""
+    """Time from the start to the end of the last step, s: with waits for inputs, without holds.
+
+    Of a first and a further cycle, the further one counts.
+    """
     if not run.steps:
         return _unknown(run)
     if run.unseen_wait:
         return [Finding(value=None, note=run.unseen_wait)]
     begin_s, end_s = run.steps[0].begin_s, run.steps[-1].end_s
+    again = run.plan.scheduled.steady_tick
+    if again:
+        begin_s = run.instant_s(again)
     held_s = run.held_s(begin_s, end_s)
     note = f"without {held_s:.6g} s in which it was held" if held_s else ""
     return [Finding(value=end_s - begin_s - held_s, time_s=end_s, note=note)]

@@ -2,12 +2,14 @@
 
 A format with at most 12.1 mm per record splits a longer stitch into jumps and a stitch; this reader
 merges them into one move. Jumps become travel with the needle up if their sum is longer than the
-machine's longest move, if they lead to the first stitch, or if no stitch follows.
+machine's longest move, if they lead to the first stitch, or if no stitch follows. A format that
+holds such a length in one record tells the same stitch without jumps, and it is treated alike.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,7 +19,7 @@ import numpy as np
 
 from threadline.errors import JobError, Place
 from threadline.files import Stream
-from threadline.jobs.embroidery.records import Act, read_records
+from threadline.jobs.embroidery.records import UNIT_M, Act, read_records
 from threadline.jobs.operations import (
     Job,
     MoveRun,
@@ -39,11 +41,16 @@ EVENTS = {
     Act.FAST: "fast",
 }
 """Name of the ``ToolEvent`` for each act without motion."""
+_CUTS = ("trim", "stop", "colour")
 _ROUNDING = 1e-9
 _LONGEST_RUN = 4096
 
 
-def read_design(path: str | Path, *, machine: Machine) -> Job:
+DESIGN_OPTIONS = ("long_stitches",)
+TRAVEL, SPLIT, REFUSE = "travel", "split", "refuse"
+
+
+def read_design(path: str | Path, *, machine: Machine, long_stitches: str | None = None) -> Job:
     """Return the job of an embroidery design.
 
     The operations are events and moves. A move has the tags ``stitch`` (from 1; 0 while the needle
@@ -56,12 +63,17 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
         Design file; the ending of its name gives the format.
     machine
         Embroidery machine with step tables, which give the longest move.
+    long_stitches
+        How stitches longer than the machine's longest move are sewn, with jumps before them or
+        without: ``travel`` moves the frame with the needle up, ``split`` enters the needle on the
+        way, ``refuse`` is an error. None: ``travel``. The way to the first stitch, and a way after
+        a trim, a stop or a thread change, is always travel.
 
     Raises
     ------
     JobError
-        If the machine has no step tables, the file cannot be read, nothing moves, or a stitch
-        without jumps is longer than the machine's longest move.
+        If the machine has no step tables, the file cannot be read, nothing moves, or a stitch is
+        longer than the machine's longest move and such stitches are refused.
     """
     path = Path(path)
     if machine.tables is None or set(machine.axis_names) != set(AXES):
@@ -72,7 +84,9 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
         )
     axes = machine.axis_names  # the columns follow the order of the machine file
     records = read_records(path)
-    found = _Merged(str(path), machine.tables.longest.si * (1.0 + _ROUNDING))
+    found = _Merged(
+        str(path), machine.tables.longest.si * (1.0 + _ROUNDING), long_stitches or TRAVEL
+    )
     first, second = (records.position_m[:, AXES.index(axis)].tolist() for axis in axes)
     for number, (*to, act) in enumerate(zip(first, second, records.act.tolist(), strict=True), 1):
         found.take(number, (to[0], to[1]), Act(act))
@@ -96,7 +110,7 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
         axes=axes,
         start=(0.0, 0.0),
         operations=OperationStream(Stream.of(tuple(found.operations()))),
-        warnings=found.warnings(),
+        warnings=(*records.warnings, *found.warnings()),
         paced_by="shaft",
     )
 
@@ -110,12 +124,15 @@ class _Merged:
 
     file: str
     longest_m: float
+    long_stitches: str
     at: tuple[float, float] = (0.0, 0.0)
     stitches: int = 0
     block: int = 1
     still: int = 0
+    long: int = 0
     led: bool = False
     jumped: bool = False
+    cut: bool = True
     targets: array[float] = field(default_factory=lambda: array("d"))
     rows: array[int] = field(default_factory=lambda: array("q"))
     events: list[tuple[int, str, int]] = field(default_factory=list)  # moves before, name, line
@@ -127,7 +144,7 @@ class _Merged:
             return
         if act is Act.STITCH:
             self._stitch(line, to)
-            self.jumped = False
+            self.jumped = self.cut = False
             return
         if to != self.at:
             self._travel(line, to)
@@ -135,26 +152,47 @@ class _Merged:
         if act is Act.END:
             return
         name = EVENTS[act]
+        self.cut = self.cut or name in _CUTS
         self.events.append((self.moves, name, line))
         if name == "colour" and self.stitches:
             self.block += 1
 
     def _stitch(self, line: int, to: tuple[float, float]) -> None:
         way = max(abs(a - b) for a, b in zip(to, self.at, strict=True))
-        if self.stitches and not self.jumped and way > self.longest_m:
-            raise JobError(
-                f"a stitch of {way * 1e3:.4g} mm, the longest move of the machine is "
-                f"{self.longest_m * 1e3:.4g} mm",
-                place=Place(self.file, line),
-                remedy="Split it, or make it a jump: jumps are travelled with the needle up.",
-            )
-        if way > 0.0 and (not self.stitches or way > self.longest_m):
+        if way > self.longest_m and not self.cut:
+            self._long_stitch(line, to, way)
+        elif way > 0.0 and (not self.stitches or way > self.longest_m):
             self._travel(line, to)
         elif way == 0.0 and self.stitches:
             self.still += 1
         self.led = self.led or (way > 0.0 and self.stitches > 0)
         self.stitches += 1
         self._move(line, self.stitches, to)
+
+    def _long_stitch(self, line: int, to: tuple[float, float], way: float) -> None:
+        """Travel the way of a long stitch, or enter the needle on the way, or refuse it."""
+        if self.long_stitches == REFUSE:
+            raise JobError(
+                f"a stitch of {way * 1e3:.4g} mm, the longest move of the machine is "
+                f"{self.longest_m * 1e3:.4g} mm",
+                place=Place(self.file, line),
+                remedy=f"Have it sewn in parts (--long-stitches {SPLIT}), or travelled with the "
+                f"needle up (--long-stitches {TRAVEL}).",
+            )
+        self.long += self.long_stitches == SPLIT or not self.jumped
+        if self.long_stitches == TRAVEL:
+            self._travel(line, to)
+            return
+        most = math.floor(self.longest_m / UNIT_M)
+        parts = math.ceil(round(way / UNIT_M, 6) / most)
+        begin = self.at
+        for part in range(1, parts):
+            x, y = (
+                a + round(part / parts * (b - a) / UNIT_M) * UNIT_M
+                for a, b in zip(begin, to, strict=True)
+            )
+            self.stitches += 1
+            self._move(line, self.stitches, (x, y))
 
     def _travel(self, line: int, to: tuple[float, float]) -> None:
         self._move(line, 0, to)
@@ -196,7 +234,16 @@ class _Merged:
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the design."""
-        if not self.still:
-            return ()
-        lead = "1 stitch leads" if self.still == 1 else f"{self.still} stitches lead"
-        return (f"{self.file}: {lead} nowhere: the needle enters twice there",)
+        found = []
+        if self.still:
+            lead = "1 stitch leads" if self.still == 1 else f"{self.still} stitches lead"
+            found.append(f"{self.file}: {lead} nowhere: the needle enters twice there")
+        if self.long:
+            are = "1 stitch is" if self.long == 1 else f"{self.long} stitches are"
+            sewn = "sewn in parts" if self.long_stitches == SPLIT else "travelled, needle up"
+            other = TRAVEL if self.long_stitches == SPLIT else SPLIT
+            found.append(
+                f"{self.file}: {are} longer than {self.longest_m * 1e3:.4g} mm, the longest move "
+                f"of the machine, and {sewn}; --long-stitches {other} and {REFUSE} do otherwise"
+            )
+        return tuple(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -27,6 +28,8 @@ UNIT_M = 1e-4
 """Unit of length of all these formats: 0.1 mm."""
 MAX_BYTES = 64 * 1024 * 1024
 _DST_HEADER, _DST_RECORD = 512, 3
+_DST_FILL = b"\x1a"
+_DST_FIELD = re.compile(rb"(ST|[+-][XY]|A[XY]):([+-]? *\d+)[\r\n]")
 
 
 class Act(IntEnum):
@@ -58,11 +61,14 @@ class Records:
         (n,) acts, as numbers of ``Act``.
     content
         All bytes of the file.
+    warnings
+        Warnings about the file.
     """
 
     position_m: FloatArray
     act: IntArray
     content: bytes
+    warnings: tuple[str, ...] = ()
 
 
 def read_records(path: Path) -> Records:
@@ -81,8 +87,7 @@ def read_records(path: Path) -> Records:
             f"the design has more than {MAX_BYTES} bytes", place=place, remedy="Is it a design?"
         )
     suffix = path.suffix.lower()
-    if suffix == ".dst":
-        _check_dst(content, place)
+    warnings = _check_dst(content, place) if suffix == ".dst" else ()
     own = _OWN.get(suffix)
     decoded = own(content, place) if own is not None else _decoded(content, suffix, place)
     table = np.array(decoded, dtype=np.float64).reshape(len(decoded), 3)
@@ -100,7 +105,22 @@ def read_records(path: Path) -> Records:
         )
     # The readers return Y down.
     position = table[:, :2] * np.array([UNIT_M, -UNIT_M]) + 0.0
-    return Records(position_m=position, act=act, content=content)
+    return Records(position_m=position, act=act, content=content, warnings=warnings)
+
+
+def sewn_units(content: bytes, suffix: str) -> IntArray:
+    """Return the (n, 2) places of the stitches in units of 0.1 mm, X and Y (up).
+
+    Parameters
+    ----------
+    content
+        All bytes of a file in a format that pystitch reads.
+    suffix
+        Ending of the format.
+    """
+    table = np.array(_decoded(content, suffix, Place("")), dtype=np.float64).reshape(-1, 3)
+    sewn = table[table[:, 2].astype(np.int64) & 0xFF == Act.STITCH, :2]
+    return np.rint(sewn * (1.0, -1.0)).astype(np.int64)
 
 
 def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
@@ -128,14 +148,48 @@ def _not_of_its_format(suffix: str, why: str, place: Place) -> JobError:
     )
 
 
-def _check_dst(content: bytes, place: Place) -> None:
-    """Refuse a DST file that is cut off, which has no end mark."""
+def _check_dst(content: bytes, place: Place) -> tuple[str, ...]:
+    """Refuse a DST file that is cut off; return a warning about one that lacks its end mark alone.
+
+    The end mark alone is missing if number, extents and last position of the records are those of
+    the header.
+    """
     records = content[_DST_HEADER:]
-    marks = np.frombuffer(records[: len(records) // _DST_RECORD * _DST_RECORD], dtype=np.uint8)
-    if not (marks[2::_DST_RECORD] & 0xF3 == 0xF3).any():
-        raise JobError(
-            f"the file ends after {len(records) // _DST_RECORD} records without the mark of its "
-            "end",
-            place=place,
-            remedy="It is cut off, or no DST file; export it again.",
+    count = len(records) // _DST_RECORD
+    marks = np.frombuffer(records[: count * _DST_RECORD], dtype=np.uint8)
+    if (marks[2::_DST_RECORD] & 0xF3 == 0xF3).any():
+        return ()
+    if records[count * _DST_RECORD :] in {b"", _DST_FILL} and _is_whole_dst(content, count):
+        return (
+            f"{place}: the mark of its end is missing; number, extents and end of its {count} "
+            "records are those of its header, so nothing else is",
         )
+    raise JobError(
+        f"the file ends after {count} records without the mark of its end",
+        place=place,
+        remedy="It is cut off, or no DST file; export it again.",
+    )
+
+
+def _is_whole_dst(content: bytes, count: int) -> bool:
+    """Return whether the header of a DST file without end mark is that of its records.
+
+    Programs count the thread changes and the end mark as records, or do not, and have Y up or down.
+    A program that writes another last position leaves the frame where it began.
+    """
+    told = {
+        key.decode("ascii"): int(value.replace(b" ", b""))
+        for key, value in _DST_FIELD.findall(content[:_DST_HEADER])
+    }
+    if not count or set(told) != {"ST", "+X", "-X", "+Y", "-Y", "AX", "AY"}:
+        return False
+    table = np.array(_decoded(content, ".dst", Place("")), dtype=np.float64)
+    x, y = table[:, 0], table[:, 1]
+    right, left, *along_y = (max(0.0, float(v)) for v in (x.max(), -x.min(), y.max(), -y.min()))
+    change = int((table[:, 2].astype(np.int64) & 0xFF == Act.COLOUR).sum())
+    return (
+        told["ST"] in {count, count + 1, count - change}
+        and [right, left] == [told["+X"], told["-X"]]
+        and sorted(along_y) == sorted((told["+Y"], told["-Y"]))
+        and (x[-1], abs(y[-1])) in {(told["AX"], abs(told["AY"])), (0.0, 0.0)}
+    )

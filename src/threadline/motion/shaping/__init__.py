@@ -18,7 +18,12 @@ from threadline.motion.shaping.designs import (
 from threadline.motion.shaping.deviation import ShapingDeviation, shaping_deviation
 from threadline.motion.shaping.direct import Requirement, direct_shaper, specified_insensitivity
 from threadline.motion.shaping.direct_unit import direct_unit_magnitude, unit_magnitude_over_bands
-from threadline.motion.shaping.firmwares import KlipperExport, klipper_export
+from threadline.motion.shaping.firmwares import (
+    FirmwareExport,
+    klipper_export,
+    marlin_export,
+    reprap_export,
+)
 from threadline.motion.shaping.law_residual import Ringing, residual_m, ringing
 from threadline.motion.shaping.mode_law import Demand, MadeLaw, made_law, outside, usual_jerk_m_s3
 from threadline.motion.shaping.response import (
@@ -42,10 +47,10 @@ __all__ = [
     "UNSHAPED",
     "ControllerLimits",
     "Demand",
+    "FirmwareExport",
     "FlexibleMode",
     "HigherModes",
     "Insensitivity",
-    "KlipperExport",
     "MadeLaw",
     "Realised",
     "Requirement",
@@ -66,11 +71,13 @@ __all__ = [
     "klipper_export",
     "longest_delay_s",
     "made_law",
+    "marlin_export",
     "on_tick_grid",
     "outside",
     "parse_mode_hz",
     "parse_shaper",
     "realise",
+    "reprap_export",
     "residual_m",
     "residual_vibration",
     "residual_vibration_batch",

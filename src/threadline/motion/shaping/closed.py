@@ -15,16 +15,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError
 from threadline.motion.shaping.response import Rows, pole
-from threadline.motion.shaping.solvers import System, follow
+from threadline.motion.shaping.solvers import RESIDUAL, System, follow
+from threadline.motion.shaping.types import ShaperError
 
 SEED_TOLERANCE = 0.05
 _DAMPING_STEP = 0.05
+_LESS_DAMPED = (0.97, 0.94, 0.9, 0.8)
+_LAST_ZERO = (1.0, 1.3, 1.7, 2.2, 3.0)
+_MOST_ROUNDS = 300
 
 # Undamped unit-magnitude trains at 5 %: times after the first, in periods, then the unknown
 # zeros and peaks relative to the modelled frequency. Five digits, to be finished by Newton.
@@ -125,17 +131,80 @@ def positive_humps(humps: int, zeta: float, tolerance: float) -> Humps:
     Raises
     ------
     ShaperError
-        If the continuation in the damping ratio loses the solution.
+        If the continuation in the damping ratio loses the solution, and none is found from there.
     """
-    x = follow(
+    what = f"{humps}-hump EI shaper, damping {zeta:g}, tolerance {tolerance:g}"
+    try:
+        return _unpack(_damped(humps, zeta, tolerance, what), humps, None)
+    except ShaperError:
+        found = _beyond(humps, zeta, tolerance, what)
+        if found is None:
+            raise
+        return found
+
+
+def _damped(humps: int, zeta: float, tolerance: float, what: str) -> FloatArray:
+    return follow(
         lambda z: _system(humps, z, tolerance, None),
         chebyshev_seed(humps, tolerance),
         start=0.0,
         end=zeta,
         step=_DAMPING_STEP,
-        what=f"{humps}-hump EI shaper, damping {zeta:g}, tolerance {tolerance:g}",
+        what=what,
     )
-    return _unpack(x, humps, None)
+
+
+def _beyond(humps: int, zeta: float, tolerance: float, what: str) -> Humps | None:
+    """Look for a design where the followed one is lost; None if none is found.
+
+    With much damping the last zero of V runs away to high frequencies, too fast to be followed.
+    So a solution of less damping is the seed, with its last zero moved up by several factors.
+    """
+    from scipy.optimize import least_squares
+
+    near = None
+    for share in _LESS_DAMPED:
+        with suppress(ShaperError):
+            near = _damped(humps, share * zeta, tolerance, what)
+            break
+    if near is None:
+        return None
+    # The unknowns end with the zeros, without a middle one that is fixed, and the peaks likewise.
+    last = len(near) - (humps - humps % 2) - 1
+    system = _system(humps, zeta, tolerance, None)
+
+    def residual(y: FloatArray) -> FloatArray:
+        return system(y)[0]
+
+    def jacobian(y: FloatArray) -> FloatArray:
+        return system(y)[1]
+
+    for factor in _LAST_ZERO:
+        seed = near.copy()
+        seed[last] *= factor
+        with np.errstate(over="ignore", invalid="ignore"), suppress(ValueError, OverflowError):
+            x = least_squares(
+                residual,
+                seed,
+                jac=jacobian,
+                xtol=1e-15,
+                ftol=1e-15,
+                gtol=1e-15,
+                max_nfev=_MOST_ROUNDS,
+            ).x
+            found = _unpack(np.asarray(x, dtype=np.float64), humps, None)
+            # Zeros and peaks take turns; two of them on one frequency are no hump.
+            between = np.empty(2 * humps + 1)
+            between[::2], between[1::2] = found.zeros, found.peaks
+            sound = (
+                float(np.abs(system(x)[0]).max()) < RESIDUAL
+                and bool(np.all(np.diff(found.times) > 0.0))
+                and bool(np.all(found.amplitudes > 0.0))
+                and bool(np.all(np.diff(between) > 1e-3))
+            )
+            if sound:
+                return found
+    return None
 
 
 def switched_humps(humps: int, zeta: float, tolerance: float, amplitudes: FloatArray) -> Humps:
@@ -208,16 +277,35 @@ def binomial(order: int, zeta: float) -> Train:
     )
 
 
-def modified_zv(zeta: float) -> Train:
-    """MZV: three impulses, 3/8 of a damped period apart, so that V is 0 at the mode.
+def modified_zv(zeta: float, n: int = 3, lasts: float = 0.75) -> Train:
+    """MZV: ``n`` impulses evenly over ``lasts`` damped periods, so that V is 0 at the mode.
 
-    1 + sqrt(2) z + z^2 vanishes at z = exp(j 3 pi / 4), which fixes the amplitudes.
+    The undamped train is a polynomial in z whose n - 1 roots lie on the unit circle, evenly from
+    the angle 2 pi ``lasts`` / (n - 1) to its conjugate: zeros of V at the mode, and above it at
+    steps of (n - 1 - 2 ``lasts``) / (``lasts`` (n - 2)) of its frequency. With three impulses
+    over 3/4 of a period it is 1 + sqrt(2) z + z^2.
+
+    Raises
+    ------
+    OptionError
+        If there are fewer than 3 impulses; within half a period some would be negative, and from
+        (n - 1) / 2 periods on the zeros of V meet.
     """
-    k = _decay(zeta, 0.375)
-    weights: FloatArray = np.array([1.0, math.sqrt(2.0) * k, k**2], dtype=np.float64)
-    return weights / float(weights.sum()), np.arange(3, dtype=np.float64) * (
-        0.375 * _damped_period(zeta)
-    )
+    if n < 3:
+        raise OptionError(f"mzv: n must be at least 3, got {n}")
+    if not 0.5 <= lasts < 0.5 * (n - 1) - 1e-7:
+        raise OptionError(
+            f"mzv: {n} impulses over {lasts:.6g} damped periods; t must be at least 0.5 and below "
+            f"(n - 1) / 2 = {0.5 * (n - 1):g}",
+            remedy="Take more impulses, or less time.",
+        )
+    first = 2.0 * math.pi * lasts / (n - 1)
+    roots = np.exp(1j * np.linspace(first, 2.0 * math.pi - first, n - 1))
+    plain = np.real(np.poly(roots))
+    at = np.arange(n, dtype=np.float64) * lasts / (n - 1)
+    used = plain > 1e-12
+    weights: FloatArray = plain[used] * _decay(zeta, lasts / (n - 1)) ** np.flatnonzero(used)
+    return weights / float(weights.sum()), at[used] * _damped_period(zeta)
 
 
 def _zero_system(order: int, zeta: float, amplitudes: FloatArray) -> System:

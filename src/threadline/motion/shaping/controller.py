@@ -145,10 +145,10 @@ def realise(
 ) -> Realised:
     """Fit ``shaper`` to a controller with the least worst V over the band of every mode.
 
-    The result is never worse over the bands than the times rounded to the nearest ticks, and never
-    keeps the tolerance over a narrower band. With ``max_impulses``, positive trains lose their
-    smallest impulse, others the closest pair of opposite ones, one at a time. Impulses that round
-    to the same tick are merged.
+    The result is never worse over the bands than the times rounded to the nearest ticks. It keeps
+    the tolerance over a narrower band only where the worst V shrinks by a greater share. With
+    ``max_impulses``, positive trains lose their smallest impulse, others the closest pair of
+    opposite ones, one at a time. Impulses that round to the same tick are merged.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def realise(
     OptionError
         If there is no mode, or a time of the controller is far too long for them.
     ShaperError
-        If no train with that few impulses exists.
+        If the train cannot be cut to that few impulses.
     """
     if not modes:
         raise OptionError("controller: at least one mode is needed to judge the train by")
@@ -251,8 +251,9 @@ def _widest(
 ) -> Shaper:
     """Return the train with the widest bands among those with about the least V over them.
 
-    A train must not exceed the nearest ticks' V and its tolerance over a band, nor keep the
-    tolerance over a narrower band. Trains are given with the best of their kind first.
+    A train must not exceed the nearest ticks' V and its tolerance over a band. The band over which
+    it keeps the tolerance may be narrower than that of the nearest ticks only by a smaller share
+    than the share by which V shrinks. Trains are given with the best of their kind first.
     """
 
     def over(train: Shaper) -> FloatArray:
@@ -261,24 +262,45 @@ def _widest(
     allowed = np.array([band.tolerance for band in bands])
     ceiling = np.maximum(over(nearest), allowed) * (1.0 + 1e-12)
     seen = [over(train) for train in trains]
-    most = float((over(nearest) / allowed).max()) * (1.0 + 1e-12)
-    kept = [k for k, worst in enumerate(seen) if np.all(worst <= ceiling)]
-    shares = {k: float((seen[k] / allowed).max()) for k in kept}
-    least = min([most, *shares.values()])
-    within = min(most, least + _ABOUT * max(1.0, least))
-    order = [k for k in kept if shares[k] <= within]
-    floor = [_width(nearest, band) for band in bands]
+    most = float((over(nearest) / allowed).max())
+    shares = {
+        k: float((worst / allowed).max())
+        for k, worst in enumerate(seen)
+        if np.all(worst <= ceiling) and (worst / allowed).max() <= most * (1.0 + 1e-12)
+    }
+    floor = np.array([_width(nearest, band) for band in bands])
+
+    def wide_enough(widths: FloatArray, share: float, slack: float) -> bool:
+        # Below the tolerance a smaller V makes up for nothing: the band is kept whole.
+        needed = floor * min(1.0, max(share, 1.0) / max(most, 1.0))
+        return bool(np.all(widths >= needed * (1.0 - slack)))
+
+    about = {
+        k: np.array([_width_on_samples(trains[k], band, nearest) for band in bands]) for k in shares
+    }
+    # On samples a width is right to the distance of two; the exact ones decide below.
+    likely = [k for k in shares if wide_enough(np.minimum(about[k], floor), shares[k], 0.1)]
+    if not likely:
+        return nearest
+    widths = {}
+    for k in sorted(likely, key=lambda k: shares[k]):
+        widths[k] = np.array([_width(trains[k], band) for band in bands])
+        if wide_enough(widths[k], shares[k], 1e-9):
+            break
+    else:
+        return nearest
+    within = min(most * (1.0 + 1e-12), shares[k] + _ABOUT * max(1.0, shares[k]))
+    order = [k for k in likely if shares[k] <= within]
     if len(order) > _LOOKED_AT:
-        about = {
-            k: min(_width_on_samples(trains[k], band, nearest) for band in bands) for k in order
-        }
-        order = sorted(sorted(order, key=lambda k: -about[k])[:_LOOKED_AT])
+        order = sorted(sorted(order, key=lambda k: -about[k].min())[:_LOOKED_AT])
     best, widest = nearest, 0.0
     for k in order:
-        widths = [_width(trains[k], band) for band in bands]
-        as_wide = all(a >= b * (1.0 - 1e-9) for a, b in zip(widths, floor, strict=True))
-        if as_wide and (best is nearest or min(widths) > widest + _WIDER):
-            best, widest = trains[k], min(widths)
+        if k not in widths:
+            widths[k] = np.array([_width(trains[k], band) for band in bands])
+        if wide_enough(widths[k], shares[k], 1e-9) and (
+            best is nearest or widths[k].min() > widest + _WIDER
+        ):
+            best, widest = trains[k], float(widths[k].min())
     return best
 
 

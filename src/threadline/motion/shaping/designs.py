@@ -258,10 +258,11 @@ def design(
     Parameters
     ----------
     kind
-        See :class:`ShaperKind`. Negative (over-pressure) kinds are for comparison: their step
-        leaves [0, 1].
+        See :class:`ShaperKind`, or ``mzv(n=4,t=0.9)``, see :func:`mzv_shape`. Negative
+        (over-pressure) kinds are for comparison: their step leaves [0, 1].
     mode
-        Undamped frequency, Hz, and damping ratio in [0, 0.3).
+        Undamped frequency, Hz, and damping ratio: in [0, 0.3), or in [0, 0.99) for the kinds in
+        closed form, ZV, MZV, ZVD and ZVDD.
     tolerance
         Height of the humps of the EI kinds, in (0, 0.5); the others ignore it.
     over_level
@@ -280,6 +281,13 @@ def design(
     ShaperError
         If the design does not converge or its simulation disagrees.
     """
+    shape = mzv_shape(str(kind))
+    if shape is not None:
+        amplitudes, periods = modified_zv(mode.damping_ratio, *shape)
+        made = Shaper(
+            amplitudes=amplitudes, times_s=periods / mode.frequency_hz, name=str(kind).strip()
+        )
+        return prove(made, np.array([mode.frequency_hz]), mode.damping_ratio, np.zeros(1))
     try:
         chosen = ShaperKind(kind)
     except ValueError:
@@ -290,6 +298,8 @@ def design(
     if not 0.0 < tolerance < 0.5:
         raise OptionError(f"shaper tolerance must be in (0, 0.5), got {tolerance!r}")
     zeta = mode.damping_ratio
+    if chosen not in _POSITIVE_ORDER and chosen is not ShaperKind.MZV:
+        mode.refuse_much_damping(f"shaper '{chosen}'")
     if chosen in _POSITIVE_HUMPS:
         return _proved_humps(
             chosen, mode, positive_humps(_POSITIVE_HUMPS[chosen], zeta, tolerance), tolerance
@@ -308,6 +318,52 @@ def design(
     else:
         train = modified_zv(zeta)
     return _proved_zero(chosen, mode, train)
+
+
+_MZV_WORDS = ("n", "t", "tau")
+_MOST_OF_MZV = 32
+
+
+def mzv_shape(word: str) -> tuple[int, float] | None:
+    """Return n and t of ``mzv(n=4,t=0.9)`` as Klipper reads it; None for any other word.
+
+    ``n`` impulses (default 3) last ``t`` damped periods (default 0.75); with ``tau`` for ``t`` a
+    train of infinitely many would last that long. Values without names come in this order.
+
+    Raises
+    ------
+    OptionError
+        If a parameter is unknown, no number, or ``t`` and ``tau`` are both given.
+    """
+    found = re.fullmatch(r"\s*mzv\s*\((.*)\)\s*", word)
+    if found is None:
+        return None
+    given: dict[str, float] = {}
+    parts = [part.strip() for part in found[1].split(",") if part.strip()]
+    for place, part in enumerate(parts):
+        name, equals, value = part.rpartition("=")
+        name = name.strip() if equals else _MZV_WORDS[place] if place < 3 else part
+        if name not in _MZV_WORDS or name in given:
+            raise OptionError(
+                f"shaper kind {word!r}: {part!r} is unknown or said twice",
+                remedy='Write it like "mzv(n=4,t=0.9)" or "mzv(n=5,tau=1)".',
+            )
+        given[name] = _number(value.strip(), name, word)
+    n, t, tau = given.get("n", 3.0), given.get("t", 0.0), given.get("tau", 0.0)
+    if not 3.0 <= n <= _MOST_OF_MZV or n != int(n):
+        raise OptionError(
+            f"shaper kind {word!r}: n must be a whole number from 3 to {_MOST_OF_MZV}, got {n:g}"
+        )
+    if not (0.0 <= t < math.inf and 0.0 <= tau < math.inf):
+        raise OptionError(f"shaper kind {word!r}: t and tau must be positive numbers")
+    if t and tau:
+        raise OptionError(
+            f"shaper kind {word!r}: t and tau are both given",
+            remedy="Klipper takes tau and ignores t: leave one out.",
+        )
+    if tau:
+        t = tau * (n - 1.0) / (n + 2.0 * tau - 2.0)
+    return int(n), t or 0.75
 
 
 def _switched_amplitudes(kind: ShaperKind, n: int, over_level: float) -> FloatArray:
@@ -364,7 +420,8 @@ def parse_shaper(text: str, tick_s: float | None = None) -> Shaper | dict[str, S
         If the text cannot be read, no such shaper can be designed, or a mode lies above half the
         rate of the ticks, so that no reference can excite it.
     """
-    parts = [part.strip() for part in text.split(",")]
+    # A comma within brackets belongs to the parameters of a kind.
+    parts = [part.strip() for part in re.split(r",(?![^()]*\))", text)]
     named = [re.fullmatch(r"([A-Z])\s*=\s*(.+)", part) for part in parts]
     if not any(named) and len(parts) == 1:
         return _convolution(parts[0], tick_s)

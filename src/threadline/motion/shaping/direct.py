@@ -68,6 +68,7 @@ class Requirement:
     derivatives: int = 0
 
     def __post_init__(self) -> None:
+        self.mode.refuse_much_damping(f"requirement at {self.mode.frequency_hz:g} Hz")
         if not 0.0 <= self.tolerance < 1.0 or not 0.0 <= self.relative < 1.0:
             raise OptionError(
                 f"requirement at {self.mode.frequency_hz:g} Hz: tolerance {self.tolerance!r} and "
@@ -230,7 +231,7 @@ class _Problem:
                 break
             low, high = high, 1.5 * high
         else:
-            raise ShaperError(f"direct shaper: no positive train within {high:.3g} periods")
+            raise ShaperError(f"direct shaper: no positive train found within {high:.3g} periods")
         while high - low > 1e-2 * high:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if self._least(middle, points)[0] <= small else (middle, high)

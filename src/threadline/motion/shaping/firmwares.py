@@ -1,8 +1,12 @@
 """The shapers of Klipper, Marlin and RepRapFirmware, and designs expressed in their settings.
 
+A firmware plays a design if its own train leaves the same vibration over the band of ``MATCH``;
+otherwise the nearest of its trains is named.
+
 Klipper computes its types from frequency and damping ratio by its own formulas: zv, mzv and zvd
 exactly, ei, 2hump_ei and 3hump_ei by published curve fits (Singhose et al.) at 5 %, valid to
-damping ratios of 0.4, 0.3 and 0.2. Its train is computed here and judged on the mode, so that a
+damping ratios of 0.4, 0.3 and 0.2. Since 2026 ``mzv(n=,t=,tau=)`` and ``ei(v_tol=)`` take
+parameters. Its train is computed here and judged on the mode, so that a
 coarse fit does not count as a match.
 
 Source: Marlin 2.1, ``Stepper::set_shaping_damping_ratio`` and ``set_shaping_frequency``: an echo
@@ -15,33 +19,52 @@ published fits, their times in damped periods. F is the undamped frequency, S th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError
-from threadline.motion.shaping.closed import fitted_humps
-from threadline.motion.shaping.response import LEFT, most_left, residual_vibration
+from threadline.motion.shaping.closed import fitted_humps, modified_zv
+from threadline.motion.shaping.designs import mzv_shape
+from threadline.motion.shaping.response import LEFT, most_left, residual_vibration, vibration_of
 from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 MATCH = 0.01
 """A type fits if V differs by at most this over f (1 +- 25 %)."""
 
 _MAX_DAMPING = {"zv": 0.99, "mzv": 0.99, "zvd": 0.99, "ei": 0.4, "2hump_ei": 0.3, "3hump_ei": 0.2}
+_V_TOL = 0.05  # Klipper's ei without parameters
 _KLIPPER_HUMPS = {"2hump_ei": 2, "3hump_ei": 3}
 
 
 def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
     """The impulses that Klipper plays for a type, normalised to sum 1.
 
+    Parameters
+    ----------
+    shaper_type
+        A type, also with parameters: ``mzv(n=4,t=0.9)``, ``ei(v_tol=0.1)``.
+
     Raises
     ------
     OptionError
         If the type is unknown or the damping ratio is above Klipper's limit for it.
     """
+    shape = mzv_shape(shaper_type)
+    if shape is not None:
+        weights, periods = modified_zv(mode.damping_ratio, *shape)
+        return Shaper(
+            amplitudes=weights, times_s=periods / mode.frequency_hz, name=f"klipper {shaper_type}"
+        )
+    tolerance = _V_TOL
+    told = re.fullmatch(r"ei\(v_tol=([\d.]+)\)", shaper_type)
+    if told is not None:
+        shaper_type, tolerance = "ei", float(told[1])
     if shaper_type not in _MAX_DAMPING:
         raise OptionError(
             f"Klipper type {shaper_type!r} is unknown", remedy=f"Types: {', '.join(_MAX_DAMPING)}."
@@ -63,20 +86,19 @@ def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
             "zv": np.array([1.0, decay]),
             "mzv": np.array([1.0, math.sqrt(2.0) * decay, decay**2]),
             "zvd": np.array([1.0, 2.0 * decay, decay**2]),
-            "ei": _ei_weights(zeta),
+            "ei": _ei_weights(zeta, tolerance),
         }
         weights = by_type[shaper_type]
         step_s = spacing / (root * mode.frequency_hz)
         times = np.array([k * step_s for k in range(len(weights))])
         if shaper_type == "ei":
-            times[1] *= 2.0 * _ei_middle(zeta)
+            times[1] *= 2.0 * _ei_middle(zeta, tolerance)
     return Shaper(
         amplitudes=weights / float(weights.sum()), times_s=times, name=f"klipper {shaper_type}"
     )
 
 
-def _ei_weights(zeta: float) -> FloatArray:
-    v = 0.05
+def _ei_weights(zeta: float, v: float) -> FloatArray:
     first = (
         (0.24968 + 0.24961 * v) + (0.80008 + 1.23328 * v) * zeta + (0.49599 + 3.17316 * v) * zeta**2
     )
@@ -88,9 +110,8 @@ def _ei_weights(zeta: float) -> FloatArray:
     return np.array([first, 1.0 - first - last, last])
 
 
-def _ei_middle(zeta: float) -> float:
+def _ei_middle(zeta: float, v: float) -> float:
     """Time of the middle impulse in damped periods."""
-    v = 0.05
     return (
         0.4999
         + (0.46159 + 8.57843 * v) * v * zeta
@@ -114,19 +135,19 @@ def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
 
 
 @dataclass(frozen=True, slots=True)
-class KlipperExport:
-    """The section to paste, or the reason why there is none.
+class FirmwareExport:
+    """The settings to paste, or the reason why there are none.
 
     Parameters
     ----------
     section
-        Text of ``[input_shaper]`` for both axes; empty where no type fits.
+        Text of ``[input_shaper]`` or ``M593``; empty where no type fits.
     shaper_type
-        Klipper's word, or empty.
+        The firmware's word, or empty.
     difference
-        Largest difference of V between Klipper's train and ours over f (1 +- 25 %).
+        Largest difference of V between the firmware's nearest train and ours over f (1 +- 25 %).
     explanation
-        One sentence.
+        One sentence; it names the nearest substitute where no type fits.
     """
 
     section: str
@@ -135,7 +156,7 @@ class KlipperExport:
     explanation: str
 
 
-def klipper_export(shaper: Shaper, mode: FlexibleMode, *, axes: str = "xy") -> KlipperExport:
+def klipper_export(shaper: Shaper, mode: FlexibleMode, *, axes: str = "xy") -> FirmwareExport:
     """Find Klipper's type that plays ``shaper``, which was made for ``mode``.
 
     Parameters
@@ -154,37 +175,101 @@ def klipper_export(shaper: Shaper, mode: FlexibleMode, *, axes: str = "xy") -> K
     """
     if not axes or set(axes) - {"x", "y"}:
         raise OptionError(f"Klipper shapes axes x and y, got {axes!r}")
-    f = mode.frequency_hz * np.linspace(0.75, 1.25, 201)
-    ours = residual_vibration(shaper, f, mode.damping_ratio)
-    candidates = []
-    for name, most in _MAX_DAMPING.items():
-        if mode.damping_ratio > most:
-            continue
-        theirs = klipper_impulses(name, mode)
-        if len(theirs.times_s) != len(shaper.times_s):
-            continue
-        v = residual_vibration(theirs, f, mode.damping_ratio)
-        candidates.append((float(np.abs(v - ours).max()), name))
-    best = min(candidates, default=(math.inf, ""))
-    if best[0] > MATCH or bool(np.any(shaper.amplitudes < 0.0)):
-        nearest = f"; the nearest, {best[1]}, is {best[0]:.3f} of V off" if best[1] else ""
-        return KlipperExport(
-            "", "", best[0], f"no type of Klipper's plays shaper '{shaper.name}'{nearest}"
-        )
-    difference, name = best
+    words = [name for name, most in _MAX_DAMPING.items() if mode.damping_ratio <= most]
+    trains = {
+        word: klipper_impulses(word, mode) for word in [*words, *_with_parameters(shaper, mode)]
+    }
+    found = _played("Klipper", shaper, mode, trains)
+    if not found.shaper_type:
+        return found
     lines = ["[input_shaper]"]
     for axis in axes:
         lines += [
-            f"shaper_type_{axis}: {name}",
+            f"shaper_type_{axis}: {found.shaper_type}",
             f"shaper_freq_{axis}: {mode.frequency_hz:.6g}",
             f"damping_ratio_{axis}: {mode.damping_ratio:.6g}",
         ]
-    return KlipperExport(
-        "\n".join(lines) + "\n",
-        name,
+    return replace(found, section="\n".join(lines) + "\n")
+
+
+def _with_parameters(shaper: Shaper, mode: FlexibleMode) -> list[str]:
+    """Return the types with parameters of a shaper's number of impulses and duration."""
+    n = len(shaper.times_s)
+    found: list[str] = []
+    if not 3 <= n <= 32 or bool(np.any(shaper.amplitudes < 0.0)):
+        return found
+    even = np.linspace(0.0, shaper.duration_s, n)
+    periods = round(shaper.duration_s / mode.damped_period_s, 6)
+    if np.allclose(shaper.times_s, even, rtol=0.0, atol=1e-6 * shaper.duration_s):
+        with suppress(OptionError):
+            modified_zv(mode.damping_ratio, n, periods)
+            if (n, periods) != (3, 0.75):
+                found.append(f"mzv(n={n},t={periods:g})")
+    peak = vibration_of(shaper, mode)
+    fits = n == 3 and mode.damping_ratio <= _MAX_DAMPING["ei"]
+    if fits and 1e-4 < peak < 0.5 and abs(peak - _V_TOL) > 1e-4:
+        found.append(f"ei(v_tol={peak:.4f})")
+    return found
+
+
+def _played(
+    firmware: str, shaper: Shaper, mode: FlexibleMode, trains: Mapping[str, Shaper]
+) -> FirmwareExport:
+    """Return the one of ``trains`` that plays a shaper, or the nearest substitute."""
+    f = mode.frequency_hz * np.linspace(0.75, 1.25, 201)
+    ours = residual_vibration(shaper, f, mode.damping_ratio)
+
+    def off(train: Shaper) -> float:
+        theirs = residual_vibration(train, f, mode.damping_ratio)
+        return float(np.abs(theirs - ours).max())
+
+    positive = bool(np.all(shaper.amplitudes >= 0.0))
+    same = {w: t for w, t in trains.items() if len(t.times_s) == len(shaper.times_s)}
+    word = min(same or trains, key=lambda w: off(trains[w]))
+    difference = off(trains[word])
+    if same and positive and difference <= MATCH:
+        return FirmwareExport(
+            "",
+            word,
+            difference,
+            f"{firmware}'s {word} plays it: V differs by at most {difference:.4f} within 25 %",
+        )
+    word = min(trains, key=lambda w: off(trains[w]))
+    difference = off(trains[word])
+    longer_s = trains[word].duration_s - shaper.duration_s
+    return FirmwareExport(
+        "",
+        "",
         difference,
-        f"Klipper's {name} plays it: V differs by at most {difference:.4f} within 25 %",
+        f"no type of {firmware}'s plays shaper '{shaper.name}'; the nearest, {word}, is "
+        f"{difference:.3f} of V off and takes {abs(longer_s) * 1e3:.4g} ms "
+        f"{'more' if longer_s >= 0.0 else 'less'}",
     )
+
+
+def marlin_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
+    """Return Marlin's ``M593`` for ``shaper``, made for ``mode``, or how far its ZV is from it."""
+    command = f"M593 F{damped_frequency_hz(mode):.6g} D{mode.damping_ratio:.6g}"
+    train = marlin_impulses(damped_frequency_hz(mode), mode.damping_ratio)
+    found = _played("Marlin", shaper, mode, {command: train})
+    return replace(found, section=f"{command}\n") if found.shaper_type else found
+
+
+def reprap_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
+    """Return RepRapFirmware's ``M593`` for ``shaper``, made for ``mode``, or the nearest one.
+
+    Its custom type isn't used: firmware 3.4 reads its ``H`` and ``T`` as sums and durations, later
+    ones as amplitudes and delays.
+    """
+    trains = {
+        f'M593 P"{name}" F{mode.frequency_hz:.6g} S{mode.damping_ratio:.6g}': reprap_impulses(
+            name, mode.frequency_hz, mode.damping_ratio
+        )
+        for name in TYPES
+        if mode.damping_ratio <= _MOST_DAMPING.get(name, 0.99)
+    }
+    found = _played("RepRapFirmware", shaper, mode, trains)
+    return replace(found, section=f"{found.shaper_type}\n") if found.shaper_type else found
 
 
 _PARTS = 128.0

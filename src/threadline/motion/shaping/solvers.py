@@ -57,7 +57,8 @@ def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30)
         cutoff = 1e-14 if jacobian.shape[0] == jacobian.shape[1] else 1e-8
         x = x - np.linalg.lstsq(jacobian, residual, rcond=cutoff)[0]
     raise ShaperError(
-        f"{what}: the design did not converge (worst residual {worst:.1e}, wanted {RESIDUAL:.0e})",
+        f"{what}: not found, the design did not converge (worst residual {worst:.1e}, wanted "
+        f"{RESIDUAL:.0e})",
         remedy="Change the tolerance, the damping or the kind of shaper.",
     )
 
@@ -121,7 +122,7 @@ class Solution:
 
 
 class InfeasibleError(ShaperError):
-    """No point meets the constraints."""
+    """No point meets the constraints of one linear program; off its grid there may be one."""
 
 
 def minimise(
@@ -149,7 +150,7 @@ def minimise(
     """
     found = solved(cost, equal=equal, below=below, bounds=bounds, seconds=seconds)
     if found.status == 2:
-        raise InfeasibleError(f"{what}: no command meets the constraints")
+        raise InfeasibleError(f"{what}: not found, no x on its grid meets the constraints")
     if found.status != 0 or found.x is None or found.fun is None:
         raise ShaperError(f"{what}: the linear program failed: {found.message}")
     return Solution(

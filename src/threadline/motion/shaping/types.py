@@ -21,7 +21,10 @@ from threadline.base.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError, PlanError
 
 MAX_DAMPING_RATIO = 0.3
-"""Designs are for damping ratios in [0, 0.3): beyond it a shaper buys little."""
+"""Searched designs are for damping ratios in [0, 0.3): beyond it a shaper buys little."""
+
+MOST_DAMPED = 0.99
+"""Bound of every damping ratio: closer to 1 a mode no longer rings."""
 
 MIN_HZ, MAX_HZ = 1e-6, 1e9
 """Within these a frequency, its square and its period are numbers to calculate with."""
@@ -35,14 +38,14 @@ class ShaperError(PlanError):
 
 @dataclass(frozen=True, slots=True)
 class FlexibleMode:
-    """One lightly damped mode.
+    """One mode that rings.
 
     Parameters
     ----------
     frequency_hz
         Undamped natural frequency, Hz, from 1e-6 to 1e9.
     damping_ratio
-        Dimensionless, in [0, 0.3).
+        Dimensionless, in [0, 0.99).
 
     Raises
     ------
@@ -65,12 +68,29 @@ class FlexibleMode:
                 f"{self.frequency_hz!r}",
                 remedy="No machine rings as slowly or as fast.",
             )
-        if not 0.0 <= self.damping_ratio < MAX_DAMPING_RATIO:
+        if not 0.0 <= self.damping_ratio < MOST_DAMPED:
             raise OptionError(
                 f"mode {self.frequency_hz:g} Hz: the damping ratio must be in "
-                f"[0, {MAX_DAMPING_RATIO:g}), got {self.damping_ratio!r}",
+                f"[0, {MOST_DAMPED:g}), got {self.damping_ratio!r}",
                 remedy="A ratio is dimensionless: the real part of an eigenvalue divided by "
                 "its modulus, not the real part itself.",
+            )
+
+    def refuse_much_damping(self, what: str) -> None:
+        """Raise if the mode has more damping than searched designs are made for.
+
+        Raises
+        ------
+        OptionError
+            If the damping ratio is at or above ``MAX_DAMPING_RATIO``; ``what`` is its subject.
+        """
+        if self.damping_ratio >= MAX_DAMPING_RATIO:
+            raise OptionError(
+                f"{what}: the damping ratio must be in [0, {MAX_DAMPING_RATIO:g}), got "
+                f"{self.damping_ratio!r}",
+                remedy="Kinds in closed form take more: zv, mzv, zvd, zvdd. A ratio is "
+                "dimensionless: the real part of an eigenvalue divided by its modulus, not the "
+                "real part itself.",
             )
 
     @property

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from threadline.commands.plan import Plan, Stitched
-from threadline.commands.step_files import write_steps, write_t15
+from threadline.commands.step_files import write_dst, write_steps, write_t15, write_u01
 from threadline.commands.stitched import stitch
 from threadline.commands.write import Target
 from threadline.errors import OptionError, Place, PlanError
@@ -122,5 +122,7 @@ KIND = Kind(
     targets={
         "steps": Target(write=lambda plan, path: write_steps(plan.stitched, path)),
         "t15": Target(write=lambda plan, path: [write_t15(plan.stitched, path)]),
+        "dst": Target(write=lambda plan, path: [write_dst(plan.stitched, path)]),
+        "u01": Target(write=lambda plan, path: [write_u01(plan.stitched, path)]),
     },
 )  # fmt: skip

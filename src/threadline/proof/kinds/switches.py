@@ -9,10 +9,10 @@ import numpy as np
 
 from threadline.commands.plan import Plan, Scheduled
 from threadline.commands.plcopen import write_plcopen, write_scl
-from threadline.commands.schedule import compile_schedule
+from threadline.commands.schedule import compile_cycles
 from threadline.commands.schedule_options import shaping_of
-from threadline.commands.structured_text import write_structured_text
-from threadline.commands.write import Target
+from threadline.commands.structured_text import write_openplc, write_structured_text
+from threadline.commands.write import Target, WrittenPlan
 from threadline.files import Commands, Recording, SwitchSchedule, switch_schedule
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
@@ -40,7 +40,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
             damping_ratio=options.shaper_damping,
         )
     )
-    scheduled = compile_schedule(job, machine, shaping)
+    job, scheduled = compile_cycles(job, machine, shaping)
     return Plan(
         job=job,
         machine=machine,
@@ -78,6 +78,11 @@ def _release(plan: Plan) -> None:
     """Accept every plan: a schedule that its valves cannot follow was refused during planning."""
 
 
+def _program(plan: WrittenPlan) -> Scheduled:
+    """Return the schedule of one cycle: the program itself repeats it."""
+    return plan.scheduled.single or plan.scheduled
+
+
 KIND = Kind(
     name="switches",
     takes=("move list",),
@@ -94,8 +99,9 @@ KIND = Kind(
     release=_release,
     compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},
     targets={
-        "plcopen": Target(write=lambda plan, path: write_plcopen(plan.scheduled, path)),
-        "scl": Target(write=lambda plan, path: write_scl(plan.scheduled, path)),
-        "st": Target(write=lambda plan, path: write_structured_text(plan.scheduled, path)),
+        "openplc": Target(write=lambda plan, path: write_openplc(_program(plan), path)),
+        "plcopen": Target(write=lambda plan, path: write_plcopen(_program(plan), path)),
+        "scl": Target(write=lambda plan, path: write_scl(_program(plan), path)),
+        "st": Target(write=lambda plan, path: write_structured_text(_program(plan), path)),
     },
 )

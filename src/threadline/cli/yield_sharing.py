@@ -1,0 +1,203 @@
+"""``threadline yield`` in parts: ``--part 3/16 -o FILE`` anywhere, then ``--merge FILE...``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from click import MissingParameter
+
+from threadline import __version__
+from threadline.base.writing import is_stdout
+from threadline.cli.output import print_json, say
+from threadline.commands.plan import Plan
+from threadline.errors import OptionError, RecordingError
+from threadline.proof.asked import Words
+from threadline.proof.option_form import Door, Type, Word
+from threadline.proof.option_table import known_words, options_for
+from threadline.proof.proof_file import options_sha256, spec_sha256
+from threadline.search.machine_yield import Yield
+from threadline.search.yield_parts import Part, PartFile, Record, read_parts, write_part
+from threadline.verdict import Spec
+
+_KINDS: Mapping[Type, type] = {Type.FLAG: bool, Type.COUNT: int}
+_ENGINES = ("numpy", "scipy", "numba")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """Whose yield is wanted: from the command line, or from the record of the parts.
+
+    Parameters
+    ----------
+    job, machine, words
+        As typed.
+    variants, seed
+        Length and seed of the sequence of machines.
+    parts
+        All parts to merge; none for a yield that is drawn here.
+    """
+
+    job: Path
+    machine: str
+    words: Words
+    variants: int
+    seed: int
+    parts: Sequence[PartFile] = ()
+
+
+def asked_here(
+    files: Sequence[Path], machine: str | None, words: Words, variants: int, seed: int
+) -> Question:
+    """Return the question of the command line.
+
+    Raises
+    ------
+    OptionError
+        If there are several jobs.
+    MissingParameter
+        If no machine is named.
+    """
+    if len(files) > 1:
+        raise OptionError(
+            f"there are {len(files)} jobs: {str(files[0])!r}, {str(files[1])!r} ...",
+            remedy="Give one JOB; with --merge, the files of all parts.",
+        )
+    if machine is None:
+        raise MissingParameter(param_type="option", param_hint="'--machine' / '-m'")
+    return Question(job=files[0], machine=machine, words=words, variants=variants, seed=seed)
+
+
+def asked_of_parts(
+    files: Sequence[Path], machine: str | None, words: Words, given: Mapping[str, object]
+) -> Question:
+    """Return the question that the record of the parts in ``files`` states.
+
+    Parameters
+    ----------
+    machine, words
+        As typed with ``--merge``: neither may be given.
+    given
+        Options that have no meaning for a merge, or another value than in the parts: each by its
+        name, with its value, None if it was left out.
+
+    Raises
+    ------
+    OptionError
+        If an option is given that the parts decide, or the parts are not one yield.
+    RecordingError
+        If a file cannot be read as a part.
+    """
+    typed = [*([] if machine is None else ["--machine"]), *words.typed("yield")]
+    typed += [name for name, value in given.items() if value not in (None, False)]
+    if typed:
+        raise OptionError(
+            f"--merge takes job, machine and options from the parts, and {typed[0]} was given",
+            remedy=f"Leave {typed[0]} out.",
+        )
+    parts = read_parts(files)
+    record = parts[0].record
+    told = dict(record.words)
+    job, named = told.pop("job", None), told.pop("machine", None)
+    if not isinstance(job, str) or not isinstance(named, str):
+        raise RecordingError(
+            f"{str(parts[0].path)!r} does not name its job and machine",
+            remedy="Make that part again.",
+        )
+    return Question(
+        job=Path(job),
+        machine=named,
+        words=_words(told, parts[0].path),
+        variants=record.variants,
+        seed=record.seed,
+        parts=parts,
+    )
+
+
+def _words(told: Mapping[str, Word], path: Path) -> Words:
+    table = {one.word: one for one in options_for("yield")}
+    for word, value in told.items():
+        if word in table and type(value) is not _KINDS.get(table[word].type, str):
+            raise RecordingError(
+                f"{str(path)!r} has an option {word!r} of another type",
+                remedy="Make that part again.",
+            )
+    return Words("yield", known_words("yield", Door.LINE, told))
+
+
+def record_of(question: Question, identity: Mapping[str, str], part: Part) -> Record:
+    """Return the record of a part of the yield."""
+    given = {
+        word: value if isinstance(value, bool | int | float) else str(value)
+        for word, value in question.words.given.items()
+        if value is not None and value is not False
+    }
+    defaults = known_words("yield", Door.LINE, {})
+    own = {word: value for word, value in given.items() if value != defaults[word]}
+    return Record(
+        identity=identity,
+        words={"job": str(question.job), "machine": question.machine, **own},
+        seed=question.seed,
+        variants=question.variants,
+        part=part,
+    )
+
+
+def part_identity(plan: Plan, spec: Spec) -> dict[str, str]:
+    """Return everything that the results of a part depend on, but seed and number of machines."""
+    return {
+        "job": plan.job.sha256,
+        "machine": plan.machine.sha256,
+        "specification": spec_sha256(spec),
+        "set of options": options_sha256(plan),
+        "plan": plan.commands.rows_sha256(),
+        "version of threadline": __version__,
+        **{f"version of {name}": version(name) for name in _ENGINES},
+    }
+
+
+def check_part_options(output: Path | None, given: Mapping[str, object]) -> None:
+    """Refuse options that have no meaning for one part, and a missing or unusable file.
+
+    Raises
+    ------
+    OptionError
+        If the part has no file of its own, or an option belongs to the whole yield.
+    """
+    typed = [name for name, value in given.items() if value not in (None, False)]
+    if typed:
+        raise OptionError(
+            f"{typed[0]} is of the whole yield, and --part is of some of its machines",
+            remedy=f"Give {typed[0]} to --merge.",
+        )
+    if output is None:
+        raise OptionError("--part has no file for its results", remedy="Give -o FILE.")
+    if is_stdout(output):
+        raise OptionError(
+            f"-o {str(output)!r} is where the answer is printed", remedy="Name a file."
+        )
+
+
+def finish_part(output: Path, record: Record, found: Yield, *, json: bool) -> None:
+    """Write a part, and say so."""
+    write_part(output, record, found.found)
+    machines = record.part.machines(record.variants)
+    if json:
+        content: dict[str, Any] = {
+            "part": str(record.part),
+            "first": machines.start,
+            "runs": len(machines),
+            "variants": record.variants,
+            "seed": record.seed,
+            "passed": found.passed,
+            "file": str(output),
+        }
+        print_json(content)
+    else:
+        say(
+            f"Part {record.part}: {output}, machines {machines.start} to {machines.stop - 1} of "
+            f"{record.variants}, {found.passed} of {len(machines)} in spec"
+        )

@@ -1,0 +1,317 @@
+"""A yield in parts: each part is judged somewhere, and all of them are merged into one answer.
+
+Part i of n has consecutive machines of the whole sequence, by their numbers alone. A file holds one
+part: its record in the first line, then its machines as in ``yield_state``. The record has the
+hashes of all that the results depend on, and the words of the command, so that the merge needs the
+files alone. Every file must be of the same yield, and its first machine is judged again.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.base.reading import refuse_special
+from threadline.base.writing import staged_file
+from threadline.errors import OptionError, RecordingError
+from threadline.machine.variants import drawn
+from threadline.proof.worst_machine import Done
+from threadline.search.machine_yield import AT_ONCE, MachineYield, Yield
+from threadline.search.yield_state import (
+    MOST_LINE,
+    Lines,
+    content_of_runs,
+    line_of,
+    same_first,
+    same_rows,
+)
+from threadline.verdict import EachRun
+
+FORMAT = "threadline yield part 1"
+MOST_VARIANTS = 10_000_000
+_PART = re.compile(r"([0-9]{1,9})/([0-9]{1,9})")
+_NAMED = 8  # missing parts that an error names
+_AGAIN = "Make that part again."
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One of the consecutive parts of a yield.
+
+    Parameters
+    ----------
+    number, count
+        Part ``number`` of ``count``, from 1.
+    """
+
+    number: int
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    def machines(self, variants: int) -> range:
+        """Return the numbers of its machines in the sequence of ``variants``, from 0.
+
+        >>> [Part(k, 3).machines(10) for k in (1, 2, 3)]
+        [range(0, 3), range(3, 6), range(6, 10)]
+
+        Raises
+        ------
+        OptionError
+            If there are fewer machines than parts.
+        """
+        if variants < self.count:
+            raise OptionError(
+                f"--part {self}: {variants} machines are too few for {self.count} parts",
+                remedy=f"Make at most {variants} parts, or draw more machines (--variants).",
+            )
+        return range(
+            (self.number - 1) * variants // self.count, self.number * variants // self.count
+        )
+
+
+def parse_part(text: str) -> Part:
+    """Return the part that ``--part`` names, "3/16".
+
+    >>> parse_part("3/16")
+    Part(number=3, count=16)
+
+    Raises
+    ------
+    OptionError
+        If it is not a part, or its number is not from 1 to the number of parts.
+    """
+    found = _PART.fullmatch(text.strip())
+    if found is None:
+        raise OptionError(
+            f"--part {text[:40]!r} is not the number of a part and the number of parts",
+            remedy='Write it like "3/16".',
+        )
+    number, count = int(found[1]), int(found[2])
+    if not 1 <= number <= count:
+        raise OptionError(
+            f"--part {text[:40]!r}: the number of the part must be from 1 to the number of parts",
+            remedy=f'Write it like "1/{max(count, 1)}".',
+        )
+    return Part(number, count)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """What a part is of.
+
+    Parameters
+    ----------
+    identity
+        Names and values of everything that the results depend on.
+    words
+        Job, machine and options as typed, by name.
+    seed, variants
+        Seed and length of the whole sequence.
+    part
+        Which part.
+    """
+
+    identity: Mapping[str, str]
+    words: Mapping[str, str | int | float | bool]
+    seed: int
+    variants: int
+    part: Part
+
+    def differences(self, other: Record) -> list[str]:
+        """Return the names of what differs from another part of the same yield."""
+        names = dict.fromkeys([*other.identity, *self.identity])
+        found = [name for name in names if self.identity.get(name) != other.identity.get(name)]
+        counts = {
+            "seed": (self.seed, other.seed),
+            "number of machines": (self.variants, other.variants),
+            "number of parts": (self.part.count, other.part.count),
+        }
+        return [*found, *(name for name, (one, two) in counts.items() if one != two)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PartFile:
+    """A part that was read from its file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    record
+        What it is of.
+    found
+        The results of its machines.
+    """
+
+    path: Path
+    record: Record
+    found: EachRun
+
+
+def write_part(path: Path, record: Record, found: EachRun) -> None:
+    """Write a part; the file appears whole, and stands on the disk, or not at all.
+
+    Raises
+    ------
+    OptionError, OSError
+        If the file cannot be written.
+    """
+    head = {
+        "format": FORMAT,
+        "identity": dict(record.identity),
+        "words": dict(record.words),
+        "seed": record.seed,
+        "variants": record.variants,
+        "part": [record.part.number, record.part.count],
+    }
+    first = record.part.machines(record.variants).start
+    with staged_file(path) as file:
+        file.write(line_of(head))
+        for at in range(0, found.runs, AT_ONCE):
+            some = found.taken(np.arange(at, min(at + AT_ONCE, found.runs)))
+            file.write(line_of(content_of_runs(some, first + at)))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_part(path: Path) -> PartFile:
+    """Return the part in a file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened.
+    RecordingError
+        If it is not a part of a yield, was changed, or is cut short.
+    """
+    refuse_special(path)
+    lines = Lines(path, "a part of a yield", _AGAIN)
+    found: list[EachRun] = []
+    with path.open("rb") as file:
+        record = _record(lines.content(file.readline(MOST_LINE), 1), lines)
+        machines = record.part.machines(record.variants)
+        at, line = machines.start, 1
+        while text := file.readline(MOST_LINE):
+            line += 1
+            if not text.endswith(b"\n"):
+                lines.refuse("its last line is cut short", line)
+            found.append(lines.judged(lines.content(text, line), at, line))
+            if not same_rows(found[-1], found[0]):
+                lines.refuse("it has other criteria than the lines before it", line)
+            at += found[-1].runs
+    if at != machines.stop:
+        has = f"it has {at - machines.start} of its {len(machines)} machines"
+        lines.refuse(f"{has}: it is cut short", line)
+    return PartFile(path=path, record=record, found=EachRun.joined(found))
+
+
+def _record(content: Mapping[str, Any], lines: Lines) -> Record:
+    if content.get("format") != FORMAT:
+        lines.refuse("it is not a part of a yield of this version", 1)
+    identity, words = content.get("identity"), content.get("words")
+    seed, variants, part = (content.get(name) for name in ("seed", "variants", "part"))
+    if not isinstance(identity, dict) or not all(isinstance(v, str) for v in identity.values()):
+        lines.refuse("it was changed", 1)
+    if not isinstance(words, dict) or not all(
+        isinstance(value, str | int | float | bool) for value in words.values()
+    ):
+        lines.refuse("it was changed", 1)
+    if type(seed) is not int or not 0 <= seed < 1 << 64:
+        lines.refuse("it has a seed that is not from 0 to 2**64 - 1", 1)
+    if type(variants) is not int or not 1 <= variants <= MOST_VARIANTS:
+        lines.refuse(f"its number of machines is not from 1 to {MOST_VARIANTS}", 1)
+    if not isinstance(part, list) or len(part) != 2 or any(type(one) is not int for one in part):
+        lines.refuse("it was changed", 1)
+    number, count = part
+    if not 1 <= number <= count <= variants:
+        lines.refuse(f"there is no part {number}/{count} of {variants} machines", 1)
+    return Record(
+        identity=identity, words=words, seed=seed, variants=variants, part=Part(number, count)
+    )
+
+
+def read_parts(paths: Sequence[Path]) -> list[PartFile]:
+    """Return all parts of one yield, in their order.
+
+    Raises
+    ------
+    OptionError
+        If a part is missing, is there twice, or belongs to another yield.
+    RecordingError
+        If a file cannot be read as a part.
+    """
+    parts = [read_part(path) for path in paths]
+    first = parts[0]
+    known: dict[int, PartFile] = {}
+    for one in parts:
+        check_same(one, first.record, f"{str(first.path)!r}")
+        if not same_rows(one.found, first.found):
+            raise OptionError(
+                f"{str(one.path)!r} has other criteria than {str(first.path)!r}", remedy=_AGAIN
+            )
+        number = one.record.part.number
+        if number in known:
+            raise OptionError(
+                f"part {one.record.part} is there twice: {str(known[number].path)!r} and "
+                f"{str(one.path)!r}",
+                remedy="Give each part once.",
+            )
+        known[number] = one
+    count = first.record.part.count
+    if len(known) < count:
+        missing = count - len(known)
+        found = (k for k in range(1, count + 1) if k not in known)
+        named = ", ".join(str(k) for k, _ in zip(found, range(_NAMED), strict=False))
+        more = f" and {missing - _NAMED} more" if missing > _NAMED else ""
+        raise OptionError(
+            f"{missing} of {count} parts missing: {named}{more}",
+            remedy="Make them, and give the files of all parts.",
+        )
+    return [known[number] for number in sorted(known)]
+
+
+def check_same(one: PartFile, record: Record, than: str) -> None:
+    """Refuse a part of another yield than that of ``record``, which ``than`` names.
+
+    Raises
+    ------
+    OptionError
+        If they differ.
+    """
+    if other := one.record.differences(record):
+        raise OptionError(
+            f"{str(one.path)!r} belongs to another yield than {than}: another {', '.join(other)}",
+            remedy="Give parts of one yield, made and merged with the same versions and files.",
+        )
+
+
+def merged(parts: Sequence[PartFile], judged: MachineYield, done: Done | None = None) -> Yield:
+    """Return the answer of one run from all parts in their order, the same to the bit.
+
+    The first machine of each part is judged again.
+
+    Raises
+    ------
+    RecordingError
+        If a machine comes to something else here.
+    """
+    for one in parts:
+        record = one.record
+        first = record.part.machines(record.variants).start
+        again = judged.judged(drawn(judged.plan.machine, record.seed, np.array([first])), done)
+        if not same_first(one.found, again):
+            raise RecordingError(
+                f"part {record.part} in {str(one.path)!r} comes to something else here: "
+                f"its first machine, number {first}, differs",
+                remedy="Make that part again on a computer like this one.",
+            )
+    found = EachRun.joined([one.found for one in parts])
+    return Yield(numbers=judged.numbers, found=found, seed=parts[0].record.seed)
