@@ -13,6 +13,7 @@ from threadline.cli import prove
 from threadline.cli.main import main
 from threadline.cli.output import print_table
 from threadline.report import pdf
+from threadline.report import proof as report_of_proofs
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
 
@@ -94,7 +95,7 @@ def test_a_report_that_fails_takes_the_recording_with_it(
     def fails(*_: object) -> None:
         raise OSError(28, "No space left on device", "report.html")
 
-    monkeypatch.setattr(prove, "write_report", fails)
+    monkeypatch.setattr(report_of_proofs, "write_report", fails)
     old = tmp_path / "old.npz"
     old.write_text("old")
     for file in (old, tmp_path / "new.csv", tmp_path / "made" / "for" / "it.npz"):

@@ -23,6 +23,7 @@ from threadline.cli.main import main
 from threadline.errors import PlanError
 from threadline.proof.kinds import kind as watched
 from threadline.proof.kinds import ticks
+from threadline.report import proof as report_of_proofs
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PROVE = ["prove", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder"]
@@ -366,7 +367,7 @@ def test_a_recording_and_a_report_are_stages_of_their_own(
 
     monkeypatch.setattr(output, "at_work", noted)
     monkeypatch.setattr(watched, "LONG_S", -1.0)
-    monkeypatch.setattr(prove, "write_report", drawn)
+    monkeypatch.setattr(report_of_proofs, "write_report", drawn)
     words = ["--nominal", "--interpolation", "linear", "--recording", tmp_path / "x.npz"]
     with pytest.raises(SystemExit):
         main([str(word) for word in [*PROVE, *words, "--report", tmp_path / "report"]])

@@ -9,6 +9,7 @@ import pytest
 from threadline.errors import BudgetError, InputError, JobError, MachineError, OptionError
 from threadline.jobs import Job, read_job, read_part_program
 from threadline.machine import load_machine
+from threadline.machine.parts import eye_within
 
 MACHINE = load_machine("lathe-winder")
 
@@ -285,4 +286,5 @@ def _with_axes(names: tuple[str, ...]):  # type: ignore[no-untyped-def]
     import dataclasses
 
     axes = dict(zip(names, MACHINE.axes.values(), strict=False))
-    return dataclasses.replace(MACHINE, axes=axes, inputs={})
+    tool = eye_within(MACHINE.tool, axes)
+    return dataclasses.replace(MACHINE, axes=axes, inputs={}, tool=tool)

@@ -16,6 +16,7 @@ from threadline.errors import JobError, OptionError
 from threadline.jobs import Dwell, Feed, FeedMode, Job, Move, Stop, ToolEvent, read_job
 from threadline.jobs.operations import MoveRun
 from threadline.machine import Machine, load_machine
+from threadline.machine.parts import eye_within
 
 MACHINE = load_machine("lathe-winder")
 
@@ -230,7 +231,9 @@ def six_axis_machine() -> Machine:
     """The library winder with axes A Z X B, the carriage called Z as on other winders."""
     axes = MACHINE.axes
     names = {"A": axes["A"], "Z": axes["X"], "X": axes["Y"], "B": axes["A"]}
-    return dataclasses.replace(MACHINE, name="four-axes", axes=names, inputs={})
+    return dataclasses.replace(
+        MACHINE, name="four-axes", axes=names, inputs={}, tool=eye_within(MACHINE.tool, names)
+    )
 
 
 def test_a_winding_program_of_another_tool(shared_samples: Path) -> None:

@@ -93,7 +93,7 @@ FIELDS = {
         "interpolation", "priority", "feed", "shaper", "radius", "law", "tolerance", "contour",
         "feed-forward", "smoothing", "robust", "offset",
     },
-    "schiffli-frame": {"feed", "law", "tolerance"},
+    "schiffli-frame": {"feed", "law", "tolerance", "robust"},
     "letter-placer": {"shaper"},
 }  # fmt: skip
 

@@ -32,7 +32,7 @@ from threadline.machine.numbers import (
     line_of,
     plain_node,
 )
-from threadline.machine.parts import switches_in_the_way
+from threadline.machine.parts import EYE_PARTS, switches_in_the_way
 from threadline.machine.pneumatics import switch_faults
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
@@ -373,7 +373,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
     below = _overlaid(below, base_overlays, base_name, base_file)
     # The operator's settings of a base are not inherited.
     below.pop("operator", None)
-    return _merge(below, content), text, file
+    return _merge(_without_lost_eye(below, content), content), text, file
 
 
 @lru_cache(maxsize=16)
@@ -414,6 +414,18 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
         else:
             merged[key] = copy.deepcopy(value)
     return merged
+
+
+def _without_lost_eye(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Return ``below``, with a tool of a radius alone if ``above`` removes an axis of its eye."""
+    tool, axes = below.get("tool"), above.get("axes")
+    if not isinstance(tool, dict) or not isinstance(axes, dict) or "tool" in above:
+        return below
+    named = {part.get("axis") for part in map(tool.get, EYE_PARTS) if isinstance(part, dict)}
+    if not any(value == "none" and name in named for name, value in axes.items()):
+        return below
+    kept = {key: value for key, value in tool.items() if key not in (*EYE_PARTS, "kind", "payout")}
+    return below | {"tool": kept}
 
 
 def place_in(machine: Machine, key: str) -> Place | None:
