@@ -186,8 +186,7 @@ class Replay:
         """Find the fibre for the next block that lays any; return its number."""
         if self._rest is None:
             self._rest = float(chain[0, 0])
-        # A fibre that is tied begins where it is tied; any other where the mandrel begins to turn.
-        if not self._turns and self._tied is None:
+        if not self._turns:
             turned = np.abs(chain[1:, 0] - self._rest) > self._least_turn
             if not turned.any():
                 return len(chain) - 1
