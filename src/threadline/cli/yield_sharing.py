@@ -8,8 +8,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from click import MissingParameter
-
 from threadline import __version__
 from threadline.base.writing import is_stdout
 from threadline.cli.output import print_json, say
@@ -57,9 +55,7 @@ def asked_here(
     Raises
     ------
     OptionError
-        If there are several jobs.
-    MissingParameter
-        If no machine is named.
+        If there are several jobs, or no machine is named.
     """
     if len(files) > 1:
         raise OptionError(
@@ -67,7 +63,9 @@ def asked_here(
             remedy="Give one JOB; with --merge, the files of all parts.",
         )
     if machine is None:
-        raise MissingParameter(param_type="option", param_hint="'--machine' / '-m'")
+        raise OptionError(
+            "no machine is named", remedy="Give --machine NAME; threadline machines lists them."
+        )
     return Question(job=files[0], machine=machine, words=words, variants=variants, seed=seed)
 
 
