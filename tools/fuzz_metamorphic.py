@@ -46,6 +46,7 @@ from threadline.files.formats.common import in_si
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.load import library_file
+from threadline.machine.parts import eye_within
 from threadline.motion.path import programmed_path
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, prove
@@ -377,7 +378,10 @@ def _renamed(rng: random.Random, machine: Machine) -> tuple[Machine, dict[str, s
     order = rng.sample(sorted(names), len(names))
     inputs = {n: replace(one, axis=names[one.axis]) for n, one in machine.inputs.items()}
     axes = {names[axis]: machine.axes[axis] for axis in order}
-    return replace(machine, axes=axes, inputs=inputs), {new: old for old, new in names.items()}
+    renamed = replace(
+        machine, axes=axes, inputs=inputs, tool=eye_within(machine.tool, set(axes) & set(names))
+    )
+    return renamed, {new: old for old, new in names.items()}
 
 
 def check_program(path: Path) -> None:

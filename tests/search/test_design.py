@@ -19,6 +19,7 @@ from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.tables import Design, DesignParameter, DesignSettings
+from threadline.proof import pipeline
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, check_loops, plan_job, prove_plan
 from threadline.search.design import DesignResult, Wanted, design, with_delay
@@ -213,17 +214,22 @@ def test_what_is_told_of_a_design_says_its_level(
     result: DesignResult, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In the line under the verdict, in the sentence at the end and over the other machines."""
+    assert result.found is not None
     command._show(result)
     told = capsys.readouterr().out
-    assert "IN SPEC (repeated: 20 runs; " in told
+    assert f"IN SPEC (repeated: {result.found.verdict.runs} runs" in told
     assert "in spec (repeated) with belt x " in told
     assert "of the limit, 20 runs" in told
 
 
 def test_candidates_are_tried_in_the_runs_that_prove_draws(
-    stitcher: Machine, spec: Spec, corner: Path
+    stitcher: Machine, spec: Spec, corner: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The worst of 20 runs is that of the whole pipeline: to rounding, for every candidate."""
+    """The worst of 20 runs is that of the whole pipeline: to rounding, for every candidate.
+
+    The pipeline judges more runs where 20 come near a limit; here it does not.
+    """
+    monkeypatch.setattr(pipeline, "MOST_RUNS", 20)
     space = design_space(two_parameters(stitcher))
     others = OtherRuns.of(space, REPEATED)
     evaluator = Evaluator(space, lambda m: read_job(corner, m), spec, Options(), others)

@@ -65,7 +65,7 @@ def test_shares_of_the_limits_are_read_as_they_are_printed() -> None:
         return rungs.setdefault(share, Rung(share=share, found=found, duration_s=1.0 + away))
 
     rungs: dict[float, Rung] = {}
-    gentle._climb(tried, rungs)
+    gentle._climb(tried, rungs, gentle._LADDER)
     assert len(rungs) > 6
     for share in (*rungs, *np.random.default_rng(5).uniform(0.01, 1.0, 300).round(6).tolist()):
         assert parse_share(share_words(share)) == share
