@@ -98,7 +98,7 @@ def test_the_work_goes_on_with_what_was_found(
     assert code == 0, err
     content = json.loads(text)
     found = content["found"]
-    assert (found["passed"], found["level"], found["runs"]) == (True, "repeated", 20)
+    assert (found["passed"], found["level"], found["runs"] >= 20) == (True, "repeated", True)
     assert found["factors"]["belt"] > 1.0
     assert found["share_of_limit"] <= 1.0
     assert content["as_built"]["share_of_limit"] > 1.0
@@ -183,10 +183,12 @@ def test_a_design_is_planned_and_judged_as_a_proof_is_asked_to(
     ((_, _, _, options, wanted, _),) = given
     assert wanted.trials == Trials(ends=1.0, band=0.1)
     evaluator = SimpleNamespace(
-        space=SimpleNamespace(ahead=True, levels=wanted.smoothing_s), _options=options
+        space=SimpleNamespace(ahead=True, smoothing_s=lambda _: wanted.smoothing_s[0]),
+        _options=options,
     )
     assert Evaluator.options_at(cast("Evaluator", evaluator), 0) == options_of(
         limits="80 %", feed_forward=True, robust="100 %", smoothing="50 ms"
     )
+    monkeypatch.undo()
     code, _, err = run(capsys, "design", *job, "--robust", "100 %")
     assert code == 2 and "needs feed-forward" in err

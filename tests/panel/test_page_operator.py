@@ -101,6 +101,7 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         assert (folder / EXAMPLE.name).read_bytes() == EXAMPLE.read_bytes()
         start = page.get_by_role("button", name="Start", exact=True)
         expect(start).to_be_disabled()
+        page.locator("#interpolation").select_option("optimal")
         calculated(page, EXAMPLE.name)
         figures = page.locator("#figures")
         for told in ("IN SPEC", "duration", "ticks", "circuits", "points", "contour error"):

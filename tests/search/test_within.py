@@ -136,6 +136,25 @@ def test_an_end_that_passed_breaks_off_at_once() -> None:
         until.check()
 
 
+@pytest.mark.parametrize("signal_raises", [HaltError, KeyboardInterrupt])
+def test_a_signal_during_machine_code_ends_a_search_as_any_other(
+    signal_raises: type[BaseException],
+) -> None:
+    """Compiled code that hands over its arguments fails with errors of its own around it."""
+    until = Until.within(1000.0)
+    with as_far_as(until, lambda: True):
+        try:
+            try:
+                raise signal_raises
+            except BaseException as error:
+                raise SystemError("_unpickle returned a result with an exception set") from error
+        except SystemError as error:
+            raise SystemError("a kernel returned a result with an exception set") from error
+    assert (until.ended == INTERRUPTED) is (signal_raises is KeyboardInterrupt)
+    with pytest.raises(SystemError, match="alone"), as_far_as(until, lambda: True):
+        raise SystemError("alone")
+
+
 def test_outside_the_main_thread_a_search_goes_on() -> None:
     """There are no signals there; it ends between its plans."""
     done = []

@@ -162,7 +162,10 @@ def _run(given: list[str], termination: Termination) -> int:
         )
     except Exception as error:
         # The interrupt came during machine code, which failed or returned as if nothing happened.
-        if termination.was_lost or isinstance(error.__cause__, KeyboardInterrupt):
+        cause = error.__cause__
+        while isinstance(cause, SystemError):
+            cause = cause.__cause__
+        if termination.was_lost or isinstance(cause, KeyboardInterrupt):
             return EXIT_INTERRUPTED
         _stop(keep_traceback(error, given), EXIT_DEFECT)
     return status

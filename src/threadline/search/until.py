@@ -85,12 +85,14 @@ class Until:
         """
         able = threading.current_thread() is threading.main_thread()
         if not able or math.isinf(self.end_s) or not hasattr(signals, "setitimer"):
-            yield
+            with _from_machine_code():
+                yield
             return
         before = signals.signal(signals.SIGALRM, self._halt)
         signals.setitimer(signals.ITIMER_REAL, max(self.end_s - time.monotonic(), 1e-3))
         try:
-            yield
+            with _from_machine_code():
+                yield
         finally:
             signals.setitimer(signals.ITIMER_REAL, 0.0)
             signals.signal(signals.SIGALRM, before)
@@ -99,6 +101,24 @@ class Until:
         if not self.ended:
             self.ended = OUT_OF_TIME
             raise HaltError
+
+
+@contextmanager
+def _from_machine_code() -> Iterator[None]:
+    """Raise the exception of a signal that came during machine code.
+
+    Machine code that hands over its arguments or results then fails with a ``SystemError`` of its
+    own, sometimes twice, with the signal's exception as the cause.
+    """
+    try:
+        yield
+    except SystemError as error:
+        cause: BaseException | None = error
+        while isinstance(cause, SystemError):
+            cause = cause.__cause__
+        if isinstance(cause, HaltError | KeyboardInterrupt):
+            raise cause from error
+        raise
 
 
 @contextmanager
