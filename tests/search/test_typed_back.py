@@ -17,6 +17,7 @@ from threadline.jobs.operations import FeedMode
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.motion.laws import law, write_law
+from threadline.proof import worst_search
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import (
@@ -68,15 +69,18 @@ def stitcher(tmp_path: Path) -> Machine:
     ("trials", "low", "high"),
     [
         (NOMINAL, 29.2, 29.4),
-        (REPEATED, 29.16, 29.26),
-        (Trials(repeats=2, machines=20), 28.1, 28.3),
+        (REPEATED, 29.1, 29.24),
+        (Trials(repeats=2, machines=20), 22.2, 23.3),
     ],
     ids=lambda value: getattr(value, "level", None),
 )
 def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
-    stitcher: Machine, tmp_path: Path, trials: Trials, low: float, high: float
-) -> None:
+    stitcher: Machine, tmp_path: Path, trials: Trials, low: float, high: float,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     """With gaps where whole ticks do not suit; lists had them in. At every level.
+
+    Over tolerances the worst machine is searched among few, here and where it is typed back.
 
     The first corner of the test path, with 10 stitches either side of it of 25: its intervals are
     those of the whole path.
@@ -87,7 +91,8 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
     seam = tmp_path / "corner.seam.toml"
     seam.write_text(corner, encoding="utf-8")
     spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", stitcher)
-    points, near = (3, 1) if trials.machines else (5, 2)
+    points, near = (3, 1) if trials.machines else (9 if trials == REPEATED else 5, 2)
+    monkeypatch.setattr(worst_search, "SEARCHED", 10)
     found = fastest_needle(
         Question(
             job=open_job(seam, stitcher, Options()),
@@ -102,7 +107,9 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
     )
     assert len(found.intervals) > 1
     for interval in found.intervals:
-        for speed in drawn(interval.low, interval.high):
+        # Over tolerances the worst machine differs from speed to speed: only ends are judged ones.
+        ends = (interval.low, interval.high)
+        for speed in ends if trials.machines else drawn(*ends):
             job = read_job(seam, stitcher, needle_speed=f"{typed(speed)} stitch/s")
             plan = plan_job(job, stitcher, Options())
             assert prove_plan(plan, spec, trials=trials).verdict.passed, speed
