@@ -258,8 +258,7 @@ def marlin_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
 def reprap_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
     """Return RepRapFirmware's ``M593`` for ``shaper``, made for ``mode``, or the nearest one.
 
-    Its custom type isn't used: firmware 3.4 reads its ``H`` and ``T`` as sums and durations, later
-    ones as amplitudes and delays.
+    Its custom type isn't used: versions of the firmware differ in what ``H`` and ``T`` mean.
     """
     trains = {
         f'M593 P"{name}" F{mode.frequency_hz:.6g} S{mode.damping_ratio:.6g}': reprap_impulses(
