@@ -32,8 +32,9 @@ from threadline.machine.numbers import (
     line_of,
     plain_node,
 )
-from threadline.machine.parts import EYE_PARTS, switches_in_the_way
+from threadline.machine.parts import switches_in_the_way
 from threadline.machine.pneumatics import switch_faults
+from threadline.machine.tool import EYE_PARTS
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
 """Pydantic's types of error for a missing key."""
