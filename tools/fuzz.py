@@ -45,7 +45,7 @@ from threadline.machine.par import read_parameters
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.units import parse_exact_time_s, parse_quantity
 from threadline.verdict import load_spec
-from threadline.winding.foreign import meridian_of
+from threadline.winding.other_planners import meridian_of
 from threadline.winding.product import product_text
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -160,6 +160,11 @@ def read_move_list(path: Path) -> None:
         pass
 
 
+def read_control_file(path: Path) -> None:
+    (path.parent / "made.pay").write_bytes(_PAY)
+    product_text(path)
+
+
 def read_quantity(path: Path) -> None:
     """Read a quantity as each kind; refused when it is none of them."""
     text = path.read_bytes().decode("utf-8", "replace")
@@ -213,7 +218,7 @@ READERS: dict[str, Reader] = {
     "wind": Reader("a.wind", seam_file("wind"), product_text, 4),
     "fib": Reader("a.fib", seam_file("fib"), meridian_of, 8),
     "pay": Reader("a.pay", seam_file("pay"), product_text, 4),
-    "ctl": Reader("a.ctl", seam_file("ctl"), product_text, 4),
+    "ctl": Reader("a.ctl", seam_file("ctl"), read_control_file, 4),
     **{name: Reader(*target) for name, target in fuzz_targets(mutate).items()},
     **{name: Reader(*target) for name, target in fuzz_recordings().items()},
     **{name: Reader(*target) for name, target in fuzz_metamorphic().items()},

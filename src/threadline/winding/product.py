@@ -21,7 +21,7 @@ from threadline.base.reading import read_text
 from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
-from threadline.winding.foreign import ENDINGS, MERIDIANS, foreign_product, meridian_of
+from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
 from threadline.winding.shapes import ellipse, isotensoid, nose, table
 from threadline.winding.surface import Stretch, Surface, line, surface_of
 
@@ -110,8 +110,8 @@ class Product:
 def product_text(given: str | Path) -> str:
     """Return the content of a product file on one line, with the tables of its mandrel.
 
-    A file of FiberPath or CADFIL is read for its mandrel and its band (``foreign.py``). A text
-    that was returned before is returned unchanged, so that a recording keeps its product.
+    A file of FiberPath or CADFIL is read for its mandrel and its band (``other_planners.py``). A
+    text that was returned before is returned unchanged, so that a recording keeps its product.
 
     Raises
     ------
