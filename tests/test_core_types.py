@@ -70,7 +70,7 @@ def test_only_tests_in_a_browser_are_left_to_the_plain_run():
     using = {
         file
         for file in (ROOT / "tests").rglob("test_*.py")
-        if "from tests.panel.browsing import" in file.read_text(encoding="utf-8")
+        if re.search(r"^from tests\.panel\.browsing import", file.read_text("utf-8"), re.MULTILINE)
     }
     assert browsed and browsed == using
 
