@@ -105,6 +105,8 @@ def _answer(
             send(f"<{status or 'Idle'}|MPos:0.000,0.000,0.000>\r\n".encode())
         *lines, rest = (rest + more).split(b"\n")
         for line in (one.decode().strip() for one in lines):
+            if not line and firmware == "grbl":
+                send(b"ok\r\n")  # protocol.c: an empty line, for syncing
             if line:
                 heard.append(line)
                 text = answers.get(line, unknown(firmware, line))

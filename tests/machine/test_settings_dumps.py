@@ -331,6 +331,13 @@ def test_files_that_klipper_includes_are_read_beside(tmp_path: Path) -> None:
         read(tmp_path, "[include parts/*.cfg]\n" + head)
 
 
+def test_axes_begin_with_x_whatever_klipper_s_includes_name_first(tmp_path: Path) -> None:
+    """A macro's file may set Z before the sections of X and Y."""
+    (tmp_path / "park.cfg").write_text("[stepper_z]\nposition_max: 240\n")
+    settings = read(tmp_path, "[include park.cfg]\n" + KLIPPER)
+    assert list(settings.axes) == ["X", "Y", "Z"]
+
+
 def test_no_file_outside_its_folder_is_included(tmp_path: Path) -> None:
     inner = tmp_path / "inner"
     inner.mkdir()

@@ -57,6 +57,9 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
                     remedy="Give the complete list of the firmware.",
                 )
             _assume(settings)
+            # An include may name Z first; people, tables and first examples begin with X.
+            order = sorted(settings.axes, key=lambda axis: f"XYZ{axis}".index(axis))
+            settings.axes = {axis: settings.axes[axis] for axis in order}
             return settings
     eeprom = next((at for at, line in enumerate(lines, 1) if "EPR:" in line), 0)
     if eeprom:
