@@ -338,6 +338,23 @@ def test_axes_begin_with_x_whatever_klipper_s_includes_name_first(tmp_path: Path
     assert list(settings.axes) == ["X", "Y", "Z"]
 
 
+def test_the_error_asks_once_what_several_axes_lack_and_its_hint_does(tmp_path: Path) -> None:
+    """An INI of a simulation without scales, with axes that turn."""
+    ini = "[EMC]\nMACHINE = m\n[TRAJ]\nCOORDINATES = X Y A\nLINEAR_UNITS = mm\n[KINS]\nJOINTS = 3\n"
+    for number, kind in enumerate(("LINEAR", "LINEAR", "ANGULAR")):
+        ini += f"[JOINT_{number}]\nTYPE = {kind}\nMAX_VELOCITY = 30\nMAX_ACCELERATION = 200\n"
+        ini += f"MIN_LIMIT = 0\nMAX_LIMIT = 300\n[AXIS_{'XYA'[number]}]\n"
+        ini += "MAX_VELOCITY = 30\nMAX_ACCELERATION = 200\nMIN_LIMIT = 0\nMAX_LIMIT = 300\n"
+    settings = read(tmp_path, ini, "m.ini")
+    with pytest.raises(OptionError) as caught:
+        machine_text(settings, parse_answers([]), "m", limits_only=True)
+    asked = re.findall(r'--set "([^"]+)"', caught.value.remedy)
+    assert asked == ["steps=80 count/mm", "steps.A=26.667 count/deg", "radius=50 mm"]
+    machine_text(settings, parse_answers(asked), "m", limits_only=True)
+    with pytest.raises(OptionError, match="need no motors: --limits-only"):
+        machine_text(settings, parse_answers(asked), "m")
+
+
 def test_no_file_outside_its_folder_is_included(tmp_path: Path) -> None:
     inner = tmp_path / "inner"
     inner.mkdir()
