@@ -42,6 +42,7 @@ PARTS = {
         f"tool.{part}" for part in ("turn", "along", "across", "up", "yaw", "roll")
     ),
     "`payout` of an eye": ("tool.payout",),
+    "`roller` of an eye": ("tool.roller",),
     "`[tolerances]`": ("tolerances",),
     "`[guide]`": ("guide",),
     "`[guide.connectors.NAME]`": ("guide.connectors.x",),

@@ -22,6 +22,7 @@ from pydantic import ValidationError
 from threadline.base.reading import note_input, read_text
 from threadline.base.wording import field_fault, nearest, toml_fault
 from threadline.errors import MachineError, Place
+from threadline.machine.eye import EYE_BODY, EYE_PARTS
 from threadline.machine.model import Machine
 from threadline.machine.numbers import (
     ADAPTER,
@@ -32,7 +33,7 @@ from threadline.machine.numbers import (
     line_of,
     plain_node,
 )
-from threadline.machine.parts import EYE_PARTS, switches_in_the_way
+from threadline.machine.parts import switches_in_the_way
 from threadline.machine.pneumatics import switch_faults
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
@@ -424,7 +425,8 @@ def _without_lost_eye(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
     named = {part.get("axis") for part in map(tool.get, EYE_PARTS) if isinstance(part, dict)}
     if not any(value == "none" and name in named for name, value in axes.items()):
         return below
-    kept = {key: value for key, value in tool.items() if key not in (*EYE_PARTS, "kind", "payout")}
+    of_eye = (*EYE_PARTS, *EYE_BODY, "kind")
+    kept = {key: value for key, value in tool.items() if key not in of_eye}
     return below | {"tool": kept}
 
 

@@ -13,6 +13,7 @@ from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError, Place
 from threadline.files import Clock
 from threadline.machine.controllers import Controller
+from threadline.machine.eye import Tool, check_eye
 from threadline.machine.mandrel import LocalRadii, local_radii
 from threadline.machine.motion_planner import (
     FirmwarePlanner,
@@ -31,8 +32,6 @@ from threadline.machine.parts import (
     Operator,
     Period,
     Sensor,
-    Tool,
-    check_eye,
     check_known,
 )
 from threadline.machine.path_limits import PathLimits, acts_at_m, check_path_limits, check_radii

@@ -22,8 +22,9 @@ from pathlib import Path
 from threadline.base.reading import refuse_special
 from threadline.errors import MachineError, Place
 from threadline.machine.controllers import PdController
+from threadline.machine.eye import eye_within
 from threadline.machine.model import Machine
-from threadline.machine.parts import Operator, eye_within
+from threadline.machine.parts import Operator
 from threadline.machine.quantity import Provenance, Quantity
 
 COMMENT_LINES = 3

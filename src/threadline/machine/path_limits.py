@@ -8,7 +8,8 @@ from typing import Annotated
 from pydantic import model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.machine.parts import STRICT, Axis, Tool, check_known
+from threadline.machine.eye import Tool
+from threadline.machine.parts import STRICT, Axis, check_known
 from threadline.machine.quantity import Quantity, Units
 
 
