@@ -43,6 +43,8 @@ PARTS = {
     ),
     "`payout` of an eye": ("tool.payout",),
     "`roller` of an eye": ("tool.roller",),
+    "`arm` of an eye": ("tool.arm",),
+    "`chuck` and `tailstock` of an eye": ("tool.chuck", "tool.tailstock"),
     "`[tolerances]`": ("tolerances",),
     "`[guide]`": ("guide",),
     "`[guide.connectors.NAME]`": ("guide.connectors.x",),

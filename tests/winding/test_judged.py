@@ -30,9 +30,10 @@ from threadline.search.compare import compare, placement_spec
 from threadline.search.question import question_of
 from threadline.search.studied import Studied
 from threadline.verdict import Spec, load_spec
-from threadline.verdict.fibre import MEASURED, PLANNED, Closing, Near, measure_planned
+from threadline.verdict.fibre import MEASURED, PLANNED, Closing, measure_planned
 from threadline.verdict.finding import Finding
 from threadline.verdict.replayed import Wound, WoundJob
+from threadline.winding.clearance import Clearance
 from threadline.winding.product import Product, product_of_text, product_text
 from threadline.winding.raster import Gap, Raster
 from threadline.winding.replay import Replay
@@ -242,19 +243,23 @@ def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
     eyes = np.zeros((20_000, 6))
     eyes[:, 1] = 0.1 + np.cumsum(chance.normal(0.0, 1e-3, 20_000))
     eyes[:, 2] = 0.055 + 0.01 * np.sin(np.arange(20_000) / 300.0)
-    blank = np.zeros((20_000, 3))
-    found = Near([WoundJob(product, tool, ("A", "X", "Y"))])(
-        Wound(blank[:, 0], None, blank, [], [eyes]), 0
-    )
     x, out = eyes[:, 1], eyes[:, 2] - 0.05
     beyond = np.maximum(np.maximum(-x, x - 0.2), 0.0)
     distance = np.where(beyond > 0.0, np.hypot(beyond, np.maximum(out, 0.0)), out)
-    # The ends are open: below their rims there is no face to keep away from.
-    rim = (out < 0.0) & (np.minimum(x, 0.2 - x) < -out)
+    # Below its rim an end is nearer than the side.
+    inside = (out < 0.0) & (beyond == 0.0)
+    distance = np.where(inside, np.maximum(out, -np.minimum(x, 0.2 - x)), distance)
     wanted = np.maximum(0.003 - distance, 0.0)
     assert (wanted > 0.0).mean() > 0.1
-    # The outline has a point every 25 um.
-    np.testing.assert_allclose(found[~rim], wanted[~rim], atol=1.25e-5)
+    near = Clearance(product.surface, (), tool, 0.003)
+    found = np.concatenate([near.feed(part) for part in np.array_split(eyes, 9)])
+    # Every sample is as far as it is said, or no nearer than one before.
+    said = found > 0.0
+    np.testing.assert_allclose(found[said], wanted[said], atol=1e-6)
+    before = np.maximum.accumulate(wanted)
+    assert (wanted[~said] <= before[~said] + 1e-6).all()
+    assert found.max() == pytest.approx(wanted.max(), abs=1e-6)
+    assert near.words(0).startswith("the eye and the mandrel: it would fit with a radius")
 
 
 @pytest.mark.parametrize("circuits", [programs.CIRCUITS, programs.TOO_FEW, 3])

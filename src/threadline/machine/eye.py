@@ -63,10 +63,27 @@ class Roller:
         return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Arm:
+    """The arm of an eye: a round rod that goes across, away from the mandrel."""
+
+    radius: Annotated[Quantity, Units(("m",), positive=True)]
+    length: Annotated[Quantity, Units(("m",), positive=True)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class EndStop:
+    """Chuck or tailstock: a cylinder about the axis; ``at`` is the face towards the mandrel."""
+
+    at: Annotated[Quantity, Units(("m",))]
+    radius: Annotated[Quantity, Units(("m",), positive=True)]
+    length: Annotated[Quantity, Units(("m",), positive=True)]
+
+
 _TURNS = ("turn", "yaw", "roll")
 EYE_PARTS = ("turn", "along", "across", "up", "yaw", "roll")
 """Coordinates of an eye, in the order of all arrays."""
-EYE_BODY = ("payout", "roller")
+EYE_BODY = ("payout", "roller", "body", "arm", "chuck", "tailstock")
 """Keys of an eye that name no axis."""
 
 
@@ -78,7 +95,8 @@ class Tool:
     ``along`` moves the eye along the mandrel, ``across`` away from its axis and ``up``. ``yaw``
     turns the eye about the upright from along to across, ``roll`` about the direction across from
     up to along. A missing coordinate is 0. ``payout`` is the point where the fibre leaves the eye,
-    or the centre of its ``roller``.
+    or the centre of its ``roller``. ``body`` is the radius of the eye about that point; ``arm``,
+    ``chuck`` and ``tailstock`` are what it may run into.
     """
 
     kind: Literal["radius", "eye"] = "radius"
@@ -91,6 +109,10 @@ class Tool:
     roll: EyeAxis | None = None
     payout: Payout | None = None
     roller: Roller | None = None
+    body: Annotated[Quantity, Units(("m",), positive=True)] | None = None
+    arm: Arm | None = None
+    chuck: EndStop | None = None
+    tailstock: EndStop | None = None
 
     @model_validator(mode="after")
     def _of_its_kind(self) -> Tool:
@@ -134,6 +156,17 @@ class Tool:
         plus = (roller.side == "+") == (roller.axis == "along")
         size = roller.radius.si if plus else -roller.radius.si
         return (1.0, 0.0, 0.0, size) if roller.axis == "along" else (0.0, 0.0, 1.0, size)
+
+    @property
+    def body_m(self) -> float:
+        """Radius of the eye about its pay-out point, at least the radius of its roller."""
+        own = 0.0 if self.body is None else self.body.si
+        return max(own, abs(self.roller_m[3]))
+
+    @property
+    def arm_m(self) -> tuple[float, float]:
+        """Radius and length of the arm; 0 without one."""
+        return (0.0, 0.0) if self.arm is None else (self.arm.radius.si, self.arm.length.si)
 
 
 def eye_within(tool: Tool | None, axes: Iterable[str]) -> Tool | None:

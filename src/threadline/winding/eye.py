@@ -15,7 +15,7 @@ from threadline.base.compiled import njit
 
 
 @njit(nogil=True)
-def _turned(
+def turned(
     point: FloatArray, q: FloatArray, v: FloatArray
 ) -> tuple[float, float, float, float, float, float]:
     """Return a vector on the eye's carrier, along, across and up on the machine, and its rate.
@@ -38,7 +38,7 @@ def centre(
     along, across, up = q[1], q[2], q[3]
     d_along, d_across, d_up = v[1], v[2], v[3]
     if payout[0] != 0.0 or payout[1] != 0.0 or payout[2] != 0.0:
-        a, c, h, da, dc, dh = _turned(payout[:3], q, v)
+        a, c, h, da, dc, dh = turned(payout[:3], q, v)
         along += a
         across += c
         up += h
@@ -115,7 +115,7 @@ def ahead(
     vc = d_up * cos - d_across * sin - v[0] * er
     if payout[6] == 0.0:
         return along - x, er - r, ec, d_along, vr, vc, 0.0
-    a, c, h, da, dc, dh = _turned(payout[3:6], q, v)
+    a, c, h, da, dc, dh = turned(payout[3:6], q, v)
     axis = np.array([a, c * cos + h * sin, h * cos - c * sin])
     spin = np.array(
         [da, dc * cos + dh * sin + v[0] * axis[2], dh * cos - dc * sin - v[0] * axis[1]]
@@ -123,7 +123,7 @@ def ahead(
     seen, rate = np.array([along - x, er - r, ec]), np.array([d_along, vr, vc])
     _round_roller(seen, rate, axis, spin, payout[6])
     # Across on the carrier is square to the axis of a roller.
-    a, c, h, da, dc, dh = _turned(payout[7:10], q, v)
+    a, c, h, da, dc, dh = turned(payout[7:10], q, v)
     out = np.array([seen[0] - along + x, seen[1] - er + r, seen[2] - ec])
     flat = np.array([a, c * cos + h * sin, h * cos - c * sin])
     level, aside = 0.0, 0.0
