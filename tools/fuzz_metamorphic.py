@@ -45,8 +45,8 @@ from threadline.files.formats import read_recording, write_recording
 from threadline.files.formats.common import in_si
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
-from threadline.machine.eye import eye_within
 from threadline.machine.load import library_file
+from threadline.machine.tool import eye_within
 from threadline.motion.path import programmed_path
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, prove

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 from threadline.base.arrays import FloatArray
 from threadline.machine import load_machine
-from threadline.machine.eye import Arm, Tool
 from threadline.machine.quantity import Quantity, parse_machine_quantity
+from threadline.machine.tool import Arm, Tool
 from threadline.winding.clearance import Clearance
 from threadline.winding.product import Product, product_of_text, product_text
 from threadline.winding.replay import Fibre, Replay

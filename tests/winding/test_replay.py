@@ -21,9 +21,9 @@ from tests.winding.cartesian import (
 )
 from threadline.base.arrays import FloatArray
 from threadline.machine import load_machine
-from threadline.machine.eye import Payout, Tool
-from threadline.machine.eye import Roller as TubeRoller
 from threadline.machine.quantity import Quantity, parse_machine_quantity
+from threadline.machine.tool import Payout, Tool
+from threadline.machine.tool import Roller as TubeRoller
 from threadline.winding.laying import BRIDGED, LAID, LIFTED, OFF, SUNK
 from threadline.winding.replay import Fibre, Replay
 from threadline.winding.shapes import ellipse

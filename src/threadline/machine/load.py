@@ -22,7 +22,6 @@ from pydantic import ValidationError
 from threadline.base.reading import note_input, read_text
 from threadline.base.wording import field_fault, nearest, toml_fault
 from threadline.errors import MachineError, Place
-from threadline.machine.eye import EYE_BODY, EYE_PARTS
 from threadline.machine.model import Machine
 from threadline.machine.numbers import (
     ADAPTER,
@@ -35,6 +34,7 @@ from threadline.machine.numbers import (
 )
 from threadline.machine.parts import switches_in_the_way
 from threadline.machine.pneumatics import switch_faults
+from threadline.machine.tool import EYE_BODY, EYE_PARTS
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
 """Pydantic's types of error for a missing key."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from threadline.commands.intents import Sewn
 from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
 from threadline.files import TickTable, tick_table
 from threadline.jobs.gcode.feeds import of_which
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from threadline.dynamics.preview import Demand
 
 _MINUTE = 60.0
+_MOST_THREADS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,9 +243,10 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
         ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
         [
             "Thread",
-            f"{thread_m(plan):.4g} m on the upper side, from hole to hole with the jumps between; "
-            "what the stitches draw in comes on top",
+            f"{sum(one.thread_m for one in stitched.sewn):.4g} m on the upper side, from hole to "
+            "hole with the jumps between; what the stitches draw in comes on top",
         ],
+        *([["Threads", _threads_words(stitched.sewn)]] if len(stitched.sewn) > 1 else []),
     ]
     slowest = _MINUTE * len(stitched.turns) / stitched.slowest_s
     bound = []
@@ -272,10 +275,15 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
     ]
 
 
-def thread_m(plan: Plan) -> float:
-    """Return the length in m of the thread of a plan from hole to hole, jumps between included."""
-    holes = plan.stitched.places_m[plan.stitched.turns.moves.needle == 1]
-    return float(np.hypot(*np.diff(holes, axis=0).T).sum())
+def _threads_words(sewn: Sequence[Sewn]) -> str:
+    """Return colour, length and time of the first threads of a design."""
+    first = [
+        f"{one.block} {one.thread or 'of unknown colour'}, {one.thread_m:.4g} m in "
+        f"{one.duration_s:.4g} s"
+        for one in sewn[:_MOST_THREADS]
+    ]
+    more = len(sewn) - len(first)
+    return "; ".join([*first, *([f"and {more} more, which the report lists"] if more else [])])
 
 
 def _for_words(plan: Plan) -> str:

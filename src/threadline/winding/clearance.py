@@ -14,7 +14,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.machine.eye import Tool
+from threadline.machine.tool import Tool
 from threadline.winding.eye import ahead, centre, turned
 from threadline.winding.product import Ring
 from threadline.winding.replay import Fibre

@@ -1,8 +1,8 @@
-"""The tool of a machine: a radius at which rotary axes act, or the eye of a winder."""
+"""The tool: the radius at which an axis acts, a winder's eye, limits along the path."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sized
 from typing import Annotated, Literal
 
 from pydantic import StrictBool, model_validator
@@ -20,8 +20,11 @@ class EyeAxis:
     """
 
     axis: str
+    """The axis of the machine."""
     reverse: StrictBool = False
+    """Whether the eye moves back when the axis moves forwards."""
     zero: Position | None = None
+    """Coordinate of the eye where the axis is at 0. Without it: 0."""
 
     @property
     def factor(self) -> float:
@@ -39,22 +42,27 @@ class Payout:
     """Pay-out point of the fibre from the eye's carrier, at yaw and roll 0."""
 
     along: Annotated[Quantity, Units(("m",))]
+    """Distance from the eye's carrier along the mandrel."""
     across: Annotated[Quantity, Units(("m",))]
+    """Distance away from the mandrel's axis."""
     up: Annotated[Quantity, Units(("m",))]
+    """Distance upwards."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Roller:
-    """The roller over which the fibre leaves the eye; ``payout`` is its centre.
+    """The roller over which the fibre leaves the eye, in the middle of the roller.
 
-    Its axis is along the mandrel or up at yaw and roll 0. The fibre passes it on the plus side,
-    which is up for an axis along the mandrel and along the mandrel for an upright axis, or on the
-    minus side.
+    The point where it leaves moves round the roller with the direction of the fibre.
     """
 
     radius: Annotated[Quantity, Units(("m",))]
+    """Radius of the roller; 0 is a plain eye."""
     axis: Literal["along", "up"]
+    """Direction of its axis at yaw and roll 0."""
     side: Literal["+", "-"] = "+"
+    """Side on which the fibre passes: ``+`` is up for an axis along the mandrel, and along the
+    mandrel for an upright axis."""
 
     @model_validator(mode="after")
     def _no_hole(self) -> Roller:
@@ -68,16 +76,21 @@ class Arm:
     """The arm of an eye: a round rod that goes across, away from the mandrel."""
 
     radius: Annotated[Quantity, Units(("m",), positive=True)]
+    """Radius of the rod."""
     length: Annotated[Quantity, Units(("m",), positive=True)]
+    """Length of the rod from the pay-out point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class EndStop:
-    """Chuck or tailstock: a cylinder about the axis; ``at`` is the face towards the mandrel."""
+    """Chuck or tailstock: a cylinder about the axis, outwards from its face."""
 
     at: Annotated[Quantity, Units(("m",))]
+    """Place of the face towards the mandrel, along the machine."""
     radius: Annotated[Quantity, Units(("m",), positive=True)]
+    """Radius of the cylinder."""
     length: Annotated[Quantity, Units(("m",), positive=True)]
+    """Length of the cylinder."""
 
 
 _TURNS = ("turn", "yaw", "roll")
@@ -89,30 +102,41 @@ EYE_BODY = ("payout", "roller", "body", "arm", "chuck", "tailstock")
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Tool:
-    """The tool; ``radius`` is the distance at which rotary axes act on the work.
+    """The tool, or with ``kind = "eye"`` the eye of a winder.
 
-    ``kind = "eye"`` is the eye of a winder. ``turn`` names the axis that turns the mandrel;
-    ``along`` moves the eye along the mandrel, ``across`` away from its axis and ``up``. ``yaw``
-    turns the eye about the upright from along to across, ``roll`` about the direction across from
-    up to along. A missing coordinate is 0. ``payout`` is the point where the fibre leaves the eye,
-    or the centre of its ``roller``. ``body`` is the radius of the eye about that point; ``arm``,
-    ``chuck`` and ``tailstock`` are what it may run into.
+    Along, across and up are right-handed, with the origin on the axis of the mandrel.
     """
 
     kind: Literal["radius", "eye"] = "radius"
+    """``radius``, or ``eye`` for a winder whose fibre is [replayed](winding.md)."""
     radius: Annotated[Quantity, Units(("m",), positive=True)]
+    """Radius at which rotary axes without a radius act: an angle times it is a length at the tool,
+    in feeds and in errors."""
     turn: EyeAxis | None = None
+    """Of an eye: the axis that turns the mandrel. Without it: no eye."""
     along: EyeAxis | None = None
+    """Of an eye: the axis that moves it along the mandrel. Without it: no eye."""
     across: EyeAxis | None = None
+    """The axis that moves the eye away from the mandrel's axis. Without it: ``payout``."""
     up: EyeAxis | None = None
+    """The axis that lifts the eye. Without it: 0."""
     yaw: EyeAxis | None = None
+    """The axis that turns the eye about the upright, from along to across. Without it: 0."""
     roll: EyeAxis | None = None
+    """The axis that turns the eye about the direction across, from up to along. Without it: 0."""
     payout: Payout | None = None
+    """Point where the fibre leaves the eye, or the centre of its roller, from the carrier at yaw
+    and roll 0. Without it: the carrier."""
     roller: Roller | None = None
+    """The roller over which the fibre leaves the eye. Without it: a plain eye."""
     body: Annotated[Quantity, Units(("m",), positive=True)] | None = None
+    """Radius of the eye about its pay-out point. Without it: the roller's."""
     arm: Arm | None = None
+    """The arm that holds the eye. Without it: none."""
     chuck: EndStop | None = None
+    """What turns the mandrel's shaft, on the left. Without it: none."""
     tailstock: EndStop | None = None
+    """What holds the shaft on the right. Without it: none."""
 
     @model_validator(mode="after")
     def _of_its_kind(self) -> Tool:
@@ -199,3 +223,103 @@ def check_eye(tool: Tool | None, axes: Mapping[str, Axis]) -> None:
         if part.axis in used:
             raise ValueError(f"{at}: {part.axis} is the axis of {used[part.axis]} already")
         used[part.axis] = name
+
+
+def check_radii(axes: Mapping[str, Axis], tool: Tool | None) -> None:
+    """Check that every rotary axis has a radius, and every profile a linear axis.
+
+    Raises
+    ------
+    ValueError
+        If an axis has none; names the axis.
+    """
+    rotary = sorted(name for name, axis in axes.items() if axis.kind == "rotary")
+    for name in rotary:
+        axis = axes[name]
+        if axis.profile is not None:
+            along = axis.profile.along
+            check_known([along], axes, f"axes.{name}.profile.along", "axis")
+            if along in rotary:
+                raise ValueError(
+                    f"axes.{name}.profile is along {along}, a rotary axis; name a linear axis"
+                )
+        elif axis.radius is None and tool is None:
+            raise ValueError(
+                f"'tool' is missing: it gives the radius of the rotary axis {name}, like "
+                '[tool] radius = "100 mm exact, assumed"; or give the axis a radius'
+            )
+
+
+def acts_at_m(axis: Axis, tool: Tool | None) -> float:
+    """Return 1 for a linear axis; for a rotary axis its (largest) radius in m."""
+    if axis.kind == "linear":
+        return 1.0
+    if axis.profile is not None:
+        return axis.profile.largest_m
+    if axis.radius is not None:
+        return axis.radius.si
+    # ``check_radii`` ensures a tool if a rotary axis has no radius.
+    return 1.0 if tool is None else tool.radius.si
+
+
+_Acceleration = Annotated[Quantity, Units(("m/s^2",), positive=True)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class PathLimits:
+    """Limits of the tool's motion along its path, with rotary axes at their radii."""
+
+    velocity: Annotated[Quantity, Units(("m/s",), positive=True)] | None = None
+    """Limit of the tool's speed."""
+    acceleration: _Acceleration | None = None
+    """Limit of the tool's acceleration along the path."""
+    deceleration: _Acceleration | None = None
+    """Limit of braking along the path. Without it: ``acceleration``."""
+    jerk: Annotated[Quantity, Units(("m/s^3",), positive=True)] | None = None
+    """Limit of the tool's jerk along the path."""
+    centripetal: _Acceleration | None = None
+    """Limit of the tool's acceleration across the path."""
+
+    @property
+    def asks_for_rests(self) -> bool:
+        """Whether the tool must stop where its path turns back: its speed has a kink there."""
+        return self.acceleration is not None or self.jerk is not None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> PathLimits:
+        if self.deceleration is not None and self.acceleration is None:
+            raise ValueError("a deceleration along the path needs an acceleration: give both")
+        if not any((self.velocity, self.acceleration, self.jerk, self.centripetal)):
+            raise ValueError(
+                "a [path] without limits: give velocity, acceleration, jerk or centripetal, or "
+                "remove the table"
+            )
+        return self
+
+
+def check_path_limits(
+    path: PathLimits | None, axes: Mapping[str, Axis], cylinders: Sized, tables: object
+) -> None:
+    """Refuse path limits on machines that follow no path; ``ValueError`` begins with the key."""
+    if path is not None and not axes:
+        raise ValueError(
+            "path: limits along the path need [axes.X]; cylinders are switched: remove it"
+        )
+    if path is not None and cylinders:
+        raise ValueError(
+            "path: limits along the path have no meaning for [cylinders.X], which are switched "
+            "and follow no path: remove it"
+        )
+    if tables is None:
+        return
+    if path is not None:
+        raise ValueError(
+            "path: step tables move each axis separately between two stitches, along no path: "
+            "remove it"
+        )
+    for name, axis in axes.items():
+        if axis.deceleration is not None:
+            raise ValueError(
+                f"axes.{name}.deceleration: the laws of step tables brake as they speed up: "
+                "remove it"
+            )
