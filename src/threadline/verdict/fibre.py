@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from threadline.verdict.replayed import (
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.types import Criterion
 from threadline.winding.clearance import Clearance
+from threadline.winding.fit import Witness
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
 from threadline.winding.product import Product
 from threadline.winding.raster import Raster
@@ -30,10 +32,7 @@ from threadline.winding.replay import Fibre
 from threadline.winding.surface import Surface
 
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
-_NEVER = (
-    "the fibre is never known: nothing is laid on this mandrel for five free lengths in a row; is "
-    "it the mandrel of this program?"
-)
+_NEVER = "the fibre is never known"
 _NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
 _OUTLINE = 8193  # places of the meridian among which the widest is searched
 
@@ -437,10 +436,23 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     taking["planned_pattern_closure"] = Closing([job], axes)
     if job.product.covered is not None:
         taking["planned_coverage_gap"] = _Covering([job], axes)
+    witness = Witness(job.surface)
     for samples in planned_fibre(plan, job):
+        witness.take(samples.eyes[0], samples.fibres[0])
         for one in taking.values():
             one.take(samples)
-    return {name: [one.found().worst()] for name, one in taking.items()}
+    found = {name: [one.found().worst()] for name, one in taking.items()}
+    slip = found["planned_slip_tendency"][0]
+    friction = least_friction(job.product)
+    note = ""
+    if slip.value is None:
+        note = f"{_NEVER}: {witness.reason()}"
+    elif slip.value > friction:
+        fit = witness.fit(job.tool, friction, job.product.tied)
+        note = "; ".join(text for text in (slip.note, fit) if text)
+    if note:
+        found["planned_slip_tendency"] = [replace(slip, note=note)]
+    return found
 
 
 _LEAST_M = 5e-5  # lifted or bridged: a tow is thicker
