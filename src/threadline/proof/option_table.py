@@ -179,7 +179,8 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="product", group=Group.PLAN, kinds=(TICKS,),
         verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "panel"}),
-        help="Product of a winder (NAME.wind.toml): where its fibre lies is judged as well.",
+        help="Product of a winder (NAME.wind.toml, or a file of FiberPath or CADFIL): where its "
+        "fibre lies is judged as well.",
         helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
         attribute="product", parse=product_text, doors=(Door.LINE, Door.PYTHON),
         recorded=FileForm(key="product", write=_same, read=product_text),

@@ -20,6 +20,7 @@ from threadline.base.reading import read_text
 from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
+from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
 from threadline.winding.profiles import (
     MAX_BYTES,
     read_points,
@@ -135,7 +136,8 @@ class Product:
 def product_text(given: str | Path) -> str:
     """Return the content of a product file on one line, with the tables of its mandrel.
 
-    A text that was returned before is returned unchanged, so that a recording keeps its product.
+    A file of FiberPath or CADFIL is read for its mandrel and its band (``other_planners.py``). A
+    text that was returned before is returned unchanged, so that a recording keeps its product.
 
     Raises
     ------
@@ -146,6 +148,10 @@ def product_text(given: str | Path) -> str:
     if text.startswith("{"):
         return product_of_text(text).text
     path = Path(text)
+    if path.suffix.lower() in ENDINGS:
+        content = foreign_product(path)
+        _Reader(text, "").product(content)
+        return _one_line(path, content)
     written = read_text(path, MAX_BYTES, JobError, "product file", "utf-8-sig")
     try:
         content = tomllib.loads(written)
@@ -160,6 +166,10 @@ def product_text(given: str | Path) -> str:
                 reader.table, reader.index = "part", index
                 _embed(part, path.parent, reader)
     reader.product(content)
+    return _one_line(path, content)
+
+
+def _one_line(path: Path, content: Mapping[str, Any]) -> str:
     return json.dumps({"file": path.name, **content}, ensure_ascii=True, sort_keys=True)
 
 
@@ -174,7 +184,8 @@ def _embed(part: dict[str, Any], folder: Path, reader: _Reader) -> None:
         return
     if layer is not None:
         reader.refuse("layer", "layer belongs to a drawing in DXF", "Remove it.")
-    part["points"] = read_points(folder / name)
+    read = meridian_of if Path(name).suffix.lower() in MERIDIANS else read_points
+    part["points"] = read(folder / name)
 
 
 @lru_cache(maxsize=8)
