@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ from threadline.verdict.finding import Finding
 from threadline.verdict.replayed import Wound, WoundJob
 from threadline.winding.clearance import Clearance
 from threadline.winding.fit import fitting_radius
-from threadline.winding.product import Product, product_of_text, product_text
+from threadline.winding.product import Product, Toleranced, product_of_text, product_text
 from threadline.winding.raster import Gap, Raster
 from threadline.winding.replay import Replay
 
@@ -351,3 +352,37 @@ def test_the_design_is_found_again_where_the_fibre_was_not_known() -> None:
         assert found[part].max() < 1e-9
     across = 1e-4 * 0.05 / math.hypot(0.02, 0.05)
     np.testing.assert_allclose(found[3000:-1], across, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("slip", "said"), [(2e-4, "0.02% too little"), (-2e-4, "0.02% too far")])
+def test_a_mandrel_that_slips_leaves_a_pattern_open_on_one_side(
+    vessel: Product, machine: Machine, circuit: FloatArray, slip: float, said: str
+) -> None:
+    """44 circuits of 63/44 turns are 63 turns: 0.02 % of them are 4.5 degrees, 3.0 mm across."""
+    assert machine.tool is not None
+    product = replace(vessel, slip=Toleranced(slip), at=Toleranced(0.0))
+    job = WoundJob(product, machine.tool, machine.axis_names)
+    positions = _eyes(circuit, programs.CIRCUITS)[:, :3]
+    closing, replay = Closing([job], 3), job.replay()
+    eyes = job.eyes(positions)
+    fibre = replay.feed(eyes)
+    closing.take(Wound(np.zeros(len(eyes)), None, positions, [fibre], [eyes]))
+    away = closing.found().worst()
+    cos = math.sqrt(1.0 - (programs.TURN_M / 0.05) ** 2)
+    expected = abs(slip) * programs.TURNS * 2.0 * math.pi * 0.05 * cos
+    assert away.value == pytest.approx(expected, abs=3e-4)
+    assert said in away.note and "steps per degree or by slip" in away.note
+
+
+def test_a_level_over_tolerances_draws_slip_and_friction(vessel: Product, machine: Machine) -> None:
+    """200 products: every draw within its tolerance, both ways, and different from the next."""
+    assert machine.tool is not None
+    product = replace(vessel, slip=Toleranced(0.0, 1e-3))
+    jobs = [WoundJob(product, machine.tool, machine.axis_names, number) for number in range(200)]
+    slips = np.array([job.slip for job in jobs])
+    frictions = np.array([job.friction for job in jobs])
+    assert np.abs(slips).max() <= 1e-3 and slips.min() < -8e-4 and slips.max() > 8e-4
+    assert frictions.min() >= 0.2 and frictions.max() <= 0.3 and np.ptp(frictions) > 0.09
+    positions = np.ones((2, 3))
+    turned = jobs[0].eyes(positions)[:, 0]
+    np.testing.assert_allclose(turned, 1.0 - slips[0], rtol=1e-12)

@@ -24,7 +24,7 @@ from threadline.verdict.replayed import (
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.types import Criterion
 from threadline.winding.clearance import Clearance
-from threadline.winding.fit import Witness
+from threadline.winding.fit import Witness, turn_error
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
 from threadline.winding.product import Product
 from threadline.winding.raster import Raster
@@ -365,13 +365,14 @@ class Closing:
                 notes.append("")
                 continue
             off = 2.0 * rows[-1, 0] - rows[-2, 0] - rows[0, 0]
-            off = abs(float(np.arctan2(np.sin(off), np.cos(off))))
-            away = off * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
+            whole, off = off, float(np.arctan2(np.sin(off), np.cos(off)))
+            away = abs(off) * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
             values.append(away)
             operations.append(int(rows[-1, 2]))
+            bands = away / self._width_m[run]
             notes.append(
-                f"after {len(rows)} circuits the next would lie {away / self._width_m[run]:.2f} "
-                "bands beside the first"
+                f"after {len(rows)} circuits the next would lie {bands:.2f} bands beside the first"
+                + turn_error(off, whole, bands)
             )
         self._worst.offer(
             np.array(values),

@@ -15,6 +15,7 @@ _TRIED, _FINER, _ROUNDS = 15, 5, 3
 _OFF_M = 5e-4  # between the eye and the largest mandrel that is tried
 _ALL = 0.99  # of the fibre within the friction
 _NO_FRICTION_LIMIT = 1e9
+_NEARLY = 0.25, 3.0  # bands by which a pattern is nearly closed
 _TURNED = 1e-3  # rad; less is no turn
 
 
@@ -161,3 +162,22 @@ def fitting_radius(
     if share < _ALL or mean > 0.5 * now or best == 0.0:
         return None
     return best
+
+
+def turn_error(off: float, whole: float, bands: float) -> str:
+    """Return in words which error of the turn leaves a pattern nearly closed.
+
+    Parameters
+    ----------
+    off, whole
+        Angle by which the next circuit would lie beside the first, and of all circuits, rad.
+    bands
+        The same in widths of the band.
+    """
+    if not _NEARLY[0] < bands < _NEARLY[1]:
+        return ""
+    size = "far" if off * whole > 0.0 else "little"
+    return (
+        f": a one-sided overlap or gap, as of a mandrel that turns {abs(off / whole):.2%} too "
+        f"{size}, by its steps per degree or by slip on its shaft"
+    )
