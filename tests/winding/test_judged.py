@@ -39,7 +39,7 @@ from threadline.verdict.fibre import (
     measure_planned,
 )
 from threadline.verdict.finding import Finding
-from threadline.verdict.replayed import Wound, WoundJob
+from threadline.verdict.replayed import Wound, WoundJob, programmed_fibre, wound_job
 from threadline.winding.clearance import Clearance
 from threadline.winding.fit import fitting_radius
 from threadline.winding.product import Product, Toleranced, product_of_text, product_text
@@ -134,7 +134,13 @@ def test_a_waist_is_bridged(tmp_path: Path, machine: Machine, circuit: FloatArra
     finding = _found(plan)["planned_bridging"]
     # Less than the depth of the waist: the fibre lies on the cone in front of it for a while.
     assert finding.value is not None and 5e-4 < finding.value < 5e-3
-    assert FIRST_LINE < _line(plan, finding) < FIRST_LINE + len(circuit)
+    block = _line(plan, finding) - FIRST_LINE
+    # Where the fibre of the smooth vessel enters the waist: between its two rims.
+    smooth = product_of_text(product_text(VESSEL)).surface
+    path = programs.geodesic(smooth)[1]
+    dome = (smooth.at(np.array([smooth.length_m]))[0][0, 0] - 0.09605) / 2.0
+    along = smooth.at(path[block : block + 1, 0])[0][0, 0] - dome
+    assert 0.03 < along < 0.03 + 2 * 0.018025
 
 
 def _eyes(circuit: FloatArray, circuits: int) -> FloatArray:
@@ -164,7 +170,11 @@ def test_the_pattern_closes_and_missing_circuits_leave_a_gap(
     missing = _gap(vessel, machine, circuit, programs.TOO_FEW)
     assert 2e-3 < missing.width_m < 8e-3
     assert 0.0 < missing.share < 0.03
-    assert missing.operation >= 0
+    # The band beside it is within a width of the gap along the mandrel.
+    path = programs.geodesic(vessel.surface)[1]
+    beside = vessel.surface.at(path[missing.operation % (len(path) - 1), None, 0])[0][0, 0]
+    place = float(missing.words.split("at ")[1].split(" mm")[0])
+    assert abs(1e3 * beside - place) < 2e3 * vessel.width.si
 
 
 def test_a_run_is_judged_like_its_plan(
@@ -386,3 +396,33 @@ def test_a_level_over_tolerances_draws_slip_and_friction(vessel: Product, machin
     positions = np.ones((2, 3))
     turned = jobs[0].eyes(positions)[:, 0]
     np.testing.assert_allclose(turned, 1.0 - slips[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "marlin"])
+def test_a_turn_that_is_set_to_zero_again_lays_the_same_fibre(tmp_path: Path, dialect: str) -> None:
+    """Four turns, the same with G92 A0 after each block, and with one G92 half-way."""
+    winder = load_machine(f"stepper-winder+xab+{dialect}")
+    product = tmp_path / "c.wind.toml"
+    product.write_text(
+        '[[part]]\nkind = "cylinder"\nradius = "30 mm"\nlength = "200 mm"\n[band]\nwidth = "5 mm"\n'
+        '[friction]\nvalue = "0.3"\n[fibre]\ntied = "20 mm"\n'
+    )
+    ends = []
+    for zeroed in ((), range(1, 41), (20,)):
+        rows, zero = ["G21", "G90", "G94", "G1 X20 F1000"], 0
+        for k in range(1, 41):
+            rows.append(f"G1 X{20 + k} A{36 * (k - zero)} F3000")
+            if k in zeroed:
+                rows.append("G92 A0")
+                zero = k
+        file = tmp_path / "p.gcode"
+        file.write_text("\n".join([*rows, "M30", ""]))
+        options = options_of(product=str(product), dialect=dialect)
+        plan = plan_job(open_job(file, winder, options), winder, options)
+        job = wound_job(plan)
+        assert job is not None
+        last = list(programmed_fibre(plan, job))[-1].fibres[0]
+        ends.append((float(last.u[-1]), float(last.angle[-1])))
+    assert abs(ends[0][1]) > 3.5 * 2.0 * math.pi
+    for end in ends[1:]:
+        assert end == pytest.approx(ends[0], abs=1e-12)
