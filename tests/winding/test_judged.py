@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from threadline.proof.pipeline import (
     with_shaping,
 )
 from threadline.report.proof import write_report
+from threadline.report.solid import wound_glb
 from threadline.search.compare import compare, placement_spec
 from threadline.search.question import question_of
 from threadline.search.studied import Studied
@@ -186,7 +188,7 @@ def test_a_run_is_judged_like_its_plan(
     assert not proof.verdict.passed  # one circuit leaves gaps
     page = write_report(Studied(proof=proof), tmp_path / "report")
     names = {file.name for file in page.parent.iterdir()}
-    assert {"report-winding-map.svg", "report-winding-along.svg"} <= names
+    assert {"report-winding-map.svg", "report-winding-along.svg", "report-winding-map.glb"} <= names
     # The page names the product and does not quote it.
     assert "vessel.wind.toml, sha256" in page.read_text() and "isotensoid" not in page.read_text()
 
@@ -303,3 +305,50 @@ def test_the_design_is_found_again_where_the_fibre_was_not_known() -> None:
         assert found[part].max() < 1e-9
     across = 1e-4 * 0.05 / math.hypot(0.02, 0.05)
     np.testing.assert_allclose(found[3000:-1], across, rtol=1e-3)
+
+
+def test_the_wound_mandrel_is_a_glb(vessel: Product, circuit: FloatArray, machine: Machine) -> None:
+    """Read as the specification of glTF 2.0 says: chunks, accessors, areas of mandrel and bands."""
+    assert machine.tool is not None
+    laid = Replay(vessel.surface, machine.tool, 0.2, vessel.tied).feed(_eyes(circuit, 2))
+    fibre = np.column_stack([laid.u, laid.angle, laid.winding])
+    fibre[~laid.known] = np.nan
+    slips = np.arange(len(fibre)) >= len(fibre) - 20
+    content = wound_glb(vessel.surface, vessel.width.si, fibre, slips, "two circuits")
+
+    assert content[:4] == b"glTF"
+    assert np.frombuffer(content[4:12], "<u4").tolist() == [2, len(content)]
+    size = int.from_bytes(content[12:16], "little")
+    described = json.loads(content[20 : 20 + size])
+    data = content[28 + size :]
+    assert len(content) % 4 == size % 4 == 0
+    assert described["buffers"] == [{"byteLength": len(data)}]
+
+    def array(number: int) -> FloatArray:
+        accessor = described["accessors"][number]
+        view = described["bufferViews"][accessor["bufferView"]]
+        kind = "<f4" if accessor["componentType"] == 5126 else "<u4"
+        part = data[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        width = {"VEC3": 3, "SCALAR": 1}[accessor["type"]]
+        found = np.frombuffer(part, kind).reshape(accessor["count"], width)
+        if "min" in accessor:
+            np.testing.assert_array_equal(found.min(axis=0), np.float32(accessor["min"]))
+        return found.astype(np.float64)
+
+    area = {0: 0.0, 1: 0.0, 2: 0.0}
+    for node in described["nodes"]:
+        (primitive,) = described["meshes"][node["mesh"]]["primitives"]
+        places = array(primitive["attributes"]["POSITION"])
+        corners = places[array(primitive["indices"]).astype(int).reshape(-1, 3)]
+        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area[primitive["material"]] += 0.5 * float(np.linalg.norm(sides, axis=1).sum())
+        radii = np.hypot(places[:, 1], places[:, 2])
+        assert radii.max() < 0.0503 and radii.min() > 0.0279
+    u = np.linspace(0.0, vessel.surface.length_m, 4001)
+    mandrel = 2.0 * math.pi * float(np.trapezoid(vessel.surface.at(u)[1][:, 0], u))
+    assert area[0] == pytest.approx(mandrel, rel=2e-3)
+    length = float(laid.length_m[-1] - laid.length_m[1])
+    assert area[1] + area[2] == pytest.approx(length * vessel.width.si, rel=0.02)
+    slipping = float(laid.length_m[-1] - laid.length_m[-21])
+    assert area[2] == pytest.approx(slipping * vessel.width.si, rel=0.1)
+    assert [node["name"] for node in described["nodes"]][1] == "wound 0 to 5 %"

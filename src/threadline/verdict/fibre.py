@@ -339,6 +339,13 @@ class _Covering:
         return self._worst.found()
 
 
+def middle_of(surface: Surface) -> float:
+    """Return the place u, m, in the middle of where a mandrel is widest."""
+    u = np.linspace(0.0, surface.length_m, _OUTLINE)
+    r = surface.at(u)[1][:, 0]
+    return float(np.median(u[r > r.max() * (1.0 - 1e-9)]))
+
+
 class Closing:
     """How far a pattern is from its closure: where one more circuit would lie beside the first.
 
@@ -349,11 +356,10 @@ class Closing:
         self._worst = Worst(len(jobs), axes, note="fewer than two known circuits")
         self._width_m, self._radius_m, self._at_u = [], [], []
         for job in jobs:
-            u = np.linspace(0.0, job.surface.length_m, _OUTLINE)
-            r = job.surface.at(u)[1][:, 0]
+            at = middle_of(job.surface)
             self._width_m.append(job.width_m)
-            self._radius_m.append(float(r.max()))
-            self._at_u.append(float(np.median(u[r > r.max() * (1.0 - 1e-9)])))
+            self._radius_m.append(float(job.surface.at(np.array([at]))[1][0, 0]))
+            self._at_u.append(at)
         self._last = [np.full((1, 2), np.nan) for _ in jobs]
         # Angle, angle with the meridian and operation of each beginning.
         self._circuits: list[list[FloatArray]] = [[] for _ in jobs]
