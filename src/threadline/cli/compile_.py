@@ -11,8 +11,7 @@ from threadline.base.writing import is_stdout, together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, keep_inputs
 from threadline.cli.messages import PLANNING_STAGE, note
-from threadline.cli.output import check_outputs, print_json, progress_bar, say
-from threadline.cli.warn import warn
+from threadline.cli.output import check_outputs, print_json, progress_bar, say, warn
 from threadline.errors import OptionError
 from threadline.files.formats.common import Written
 from threadline.proof.asked import Words, check_target

@@ -19,8 +19,7 @@ from threadline.cli.arguments import (
     keep_inputs,
     key_of,
 )
-from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
-from threadline.cli.warn import tell
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say, tell
 from threadline.errors import OptionError
 from threadline.files.formats import write_recording
 from threadline.machine import Machine

@@ -301,20 +301,29 @@ def why_invalid(error: ValidationError) -> str:
     return f"{'.'.join(map(str, first['loc'])) or 'it'}: {first['msg']}"
 
 
-def main() -> None:
-    """Answer the request on standard input: read a drawing, or make one of shapes."""
-    what, name = sys.argv[1:]
-    content = sys.stdin.buffer.read()
+def answered(what: str, name: str, content: bytes) -> tuple[int, bytes]:
+    """Read a drawing (``what`` is ``shapes``), or make one of shapes.
+
+    Returns
+    -------
+    int, bytes
+        0 and the result, or 2 and a line that says why there is none.
+    """
     try:
         if what == "shapes":
-            made = json.dumps(opened(name, content), allow_nan=False).encode()
-        else:
-            made = dxf(SHAPES.validate_json(content))
+            return 0, json.dumps(opened(name, content), allow_nan=False).encode()
+        return 0, dxf(SHAPES.validate_json(content))
     except (InputError, ValidationError) as error:
         why = why_invalid(error) if isinstance(error, ValidationError) else str(error)
-        sys.stderr.write(f"{why}\n")
-        sys.exit(_WRONG)
-    sys.stdout.buffer.write(made)
+        return _WRONG, f"{why}\n".encode("utf-8", "replace")
+
+
+def main() -> None:
+    """Answer the request on standard input."""
+    what, name = sys.argv[1:]
+    status, said = answered(what, name, sys.stdin.buffer.read())
+    (sys.stderr if status else sys.stdout).buffer.write(said)
+    sys.exit(status)
 
 
 _TELLS: dict[int | str, dict[str, Any]] = {
