@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +37,13 @@ from threadline.verdict.fibre import (
     MEASURED,
     PLANNED,
     Closing,
-    Near,
+    _Covering,
     _off_design,
     measure_planned,
 )
 from threadline.verdict.finding import Finding
 from threadline.verdict.replayed import Wound, WoundJob
+from threadline.winding.clearance import Clearance
 from threadline.winding.product import Product, product_of_text, product_text
 from threadline.winding.raster import Gap, Raster
 from threadline.winding.replay import Replay
@@ -252,19 +254,23 @@ def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
     eyes = np.zeros((20_000, 6))
     eyes[:, 1] = 0.1 + np.cumsum(chance.normal(0.0, 1e-3, 20_000))
     eyes[:, 2] = 0.055 + 0.01 * np.sin(np.arange(20_000) / 300.0)
-    blank = np.zeros((20_000, 3))
-    found = Near([WoundJob(product, tool, ("A", "X", "Y"))])(
-        Wound(blank[:, 0], None, blank, [], [eyes]), 0
-    )
     x, out = eyes[:, 1], eyes[:, 2] - 0.05
     beyond = np.maximum(np.maximum(-x, x - 0.2), 0.0)
     distance = np.where(beyond > 0.0, np.hypot(beyond, np.maximum(out, 0.0)), out)
-    # The ends are open: below their rims there is no face to keep away from.
-    rim = (out < 0.0) & (np.minimum(x, 0.2 - x) < -out)
+    # Below its rim an end is nearer than the side.
+    inside = (out < 0.0) & (beyond == 0.0)
+    distance = np.where(inside, np.maximum(out, -np.minimum(x, 0.2 - x)), distance)
     wanted = np.maximum(0.003 - distance, 0.0)
     assert (wanted > 0.0).mean() > 0.1
-    # The outline has a point every 25 um.
-    np.testing.assert_allclose(found[~rim], wanted[~rim], atol=1.25e-5)
+    near = Clearance(product.surface, (), tool, 0.003)
+    found = np.concatenate([near.feed(part) for part in np.array_split(eyes, 9)])
+    # Every sample is as far as it is said, or no nearer than one before.
+    said = found > 0.0
+    np.testing.assert_allclose(found[said], wanted[said], atol=1e-6)
+    before = np.maximum.accumulate(wanted)
+    assert (wanted[~said] <= before[~said] + 1e-6).all()
+    assert found.max() == pytest.approx(wanted.max(), abs=1e-6)
+    assert near.words(0).startswith("the eye and the mandrel: it would fit with a radius")
 
 
 @pytest.mark.parametrize("circuits", [programs.CIRCUITS, programs.TOO_FEW, 3])
@@ -352,3 +358,21 @@ def test_the_wound_mandrel_is_a_glb(vessel: Product, circuit: FloatArray, machin
     slipping = float(laid.length_m[-1] - laid.length_m[-21])
     assert area[2] == pytest.approx(slipping * vessel.width.si, rel=0.1)
     assert [node["name"] for node in described["nodes"]][1] == "wound 0 to 5 %"
+
+
+def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
+    vessel: Product, machine: Machine, circuit: FloatArray
+) -> None:
+    """Untied, the first five free lengths of 40 mm are not known: 0.2 m of two circuits."""
+    assert machine.tool is not None
+    eyes = _eyes(circuit, 2)
+    covering = _Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
+    replay = Replay(vessel.surface, machine.tool, 0.2)
+    for part in np.array_split(eyes, 5):
+        blank = np.zeros((len(part), 3))
+        fibre = replay.feed(part)
+        covering.take(Wound(blank[:, 0], None, blank, [fibre], [part]))
+    share = re.search(r"the place of (\d+) % of the laid", covering.found().worst().note)
+    length = programs.geodesic(vessel.surface)[0][-1]
+    assert share is not None
+    assert float(share[1]) == pytest.approx(100.0 * 0.2 / (2.0 * length), abs=1.5)

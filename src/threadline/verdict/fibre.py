@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
@@ -23,6 +22,7 @@ from threadline.verdict.replayed import (
 )
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.types import Criterion
+from threadline.winding.clearance import Clearance
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
 from threadline.winding.product import Product
 from threadline.winding.raster import Raster
@@ -35,22 +35,21 @@ _NEVER = (
     "it the mandrel of this program?"
 )
 _NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
+_FEW = 0.01  # share of the laid fibre; less than this may lie anywhere
 _LOST_M = 0.1  # the same after a part that is not known
-_SELDOM = 32  # samples between two at which the distance of a far eye is searched
-_CLOSE_M = 1e-4  # more than half a step of the outline and than any rounding
-_OUTLINE = 8193  # places of the meridian for the distance of the eye
+_OUTLINE = 8193  # places of the meridian among which the widest is searched
 
 
 Values = Callable[[Wound, int], FloatArray]
 """Returns (n,) values of a run, NaN where there is none."""
+Note = Callable[[Wound, int, int], str]
+"""Says something of the value of a run at a sample."""
 
 
 class _Largest:
     """The largest value of each run."""
 
-    def __init__(
-        self, runs: int, axes: int, values: Values, note: Callable[[Fibre, int], str] | None = None
-    ) -> None:
+    def __init__(self, runs: int, axes: int, values: Values, note: Note | None = None) -> None:
         self._worst = Worst(runs, axes, note=_NEVER)
         self._values, self._note = values, note
 
@@ -64,8 +63,8 @@ class _Largest:
         if not self._worst.is_beaten(most):
             return
         notes = [
-            "" if self._note is None else self._note(fibre, int(row))
-            for fibre, row in zip(samples.fibres, at, strict=True)
+            "" if self._note is None else self._note(samples, run, int(row))
+            for run, row in enumerate(at)
         ]
         self._worst.offer(
             np.where(np.isneginf(most), np.nan, most),
@@ -151,8 +150,9 @@ def _steer(samples: Wound, run: int) -> FloatArray:
     return np.where(fibre.known, np.abs(fibre.steer), np.nan)
 
 
-def _wobble(fibre: Fibre, at: int) -> str:
+def _wobble(samples: Wound, run: int, at: int) -> str:
     """Say how far the steering wobbles in a block, and which step would halve it."""
+    fibre = samples.fibres[run]
     low, high = float(fibre.least[at]), float(fibre.most[at])
     if not np.isfinite(high - low) or high - low < 1e-3:
         return ""
@@ -189,43 +189,25 @@ def _paid_out(samples: Wound, run: int) -> FloatArray:
 
 
 class Near:
-    """How far the eye comes nearer to the mandrel than the product allows."""
+    """How far eye, arm and free fibre come nearer to what turns than the product allows."""
 
     def __init__(self, jobs: Sequence[WoundJob]) -> None:
-        # Imported only here: few jobs have a product, and the library takes long to load.
-        from scipy.spatial import cKDTree
-
-        self._trees, self._outlines, self._wanted = [], [], []
-        for job in jobs:
-            surface = job.surface
-            x, r = surface.at(np.linspace(0.0, surface.length_m, _OUTLINE))
-            self._outlines.append((x[:, 0], r[:, 0]))
-            self._trees.append(cKDTree(np.column_stack([x[:, 0], r[:, 0]])))
-            self._wanted.append(job.product.clearance or 0.0)
+        self._runs = [
+            Clearance(
+                job.surface, job.rings, job.tool, job.product.clearance or 0.0,
+                job.width_m * (job.product.thickness or 0.0), job.width_m,
+            )
+            for job in jobs
+        ]  # fmt: skip
 
     def __call__(self, samples: Wound, run: int) -> FloatArray:
-        """Return (n,) lengths, m, by which the eye of a run is too near."""
-        eyes, (x, r) = samples.eyes[run], self._outlines[run]
-        place = np.column_stack([eyes[:, 1], np.hypot(eyes[:, 2], eyes[:, 3])])
-        inside = (place[:, 0] > x[0]) & (place[:, 0] < x[-1])
-        inside &= place[:, 1] < np.interp(place[:, 0], x, r)
-        distance = self._distances(place, inside, run)
-        signed = np.where(inside, -distance, distance)
-        return np.asarray(np.maximum(self._wanted[run] - signed, 0.0))
+        """Return (n,) lengths, m, by which a run is too near; 0 where it was nearer before."""
+        return self._runs[run].feed(samples.eyes[run], samples.fibres[run])
 
-    def _distances(self, place: FloatArray, inside: NDArray[np.bool_], run: int) -> FloatArray:
-        """Return (n,) distances to the surface; infinite where it is surely further than wanted.
-
-        The distance changes by no more than the eye moves, so most samples need no search.
-        """
-        moved = np.hypot(*np.diff(place, axis=0, prepend=place[:1]).T).cumsum()
-        tree, seldom = self._trees[run], np.arange(0, len(place), _SELDOM)
-        group = np.arange(len(place)) // _SELDOM
-        least = np.asarray(tree.query(place[seldom])[0])[group] - (moved - moved[seldom][group])
-        near = inside | (least <= self._wanted[run] + _CLOSE_M)
-        distance = np.full(len(place), np.inf)
-        distance[near] = tree.query(place[near])[0]
-        return distance
+    def words(self, run: int, at: int) -> str:
+        """Say what is too near at a sample of the latest block."""
+        one = self._runs[run]
+        return one.words(int(one.pair[at])) if one.too_near else ""
 
 
 @njit(nogil=True)
@@ -320,10 +302,16 @@ class _Covering:
         for job in jobs:
             begin, end = job.product.covered or (0.0, 0.0)
             self._rasters.append(Raster(job.surface, job.width_m, begin, end))
+        self._last = [np.nan for _ in jobs]
+        self._laid = np.zeros((len(jobs), 2))  # length in all, and of an unknown place, m
 
     def take(self, samples: Wound) -> None:
         """Lay the bands of the next samples."""
-        for raster, fibre in zip(self._rasters, samples.fibres, strict=True):
+        for run, (raster, fibre) in enumerate(zip(self._rasters, samples.fibres, strict=True)):
+            step = np.diff(fibre.length_m, prepend=self._last[run])
+            step = np.where(step > 0.0, step, 0.0)
+            self._laid[run] += step.sum(), step[~fibre.known].sum()
+            self._last[run] = fibre.length_m[-1] if len(fibre) else self._last[run]
             operation = samples.operation
             lines = np.zeros(len(fibre), dtype=np.int64) if operation is None else operation
             raster.lay(fibre.u, fibre.angle, fibre.winding, fibre.known, lines)
@@ -334,9 +322,18 @@ class _Covering:
         self._worst.offer(
             np.array([gap.width_m for gap in gaps]),
             operation=np.array([gap.operation for gap in gaps]),
-            note=np.array([gap.words for gap in gaps], dtype=object),
+            note=np.array(
+                [gap.words + self._unknown(run) for run, gap in enumerate(gaps)], dtype=object
+            ),
         )
         return self._worst.found()
+
+    def _unknown(self, run: int) -> str:
+        """Say how much of the fibre is missing on the raster because its place is not known."""
+        laid, unknown = self._laid[run]
+        if not unknown > _FEW * laid:
+            return ""
+        return f"; the place of {1e2 * unknown / laid:.2g} % of the laid fibre is not known"
 
 
 def middle_of(surface: Surface) -> float:
@@ -407,7 +404,7 @@ class Closing:
         return self._worst.found()
 
 
-_OF_FIBRE: Mapping[str, tuple[Values, Callable[[Fibre, int], str] | None]] = {
+_OF_FIBRE: Mapping[str, tuple[Values, Note | None]] = {
     "slip_tendency": (_steer, _wobble),
     "bridging": (_bridged, None),
     "free_length": (_free, None),
@@ -432,7 +429,9 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
         if name == "pattern_closure":
             return _OfRun(setting, Closing(jobs, axes))
         if name == "clearance":
-            return _OfRun(setting, _Largest(runs, axes, Near(jobs)))
+            near = Near(jobs)
+            noted = _Largest(runs, axes, near, lambda _, run, at: near.words(run, at))
+            return _OfRun(setting, noted)
         if name == "laid_error":
             return _OfRun(setting, _Largest(runs, axes, _Apart(plan, jobs)))
         if name == "lifting":

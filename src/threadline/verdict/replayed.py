@@ -12,7 +12,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.machine.tool import Tool
 from threadline.verdict.samples import Block, Setting
-from threadline.winding.product import Product, product_of_text
+from threadline.winding.product import Product, Ring, product_of_text
 from threadline.winding.replay import Fibre, Replay, eye_columns
 from threadline.winding.surface import Surface
 
@@ -65,6 +65,17 @@ class WoundJob:
     def width_m(self) -> float:
         """Width of the band."""
         return self.product.width.si + float(self._draws[2]) * self.product.width.tolerance
+
+    @property
+    def rings(self) -> tuple[Ring, ...]:
+        """What else turns about the axis, from the mandrel's left end."""
+        found, tool = list(self.product.rings), self.tool
+        for name, stop, sign in (("chuck", tool.chuck, -1.0), ("tailstock", tool.tailstock, 1.0)):
+            if stop is not None:
+                face = stop.at.si - self.at_m
+                begin, end = sorted((face, face + sign * stop.length.si))
+                found.append(Ring(f"the {name}", begin, end, stop.radius.si))
+        return tuple(found)
 
     def eyes(self, positions: FloatArray) -> FloatArray:
         """Return (n, 6) coordinates of the eye from the mandrel's left end."""

@@ -20,6 +20,7 @@ from threadline.winding.laying import (
     LAID,
     LIFTED,
     OFF,
+    SUNK,
     WAITING,
     Laid,
     Tables,
@@ -41,7 +42,7 @@ class Fibre:
     Parameters
     ----------
     state
-        (n,) ``LAID``, ``LIFTED``, ``BRIDGED``, ``OFF`` or ``WAITING``.
+        (n,) ``LAID``, ``LIFTED``, ``BRIDGED``, ``OFF``, ``WAITING`` or ``SUNK``.
     u, angle
         (n,) place along the meridian, m, and angle on the mandrel, rad, without wrap-round.
     length_m
@@ -122,7 +123,7 @@ class Replay:
             nodes=surface.nodes,
             x=surface.x,
             r=surface.r,
-            payout=np.array(eye.payout_m),
+            payout=np.array([*eye.payout_m, *eye.roller_m, 0.0, 1.0, 0.0]),
             friction=friction,
             convex=surface.convex,
         )
@@ -219,4 +220,5 @@ STATES: Mapping[int, str] = {
     BRIDGED: "bridged",
     OFF: "off the mandrel",
     WAITING: "not laid",
+    SUNK: "the eye is inside",
 }
