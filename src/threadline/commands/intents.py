@@ -286,6 +286,11 @@ class Scheduled:
     single: Scheduled | None = None
 
     @property
+    def one_cycle(self) -> Scheduled:
+        """The schedule of one cycle: ``single``, or itself where every cycle is as the first."""
+        return self if self.single is None else self.single
+
+    @property
     def steady_tick(self) -> int:
         """Scan at which the cycle begins that counts: the further one if there are two."""
         return 0 if self.single is None else self.single.commands.duration_ticks
