@@ -117,7 +117,7 @@ def test_the_wobble_on_a_cylinder_is_the_printed_one() -> None:
     assert narrow == pytest.approx(0.5 * wide, rel=0.1)
 
 
-def _hemisphere(ratio: float) -> tuple[Surface, FloatArray, FloatArray]:
+def _hemisphere(ratio: float, angle: float = 0.7) -> tuple[Surface, FloatArray, FloatArray]:
     """Return a hemisphere of 100 mm, a friction path on it, and the eye on a sphere of 130 mm."""
     radius, away = 0.1, 0.13
     surface = _surface(
@@ -127,7 +127,7 @@ def _hemisphere(ratio: float) -> tuple[Surface, FloatArray, FloatArray]:
     def meridian(u: float) -> tuple[float, float, float, float]:
         return radius * np.sin(u / radius), radius * np.cos(u / radius), -u / radius, 1.0 / radius
 
-    path = _planned(meridian, (0.0, 0.7), ratio, 150)
+    path = _planned(meridian, (0.0, angle), ratio, 150)
     free = np.sqrt(away**2 - radius**2)
     slope = -path[:, 0] / radius
     along, out = radius * np.sin(-slope), radius * np.cos(slope)
@@ -142,16 +142,25 @@ def _hemisphere(ratio: float) -> tuple[Surface, FloatArray, FloatArray]:
     return surface, eyes, places
 
 
-def test_a_friction_path_on_a_hemisphere_comes_back() -> None:
-    """Printed: the ratio wobbles from 0.180 to 0.215, its mean stays within 0.0025."""
-    surface, eyes, places = _hemisphere(0.2)
+@pytest.mark.parametrize("angle", [0.3, 0.7])
+def test_a_friction_path_on_a_hemisphere_comes_back(angle: float) -> None:
+    """Printed: the ratio wobbles from 0.180 to 0.215, its mean stays within 0.0025.
+
+    Where that path starts is not printed: the wobble is wider the steeper it begins.
+    """
+    surface, eyes, places = _hemisphere(0.2, angle)
     fibre = _replayed(surface, eyes, tied=0.0)
 
     steer = fibre.steer[np.isfinite(fibre.steer)]
     assert len(steer) > 100
-    assert np.abs(steer - 0.2).max() < 0.003
-    assert np.nanmin(fibre.least[np.isfinite(fibre.least)]) > 0.175
-    assert np.nanmax(fibre.most[np.isfinite(fibre.most)]) < 0.22
+    assert np.abs(steer - 0.2).max() < 0.0025
+    least = np.nanmin(fibre.least[np.isfinite(fibre.least)])
+    most = np.nanmax(fibre.most[np.isfinite(fibre.most)])
+    if angle == 0.3:
+        assert least == pytest.approx(0.180, abs=0.004)
+        assert most == pytest.approx(0.215, abs=0.004)
+    else:
+        assert 0.180 < least < 0.2 < most < 0.215
     assert np.abs(_places(surface, fibre)[1:] - places[1:]).max() < 5e-6
 
 

@@ -3,40 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.base.compiled import njit
 from threadline.commands.plan import Plan
 from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.laid_error import Apart
 from threadline.verdict.measure import Measure
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
     least_friction,
     planned_fibre,
-    programmed_fibre,
     shared_replays,
     wound_job,
 )
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.types import Criterion
 from threadline.winding.clearance import Clearance
+from threadline.winding.fit import Witness, turn_error
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
 from threadline.winding.product import Product
 from threadline.winding.raster import Raster
-from threadline.winding.replay import Fibre
 from threadline.winding.surface import Surface
 
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
-_NEVER = (
-    "the fibre is never known: nothing is laid on this mandrel for five free lengths in a row; is "
-    "it the mandrel of this program?"
-)
-_NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
+_NEVER = "the fibre is never known"
 _FEW = 0.01  # share of the laid fibre; less than this may lie anywhere
-_LOST_M = 0.1  # the same after a part that is not known
 _OUTLINE = 8193  # places of the meridian among which the widest is searched
 
 
@@ -210,89 +205,6 @@ class Near:
         return one.words(int(one.pair[at])) if one.too_near else ""
 
 
-@njit(nogil=True)
-def _off_design(points: FloatArray, design: FloatArray, state: FloatArray) -> FloatArray:
-    """Return (n,) distances of points to the designed fibre; NaN where one of them is not known.
-
-    Both are (n, 4), place and laid length in m, and NaN for a place that is not known; lengths do
-    not fall. ``state`` is updated: how much more the design had laid at the point before, and how
-    far beside that length the design is searched.
-    """
-    found = np.full(len(points), np.nan)
-    last = len(design) - 2
-    for i in range(len(points)):
-        if np.isnan(points[i, 0]):
-            state[1] = _LOST_M
-            continue
-        length = points[i, 3] + state[0]
-        low = max(np.searchsorted(design[:, 3], length - state[1]) - 1, 0)
-        high = min(np.searchsorted(design[:, 3], length + state[1]), last)
-        best, near, at = np.inf, -1, 0.0
-        for k in range(low, high + 1):
-            if np.isnan(design[k, 0]) or np.isnan(design[k + 1, 0]):
-                continue
-            span, along = 0.0, 0.0
-            for j in range(3):
-                d = design[k + 1, j] - design[k, j]
-                span += d * d
-                along += d * (points[i, j] - design[k, j])
-            share = min(max(along / span, 0.0), 1.0) if span > 0.0 else 0.0
-            away = 0.0
-            for j in range(3):
-                d = points[i, j] - design[k, j] - share * (design[k + 1, j] - design[k, j])
-                away += d * d
-            if away < best:
-                best, near, at = away, k, share
-        # Before or behind a part of the design that is not known, it has no place beside the point.
-        before = near > 0 and at == 0.0 and np.isnan(design[near - 1, 0])
-        behind = 0 <= near < last and at == 1.0 and np.isnan(design[near + 2, 0])
-        if before or behind:
-            near = -1
-        if near < 0:
-            state[1] = _LOST_M
-            continue
-        found[i] = np.sqrt(best)
-        state[0] = design[near, 3] + at * (design[near + 1, 3] - design[near, 3]) - points[i, 3]
-        state[1] = _NEAR_M
-    return found
-
-
-def _points(surface: Surface, fibre: Fibre) -> FloatArray:
-    """Return (n, 4) places in the mandrel's frame and laid lengths; NaN for unknown places."""
-    u = np.where(fibre.known, fibre.u, 0.0)
-    x, r = (values[:, 0] for values in surface.at(u))
-    places = np.column_stack([x, r * np.cos(fibre.angle), r * np.sin(fibre.angle), fibre.length_m])
-    places[~fibre.known, :3] = np.nan
-    return places
-
-
-class _Apart:
-    """Distance between the laid fibre and the fibre of the program."""
-
-    def __init__(self, plan: Plan, jobs: Sequence[WoundJob]) -> None:
-        job = wound_job(plan)
-        assert job is not None
-        rows = [np.empty((0, 4))]
-        for samples in programmed_fibre(plan, job):
-            fibre = samples.fibres[0]
-            points = _points(job.surface, fibre)
-            # Of a part that is not known one row stays: no chord leads across it.
-            known = np.concatenate([[True], np.isfinite(points[:, 0])])
-            kept = (known[1:] | known[:-1]) & np.isfinite(fibre.length_m)
-            rows.append(points[kept])
-        self._design = np.vstack(rows)
-        self._design[:, 3] = np.maximum.accumulate(self._design[:, 3])
-        self._surfaces = [job.surface for job in jobs]
-        self._state = [np.array([0.0, _LOST_M]) for _ in jobs]
-
-    def __call__(self, samples: Wound, run: int) -> FloatArray:
-        fibre = samples.fibres[run]
-        if len(self._design) < 2:
-            return np.full(len(fibre), np.nan)
-        points = _points(self._surfaces[run], fibre)
-        return np.asarray(_off_design(points, self._design, self._state[run]))
-
-
 class _Covering:
     """The largest gap between the bands of each run."""
 
@@ -388,13 +300,14 @@ class Closing:
                 notes.append("")
                 continue
             off = 2.0 * rows[-1, 0] - rows[-2, 0] - rows[0, 0]
-            off = abs(float(np.arctan2(np.sin(off), np.cos(off))))
-            away = off * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
+            whole, off = off, float(np.arctan2(np.sin(off), np.cos(off)))
+            away = abs(off) * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
             values.append(away)
             operations.append(int(rows[-1, 2]))
+            bands = away / self._width_m[run]
             notes.append(
-                f"after {len(rows)} circuits the next would lie {away / self._width_m[run]:.2f} "
-                "bands beside the first"
+                f"after {len(rows)} circuits the next would lie {bands:.2f} bands beside the first"
+                + turn_error(off, whole, bands)
             )
         self._worst.offer(
             np.array(values),
@@ -433,7 +346,7 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
             noted = _Largest(runs, axes, near, lambda _, run, at: near.words(run, at))
             return _OfRun(setting, noted)
         if name == "laid_error":
-            return _OfRun(setting, _Largest(runs, axes, _Apart(plan, jobs)))
+            return _OfRun(setting, _Largest(runs, axes, Apart(plan, jobs)))
         if name == "lifting":
             return _OfRun(setting, _Lifted(runs, axes))
         values, note = _OF_FIBRE[name]
@@ -465,10 +378,23 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     taking["planned_pattern_closure"] = Closing([job], axes)
     if job.product.covered is not None:
         taking["planned_coverage_gap"] = _Covering([job], axes)
+    witness = Witness(job.surface)
     for samples in planned_fibre(plan, job):
+        witness.take(samples.eyes[0], samples.fibres[0])
         for one in taking.values():
             one.take(samples)
-    return {name: [one.found().worst()] for name, one in taking.items()}
+    found = {name: [one.found().worst()] for name, one in taking.items()}
+    slip = found["planned_slip_tendency"][0]
+    friction = least_friction(job.product)
+    note = ""
+    if slip.value is None:
+        note = f"{_NEVER}: {witness.reason()}"
+    elif slip.value > friction:
+        fit = witness.fit(job.tool, friction, job.product.tied)
+        note = "; ".join(text for text in (slip.note, fit) if text)
+    if note:
+        found["planned_slip_tendency"] = [replace(slip, note=note)]
+    return found
 
 
 _LEAST_M = 5e-5  # lifted or bridged: a tow is thicker

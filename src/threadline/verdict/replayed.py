@@ -44,10 +44,10 @@ class WoundJob:
 
     @property
     def _draws(self) -> FloatArray:
-        """(3,) of -1 to 1: errors of the radius, of the place and of the width of the band."""
+        """(5,) of -1 to 1: errors of radius, place, width of the band, slip and friction."""
         if self.number is None:
-            return np.zeros(3)
-        return np.random.default_rng((_DRAWS, self.number)).uniform(-1.0, 1.0, 3)
+            return np.zeros(5)
+        return np.random.default_rng((_DRAWS, self.number)).uniform(-1.0, 1.0, 5)
 
     @property
     def surface(self) -> Surface:
@@ -67,6 +67,18 @@ class WoundJob:
         return self.product.width.si + float(self._draws[2]) * self.product.width.tolerance
 
     @property
+    def slip(self) -> float:
+        """Share by which the mandrel stays behind the axis that turns it."""
+        return self.product.slip.si + float(self._draws[3]) * self.product.slip.tolerance
+
+    @property
+    def friction(self) -> float:
+        """Friction beyond which the fibre's place is not known; its lower end if not drawn."""
+        if self.number is None:
+            return least_friction(self.product)
+        return self.product.friction.si + float(self._draws[4]) * self.product.friction.tolerance
+
+    @property
     def rings(self) -> tuple[Ring, ...]:
         """What else turns about the axis, from the mandrel's left end."""
         found, tool = list(self.product.rings), self.tool
@@ -80,12 +92,13 @@ class WoundJob:
     def eyes(self, positions: FloatArray) -> FloatArray:
         """Return (n, 6) coordinates of the eye from the mandrel's left end."""
         columns = eye_columns(self.tool, self.axes, positions)
+        columns[:, 0] *= 1.0 - self.slip
         columns[:, 1] -= self.at_m
         return columns
 
     def replay(self) -> Replay:
         """Return a replay that has read nothing."""
-        return Replay(self.surface, self.tool, least_friction(self.product), self.product.tied)
+        return Replay(self.surface, self.tool, self.friction, self.product.tied)
 
 
 def least_friction(product: Product) -> float:

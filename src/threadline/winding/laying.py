@@ -380,3 +380,29 @@ def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray)
                 found[i, side, 1] = out[4]
                 found[i, side, 2] = out[3]
     return found
+
+
+@njit(nogil=True)
+def first_look(
+    chain: FloatArray, at: int, tables: Tables, places: FloatArray
+) -> tuple[int, int, float]:
+    """Return the first block from ``at`` on in which the eye can lay, the place and the angle.
+
+    It is the place with the least steering; the block is the number of blocks if there is none.
+    """
+    count = len(chain) - 1
+    for block in range(at, count):
+        rate = chain[block + 1] - chain[block]
+        if not rate.any():
+            continue
+        found = looks(chain[block], rate, tables, places)
+        least, row, angle = math.inf, -1, 0.0
+        for i in range(len(places)):
+            for side in range(2):
+                if found[i, side, 1] > 0.0:
+                    steer = abs(found[i, side, 2] / found[i, side, 1])
+                    if steer < least:
+                        least, row, angle = steer, i, found[i, side, 0]
+        if row >= 0:
+            return block, row, angle
+    return count, -1, 0.0

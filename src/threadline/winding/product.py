@@ -184,7 +184,7 @@ def _embed(part: dict[str, Any], folder: Path, reader: _Reader) -> None:
         return
     if layer is not None:
         reader.refuse("layer", "layer belongs to a drawing in DXF", "Remove it.")
-    read = meridian_of if name.lower().endswith(MERIDIANS) else read_points
+    read = meridian_of if Path(name).suffix.lower() in MERIDIANS else read_points
     part["points"] = read(folder / name)
 
 
