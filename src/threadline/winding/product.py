@@ -20,14 +20,14 @@ from threadline.base.reading import read_text
 from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
-from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
-from threadline.winding.profiles import (
+from threadline.winding.meridians import (
     MAX_BYTES,
     read_points,
     read_section,
     shifted,
     stretches_of,
 )
+from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
 from threadline.winding.shapes import ellipse, isotensoid, nose, table
 from threadline.winding.surface import Stretch, Surface, line, surface_of
 
