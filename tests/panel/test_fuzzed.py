@@ -19,7 +19,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from tests.panel.bench import LOCAL, PROGRAM, Operator, operator, served
 from tests.panel.from_schema import values
-from threadline.panel import drawn
+from threadline.panel import drawings, drawn
 from threadline.panel.protocol import ServerMessage
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "panel-protocol.json").read_text("utf-8"))
@@ -36,7 +36,7 @@ async def answer_here(*words: str, sent: bytes, longest_s: float) -> tuple[int, 
     """What the process that reads a drawing answers; ``test_drawn.py`` starts such processes."""
     if "\0" in words[-1]:
         raise ValueError("embedded null byte")  # as no process can be given
-    status, said = drawn.answered(*words[-2:], sent)
+    status, said = drawings.answered(words[-2], words[-1], sent)
     return status, said, said
 
 

@@ -83,6 +83,11 @@ class OptimalOutput(SearchOutput):
             f"fastest: {best.duration_s:.3f} s, limited by {limit_words(best.found.limited_by)}; "
             f"{proved} plans proved"
         )
+        if self.of.left:
+            yield (
+                f"unsearched: up to {self.of.left} further choices of a plan, about each of which "
+                'some plans are tried; --within "2 h" goes on that long'
+            )
         if any(rung.alone for rung in self.of.rungs):
             yield "alone: the plan for an allowance smaller by half a percent is out of spec"
         for bound in self.of.bounds:
@@ -102,6 +107,7 @@ class OptimalOutput(SearchOutput):
             "duration_s": best.duration_s,
             "bounds": [{"within": b.within, "duration_s": b.duration_s} for b in self.of.bounds],
             "binds": {} if self._bound is None else self._bound.binds,
+            "unsearched": self.of.left,
             "rungs": [
                 {
                     "duration_s": rung.duration_s,

@@ -82,7 +82,7 @@ def prove(
     trials = words.trials()
     key = key_of("--sign", sign, proof_file)
     chosen = words.machine(machine)
-    if worst is not None and (not trials.machines or trials.wished is not None):
+    if worst is not None and (not trials.machines or trials.wanted_yield is not None):
         raise OptionError(
             f"--worst {str(worst)!r} is the worst machine within the tolerances, and this level "
             "searches none",

@@ -297,8 +297,8 @@ def level_option(trials: Trials) -> dict[str, str]:
         return level_option(trials.alone) | shares
     if trials == REPEATED:
         return {}
-    if trials.wished is not None:
-        return {"--yield": f"{100.0 * trials.wished:.12g} %"}
+    if trials.wanted_yield is not None:
+        return {"--yield": f"{100.0 * trials.wanted_yield:.12g} %"}
     if trials.machines:
         return {"--tolerances": ""}
     if trials == NOMINAL:

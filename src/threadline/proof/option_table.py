@@ -422,6 +422,7 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="within", group=Group.SEARCH, unit="s", verbs=("fastest",),
         help='Longest time of the search, "5 min"; then the best result so far is printed. '
+        "Without it a search over the choices of optimal ends after 10 min of processor time. "
         "Ctrl-C ends the search at once.",
         doors=(Door.LINE, Door.PYTHON),
     ),

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from threadline.base.option_defaults import AUTO
 from threadline.commands.intents import Sewn
 from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
 from threadline.files import TickTable, tick_table
 from threadline.jobs.gcode.feeds import of_which
 from threadline.jobs.operations import Job, Source, begins_circuit
+from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.pipeline import Proof
-from threadline.verdict import is_assumed
+from threadline.verdict import Status, is_assumed
 from threadline.verdict.rendering import continuous
 
 if TYPE_CHECKING:
@@ -163,7 +165,23 @@ def about_motion(proof: Proof) -> list[str]:
         *motion_lines(plan),
         *count_circuits(plan).lines(),
         *([] if added is None else [_points_line(added)]),
+        *_instead_lines(proof),
     ]
+
+
+def _instead_lines(proof: Proof) -> Iterator[str]:
+    """Yield a line where loops leave a path that was planned without them, and need not."""
+    plan, machine = proof.plan, proof.plan.machine
+    if plan.options.get("interpolation") != AUTO or plan.motion.of_loads is not None:
+        return
+    if machine.takes_positions or machine.without_dynamics:
+        return
+    failed = {one.name for one in proof.verdict.results if one.status is Status.FAILED}
+    if "contour_error" in failed:
+        yield (
+            f"Out of the path:      {AUTO} asks for the limits of the axes alone; what the loops "
+            f"follow, too, is planned by --interpolation {OPTIMAL}"
+        )
 
 
 def _points_line(added: float) -> str:

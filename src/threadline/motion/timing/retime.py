@@ -141,9 +141,10 @@ def retime(
     instants; nothing is proven between them. Lengths may be in any unit, the same in all arguments;
     times are in seconds.
 
-    The duration is within a few thousandths of the least, because the search ends there. So a
-    higher limit of the velocity may take longer than a lower one, but by 0.2 % at most. A limit
-    that the axis cannot reach by its accelerations changes nothing.
+    The search cuts the path into elements until what finer ones would save is some thousandths of
+    the duration, and where it cuts hangs on the limits. So a higher limit of the velocity may take
+    longer than a lower one, but by less than 1 %. A limit that the axis cannot reach by its
+    accelerations changes nothing.
 
     Parameters
     ----------
