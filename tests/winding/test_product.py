@@ -106,6 +106,7 @@ def test_a_corner_of_a_table_is_rounded(tmp_path: Path) -> None:
         ("0,40\n10\n", "m.csv:3: '10' is no point"),
         ("0,40\n10,nan\n", "is no point"),
         ("0,40\n", "has 1 points"),
+        ("0,40\n1e300,40\n", "m.csv:3: '1e300,40' is no point"),
     ],
 )
 def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -> None:
@@ -128,6 +129,15 @@ def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -
         (CYLINDER + BAND + '[fibre]\ntied = "300 mm"\n', "p.wind.toml:10: tied = 300 mm"),
         (CYLINDER + BAND + 'colour = "red"\n', "unknown key 'colour'"),
         (CYLINDER + BAND + "[", "not valid TOML"),
+        (CYLINDER + BAND + '[fibre]\ntake_up = "-1 mm"\n', "p.wind.toml:10: take_up = '-1 mm' is"),
+        (
+            CYLINDER + BAND + '[coverage]\nbegin = "9 mm"\nend = "20 mm"\ngap = "-1 mm"\n',
+            "p.wind.toml:12: gap = '-1 mm' is below 0",
+        ),
+        (
+            '[mandrel]\nradius_error = "0 mm +- 90 mm"\n' + CYLINDER + BAND,
+            "p.wind.toml:2: a radius_error of 0 +- 90 mm",
+        ),
         ('[[part]]\nfile = "x.dxf"\n' + BAND, "cannot be read from DXF"),
     ],
 )
