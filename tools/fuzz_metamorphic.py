@@ -10,7 +10,7 @@ one a thousandth above it must pass.
 
 The recordings are made once and judged many times. Changed samples lie side by side as runs of one
 recording, so that a case holds ``RUNS`` of them. Of most programs and machines the path, or each
-number, is compared; every ``_WHOLE``th is proved.
+number, is compared; every ``WHOLE``th is proved.
 """
 
 from __future__ import annotations
@@ -28,42 +28,29 @@ from typing import Any
 
 import numpy as np
 from tools.fuzz_recordings import MAKERS
-from tools.fuzz_rewritten import (
-    DIALECTS,
-    Style,
-    in_another_order,
-    in_other_units,
-    moves_of,
-    style_of,
-    text_of,
-)
+from tools.fuzz_rewritten import in_another_order, in_other_units
 from tools.fuzz_runs import Seed, plan_measured_once, seeds
+from tools.fuzz_same_programs import (
+    SAME,
+    WHOLE,
+    Key,
+    check_program,
+    same_verdicts,
+    told_verdict,
+)
 
 from threadline.errors import Place, ThreadlineError
 from threadline.files import ChannelKind, Recording, RecordingBlock, Stream
 from threadline.files.formats import read_recording, write_recording
 from threadline.files.formats.common import in_si
-from threadline.jobs import read_job
-from threadline.machine import Machine, load_machine
+from threadline.machine import load_machine
 from threadline.machine.load import library_file
-from threadline.machine.parts import eye_within
-from threadline.motion.path import programmed_path
-from threadline.proof.options import Options
-from threadline.proof.pipeline import Proof, prove
+from threadline.proof.pipeline import prove
 from threadline.verdict import Judge, Spec, Status, load_spec
 
 CLASSES = ("same-recording", "same-program", "same-machine")
 RUNS = 8
 _POOL = 6  # recordings of each machine: one as it ran, the others with a fault
-_WHOLE = 16
-_SAME = 1e-6  # of a value: what noise of the size of rounding may change
-_MOVED, _COUNTS = 0.1, 1e-4
-"""Share of a value, and m or rad, by which a path that lies elsewhere between counts may differ."""
-_OF_THE_PLACE = ("travel", "settling_time", "residual_vibration", "current_peak", "current_rms")
-"""Where the work lies on the machine, and what hangs on a count or two."""
-_OF_THE_CUT = ("velocity", "acceleration", "deceleration", "jerk", "path_use")
-"""What the plan of a move that is cut in two may reach: in ``linear`` each part takes whole ticks,
-and ``auto`` rounds a corner within half of the part beside it."""
 _NOISE = (-300.0, -12.0)
 """Decades: the squares of many are numbers without digits, or nothing."""
 _BITS = (ChannelKind.INPUT, ChannelKind.OUTPUT, ChannelKind.OPERATION)
@@ -80,12 +67,11 @@ _AT_TWICE_THE_RATE = (
 """What a straight line between two samples leaves as it is."""
 _BY_SWITCHINGS = ("residual_vibration", "settling_time")
 """Of a frame, they begin at the sample in which an output switches."""
-_TURNS = 0.1
-"""Share of the longest way in a sample interval by which the progress error may differ then."""
+_TURNS = 0.05
+"""Share of the longest way in a sample interval by which the progress error may grow then: it is
+measured at samples, and where the tool cuts a corner it may be larger between two of them."""
 
-Key = tuple[str, str, str]
 Samples = Mapping[str, np.ndarray]
-Told = Mapping[Key, tuple[float | None, str, float | None]]
 
 
 @dataclass(frozen=True)
@@ -258,7 +244,7 @@ def check_recording(path: Path) -> None:
     spec, must = spec_about(rng, kept)
     count = len(next(iter(kept.samples.values())))
     edges = tuple(sorted(rng.sample(range(1, count), rng.choice((0, 0, 1, 3, 30)))))
-    whole = rng.randrange(_WHOLE) == 0
+    whole = rng.randrange(WHOLE) == 0
     twice = not whole and rng.random() < 0.2
     if whole:
         recording = recording_of(kept.seed, kept.samples)
@@ -272,6 +258,8 @@ def check_recording(path: Path) -> None:
         recording = at_twice_the_rate(recording)
     if not whole and rng.random() < 0.5:
         recording = told_otherwise(rng, recording)
+    # With velocities the way between two samples is no straight line.
+    bowed = any(channel.kind is ChannelKind.VELOCITY for channel in recording.channels)
     rows = _rows(kept.seed, recording, spec)
     known = {key for key, _, _ in rows}
     assert known == set(must), f"criteria {known ^ set(must)} in one of the two alone"
@@ -281,156 +269,27 @@ def check_recording(path: Path) -> None:
             continue
         if twice and kept.seed.facts.switched and key[0] in _BY_SWITCHINGS:
             continue
+        if twice and key[0] == "contour_error" and bowed:
+            continue
         off = values - kept.measured[key]
-        small = _SAME * abs(kept.measured[key]) + 1e-10
+        small = SAME * abs(kept.measured[key]) + 1e-10
         small += _TURNS * _longest_m(kept) if turns else 0.0
         if twice and key[0] == "dac_saturation":
             small += 1.0 / count  # the last sample stands for half of the time
-        same = (np.abs(off) <= small) | (np.isnan(values) & np.isnan(kept.measured[key]))
+        low = SAME * abs(kept.measured[key]) + 1e-10 if turns else small
+        same = ((off <= small) & (off >= -low)) | (np.isnan(values) & np.isnan(kept.measured[key]))
         same |= values == kept.measured[key]
         where = f"{' '.join(key)} of {kept.seed.proof.plan.machine.name}"
         told = f"{values.tolist()}, before {kept.measured[key]!r}"
         assert same.all(), f"{where} is {told} (twice the rate: {twice}, file: {whole})"
-        if not turns and (twice, key[0]) != (True, "dac_saturation"):
-            assert (failed == must[key]).all(), f"{where} failed {failed.tolist()}: {told}"
-
-
-# --- verdicts ---
-
-
-def _told_verdict(proof: Proof) -> Told:
-    return {
-        (r.name, r.axis, r.step): (r.measured, r.status.value, r.limit)
-        for r in proof.verdict.results
-    }
-
-
-def _same_verdicts(
-    before: Told, after: Told, said: str, moved: bool = False, free: tuple[str, ...] = ()
-) -> None:
-    """Refuse verdicts that differ, but for the values of the criteria ``free``.
-
-    A path that was ``moved`` lies elsewhere between the counts.
-    """
-    assert before.keys() == after.keys(), f"criteria {before.keys() ^ after.keys()}: {said}"
-    for key, (value, status, limit) in before.items():
-        now, other, _ = after[key]
-        where = f"{' '.join(key)} is {now!r}, {other}, and was {value!r}, {status}"
-        if (moved and key[0] in _OF_THE_PLACE) or key[0] in free:
-            continue
-        if value is None or now is None:
-            assert value == now and status == other, f"{where}: {said}"
-            continue
-        room = _MOVED * abs(value) + _COUNTS if moved else _SAME * abs(value) + 1e-9
-        assert abs(now - value) <= room, f"{where}: {said}"
-        assert status == other or abs(value - (limit or 0.0)) <= room, f"{where}: {said}"
-
-
-# --- programs ---
-
-_ALIKE = {"X": "Z", "Y": "Y", "A": "B"}
-
-
-@dataclass(frozen=True)
-class Twin:
-    """The same moves on the same machine, of which neither is written as before.
-
-    Attributes
-    ----------
-    machine, file
-        With axes of other names, in another order.
-    names
-        The axes before, by their names.
-    mirrored
-        The axis that goes the other way, by its name; empty for none.
-    """
-
-    machine: Machine
-    file: Path
-    names: Mapping[str, str]
-    mirrored: str
-
-    def path(self, dialect: str) -> dict[str, np.ndarray]:
-        """Return the way gone at each vertex, its time, and the places of the axes of before."""
-        job = read_job(self.file, self.machine, dialect=dialect)
-        path = programmed_path(job, self.machine)
-        blocks = list(path)
-        places = np.concatenate([b.positions for b in blocks])
-        found = {
-            self.names[axis]: places[:, k] * (-1 if axis == self.mirrored else 1)
-            for k, axis in enumerate(path.axes)
-        }
-        ways = np.diff(places, axis=0, prepend=places[:1])
-        found["way"] = np.cumsum(np.linalg.norm(ways, axis=1))
-        found["time"] = np.cumsum(np.concatenate([b.nominal_s + b.dwell_s for b in blocks]))
-        return found
-
-    def verdict(self, options: Options) -> Told:
-        """Return the verdict on it, with the axes of before."""
-        proof = prove(self.file, self.machine, load_spec(None, self.machine), options)
-        told = _told_verdict(proof)
-        return {(name, self.names.get(axis, ""), step): v for (name, axis, step), v in told.items()}
-
-
-def _renamed(rng: random.Random, machine: Machine) -> tuple[Machine, dict[str, str]]:
-    """Return a machine with axes of other names in another order, and the names before."""
-    names = {axis: rng.choice((axis, _ALIKE[axis])) for axis in machine.axes}
-    order = rng.sample(sorted(names), len(names))
-    inputs = {n: replace(one, axis=names[one.axis]) for n, one in machine.inputs.items()}
-    axes = {names[axis]: machine.axes[axis] for axis in order}
-    renamed = replace(
-        machine, axes=axes, inputs=inputs, tool=eye_within(machine.tool, set(axes) & set(names))
-    )
-    return renamed, {new: old for old, new in names.items()}
-
-
-def check_program(path: Path) -> None:
-    """Write the same moves in two ways, and hold path, or verdict, of one against the other's.
-
-    Raises
-    ------
-    AssertionError
-        If they differ.
-    """
-    rng = random.Random(path.read_bytes())
-    dialect, moves = rng.choice(DIALECTS), moves_of(rng)
-    style = style_of(rng, moves, dialect)
-    machine, names = _renamed(rng, winder())
-    axes = {old: new for new, old in names.items()}
-    mirrored = rng.choice(("", "", *(axes[axis] for axis in moves[0][1])))
-    others = [
-        (rapid, {axes[a]: -x if axes[a] == mirrored else x for a, x in place.items()}, feed)
-        for rapid, place, feed in moves
-    ]
-    one = Twin(winder(), path.with_name("one.nc"), {axis: axis for axis in winder().axes}, "")
-    two = Twin(machine, path.with_name("two.nc"), names, mirrored)
-    one.file.write_text(text_of(rng, moves, Style(), dialect))
-    two.file.write_text(text_of(rng, others, style, dialect))
-    told = f"{dialect}, {style}, {names}, mirrored {mirrored!r}\n"
-    told += f"{one.file.read_text()}\n{two.file.read_text()}"
-    before, after = one.path(dialect), two.path(dialect)
-    assert before.keys() == after.keys(), f"axes {list(before)} and {list(after)}: {told}"
-    for name, values in before.items():
-        there = np.interp(before["way"], after["way"], after[name])
-        assert np.abs(there - values).max() < 1e-9, f"{name} is {there} and was {values}: {told}"
-    if rng.randrange(_WHOLE) == 0:
-        options = Options(dialect=dialect, interpolation=rng.choice(("auto", "linear")))
-        by = "" if rng.random() < 0.5 else f"{axes['X']}={rng.randint(-20, 20)} mm"
-        verdicts = one.verdict(options), two.verdict(replace(options, offset=by or None))
-        sums = style.split or style.inches or style.absolute  # rounded elsewhere at half a count
-        moved, free = bool(by or mirrored or sums), _OF_THE_CUT if style.split else ()
-        _same_verdicts(*verdicts, f"shifted {by!r}, {told}", moved, free)
+        if (twice, key[0]) != (True, "dac_saturation"):
+            right = failed | (not must[key]) if turns else failed == must[key]
+            assert right.all(), f"{where} failed {failed.tolist()}: {told}"
 
 
 # --- machines ---
 
 _WHATEVER = {"sha256", "file", "reference", "note", "unit", "title", "sources", "guide", "design"}
-
-
-@cache
-def winder() -> Machine:
-    """Return the winder of the library."""
-    return load_machine("lathe-winder")
 
 
 def _numbers(of: Any, at: str = "") -> Iterator[tuple[str, Any]]:
@@ -479,9 +338,9 @@ def check_machine(path: Path) -> None:
     differ = [key for key in numbers.keys() | others.keys()
               if not _alike(numbers.get(key), others.get(key))]  # fmt: skip
     assert not differ, "; ".join(f"{k}: {numbers.get(k)} {others.get(k)}" for k in differ[:5])
-    if rng.randrange(2 * _WHOLE) == 0:
+    if rng.randrange(2 * WHOLE) == 0:
         proof = prove(seed.file, other, load_spec(None, other), seed.options)
-        _same_verdicts(_told_verdict(seed.proof), _told_verdict(proof), text)
+        same_verdicts(told_verdict(seed.proof), told_verdict(proof), text)
 
 
 def _check_limit(rng: random.Random) -> None:

@@ -159,20 +159,24 @@ def test_one_point_and_equal_points_are_no_motion_and_stand_there(count):
     assert motion([0.0, 3.0], 1).tolist() == [[0.0, 0.0]] * 2
 
 
-@pytest.mark.parametrize("jerk", [0.6, 5.8, 60.0, np.inf])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_limit_of_velocity_far_above_the_motion_costs_no_time(seed, jerk):
+@pytest.mark.parametrize(
+    ("seed", "jerk"),
+    [(0, np.inf), (0, 60.0), (1, 0.6), (2, 60.0), (14, 5.8), (28, 0.6), (35, 5.8), (38, 0.6)],
+)
+def test_a_higher_limit_of_velocity_costs_no_time(seed, jerk):
     """Elements were cut less fine the higher it was: 1e9 took 5 to 20 % longer than 10.
 
-    Each motion is found to within half a percent of the fastest.
+    Between limits that the axes reach the time may grow by what the docstring states: the last
+    three are the worst of 180 sets, with up to 0.6 %. Limits out of reach are one and the same.
     """
     random = np.random.default_rng(seed)
-    points = random.normal(size=(7, 1 + seed % 2))
+    points = random.normal(size=(7, 1 + seed % 3))
     least_s = np.inf
-    for velocity in (3.0, 10.0, 1e3, 1e6, 1e9):
+    for velocity in (1.0, 3.0, 10.0, 1e3):
         took_s = retime(points, velocity, 10.0, jerk, 0.004).duration_s
-        assert took_s < 1.005 * least_s, velocity
+        assert took_s < 1.01 * least_s, velocity
         least_s = min(least_s, took_s)
+    assert retime(points, 1e9, 10.0, jerk, 0.004).duration_s == took_s
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from threadline.files import ChannelKind
 from threadline.verdict import Criterion, Status, judge
+from threadline.verdict.bow import NO_BOWS
 from threadline.verdict.boxes import NO_BOXES, vertices_to_path
 
 from .builders import TICK_S, follow, move_s, plan_through, record, spec_of
@@ -245,6 +246,26 @@ def test_the_command_tells_two_nearly_equal_chords_apart() -> None:
     assert found.measured == pytest.approx(6e-4, abs=1e-12)
 
 
+@pytest.mark.parametrize("axes", [("X", "Y"), ("Y", "X")])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("beyond_m", [-4e-6, 0.0, 4e-6])
+def test_a_fraction_of_a_count_beyond_a_retraced_line_hides_no_overshoot(
+    axes, sign: float, beyond_m: float
+) -> None:
+    """Out 100 mm and 40 mm back: the command rests within a count (17 um) of the end.
+
+    Beyond it the command lies on the way out too, which is the nearer one by 4 um. A load that
+    overshoots by 0.2 mm is still off the path.
+    """
+    points = [[0, 0], [sign * 0.1, 0], [sign * 0.06, 0]]
+    commanded, operation = follow(points, 50, standstill=60)
+    commanded[100:, 0] -= sign * beyond_m
+    load = commanded.copy()
+    load[120:150, 0] = sign * (0.06 - 2e-4)
+    found = contour(points, load, operation, commanded=commanded, axes=axes)
+    assert found.measured == pytest.approx(2e-4, abs=1e-12)
+
+
 def test_no_operation_after_the_end_means_the_last_one() -> None:
     """A controller that reports -1 once it is done still stands at its last operation."""
     points = [[0, 0], [0.1, 0], [0.1, 0.1]]
@@ -314,6 +335,7 @@ def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
         (0, 0),
         np.empty((0, 2)),
         NO_BOXES,
+        NO_BOWS,
         np.full(1, -np.inf),
         best,
         best_time_s,

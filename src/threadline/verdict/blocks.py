@@ -31,6 +31,7 @@ _MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKin
 _COLUMNS: Mapping[str, tuple[ChannelKind, ...]] = {
     "commanded": (ChannelKind.COMMANDED,),
     "actual": (ChannelKind.TOOL, ChannelKind.LOAD),
+    "velocity": (ChannelKind.VELOCITY,),
     "own": (ChannelKind.MEASURED,),
     "voltage": (ChannelKind.VOLTAGE,),
     "current": (ChannelKind.CURRENT,),
@@ -317,7 +318,7 @@ def judged_blocks(
             fresh.columns["steady"] = commanded = held.take(commanded)
         if path is not None and "operation" in fresh.whole:
             at_tool = None if commanded is None else commanded * path.radius_m
-            fresh.whole |= _chords(fresh, path, at_tool, last)
+            fresh.whole |= _chords(fresh, path, at_tool, last, resolution)
             last = None if at_tool is None else at_tool[-1]
         if waiting and len(waiting[-1]) < few and waiting[-1].short_with(fresh):
             fresh = waiting.pop().joined(fresh)  # noqa: PLW2901
@@ -372,6 +373,7 @@ def _block(
         time_s=part.time_s,
         commanded=part.columns.get("commanded"),
         actual=part.columns.get("actual"),
+        velocity=part.columns.get("velocity"),
         own=part.columns.get("own"),
         voltage=part.columns.get("voltage"),
         current=part.columns.get("current"),
@@ -390,13 +392,18 @@ def _block(
 
 
 def _chords(
-    fresh: _Held, path: PathWindow, at_tool: FloatArray | None, before: FloatArray | None
+    fresh: _Held,
+    path: PathWindow,
+    at_tool: FloatArray | None,
+    before: FloatArray | None,
+    resolution: FloatArray | None,
 ) -> _Places:
     """Return the chords that the samples are on, and the first chord of any later sample."""
     operation = fresh.whole["operation"]
     path.reach(int(operation[-1]))
     own = path.chords(operation)
-    low, high = chords_under_way(path, own, at_tool, before)
+    count_m = 0.0 if resolution is None else float(np.linalg.norm(resolution * path.radius_m))
+    low, high = chords_under_way(path, own, at_tool, before, count_m)
     share = path.begins(operation, low - path.first)
     if at_tool is not None and np.isfinite(at_tool).all():
         share = shares_of(at_tool, low, path)

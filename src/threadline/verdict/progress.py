@@ -14,7 +14,8 @@ from threadline.files import Clock, Event
 from threadline.verdict.nearest import lengths_squared
 from threadline.verdict.window import PathWindow
 
-_SAME_M = 1e-6  # chords whose distances from the command differ by less are the same line there
+_SAME_M = 1e-6  # the least difference of two distances from a command that tells chords apart
+_SAME_WAY = 1e-9  # of a step: what rounding does to its component along a chord
 
 
 def _squared(points: FloatArray, i: int, vertices: FloatArray, chord: int) -> float:
@@ -44,8 +45,17 @@ def _along(
     return along / np.sqrt(length) if length > 0.0 else 0.0
 
 
+def _step_m(points: FloatArray, before: FloatArray, i: int) -> float:
+    """Return the length of the step to point ``i``; ``before`` is point -1."""
+    squared = 0.0
+    for k in range(points.shape[1]):
+        squared += (points[i, k] - (points[i - 1, k] if i else before[k])) ** 2
+    return float(np.sqrt(squared))
+
+
 _squared_fast = njit(nogil=True)(_squared)
 _along_fast = njit(nogil=True)(_along)
+_step_m_fast = njit(nogil=True)(_step_m)
 
 
 def _refine(
@@ -58,26 +68,29 @@ def _refine(
 ) -> None:
     """Widen the chords ``first`` to ``last`` of each point by a neighbour that matches better.
 
-    Rows are accessed by index: taking a row out of an array would count references.
+    Distances that differ by ``same_m`` are equal. Rows are accessed by index: taking a row out of
+    an array would count references.
     """
     end = len(vertices) - 1
     for i in range(len(points)):
         low, high = first[i], last[i]
-        own, chord = np.inf, low
+        own, ahead = np.inf, -np.inf
         for c in range(low, high + 1):
-            squared = _squared_fast(points, i, vertices, c)
-            if squared < own:
-                own, chord = squared, c
+            own = min(own, _squared_fast(points, i, vertices, c))
         own = np.sqrt(own)
-        ahead = _along_fast(points, before, i, vertices, chord)
         for side in range(2):
             other = low - 1 if side == 0 else high + 1
             if other < 1 or other > end:
                 continue
             nearer = own - np.sqrt(_squared_fast(points, i, vertices, other))
-            if nearer > same_m or (
-                nearer >= -same_m and _along_fast(points, before, i, vertices, other) > ahead
-            ):
+            if nearer < -same_m:
+                continue
+            if ahead == -np.inf:  # not yet looked for: seldom is a neighbour as near
+                for c in range(low, high + 1):
+                    if np.sqrt(_squared_fast(points, i, vertices, c)) <= own + same_m:
+                        ahead = max(ahead, _along_fast(points, before, i, vertices, c))
+                ahead += _SAME_WAY * _step_m_fast(points, before, i)
+            if nearer > same_m or _along_fast(points, before, i, vertices, other) > ahead:
                 if side == 0:
                     first[i] = other
                 else:
@@ -101,11 +114,15 @@ def chords_under_way(
     own: tuple[IntArray, IntArray],
     commanded: FloatArray | None,
     before: FloatArray | None,
+    resolution_m: float,
 ) -> tuple[IntArray, IntArray]:
     """Return (n,) first and last chord that each command is on, counted from the path's start.
 
     These are the chords of its operation, and a neighbour if the command is nearer to it, or
     equally near and moving along it: a blend round a corner has one operation but follows two.
+    Commands are whole counts, so a difference of less than a count makes no chord the nearer one:
+    a command that ends a fraction of a count beyond the last chord of a retraced line is not on
+    the chord before.
 
     Parameters
     ----------
@@ -117,12 +134,15 @@ def chords_under_way(
         (n, axes) lengths at the tool; None if the command was not recorded.
     before
         (axes,) the command before these; None at the start.
+    resolution_m
+        Length at the tool of one count in every axis.
     """
     first, last = own[0].copy(), np.maximum(*own)
     if commanded is not None and np.isfinite(commanded).all():
         points = np.ascontiguousarray(commanded)
         before = points[0] if before is None else before
-        _refine_fast(points, before, path.vertices, first, last, _SAME_M)
+        same_m = max(resolution_m, _SAME_M)
+        _refine_fast(points, before, path.vertices, first, last, same_m)
     return first + path.first, last + path.first
 
 
