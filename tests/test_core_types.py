@@ -9,7 +9,17 @@ import sys
 from pathlib import Path
 
 import pytest
-from tools.core_types import CORE_TYPES, NEEDS, NUMERICS, ROOT, WHOLE, flags_of, own_core_type, runs
+from tools.core_types import (
+    BROWSED,
+    CORE_TYPES,
+    NEEDS,
+    NUMERICS,
+    ROOT,
+    WHOLE,
+    flags_of,
+    own_core_type,
+    runs,
+)
 
 HERE = flags_of(Path("/proc/cpuinfo").read_text(encoding="utf-8"))
 CPUINFO = "processor\t: 0\nflags\t\t: fpu pni avx fma avx512f\nprocessor\t: 1\nflags\t\t: fpu\n"
@@ -53,6 +63,16 @@ def test_numpy_says_which_core_type_it_has_picked(core: str):
 
 def test_the_folders_are_there():
     assert [name for name in NUMERICS if not (ROOT / "tests" / name).is_dir()] == []
+
+
+def test_only_tests_in_a_browser_are_left_to_the_plain_run():
+    browsed = set(ROOT.glob(BROWSED))
+    using = {
+        file
+        for file in (ROOT / "tests").rglob("test_*.py")
+        if re.search(r"^from tests\.panel\.browsing import", file.read_text("utf-8"), re.MULTILINE)
+    }
+    assert browsed and browsed == using
 
 
 def suite(folder: Path, ci: str, *words: str) -> subprocess.CompletedProcess[str]:

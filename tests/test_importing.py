@@ -79,3 +79,13 @@ def test_a_proof_of_a_part_program_imports_what_it_uses(examples: Path) -> None:
     assert "threadline.twin.simulate" in modules
     assert [m for m in modules if m.removeprefix("threadline.").startswith(foreign)] == []
     assert len(modules) < 230
+
+
+def test_a_process_that_reads_a_drawing_loads_the_geometry_alone() -> None:
+    words = import_and_call("threadline.panel.drawings", "__name__.upper")
+    words += "; import sys; print(*sorted({name.split('.')[1] for name in sys.modules"
+    words += " if name.startswith('threadline.')}))"
+    found = subprocess.run(
+        [sys.executable, "-c", words], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert found == ["base", "errors", "geometry", "panel", "units"]

@@ -22,6 +22,7 @@ from threadline.live.store.index import RunRecord
 from threadline.machine import load_machine
 from threadline.machine.variants import uncertain, variant
 from threadline.machine.vary import vary
+from threadline.proof import worst_search
 from threadline.proof.options import Options
 from threadline.proof.pipeline import (
     REPEATED,
@@ -179,13 +180,24 @@ def test_a_search_ends_at_one_run_that_is_out_of_spec() -> None:
     ("job", "machine", "status"),
     [
         ("x-180.prg", "lathe-winder", 1),
-        ("stitcher-test-path.seam.toml", str(EXAMPLES / "stitcher-75-place.toml"), 1),
+        ("stitcher-test-path.seam.toml", "exact.toml", 1),
         ("x-180.prg", "stepper-winder", 0),
     ],
 )
 def test_the_file_of_the_worst_machine_gives_its_figure_to_the_bit(
-    job: str, machine: str, status: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    job: str,
+    machine: str,
+    status: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Of a search among few machines, whichever it finds; each dead time would ask for a kernel."""
+    base, exact = EXAMPLES / "stitcher-75-place.toml", 'delay = "3 ms exact, printed"'
+    monkeypatch.chdir(tmp_path)
+    Path("exact.toml").write_text(f'base = "{base}"\n[drives.x]\n{exact}\n[drives.y]\n{exact}\n')
+    monkeypatch.setattr(worst_search, "SEARCHED", 60)
+    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 10)
     file = tmp_path / "deep" / "worst.toml"
     words = ["prove", str(EXAMPLES / job), "-m", machine]
     with pytest.raises(SystemExit) as ended:

@@ -45,6 +45,8 @@ from threadline.machine.par import read_parameters
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.units import parse_exact_time_s, parse_quantity
 from threadline.verdict import load_spec
+from threadline.winding.other_planners import meridian_of
+from threadline.winding.product import product_text
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
@@ -158,6 +160,11 @@ def read_move_list(path: Path) -> None:
         pass
 
 
+def read_control_file(path: Path) -> None:
+    (path.parent / "made.pay").write_bytes(_PAY)
+    product_text(path)
+
+
 def read_quantity(path: Path) -> None:
     """Read a quantity as each kind; refused when it is none of them."""
     text = path.read_bytes().decode("utf-8", "replace")
@@ -207,6 +214,11 @@ READERS: dict[str, Reader] = {
     "seam-csv": Reader("a.csv", seam_file("seam-csv"), read_seam_job, 1),
     "seam-svg": Reader("a.svg", seam_file("seam-svg"), read_seam_job, 1),
     "seam-dxf": Reader("a.dxf", seam_file("seam-dxf"), read_seam_job, 1),
+    "product": Reader("a.wind.toml", seam_file("product"), product_text, 4),
+    "wind": Reader("a.wind", seam_file("wind"), product_text, 4),
+    "fib": Reader("a.fib", seam_file("fib"), meridian_of, 8),
+    "pay": Reader("a.pay", seam_file("pay"), product_text, 4),
+    "ctl": Reader("a.ctl", seam_file("ctl"), read_control_file, 4),
     **{name: Reader(*target) for name, target in fuzz_targets(mutate).items()},
     **{name: Reader(*target) for name, target in fuzz_recordings().items()},
     **{name: Reader(*target) for name, target in fuzz_metamorphic().items()},
@@ -223,7 +235,38 @@ comment
 20  ; Number of interrupts after which actual positions are recorded
 4   ; Number of knot points to be interpolated between two points
 """
+_FIB = b"""    16
+ MADE.MND
+    24
+     4
+    1  -120.0000      .0000    30.0000   .0000000  1.0000000   .0000000
+    2  -110.0000    20.0000    40.0000   .2672612   .8017837  -.5345225
+   24      .0000    50.0000    10.0000   .6000000   .1568926  -.7844629
+   55    10.0733    51.5000      .0000   .6577299   .0983193  -.7468095
+"""
+_PAY = b"""    22 0 1 1 1 1 1
+ MADE.MND
+    42    24   .120000E+02   .250000E+01   .160072E+02
+     2
+  -120.000      .000    30.000  .0000000 1.0000000  .0000000  .0000000  .0000000 -1.000000
+  -119.000    60.000    31.000    61.000
+   10.0000    51.500      .000  .6577299  .0983193 -.7468095  .0000000  .0000000  .0000000
+    60.000    70.000    -30.00    65.000
+"""
+_WIND = (
+    b'{"schemaVersion": "1.3", "mandrelParameters": {"diameter": 98.0, "windLength": 120, %s}, '
+    b'"towParameters": {"width": 6, "thickness": 0.5}, "defaultFeedRate": 9000, "layers": '
+    b'[{"windType": "helical", "windAngle": 30, "patternNumber": 3}, {"windType": "hoop"}]}'
+)
 SEEDS: dict[str, list[bytes]] = {
+    "product": [p.read_bytes() for p in sorted(EXAMPLES.glob("*.wind.toml"))],
+    "wind": [
+        _WIND % more
+        for more in (b'"endDiameter": 54', b'"profile": {"type": "vonKarman"}', b'"other": 1')
+    ],
+    "fib": [_FIB],
+    "pay": [_PAY],
+    "ctl": [b" 1\n MADE.PAY 2\n", b"C:\\WIND\\A.PAY, 1, 20.0, 2\nb.pay\n"],
     "part-program": [p.read_bytes() for p in sorted((ROOT / "examples").glob("*.prg"))]
     + [
         b"N1 G21\nN2 G90\nN3 G94\nN4 G1 A0.5 X50.0 F500.0 ; tension_N=25.0\nG28 X1\nG4 P.5\nM5\nM30"

@@ -279,6 +279,8 @@ def check_recording(path: Path) -> None:
         recording = at_twice_the_rate(recording)
     if not whole and rng.random() < 0.5:
         recording = told_otherwise(rng, recording)
+    # With velocities the way between two samples is no straight line.
+    bowed = any(channel.kind is ChannelKind.VELOCITY for channel in recording.channels)
     rows = _rows(kept.seed, recording, spec)
     known = {key for key, _, _ in rows}
     assert known == set(must), f"criteria {known ^ set(must)} in one of the two alone"
@@ -287,6 +289,8 @@ def check_recording(path: Path) -> None:
         if twice and not turns and key[0] not in _AT_TWICE_THE_RATE:
             continue
         if twice and kept.seed.facts.switched and key[0] in _BY_SWITCHINGS:
+            continue
+        if twice and key[0] == "contour_error" and bowed:
             continue
         off = values - kept.measured[key]
         small = SAME * abs(kept.measured[key]) + 1e-10

@@ -18,7 +18,7 @@ from tools.fuzz_rewritten import DIALECTS, Style, moves_of, style_of, text_of
 
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
-from threadline.machine.parts import eye_within
+from threadline.machine.tool import eye_within
 from threadline.motion.path import programmed_path
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, prove

@@ -7,28 +7,26 @@ the words of the command line, with the same defaults: ``option_table`` declares
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial, wraps
+from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any
 
 from threadline.base.arguments import checked
 from threadline.base.arrays import FloatArray
 from threadline.base.option_defaults import DEFAULT_INTERPOLATION
 from threadline.base.wording import plain
-from threadline.errors import OptionError, ThreadlineError
+from threadline.errors import OptionError
 from threadline.files.recording import columns_of
 from threadline.machine import Machine
 from threadline.motion.timing.retime import retime
 from threadline.proof.asked import (
     Words,
-    as_arguments,
     check_target,
     chosen_machine,
-    python_type,
+    with_options,
     with_radii_of,
 )
 from threadline.proof.option_form import Door, Word
@@ -246,40 +244,6 @@ class FastestResult:
 
 __all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
 
-VerbT = TypeVar("VerbT", bound=Callable[..., object])
-
-
-def _with_options(function: VerbT) -> VerbT:
-    """Give a function the signature that lists every option of its verb, with its default.
-
-    Its errors name arguments of the function where the command line names options.
-    """
-
-    @wraps(function)
-    def verb(*positional: Any, **named: Any) -> object:
-        try:
-            return function(*positional, **named)
-        except ThreadlineError as error:
-            error.message, error.remedy = as_arguments(error.message), as_arguments(error.remedy)
-            error.args = (error.message, *error.args[1:])
-            raise
-
-    own = inspect.signature(function)
-    first = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
-    listed = [
-        inspect.Parameter(
-            one.word,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=one.default_of(verb.__name__),
-            annotation=python_type(one, verb.__name__),
-        )
-        for one in options_for(verb.__name__, Door.PYTHON)
-        if one.word not in own.parameters
-    ]
-    verb.__signature__ = own.replace(parameters=[*first, *listed])  # type: ignore[attr-defined]
-    verb.words = tuple(one.name for one in listed)  # type: ignore[attr-defined]
-    return cast(VerbT, verb)
-
 
 @checked
 def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Machine:
@@ -303,7 +267,7 @@ def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Ma
     return chosen_machine(machine, par)
 
 
-@_with_options
+@with_options
 @checked
 def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     """Plan a job, simulate it on the machine, and judge it.
@@ -331,7 +295,7 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     return Proved(prove_job(Path(job), chosen, spec, options, None, trials, asked.actual()))
 
 
-@_with_options
+@with_options
 @checked
 def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> FastestResult:
     """Find the fastest way to do a job in spec.
@@ -376,7 +340,7 @@ def _prove_again(
     return prove(job, machine, **{**kept, **words})
 
 
-@_with_options
+@with_options
 @checked
 def compare(
     job: PathLike,
@@ -425,7 +389,7 @@ def compare(
     )
 
 
-@_with_options
+@with_options
 @checked
 def judge(
     recordings: PathLike | Sequence[PathLike],
@@ -461,7 +425,7 @@ def judge(
     return Answer(judge_files([Path(file) for file in files], asked, job=named, machine=machine))
 
 
-@_with_options
+@with_options
 @checked
 def compile(
     job: PathLike,

@@ -378,3 +378,36 @@ def test_a_recording_and_a_report_are_stages_of_their_own(
         "drawing the report",
     ]
     assert said["drawing the report"] == 0.0
+
+
+def test_a_compilation_says_what_it_is_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(output, "at_work", lambda stage, *_, **__: said.append(stage))
+    words = [*PROVE[1:], "--target", "csv", "-o", tmp_path / "x.csv"]
+    assert PROVE[0] == "prove"
+    with pytest.raises(SystemExit):
+        main(["compile", *map(str, words)])
+    assert said == ["planning", "writing and reading back"]
+
+
+def test_the_bar_says_how_far_planning_is_and_no_share_that_nobody_knows() -> None:
+    """A stage of unknown share has no percentage; planning has the motion so far instead."""
+    ours, theirs = pty.openpty()
+    program = (
+        "import time\n"
+        "from threadline.base.progress import PLANNING\n"
+        "from threadline.cli.on_terminal import bar_on_terminal\n"
+        "with bar_on_terminal() as update:\n"
+        "    PLANNING.reach(12.5)\n"
+        "    update('planning', 0.0)\n"
+        "    time.sleep(1.4)\n"
+        "    update('simulating', 0.25)\n"
+        "    time.sleep(0.4)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], stderr=theirs, check=True)
+    shown = os.read(ours, 65536).decode()
+    os.close(ours)
+    os.close(theirs)
+    planning, simulating = shown.split("simulating", 1)
+    assert "planning, 12.5 s of motion so far" in planning and "%" not in planning
+    assert "25%" in simulating

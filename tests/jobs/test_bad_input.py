@@ -9,7 +9,7 @@ import pytest
 from threadline.errors import BudgetError, InputError, JobError, MachineError, OptionError
 from threadline.jobs import Job, read_job, read_part_program
 from threadline.machine import load_machine
-from threadline.machine.parts import eye_within
+from threadline.machine.tool import eye_within
 
 MACHINE = load_machine("lathe-winder")
 

@@ -16,7 +16,7 @@ from threadline.errors import JobError, OptionError
 from threadline.jobs import Dwell, Feed, FeedMode, Job, Move, Stop, ToolEvent, read_job
 from threadline.jobs.operations import MoveRun
 from threadline.machine import Machine, load_machine
-from threadline.machine.parts import eye_within
+from threadline.machine.tool import eye_within
 
 MACHINE = load_machine("lathe-winder")
 

@@ -10,10 +10,18 @@ import pystitch
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pystitch import EmbThreadJef, EmbThreadPec
+from tools import fuzz_designs
 
 from threadline.errors import JobError, Place
+from threadline.jobs.embroidery.job import read_design
 from threadline.jobs.embroidery.pes import read_pes
 from threadline.jobs.embroidery.records import UNIT_M, Act, read_records
+from threadline.jobs.embroidery.threads import hus_threads
+from threadline.jobs.operations import Thread
+from threadline.machine import load_machine
+
+FRAME = load_machine("schiffli-frame")
 
 WRITTEN = {
     "dst": {},
@@ -105,6 +113,64 @@ def test_a_thread_of_vp3_may_begin_on_an_axis(tmp_path: Path) -> None:
     file = tmp_path / "a.vp3"
     pystitch.write(pattern, str(file))
     assert once(read_back(file)) == once([(float(x), float(y)) for x, y in places])
+
+
+# --- threads --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", [".pes", ".pec", ".jef", ".xxx", ".vp3"])
+def test_each_block_has_the_thread_that_the_file_says(ending: str, tmp_path: Path) -> None:
+    """pystitch writes the file, with colours that its palette has."""
+    palette = (EmbThreadJef if ending == ".jef" else EmbThreadPec).get_thread_set()
+    first, second = palette[5], palette[20]
+    pattern = pystitch.EmbPattern()
+    pattern.add_thread(first)
+    pattern.add_thread(second)
+    for act, x, y in ((pystitch.STITCH, 40, 20), (pystitch.STITCH, 60, 20)):
+        pattern.add_stitch_absolute(act, x, y)
+    pattern.add_command(pystitch.COLOR_CHANGE)
+    for act, x, y in ((pystitch.STITCH, 10, 20), (pystitch.STITCH, 10, 60)):
+        pattern.add_stitch_absolute(act, x, y)
+    pattern.end()
+    file = tmp_path / f"a{ending}"
+    pystitch.write(pattern, str(file))
+    threads = read_design(file, machine=FRAME).threads
+    assert [one and one.rgb for one in threads] == [first.hex_color(), second.hex_color()]
+    if ending != ".xxx":  # the format has no names
+        assert [one and one.name for one in threads] == [first.description, second.description]
+
+
+def test_a_hus_file_names_its_threads() -> None:
+    """No program that writes the format is at hand: indices behind the header of a made file.
+
+    An index that the palette does not have is no thread.
+    """
+    content = bytearray(fuzz_designs.hus_seed())
+    struct.pack_into("<I", content, 8, 3)
+    content[42:42] = struct.pack("<3H", 3, 12, 999)
+    for at in (20, 24, 28):  # the columns are behind the indices
+        struct.pack_into("<I", content, at, struct.unpack_from("<I", content, at)[0] + 6)
+    found = hus_threads(bytes(content), Place("a.hus"))
+    assert found == [Thread("#ff0000", "Red"), Thread("#ffffff", "White"), None]
+
+
+def test_dst_has_threads_where_its_header_does(tmp_path: Path) -> None:
+    pattern, _ = pattern_of([Way("stitch", 40, 20), Way("stitch", 20, 0)])
+    pattern.threadlist[0].description = "Poppy"
+    bare, full = tmp_path / "bare.dst", tmp_path / "full.dst"
+    pystitch.write(pattern, str(bare))
+    pystitch.write(pattern, str(full), {"extended header": True})
+    assert read_design(bare, machine=FRAME).threads == (None,)
+    assert read_design(full, machine=FRAME).threads == (Thread("#ff0000", "Poppy"),)
+
+
+def test_a_thread_change_before_the_first_stitch_begins_no_block(tmp_path: Path) -> None:
+    """The block has the thread that was changed to: here the second of red and lime green."""
+    file = tmp_path / "a.pes"
+    change = b"\xfe\xb0\x02"
+    stitches = b"".join(number(units) for units in (0, 0, 30, 0))
+    file.write_bytes(pes(change + stitches + b"\xff", colours=b"\x05\x0e"))
+    assert read_design(file, machine=FRAME).threads == (Thread("#70bc1f", "Lime Green"),)
 
 
 # --- PES, written from its description ------------------------------------------------------------

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from tools import machine_reference as reference
 
 from threadline.dynamics.analysis import unstable_loops
 from threadline.dynamics.suspicions import suspicions
@@ -13,147 +14,59 @@ from threadline.machine import load_machine
 from threadline.machine.numbers import field_node, plain_node
 from threadline.machine.quantity import Provenance
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "machines.md"
-TEXT = DOCUMENT.read_text(encoding="utf-8")
-OURS = {"sha256", "file", "reference", "parameters"}
-CONTROLLERS = tuple(field_node(("controllers", "x"))["discriminator"]["mapping"])
-
-PARTS = {
-    "Top of the file": ("",),
-    "`[bodies.NAME]`": ("bodies.x",),
-    "`[links.NAME]`": ("links.x",),
-    "`eccentric` of a link": ("links.x.eccentric",),
-    "`[drives.NAME]`, motor with a loop": ("drives.x.dc-motor",),
-    "`[drives.NAME]`, stepper": ("drives.x.stepper",),
-    "`winding` of a stepper": ("drives.x.stepper.winding",),
-    "`[drives.NAME]`, pulse servo": ("drives.x.pulse-servo",),
-    "`[drives.NAME]`, kinematic": ("drives.x.kinematic",),
-    "`amplifier` of a drive": ("drives.x.dc-motor.amplifier",),
-    "`[sensors.NAME]`": ("sensors.x.encoder",),
-    "`[sensors.NAME]`, potentiometer": ("sensors.x.potentiometer",),
-    "`[controllers.NAME]`": tuple(f"controllers.x.{kind}" for kind in CONTROLLERS),
-    "`dac` of a controller": ("controllers.x.pd.dac",),
-    "`[axes.X]`": ("axes.X",),
-    "`profile` of an axis": ("axes.X.profile",),
-    "`[path]`": ("path",),
-    "`[inputs.NAME]`": ("inputs.x",),
-    "`[tool]`": ("tool",),
-    "`turn` to `roll` of an eye": tuple(
-        f"tool.{part}" for part in ("turn", "along", "across", "up", "yaw", "roll")
-    ),
-    "`payout` of an eye": ("tool.payout",),
-    "`[tolerances]`": ("tolerances",),
-    "`[guide]`": ("guide",),
-    "`[guide.connectors.NAME]`": ("guide.connectors.x",),
-    "`[programs]`": ("programs",),
-    "`[planner]`, grbl and FluidNC": ("planner.grbl",),
-    "`[planner]`, Marlin": ("planner.marlin",),
-    "`[planner]`, Klipper": ("planner.klipper",),
-    "`[planner]`, RepRapFirmware": ("planner.reprapfirmware",),
-    "`[planner]`, LinuxCNC": ("planner.linuxcnc",),
-    "`[operator]`": ("operator",),
-    "`[cylinders.X]`": ("cylinders.X",),
-    "`forward` and `back` of a cylinder": ("cylinders.X.forward", "cylinders.X.back"),
-    "`cushion` of a cylinder": ("cylinders.X.cushion",),
-    "`[outputs]`": ("outputs.x",),
-    "`[contacts]`": ("contacts.x",),
-    "`[plc]`": ("plc",),
-    "`[shaft]`": ("shaft",),
-    "`[tables]`": ("tables",),
-    "`[design]`: its tables": ("design",),
-    "`[design.parameters.NAME]`": ("design.parameters.x",),
-    "`[design.settings]`": ("design.settings",),
-    "`[design.known.NAME]`": ("design.known.x",),
-}
+TEXT = (reference.PAGE.parent / "machines.md").read_text(encoding="utf-8")
+KEYS = reference.PAGE.read_text(encoding="utf-8")
 
 
-def sections() -> dict[str, str]:
-    """Return the text under each heading of the third level."""
-    parts = re.split(r"^#{2,3} (.+)$", TEXT, flags=re.MULTILINE)
-    return dict(zip(parts[1::2], parts[2::2], strict=True))
+def section(heading: str) -> str:
+    """Return the text under a heading of the document."""
+    parts = re.split(r"^## (.+)$", TEXT, flags=re.MULTILINE)
+    return dict(zip(parts[1::2], parts[2::2], strict=True))[heading]
 
 
-def rows(heading: str) -> dict[str, list[str]]:
-    """Return the rows of the tables of a section that have four columns, by their key."""
-    found = {}
-    for line in sections()[heading].splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("| `") and len(cells) == 4:
-            found[cells[0].strip("`")] = cells
-    return found
-
-
-def model(heading: str) -> tuple[dict[str, dict], set[str]]:
-    """Return the keys of a part with what may stand there, and those that must be there."""
-    keys: dict[str, dict] = {}
-    required: set[str] = set()
-    for place in PARTS[heading]:
-        node = field_node(tuple(place.split(".")) if place else ())
-        keys |= {k: v for k, v in node["properties"].items() if place or k not in OURS}
-        required |= set(node.get("required", []))
-    return keys, required
-
-
-def units_of(node: dict) -> list[str]:
-    """Return the units of a key, or of what its table or list holds."""
-    node = plain_node(node)
-    if "x-units" in node:
-        return node["x-units"]
-    inner = [*node.get("patternProperties", {}).values(), node.get("additionalProperties")]
-    inner += [node.get("items"), *node.get("prefixItems", [])]
-    return [unit for entry in inner if isinstance(entry, dict) for unit in units_of(entry)]
-
-
-@pytest.mark.parametrize("heading", PARTS)
-def test_every_key_has_its_row(heading: str) -> None:
-    keys, required = model(heading)
-    written = rows(heading)
-    assert set(written) == set(keys)
-    for key, cells in written.items():
-        assert cells[1]
-        assert (cells[3] == "required") == (key in required), key
-        for unit in units_of(keys[key]):
-            assert (unit or "plain number") in cells[2].split(", "), key
+def test_the_tables_of_keys_are_those_of_the_declarations() -> None:
+    """``python -m tools.machine_reference`` writes them; each key says what it is."""
+    made = reference.page(KEYS)
+    assert made == KEYS
+    rows = [line.split(" | ") for line in made.splitlines() if line.startswith("| `")]
+    assert [row[0] for row in rows if len(row) == 4 and not row[1].strip()] == []
+    row = "| `stiction` | Force at breakaway, at least `friction` | N, N*m | `friction` |"
+    assert row in made.partition("keys of bodies.x -->")[2].partition("end of keys")[0]
 
 
 def test_no_part_of_a_machine_is_left_out() -> None:
-    """Each table that the model of a machine has is one of those above."""
-    described = {place for places in PARTS.values() for place in places}
+    """Each table that the model of a machine has is in the reference."""
 
     def tables(place: str, node: dict) -> set[str]:
         node = plain_node(node)
+        node = plain_node(node.get("items", node))
         found = {place} if node.get("properties") and place else set()
         for key, value in node.get("properties", {}).items():
-            if place or key not in OURS:
+            if place or key not in reference.NOT_IN_THE_FILE:
                 found |= tables(f"{place}.{key}".strip("."), value)
         inner = [*node.get("patternProperties", {}).values(), node.get("additionalProperties")]
         for entry in inner:
             if isinstance(entry, dict):
                 name = "X" if place in {"axes", "cylinders"} else "x"
                 found |= tables(f"{place}.{name}", entry)
-        for kind, reference in node.get("discriminator", {}).get("mapping", {}).items():
-            found |= tables(f"{place}.{kind}", {"$ref": reference})
+        for kind, target in node.get("discriminator", {}).get("mapping", {}).items():
+            found |= tables(f"{place}.{kind}", {"$ref": target})
         return found
 
     every = tables("", field_node(()))
     every = {re.sub(r"^(controllers\.x)\.[\w-]+\.dac$", r"\1.pd.dac", place) for place in every}
-    assert every == described - {""}
+    assert every == set(reference.places(KEYS)) - {"machine"}
 
 
-def test_every_choice_and_provenance_is_named() -> None:
-    for heading in PARTS:
-        for key, node in model(heading)[0].items():
-            plain = plain_node(node)
-            for choice in plain.get("enum", [plain["const"]] if "const" in plain else []):
-                assert f"`{choice}`" in sections()[heading], (heading, key)
+def test_every_provenance_is_named() -> None:
     for word in Provenance:
-        assert f"`{word.value}`" in sections()["Numbers"]
+        assert f"`{word.value}`" in section("Numbers")
 
 
 @pytest.fixture
 def small_winder(tmp_path: Path) -> Path:
     """The example of the document as a file."""
-    (block,) = re.findall(r"```toml\n(.*?)```", sections()["A small winder, whole"], re.DOTALL)
+    (block,) = re.findall(r"```toml\n(.*?)```", section("A small winder, whole"), re.DOTALL)
     file = tmp_path / "small-winder.toml"
     file.write_text(block, encoding="utf-8")
     return file

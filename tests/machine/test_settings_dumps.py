@@ -88,6 +88,13 @@ TERMINALS: dict[str, Callable[[str], bytes]] = {
     "Arduino": each(lambda line: f"16:52:24.183 -> {line}"),
     "in brackets": each(lambda line: f"[12:31:07] {line}"),
     "client": each(lambda line: f"serial> {line}"),
+    "port": each(lambda line: f"COM3: {line}"),
+    "printer": each(lambda line: f"[PRINTER] {line}"),
+    "logger": each(lambda line: f"2021-08-01 11:12:13,456 INFO {line}"),
+    "journal": each(lambda line: f"Nov 29 12:03:44 pi sender[812]: {line}"),
+    "numbered": lambda text: "".join(
+        f"{number:4d}\t{line}\n" for number, line in enumerate(text.splitlines(), 1)
+    ).encode(),
     "quoted": each(lambda line: f"│ {line}"),
     "mark": lambda text: codecs.BOM_UTF8 + text.encode(),
     "wide": lambda text: text.encode("utf-16"),

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from threadline.motion.shaping.onoff.flow_levels import (
-    FlowMove,
-    flow_command,
-    least_scans,
-    shortest_flow_command,
-)
+from threadline.motion.shaping.onoff.flow_levels import FlowMove, least_scans
+from threadline.motion.shaping.onoff.flow_search import flow_command, shortest_flow_command
 from threadline.motion.shaping.onoff.switched import Valves
 from threadline.search.move_commands import time_optimal_s
 
@@ -108,3 +104,49 @@ def test_the_bound_without_a_band_is_the_time_optimum() -> None:
 def test_nothing_is_found_where_there_is_no_room() -> None:
     assert flow_command(flow_move(0.01), 48) is None
     assert least_scans(flow_move(1e-6), 50) is None
+
+
+def test_a_quick_mode_of_a_gantry_has_commands_that_are_not_symmetric() -> None:
+    """10.9 Hz, 300 ms of flow, valves that rest 20 ms, a step of flow rings 7.7 times the limit.
+
+    An integer program of symmetric commands ended without one 3 scans above the bound of 70 scans.
+    The command is judged by an integrator at frequencies between the searched ones.
+    """
+    turning = 2.0 * np.pi * 10.9 * (-0.021 + 1j)
+    move = FlowMove(
+        on_scans=60.0,
+        valves=Valves(flows=(0.6, 0.4)),
+        dwell_scans=4,
+        turns=np.exp(turning * np.linspace(0.8, 1.2, 33) * 0.005),
+        most=np.full(33, 0.13),
+    )
+    least = least_scans(move, 200)
+    assert least is not None
+    command = shortest_flow_command(move, least + 8, least + 16)
+    assert command is not None
+    assert any(
+        command.levels[:-1] != command.levels[-2::-1] or a + b != command.scans
+        for a, b in zip(command.ticks, command.ticks[::-1], strict=True)
+    )
+    worst = max(
+        integrated(command.ticks, command.levels, turning * part * 0.5)
+        for part in np.linspace(0.81, 1.19, 9)
+    )
+    assert worst <= 0.13 * 1.01
+    assert Valves(flows=(0.6, 0.4)).apart(command.ticks, command.levels) >= 4
+
+
+def test_levels_that_two_sets_of_flow_controls_make_keep_the_dwell_too() -> None:
+    """Two alike: a level of 0.5 names the first of them, whichever the search had opened."""
+    alike = Valves(flows=(0.5, 0.5))
+    assert alike.apart((0, 2, 6, 9), (0.5, 1.0, 0.5, 0.0)) == 4
+    move = FlowMove(
+        on_scans=46.5,
+        valves=alike,
+        dwell_scans=4,
+        turns=np.exp(POLE * BAND[5:16] * SCAN_S),
+        most=np.full(11, 0.3),
+    )
+    command = shortest_flow_command(move, 60, 70)
+    assert command is not None
+    assert alike.apart(command.ticks, command.levels) >= 4

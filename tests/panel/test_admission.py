@@ -23,7 +23,7 @@ from starlette.websockets import WebSocketDisconnect
 from tests.panel.bench import LOCAL, PROGRAM, Operator, operator, served
 from threadline.errors import InputError, JobError, OptionError
 from threadline.machine import load_machine
-from threadline.machine.parts import Tool
+from threadline.machine.tool import Tool
 from threadline.panel import admission, server
 from threadline.panel.admission import Admission, PromptHttp
 from threadline.panel.programs import planned, program_names, program_path, take_program

@@ -21,7 +21,7 @@ from threadline.geometry.svg.document import ValueRefused
 from threadline.geometry.svg.paths import Subpath, path_subpaths
 from threadline.panel import drawn as drawn_apart
 from threadline.panel.calculation import answer_of
-from threadline.panel.drawn import Lettering, Shape, dxf, opened, outlines, shapes_of
+from threadline.panel.drawings import Lettering, Shape, dxf, opened, outlines, shapes_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SHAPES = [

@@ -19,6 +19,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from tests.panel.bench import LOCAL, PROGRAM, Operator, operator, served
 from tests.panel.from_schema import values
+from threadline.panel import drawings, drawn
 from threadline.panel.protocol import ServerMessage
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "panel-protocol.json").read_text("utf-8"))
@@ -29,6 +30,21 @@ FUZZED = settings(
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
+
+
+async def answer_here(*words: str, sent: bytes, longest_s: float) -> tuple[int, bytes, bytes]:
+    """What the process that reads a drawing answers; ``test_drawn.py`` starts such processes."""
+    if "\0" in words[-1]:
+        raise ValueError("embedded null byte")  # as no process can be given
+    status, said = drawings.answered(words[-2], words[-1], sent)
+    return status, said, said
+
+
+@pytest.fixture(scope="module", autouse=True)
+def drawings_are_read_here() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(drawn, "answer_of", answer_here)
+        yield
 
 
 @pytest.fixture(scope="module")

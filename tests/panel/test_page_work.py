@@ -26,7 +26,7 @@ from tests.panel.test_panel_killed import Plant
 from threadline.files.formats import read_recording
 from threadline.jobs.operations import Move
 from threadline.machine import load_machine
-from threadline.panel.drawn import shapes_of
+from threadline.panel.drawings import shapes_of
 from threadline.panel.thinned_traces import thinned
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job

@@ -30,6 +30,7 @@ from threadline.search.choices import (
 )
 from threadline.search.least_times import least_on_any_path, shortened_way
 from threadline.search.question import question_of
+from threadline.search.until import Until
 from threadline.verdict import Result, Status, Verdict, load_spec
 from threadline.verdict.contour import POINT_MISSED
 
@@ -187,3 +188,26 @@ def test_a_few_plans_are_faster_than_any_with_the_options_by_default() -> None:
     durations = [rung.duration_s for rung in found.of.rungs if rung.duration_s]
     assert durations == sorted(durations, reverse=True)
     assert found.plan().duration_s == found.duration_s
+
+
+@pytest.mark.usefixtures("few")
+def test_a_search_ends_in_a_reasonable_time_and_says_what_it_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With a deadline of its own it goes on that long."""
+    monkeypatch.setattr(chosen_plans, "PROCESSOR_S", 6e-5)
+    words = {"interpolation": "optimal", "tolerance": "0.1 mm", "outside": "0 mm"}
+    asked = question_of(
+        Words.of("fastest", Door.PYTHON, words), EXAMPLES / "x-180.prg", "lathe-winder"
+    )
+    shares: list[float] = []
+    until = Until()
+    found = answered(replace(asked, until=until, progress=lambda _, share: shares.append(share)))
+    assert found.duration_s is not None
+    assert found.of.left == 3
+    assert until.ended == "after 1e-06 min of processor time"
+    assert shares == sorted(shares)
+
+    whole = answered(replace(asked, until=Until.within(600.0)))
+    assert whole.of.left == 0
+    assert len(whole.of.rungs) > len(found.of.rungs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import product
 from pathlib import Path
 from time import process_time
 
@@ -29,7 +29,7 @@ from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import REPEATED, open_job, plan_job, prove
-from threadline.report.lines import stitch_rows, thread_m
+from threadline.report.lines import stitch_rows
 from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")
@@ -325,14 +325,25 @@ def test_what_is_said_beside_a_plan_is_true_of_a_plan_of_one_speed(examples: Pat
 
 
 def test_the_thread_of_a_design_is_the_length_of_its_stitches(examples: Path) -> None:
-    """As the holes that pystitch reads lie apart."""
+    """As the holes that pystitch reads lie apart; a thread change ends a thread."""
     read = pystitch.read(str(examples / "rosette.dst")).stitches
-    holes = [(x, y) for x, y, command in read if command & 0xFF == pystitch.STITCH]
-    total = sum(math.dist(one, two) for one, two in pairwise(holes))
+    threads: list[list[tuple[float, float]]] = [[]]
+    for x, y, command in read:
+        if command & 0xFF == pystitch.COLOR_CHANGE:
+            threads.append([])
+        if command & 0xFF == pystitch.STITCH:
+            threads[-1].append((x, y))
+    lengths = [1e-4 * sum(map(math.dist, holes, holes[1:])) for holes in threads if holes]
+    assert len(lengths) == 2
     job = read_job(examples / "rosette.dst", MACHINE)
     plan = plan_job(job, MACHINE, replace(Options(), feed=parse_feed("150 stitch/min")))
-    assert thread_m(plan) == pytest.approx(1e-4 * total, rel=1e-6)
-    assert f"{thread_m(plan):.4g} m on the upper side" in dict(stitch_rows(plan))["Thread"]
+    sewn = plan.stitched.sewn
+    assert [one.thread_m for one in sewn] == pytest.approx(lengths, rel=1e-6)
+    assert sum(one.duration_s for one in sewn) == pytest.approx(plan.duration_s, rel=1e-6)
+    assert [one.stitches for one in sewn] == [len(holes) for holes in threads if holes]
+    rows = dict(stitch_rows(plan))
+    assert f"{sum(lengths):.4g} m on the upper side" in rows["Thread"]
+    assert f"2 of unknown colour, {lengths[1]:.4g} m" in rows["Threads"]
 
 
 @pytest.mark.parametrize("feed", ["200 stitch/min", "9 stitch/min"])

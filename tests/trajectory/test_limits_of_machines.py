@@ -11,8 +11,8 @@ from threadline.errors import LimitError, MachineError
 from threadline.files import Stream
 from threadline.machine import load_machine
 from threadline.machine.load import library_file
-from threadline.machine.path_limits import PathLimits
 from threadline.machine.quantity import Provenance, Quantity
+from threadline.machine.tool import PathLimits
 from threadline.machine.vary import derate
 from threadline.motion.laws import shortest_move
 from threadline.motion.path import plan_path

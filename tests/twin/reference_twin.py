@@ -36,7 +36,10 @@ class Loop:
 
 
 def difference(controller) -> tuple[tuple[float, float, float], tuple[float, float]]:
-    """Give ``b``, ``a`` of ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''`` (docs/machines.md)."""
+    """Give ``b``, ``a`` of ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''``.
+
+    docs/machine-file.md has the laws.
+    """
 
     def gain(name):
         return getattr(controller, name).si

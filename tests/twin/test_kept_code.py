@@ -13,10 +13,8 @@ import pytest
 from llvmlite import ir
 
 from threadline.twin.kernel import compiler as compiling
-from threadline.twin.kernel import kept_code as kept
 from threadline.twin.kernel import run
-from threadline.twin.kernel.compiler import Compiler
-from threadline.twin.kernel.kept_code import KeptCode
+from threadline.twin.kernel.compiler import Compiler, KeptCode
 from threadline.twin.kernel.shape import Shape
 
 INTEGER = ir.IntType(64)
@@ -90,7 +88,7 @@ def test_where_nothing_can_be_written_it_is_made_each_time(tmp_path: Path) -> No
 def test_what_was_not_asked_for_the_longest_goes_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kept, "MOST", 2)
+    monkeypatch.setattr(compiling, "MOST", 2)
     code = KeptCode(tmp_path)
     for age, name in ((9, "old"), (8, "asked for")):
         code.write(name, name.encode())

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
 
 from threadline.errors import OptionError
 from threadline.machine.load import load_machine
@@ -18,16 +19,19 @@ KT, KE, R = 0.082, 8.6 / (1000 * 2 * np.pi / 60), 0.4
 
 
 def reference_winder(rows, inertia, limit, quantised, gain=0.45, kp=2.0, kd=4.0):
-    """Integrate one axis of the winder tick by tick with DOP853; return (n,) angles in rad.
+    """Integrate one axis of the winder tick by tick with DOP853.
+
+    Return (n,) angles in rad, (n,) speeds, and (n, 3) angles at the quarters of each tick.
 
     The clipped current is a function of the speed, continuous with a kink; the kinks are events
     at which the integration starts anew, so that its order holds.
     """
     theta = omega = 0.0
     reference, previous_error, previous_level = 0.0, 0.0, 0.0
-    angles = []
+    angles, speeds, between = [], [], []
     for row in rows:
         angles.append(theta)
+        speeds.append(omega)
         read = theta * COUNTS
         if quantised:
             read = np.floor(read + 0.5)
@@ -52,32 +56,49 @@ def reference_winder(rows, inertia, limit, quantised, gain=0.45, kp=2.0, kd=4.0)
             return (volts - KE * y[1]) / R + limit
 
         kinks.terminal = kinks_low.terminal = True
-        at = 0.0
+        at, quarters = 0.0, []
         while at < TICK:
             events = [e for e in (kinks, kinks_low) if abs(e(0, [theta, omega])) > 1e-9]
             done = solve_ivp(
-                slope, (at, TICK), [theta, omega], "DOP853", rtol=1e-12, atol=1e-13, events=events
-            )
+                slope, (at, TICK), [theta, omega], "DOP853", rtol=1e-12, atol=1e-13,
+                events=events, dense_output=True,
+            )  # fmt: skip
+            while len(quarters) < 3 and (len(quarters) + 1) * TICK / 4 <= done.t[-1]:
+                quarters.append(done.sol((len(quarters) + 1) * TICK / 4)[0])
             theta, omega = done.y[:, -1]
             at = done.t[-1]
+        between.append(quarters)
         reference += row
-    return np.array(angles)
+    return np.array(angles), np.array(speeds), np.array(between)
 
 
 @pytest.mark.parametrize("feed", [10, 80])
 @pytest.mark.parametrize("quantised", [True, False])
 def test_winder_follows_integrator(feed, quantised, table, there_and_back):
-    """Within 1e-6 rad (2e-8 m) without quantisers, within one count with them; saturated at 80."""
+    """Within 1e-6 rad (2e-8 m) without quantisers, within one count with them; saturated at 80.
+
+    So are velocities, and the cubic through two samples is the way between them.
+    """
     machine = load_machine("lathe-winder")
     rows = there_and_back(feed, 3200)
     recording = simulate(table(machine, {"X": rows}), machine, quantised=quantised, settle_s=0.2)
     _, load = recording.samples("X.load")
     _, current = recording.samples("X.current_peak")
     padded = np.concatenate((rows, np.zeros(len(load) - len(rows), dtype=int)))
-    expected = reference_winder(padded, 3.606e-4, 4.0, quantised) * COUNTS / 55.358e3
+    made = reference_winder(padded, 3.606e-4, 4.0, quantised)
+    expected, speeds, between = (one * COUNTS / 55.358e3 for one in made)
 
     tolerance = 1.0 / 55.358e3 if quantised else 2e-8
     np.testing.assert_allclose(load, expected, atol=tolerance)
+    _, velocity = recording.samples("X.velocity")
+    np.testing.assert_allclose(velocity, speeds, atol=tolerance / TICK)
+    # The cubic through two samples is the way in between: within 0.4 um, where it bows by 33 um.
+    cubic = CubicHermiteSpline(TICK * np.arange(len(load)), load, velocity)
+    for k in range(3):
+        at = TICK * (np.arange(len(load) - 1) + 0.25 * (k + 1))
+        np.testing.assert_allclose(cubic(at), between[:-1, k], atol=4e-7 + tolerance)
+    straight = 0.5 * (load[:-1] + load[1:])
+    assert np.abs(straight - between[:-1, 1]).max() > (3e-5 if feed == 80 else 4e-6)
     saturates = np.abs(current).max() > 4.0 - 1e-9
     assert saturates == (feed == 80)
 

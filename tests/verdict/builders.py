@@ -175,6 +175,7 @@ def record(
                 continue
             name = f"{axis}.{kind}"
             unit = UNIT.get(kind, "rad" if axis == "A" else "m")
+            unit += "/s" if kind is ChannelKind.VELOCITY else ""
             described.append(
                 Channel(name=name, kind=kind, unit=unit, clock=clock, axis=axis, stride=stride)
             )

@@ -24,7 +24,8 @@ UNIT |= {"deg/s": np.pi / 180.0, "rad/s": 1.0, "m/s^2": 1.0, "rad/s^2": 1.0}
 UNIT |= {"m/s^3": 1.0, "rad/s^3": 1.0, "stitch": 1.0, "kHz": 1e3}
 KIND_UNITS = {"voltage": {"V", "mV"}, "current": {"A", "mA"}, "operation": {""}}
 KIND_UNITS |= {"input": {""}, "output": {""}, "torque_share": {""}}
-LENGTHS, ANGLES = {"mm", "um", "m"}, {"deg", "rad"}
+KIND_UNITS |= {"velocity": {"mm/s", "m/s", "deg/s", "rad/s"}}
+LENGTHS, ANGLES = {"mm", "um", "m", "mm/s", "m/s"}, {"deg", "rad", "deg/s", "rad/s"}
 
 # The tables of the document: (alternatives, of every axis) for each measure of a recording.
 NEEDS: dict[str, list[tuple[tuple[str, ...], bool]]] = {
@@ -119,7 +120,7 @@ class Facts:
 def refused(channels: Mapping[str, Channel], facts: Facts) -> str:
     """Say why the recording has to be refused; empty where it does not."""
     for name, channel in channels.items():
-        units = KIND_UNITS.get(channel.kind, LENGTHS | ANGLES)
+        units = KIND_UNITS.get(channel.kind, {u for u in LENGTHS | ANGLES if "/" not in u})
         if channel.unit not in units:
             return f"{name} is in {channel.unit}"
         placed = channel.axis in facts.axes and channel.unit in LENGTHS | ANGLES

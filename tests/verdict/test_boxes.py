@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from threadline.verdict import boxes, turning
+from threadline.verdict.bow import NO_BOWS
 from threadline.verdict.boxes import NO_BOXES, Boxes
 from threadline.verdict.nearest import chord_vectors, nearest_chords
 from threadline.verdict.places import ProgressPart, move_on
@@ -76,7 +77,7 @@ def test_vertices_that_can_be_the_worst_are_as_near_as_the_nearest_segment(runs,
     best, at_s = np.full((12, runs), np.inf), np.zeros((12, runs))
     boxes.vertices_to_path(
         points, points[0].copy(), time_s, begin, end, vertices, EACH, np.empty((0, 2)),
-        boxes_of(points), worst, best, at_s,
+        boxes_of(points), NO_BOWS, worst, best, at_s,
     )  # fmt: skip
     for v in range(12):
         there = np.flatnonzero((begin[:-1] - 1 <= v) & (v <= end[1:]))

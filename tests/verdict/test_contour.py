@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from threadline.files import ChannelKind
 from threadline.verdict import Criterion, Status, judge
+from threadline.verdict.bow import NO_BOWS
 from threadline.verdict.boxes import NO_BOXES, vertices_to_path
 
 from .builders import TICK_S, follow, move_s, plan_through, record, spec_of
@@ -334,6 +335,7 @@ def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
         (0, 0),
         np.empty((0, 2)),
         NO_BOXES,
+        NO_BOWS,
         np.full(1, -np.inf),
         best,
         best_time_s,

@@ -70,9 +70,11 @@ def test_a_careless_judge_is_found_out(
         path.write_bytes(cases.case(random.Random(f"11/{kind}/{index}")))
         try:
             cases.check(kind, path)
-        except ThreadlineError:
+        except (ThreadlineError, ValueError):
             continue
         except AssertionError as told:
+            if not str(told):  # of the judge itself, which stumbles
+                continue
             assert found in str(told), (index, name)
             return
     pytest.fail(f"{kind} passes a judge without {name}")

@@ -77,7 +77,9 @@ def steps(positions: FloatArray) -> FloatArray:
     return np.diff(shown, axis=0)
 
 
-def program(positions: FloatArray, circuits: int, rows: FloatArray | None = None) -> str:
+def program(
+    positions: FloatArray, circuits: int, rows: FloatArray | None = None, pieces: int = 1
+) -> str:
     """Return the part program: to the start, then a circuit as a subroutine.
 
     Parameters
@@ -86,12 +88,17 @@ def program(positions: FloatArray, circuits: int, rows: FloatArray | None = None
         (n, 3) eye of a circuit.
     rows
         (m, 3) steps of a last circuit that is written out in the main program.
+    pieces
+        Number of blocks of each move to the start.
     """
     first = np.round(positions[0] * np.array([0.0, 1e3, 1e3]), 3)
     lines = ["%", "O 999"]
     lines += [_block(10 * k, row) for k, row in enumerate(steps(positions), start=1)]
     lines += ["M99;", "O 998;", "G01 F 1200;", "G91;"]
-    lines += [f"Y {first[2]:.3f};", f"X {first[1]:.3f};", f"M98 P 999 L {circuits};"]
+    for axis, way in ("Y", first[2]), ("X", first[1]):
+        ends = np.round(np.linspace(0.0, way, pieces + 1), 3)
+        lines += [f"{axis} {step:.3f};" for step in np.diff(ends)]
+    lines += [f"M98 P 999 L {circuits};"]
     lines += [_block(10 * k, row) for k, row in enumerate(() if rows is None else rows, start=1)]
     return "\n".join([*lines, "M30;", "%", ""])
 
@@ -115,5 +122,7 @@ def lifting(positions: FloatArray) -> FloatArray:
     return rows
 
 
+PIECES = 60
+"""Blocks of each move to the start of the program of one circuit: a spline times all alike."""
 FAULTY = 60
 """Block of the faulty programs, from 0: on the cylinder."""

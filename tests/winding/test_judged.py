@@ -30,7 +30,14 @@ from threadline.search.compare import compare, placement_spec
 from threadline.search.question import question_of
 from threadline.search.studied import Studied
 from threadline.verdict import Spec, load_spec
-from threadline.verdict.fibre import MEASURED, PLANNED, Closing, Near, measure_planned
+from threadline.verdict.fibre import (
+    MEASURED,
+    PLANNED,
+    Closing,
+    Near,
+    _off_design,
+    measure_planned,
+)
 from threadline.verdict.finding import Finding
 from threadline.verdict.replayed import Wound, WoundJob
 from threadline.winding.product import Product, product_of_text, product_text
@@ -80,6 +87,7 @@ def test_the_examples_are_what_the_tests_write(circuit: FloatArray) -> None:
     for name, text in {
         "vessel": programs.program(circuit, circuits),
         "vessel-gap": programs.program(circuit, programs.TOO_FEW),
+        "vessel-circuit": programs.program(circuit, 1, pieces=programs.PIECES),
         "vessel-slips": programs.program(circuit, circuits - 1, programs.slipping(circuit)),
         "vessel-lifts": programs.program(circuit, circuits - 1, programs.lifting(circuit)),
     }.items():
@@ -184,7 +192,7 @@ def test_a_run_is_judged_like_its_plan(
 
 
 def test_a_machine_without_an_eye_takes_no_product(tmp_path: Path) -> None:
-    stitcher = load_machine("stepper-winder")
+    stitcher = load_machine("stitcher")
     options = options_of(product=str(VESSEL))
     file = tmp_path / "p.nc"
     file.write_text("G21\nG90\nG1 X10 F600\nM2\n")
@@ -277,3 +285,21 @@ def test_a_pattern_closes_after_its_number_of_circuits(
     cos = math.sqrt(1.0 - (programs.TURN_M / 0.05) ** 2)
     assert away.value == pytest.approx(share * 2.0 * math.pi * 0.05 * cos, abs=3e-4)
     assert f"after {circuits} circuits" in away.note
+
+
+def test_the_design_is_found_again_where_the_fibre_was_not_known() -> None:
+    """A helix of four turns, laid 0.1 mm beside in one part; neither it nor its design is whole."""
+    angle = np.linspace(0.0, 8.0 * np.pi, 4001)
+    length = angle * math.hypot(0.02, 0.05)
+    helix = np.column_stack([0.02 * angle, 0.05 * np.cos(angle), 0.05 * np.sin(angle), length])
+    design, points = helix.copy(), helix.copy()
+    design[1500:2500, :3] = np.nan
+    points[800:1200, :3] = np.nan  # more than the stretch that is searched from place to place
+    points[3000:, 0] += 1e-4
+    points[:, 3] += 0.04  # it laid more before its place was known
+    found = _off_design(points, design, np.array([0.0, 0.1]))
+    assert np.isnan(found[800:1200]).all() and np.isnan(found[1501:2499]).all()
+    for part in (slice(0, 800), slice(1200, 1499), slice(2502, 3000)):
+        assert found[part].max() < 1e-9
+    across = 1e-4 * 0.05 / math.hypot(0.02, 0.05)
+    np.testing.assert_allclose(found[3000:-1], across, rtol=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import random
 from pathlib import Path
@@ -155,3 +156,102 @@ def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
             refused += 1
             assert "\n" not in str(error).strip()
     assert refused > 500
+
+
+WIND = {
+    "schemaVersion": "1.1",
+    "mandrelParameters": {"diameter": 98.0, "windLength": 120, "endDiameter": 54.0},
+    "towParameters": {"width": 6, "thickness": 0.5},
+    "layers": [{"windType": "helical", "windAngle": 30.0}],
+    "later": {"unknown": 1},
+}
+"""A definition as FiberPath's specification describes it; unknown members are ignored."""
+FIB = """    16
+ MADE.MND
+    24
+     3
+    1  -120.0000      .0000    30.0000   .0000000  1.0000000   .0000000
+    2  -110.0000    24.0000    32.0000   .2672612   .8017837  -.5345225
+   24     9.0000      .0000   -50.0000   .6000000   .1568926  -.7844629
+"""
+PAY = """    22 0 1 1 1 1 1
+ MADE.MND
+    42    24   .120000E+02   .250000E+01   .160072E+02
+     2
+  -120.000      .000    30.000  .0000000 1.0000000  .0000000  .0000000  .0000000 -1.000000
+  -119.000    60.000    31.000    61.000
+    10.000    50.000      .000  .6577299  .0983193 -.7468095  .0000000  .0000000  .0000000
+    60.000    70.000   -30.000    65.000
+"""
+"""Paths as CADFIL's help describes them: points on the mandrel, and the width of the band."""
+
+
+def _foreign(folder: Path, name: str, text: str) -> Product:
+    (folder / name).write_text(text)
+    return product_of_text(product_text(folder / name))
+
+
+def test_a_definition_of_fiberpath_is_a_product(tmp_path: Path) -> None:
+    """A cone from 98 to 54 mm over 120 mm, and two bands longer at both ends."""
+    found = _foreign(tmp_path, "cone.wind", json.dumps(WIND))
+    x, r = (values[:, 0] for values in found.surface.at(np.array([0.0, found.surface.length_m])))
+    slope = (27.0 - 49.0) / 120.0
+    assert found.at.si == pytest.approx(-0.012)
+    np.testing.assert_allclose(x, [0.0, 0.144], atol=1e-12)
+    np.testing.assert_allclose(r, [0.049 - 0.012 * slope, 0.027 + 0.012 * slope], atol=1e-12)
+    assert (found.width.si, found.thickness) == (pytest.approx(0.006), pytest.approx(0.0005))
+    assert found.covered == (pytest.approx(0.012), pytest.approx(0.132))
+    # No planner writes a friction: the name says what was taken.
+    assert found.friction.si == 0.2 and "friction 0.2 assumed" in found.name
+
+
+def test_a_nose_of_fiberpath_begins_at_its_base(tmp_path: Path) -> None:
+    """Von Karman's: r = R sqrt((p - sin(2 p) / 2) / pi) at h (1 - cos p) / 2 from the tip."""
+    mandrel = {"diameter": 98.0, "windLength": 200.0, "profile": {"type": "vonKarman"}}
+    found = _foreign(tmp_path, "nose.wind", json.dumps(WIND | {"mandrelParameters": mandrel}))
+    at = found.surface.place_of(np.array([0.012 + 0.1]))
+    assert found.surface.at(at)[1][0, 0] == pytest.approx(0.049 * math.sqrt(0.5), abs=1e-6)
+    assert found.surface.at(np.zeros(1))[1][0, 0] == pytest.approx(0.049)
+
+
+def test_paths_of_cadfil_show_their_mandrel(tmp_path: Path) -> None:
+    found = _foreign(tmp_path, "MADE.PAY", PAY)
+    assert found.at.si == pytest.approx(-0.12)
+    assert found.width.si == pytest.approx(0.0025)
+    ends = np.array([0.0, found.surface.length_m])
+    np.testing.assert_allclose(found.surface.at(ends)[1][:, 0], [0.03, 0.05], atol=1e-9)
+    fibre = _foreign(tmp_path, "MADE.FIB", FIB)
+    middle = fibre.surface.place_of(np.array([0.01]))
+    # The corner at this point is rounded by 1 mm.
+    assert fibre.surface.at(middle)[1][0, 0] == pytest.approx(0.04, abs=1e-4)
+    assert fibre.width == found.width  # of the payout path beside it
+    listed = _foreign(tmp_path, "all.ctl", "made.pay 2\nC:\\WIND\\MADE.PAY, 1\n")
+    assert listed.surface.length_m == found.surface.length_m
+    drawn = f'[[part]]\nfile = "MADE.FIB"\n{BAND}'
+    assert _read(tmp_path, drawn).surface.length_m == fibre.surface.length_m
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.wind", "{\n\n", "a.wind:3: it is no JSON"),
+        ("a.wind", "[]", "mandrelParameters is missing"),
+        ("a.wind", json.dumps(WIND | {"schemaVersion": "2.0"}), "versions 1.x are read"),
+        ("a.wind", json.dumps(WIND).replace("98.0", "-98.0"), "diameter is -98.0"),
+        ("a.wind", json.dumps(WIND).replace("98.0", "true"), "diameter is True"),
+        ("a.wind", json.dumps(WIND).replace('"endDiameter"', '"profile"'), "the profile '54.0'"),
+        ("a.fib", FIB, "a .FIB has no width of the band. Put a.PAY beside it"),
+        ("a.pay", PAY.replace("     2\n", "     9\n"), "a.pay:4: it states 9 points and has 2"),
+        ("a.pay", PAY.replace("10.000", "10.0x0"), "a.pay:7: '10.0x0"),
+        ("a.pay", PAY[:40], "it ends within its head"),
+        ("a.ctl", "nothing here", "names no payout file"),
+        ("a.ctl", "1\nlost.pay 2", "a.ctl:2: the payout file 'lost.pay' is not beside"),
+    ],
+)
+def test_what_is_not_understood_of_other_planners_is_said(
+    tmp_path: Path, name: str, text: str, said: str
+) -> None:
+    with pytest.raises(JobError) as error:
+        _foreign(tmp_path, name, text)
+    message = str(error.value)
+    assert said in message and "\n" not in message

@@ -10,8 +10,7 @@ import typer
 from threadline.base.writing import together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, MachineOption, keep_inputs
-from threadline.cli.output import check_outputs, progress_bar, say
-from threadline.cli.warn import tell
+from threadline.cli.output import check_outputs, progress_bar, say, tell
 from threadline.proof.asked import Words
 from threadline.proof.pipeline import NOMINAL, with_shaping
 from threadline.proof.pipeline import prove as prove_job

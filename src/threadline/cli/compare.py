@@ -14,8 +14,7 @@ from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, ReportOption
 from threadline.cli.found import AXES_ALONE, command_line, limit_words
 from threadline.cli.messages import warning
-from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
-from threadline.cli.warn import warn
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say, warn
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode
 from threadline.motion.path.interpolations import FIRMWARE

@@ -10,9 +10,8 @@ import typer
 from threadline.base.writing import is_stdout, together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, keep_inputs
-from threadline.cli.messages import note
-from threadline.cli.output import check_outputs, print_json, say
-from threadline.cli.warn import warn
+from threadline.cli.messages import PLANNING_STAGE, note
+from threadline.cli.output import check_outputs, print_json, progress_bar, say, warn
 from threadline.errors import OptionError
 from threadline.files.formats.common import Written
 from threadline.proof.asked import Words, check_target
@@ -64,11 +63,14 @@ def compile_(
         )
     options = words.options()
     check_target(target, chosen, options)
-    plan = plan_job(open_job(job, chosen, options), chosen, options)
-    more = [*plan.intent.warnings, *tolerance_warnings(plan)]
-    warn(chosen, plan.job, more, own_feed=options.own_feeds)
-    with together(out):
-        files = write(plan, target, out, slower=slower)
+    with progress_bar() as progress:
+        progress(PLANNING_STAGE, 0.0)
+        plan = plan_job(open_job(job, chosen, options), chosen, options)
+        progress("writing and reading back", 0.0)
+        more = [*plan.intent.warnings, *tolerance_warnings(plan)]
+        warn(chosen, plan.job, more, own_feed=options.own_feeds)
+        with together(out):
+            files = write(plan, target, out, slower=slower)
     if json:
         print_json({"files": [_content(file) for file in files]})
     else:

@@ -12,16 +12,15 @@ import typer
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, named_folder
 from threadline.cli.fastest_cycle import CycleOutput, write_move_list
+from threadline.cli.fastest_optimal import OptimalOutput
 from threadline.cli.fastest_output import (
     FeedOutput,
     NeedleOutput,
-    OptimalOutput,
     SearchOutput,
     ShaftOutput,
 )
 from threadline.cli.found import as_typed, command_line
-from threadline.cli.output import check_outputs, print_json, progress_bar
-from threadline.cli.warn import tell, warn
+from threadline.cli.output import check_outputs, print_json, progress_bar, tell, warn
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.asked import Words, level_option
 from threadline.search.by_pace import answered

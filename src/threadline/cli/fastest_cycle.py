@@ -9,6 +9,7 @@ from typing import Any
 from threadline.base.writing import together
 from threadline.cli.fastest_output import SearchOutput, verdict_content
 from threadline.cli.found import limit_words
+from threadline.proof.pipeline import Proof
 from threadline.report.document import Printed
 from threadline.report.switching import write_switching
 from threadline.search.by_pace import Answer
@@ -20,6 +21,7 @@ from threadline.search.fastest import RANGE
 from threadline.search.move_list import move_list
 from threadline.search.studied import studied
 from threadline.verdict import closing, verdict_rows
+from threadline.verdict.rendering import continuous
 
 
 def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
@@ -66,11 +68,17 @@ def robust_lines(robust: RobustCycle) -> Iterator[Printed | str]:
         yield f"no cycle in spec over the whole band was found ({robust.tried} tried): {over}"
         return
     yield (
-        f"fastest for the band: a cycle of {cycle_s(robust.proof):.3f} s, "
-        f"{robust.tried} cycles tried on the twin; {over}"
+        f"fastest for the band: a cycle of {cycle_s(robust.proof):.3f} s"
+        f"{_produced(robust.proof)}, {robust.tried} cycles tried on the twin; {over}"
     )
     yield "verdict for the nominal machine", *verdict_rows(robust.proof.verdict)
     yield closing(robust.proof.verdict)
+
+
+def _produced(proof: Proof) -> str:
+    """Return words for the steady cycle; empty if every cycle is as the first."""
+    steady = continuous(proof.verdict, proof.plan)
+    return f" behind the first, {steady['pieces_per_hour']:.0f} pieces an hour" if steady else ""
 
 
 def beside_table(rows: Sequence[BesideRow], title: str, band: float | None) -> Printed:
@@ -164,8 +172,8 @@ class CycleOutput(SearchOutput):
             return
         before = "" if found.limited_by == RANGE else f" (a faster one fails {limits})"
         yield (
-            f"fastest: a cycle of {found.cycle_s:.3f} s; {found.tried} cycles tried on the twin"
-            f"{before}; {unshaped}"
+            f"fastest: a cycle of {found.cycle_s:.3f} s{_produced(found.proof)}; {found.tried} "
+            f"cycles tried on the twin{before}; {unshaped}"
         )
 
     def _more(self) -> Iterator[Printed | str]:
@@ -211,6 +219,11 @@ class CycleOutput(SearchOutput):
                 for move in found.moves
             ],
             "beside": beside_json(self._beside),
+            **(
+                {"continuous": steady}
+                if (steady := continuous(found.proof.verdict, found.proof.plan))
+                else {}
+            ),
             **({} if robust is None else {"robust": robust_json(robust)}),
         }
 

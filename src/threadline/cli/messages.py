@@ -24,7 +24,8 @@ _STDERR = 2  # its file descriptor
 _NEARLY = 99  # percent: above this the share left says nothing about the time left
 EVERY_S = 50.0  # a minute without output is too long
 LOOK_S = 1.0
-_PLANNING = "planning"
+PLANNING_STAGE = "planning"
+"""Stage whose progress ``PLANNING`` holds."""
 """The stage without a share done: the duration is unknown until the motion is planned."""
 STARTING_S = 0.6
 _STARTING = "starting ..."
@@ -93,14 +94,19 @@ class Telling:
     def doing(self) -> str:
         """Return the stage, its share done, and the time left at the same rate."""
         if not self.stage or not self.fraction:
-            so_far = PLANNING.words() if self.stage == _PLANNING else ""
-            return f"{self.stage}, {so_far}" if so_far else self.stage
+            return in_full(self.stage)
         percent = int(100.0 * self.fraction + 1e-9)
         if percent >= _NEARLY:
             return f"{self.stage}, nearly done"
         passed_s = time.monotonic() - self.since_s
         left_s = passed_s * (1.0 - self.fraction) / self.fraction
         return f"{self.stage}, {percent} % done, about {_lasting(left_s)} more"
+
+
+def in_full(stage: str) -> str:
+    """Return a stage whose share done is unknown, with the motion that is planned so far."""
+    so_far = PLANNING.words() if stage == PLANNING_STAGE else ""
+    return f"{stage}, {so_far}" if so_far else stage
 
 
 _TELLING: ContextVar[Telling | None] = ContextVar("telling", default=None)

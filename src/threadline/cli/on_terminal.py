@@ -10,13 +10,13 @@ from typing import IO, TextIO, cast
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
 from threadline.base.progress import Progress as ProgressCall
 from threadline.base.wording import plain
-from threadline.cli.messages import STARTING, at_work
+from threadline.cli.messages import STARTING, at_work, in_full
 
 _SHOW_AFTER_S = 1.0
 _WRAPPED = 40  # characters: a narrower column breaks a note too often
@@ -93,18 +93,37 @@ class _WhileItStands(io.TextIOBase):
         return self._stream.fileno()
 
 
+class _Stage(ProgressColumn):
+    """The stage, read anew at each drawing: planning tells how far it is."""
+
+    def render(self, task: Task) -> Text:
+        """Return the text of the column."""
+        return Text(in_full(task.description))
+
+
+class _Percent(TextColumn):
+    """The share done, while it is known."""
+
+    def render(self, task: Task) -> Text:
+        """Return the text of the column."""
+        return Text("") if task.total is None else super().render(task)
+
+
 @contextmanager
 def bar_on_terminal() -> Iterator[ProgressCall]:
-    """Yield a progress call that draws a bar on standard error after one second."""
+    """Yield a progress call that draws a bar on standard error after one second.
+
+    A stage without a share done has a bar that only moves.
+    """
     bar = Progress(
-        TextColumn("{task.description}"),
+        _Stage(),
         BarColumn(),
-        TextColumn("{task.percentage:>3.0f}%"),
+        _Percent("{task.percentage:>3.0f}%"),
         TimeElapsedColumn(),
         console=Console(file=cast("TextIO", _WhileItStands(Console(stderr=True).file))),
         transient=True,
     )
-    task = bar.add_task("starting", total=1.0)
+    task = bar.add_task("starting", total=None)
     shown, over, lock = threading.Event(), threading.Event(), threading.Lock()
 
     def show() -> None:
@@ -116,7 +135,10 @@ def bar_on_terminal() -> Iterator[ProgressCall]:
 
     def update(what: str, fraction: float) -> None:
         at_work(what, fraction, shown=shown.is_set())
-        bar.update(task, description=what, completed=fraction)
+        # The library takes a total of None for none given: an unknown total is set by itself.
+        bar.update(task, description=what, completed=fraction, total=1.0)
+        if not fraction:
+            bar.tasks[0].total = None
 
     # A single step may take minutes: the bar appears without waiting for the next call.
     timer = threading.Timer(_SHOW_AFTER_S, show)

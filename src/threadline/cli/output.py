@@ -8,18 +8,22 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from threadline.base.progress import Progress as ProgressCall
 from threadline.base.wording import plain
 from threadline.base.writing import check_output, is_stdout
-from threadline.cli.messages import STARTING, STDOUT, at_work, note
+from threadline.cli.messages import STARTING, STDOUT, at_work, note, warning
 from threadline.errors import OptionError
+
+if TYPE_CHECKING:
+    from threadline.jobs.operations import Job
+    from threadline.machine import Machine
 
 _STDOUT = 1  # its file descriptor
 _FILE_WIDTH = 120  # of a table in a file or a pipe, which has no width of its own
@@ -160,3 +164,19 @@ def _check_folder(folder: Path, wanted: Path) -> None:
             f"cannot write {str(wanted)!r}: no permission to write in {str(there)!r}",
             remedy="Give another path.",
         )
+
+
+def warn(machine: Machine, job: Job, more: Iterable[str] = (), *, own_feed: bool) -> None:
+    """Warn of suspicious values of ``machine`` and ``job``, and print the warnings in ``more``.
+
+    ``own_feed``: the job runs at its own feeds, which are then checked too.
+    """
+    from threadline.dynamics.suspicions import suspicions
+
+    tell([*suspicions(machine), *job.suspicions(own_feed=own_feed), *more])
+
+
+def tell(warnings: Iterable[str]) -> None:
+    """Print warnings once the command has answered."""
+    for said in warnings:
+        warning(said)

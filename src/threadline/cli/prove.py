@@ -19,8 +19,7 @@ from threadline.cli.arguments import (
     keep_inputs,
     key_of,
 )
-from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
-from threadline.cli.warn import tell
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say, tell
 from threadline.errors import OptionError
 from threadline.files.formats import write_recording
 from threadline.machine import Machine
@@ -83,7 +82,7 @@ def prove(
     trials = words.trials()
     key = key_of("--sign", sign, proof_file)
     chosen = words.machine(machine)
-    if worst is not None and (not trials.machines or trials.wished is not None):
+    if worst is not None and (not trials.machines or trials.wanted_yield is not None):
         raise OptionError(
             f"--worst {str(worst)!r} is the worst machine within the tolerances, and this level "
             "searches none",

@@ -41,10 +41,10 @@ from threadline.cli.output import (
     progress_bar,
     report_failed_print,
     say,
+    tell,
 )
 from threadline.cli.prove import plot_every
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
-from threadline.cli.warn import tell
 from threadline.commands.plan import Plan
 from threadline.errors import LinkFaultError, OptionError, RecordingError, StoreError
 from threadline.files import Recording, RunEnd

@@ -22,8 +22,15 @@ from threadline.cli.arguments import (
     keep_inputs,
 )
 from threadline.cli.found import command_line
-from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
-from threadline.cli.warn import tell, warn
+from threadline.cli.output import (
+    check_outputs,
+    print_json,
+    print_table,
+    progress_bar,
+    say,
+    tell,
+    warn,
+)
 from threadline.cli.yield_sharing import (
     Question,
     asked_here,

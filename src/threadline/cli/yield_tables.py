@@ -136,13 +136,13 @@ def yield_words(interval: tuple[float, float]) -> str:
     return f"{floor(1e4 * low) / 1e2:.4g} to {ceil(1e4 * high) / 1e2:.4g} %"
 
 
-def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
+def show_set(found: CheapestSet, judged: MachineYield, wanted: str) -> None:
     """Print which tolerances to halve, and the yield of machines with these tolerances."""
     words = (
         f"{found.passed} of {found.tried} machines in spec, {yield_words(found.interval)} of all"
     )
     if not found.reached:
-        say(f"no set of tolerances was found that reaches {wished}; the best of them: {words}")
+        say(f"no set of tolerances was found that reaches {wanted}; the best of them: {words}")
         return
     rows = []
     for number, factor in zip(judged.numbers, found.factors.tolist(), strict=True):
@@ -152,7 +152,7 @@ def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
             now, then = (f"+-{100.0 * own * f:.3g} %" if own else "" for f in (1.0, factor))
             rows.append([number.name, now, then, f"1/{1.0 / factor:.0f}"])
     head = ["number", "tolerance", "instead", "of it"]
-    print_table(f"cheapest set that reaches {wished}: {found.halvings} halvings", head, rows)
+    print_table(f"cheapest set that reaches {wanted}: {found.halvings} halvings", head, rows)
     say(f"with it: {words}")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray, finite
 from threadline.commands.feedforward import Following
 from threadline.files import Event, StepPlay, SwitchSchedule
-from threadline.jobs.operations import Job
+from threadline.jobs.operations import Job, Thread
 from threadline.machine import Machine
 from threadline.motion.path.types import PlannedPath, ProgrammedPath
 from threadline.motion.timing.types import Trajectory
@@ -286,6 +286,11 @@ class Scheduled:
     single: Scheduled | None = None
 
     @property
+    def one_cycle(self) -> Scheduled:
+        """The schedule of one cycle: ``single``, or itself where every cycle is as the first."""
+        return self if self.single is None else self.single
+
+    @property
     def steady_tick(self) -> int:
         """Scan at which the cycle begins that counts: the further one if there are two."""
         return 0 if self.single is None else self.single.commands.duration_ticks
@@ -363,6 +368,42 @@ class Turns:
         if self.stitch[turn]:
             return f"block {self.block[turn]}, stitch {self.stitch[turn]}"
         return f"block {self.block[turn]}, travel behind stitch {self.stitch[:turn].max(initial=0)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sewn:
+    """The part of a design that is sewn with one thread.
+
+    Parameters
+    ----------
+    block
+        Number of the block, from 1.
+    thread
+        Thread of the block; None if the file does not say its colour.
+    stitches
+        Number of stitches.
+    thread_m
+        Length of the upper thread from hole to hole, jumps inside the block included, m.
+    duration_s
+        Time of the turns of the block, travel to its first stitch included, s.
+    """
+
+    block: int
+    thread: Thread | None
+    stitches: int
+    thread_m: float
+    duration_s: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the entries for the JSON of a verdict."""
+        return {
+            "block": self.block,
+            "colour": self.thread.rgb if self.thread else None,
+            "name": self.thread.name if self.thread else "",
+            "stitches": self.stitches,
+            "thread_m": self.thread_m,
+            "duration_s": self.duration_s,
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -465,8 +506,28 @@ class Stitched:
                 "slowest_alone_s": self.slowest_s,
                 "schedule_bound_s": self.bound_s,
                 "robust_share": self.pace.robust_share,
+                "threads": [one.as_json() for one in self.sewn],
             }
         }
+
+    @property
+    def sewn(self) -> list[Sewn]:
+        """Stitches, length and time of each thread, in the order of the design."""
+        threads = self.job.threads
+        found = []
+        for block in np.unique(self.turns.block).tolist():
+            own = self.turns.block == block
+            holes = self.places_m[own & (self.turns.stitch > 0)]
+            found.append(
+                Sewn(
+                    block=block,
+                    thread=threads[block - 1] if block <= len(threads) else None,
+                    stitches=len(holes),
+                    thread_m=float(np.hypot(*np.diff(holes, axis=0).T).sum()),
+                    duration_s=float(self.turns.turn_s[own].sum()),
+                )
+            )
+        return found
 
     @property
     def frame_moves(self) -> IntArray:

@@ -135,6 +135,8 @@ class PiecewiseLinear:
         (variants, sensors, N) rows of the readings in counts, from the start position.
     load_rows, frame_rows
         (variants, axes, N) rows of load and frame in m or rad, from the start position.
+    rate_rows
+        (variants, axes, N) rows of the velocity of the load, m/s or rad/s.
     has_frame
         (axes,) whether the axis has a frame.
     input_gain, input_limit
@@ -149,6 +151,7 @@ class PiecewiseLinear:
     sensor_rows: FloatArray
     load_rows: FloatArray
     frame_rows: FloatArray
+    rate_rows: FloatArray
     has_frame: tuple[bool, ...]
     input_gain: FloatArray
     input_limit: FloatArray
@@ -228,13 +231,18 @@ class _Builder:
         for body in self.group.bodies:
             self._add_friction(body)
         axes = [self.machine.axes[a] for a in self.group.axes]
+        bodies = len(self.group.bodies)
+        load_rows = self._stack([self._load_row(a) for a in self.group.axes])
+        rate_rows = np.zeros_like(load_rows)
+        rate_rows[:, :, bodies : 2 * bodies] = load_rows[:, :, :bodies]
         return PiecewiseLinear(
             group=self.group,
             states=self.states,
             base=self.base,
             elements=tuple(self.elements),
             sensor_rows=self._stack([self._sensor_row(s) for s in self.group.sensors]),
-            load_rows=self._stack([self._load_row(a) for a in self.group.axes]),
+            load_rows=load_rows,
+            rate_rows=rate_rows,
             frame_rows=self._stack([self._weights(a.frame or {}, self.position) for a in axes]),
             has_frame=tuple(a.frame is not None for a in axes),
             input_gain=np.stack(gains, axis=1) if gains else np.zeros((self.count, 0)),

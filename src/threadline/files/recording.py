@@ -107,6 +107,7 @@ class ChannelKind(StrEnum):
     COMMANDED = "commanded"  # commanded position of the axis
     MEASURED = "measured"  # position of the axis' encoder
     LOAD = "load"  # position of the driven mass
+    VELOCITY = "velocity"  # of the driven mass
     FRAME = "frame"  # position of the frame
     TOOL = "tool"  # position of the point that does the work
     VOLTAGE = "voltage"  # at the amplifier's input

@@ -107,6 +107,25 @@ class ToolEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class Thread:
+    """Thread of a design.
+
+    Parameters
+    ----------
+    rgb
+        Colour as ``#rrggbb``.
+    name
+        Name in the maker's catalogue; empty if the file has none.
+    """
+
+    rgb: str
+    name: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.rgb}".strip()
+
+
+@dataclass(frozen=True, slots=True)
 class Move:
     """Travel of all axes together to ``target``, (axes,) positions in m or rad.
 
@@ -350,6 +369,9 @@ class Job:
         Homing order of the cylinders; empty if the moves of the list decide the order.
     once
         Number of operations at the beginning that only the first cycle has.
+    threads
+        Thread of each block of a design, block 1 first; None where the file does not say its
+        colour.
     """
 
     name: str
@@ -368,6 +390,7 @@ class Job:
     needle_follows: bool = False
     along_m_s2: float = math.inf
     once: int = 0
+    threads: tuple[Thread | None, ...] = ()
 
     def __iter__(self) -> Iterator[Operation]:
         return iter(self.operations)

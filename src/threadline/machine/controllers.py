@@ -46,16 +46,17 @@ VELOCITY_LOW, VELOCITY_HIGH = -128.0, 127.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Dac:
-    """Output converter of the controller: ``2**bits`` levels over ``-range .. +range``, clamped.
-
-    ``rounding`` chooses the level for an output between two levels; ``"nearest"`` rounds half to
-    even. With ``zero_on_reversal`` the output is 0 V at the first tick after a change of sign.
-    """
+    """Output converter of the controller."""
 
     bits: Annotated[Quantity, Units(("bit",), positive=True, whole=True, most=32)]
+    """Number of bits: the output is rounded to one of 2^bits levels and clamped at the ends."""
     range: Annotated[Quantity, Units(("V",), positive=True)]
+    """The levels span -range to +range."""
     zero_on_reversal: StrictBool = False
+    """Whether the output is 0 for one tick where it changes sign."""
     rounding: Rounding = "nearest"
+    """Level of an output between two levels: the nearest (a half to the even one), the level below
+    (``floor``), or the one towards zero (``truncate``)."""
 
     @property
     def volt_per_level(self) -> float:
@@ -64,77 +65,84 @@ class Dac:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class PController:
+class Loop:
+    """What every controller has: its clocks, its encoder and its motor."""
+
+    clock: str
+    """The controller's own tick, a name of ``[clocks]``."""
+    sensor: str
+    """The encoder that it reads."""
+    drive: str
+    """The motor that it commands."""
+    reference_clock: str | None = None
+    """Clock of the references, where they come more slowly than its own tick. Without it:
+    ``clock``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ProportionalLoop(Loop):
+    """A controller with a gain on the error in counts."""
+
+    kp: Gain
+    """Gain on the error."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class PController(ProportionalLoop):
     """Proportional gain on the error in counts."""
 
     kind: Literal["p"]
-    clock: str
-    sensor: str
-    drive: str
-    kp: Gain
+    """Law of the controller, as in the table above."""
     dac: Dac
-    reference_clock: str | None = None
+    """Its output converter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class PdController:
+class PdController(ProportionalLoop):
     """Proportional gain on the error in counts, differential gain on its change per tick."""
 
     kind: Literal["pd"]
-    clock: str
-    sensor: str
-    drive: str
-    kp: Gain
     kd: Gain
+    """Gain on the change of the error per tick."""
     dac: Dac
-    reference_clock: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class PiController:
+class PiController(ProportionalLoop):
     """Proportional gain, and integral gain on the sum of errors over the ticks."""
 
     kind: Literal["pi"]
-    clock: str
-    sensor: str
-    drive: str
-    kp: Gain
     ki: Gain
+    """Gain on the sum of errors over the ticks."""
     dac: Dac
-    reference_clock: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class PidController:
+class PidController(ProportionalLoop):
     """Proportional, integral and differential gain, per tick."""
 
     kind: Literal["pid"]
-    clock: str
-    sensor: str
-    drive: str
-    kp: Gain
     ki: Gain
     kd: Gain
+    """Gain on the change of the error per tick."""
     dac: Dac
-    reference_clock: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class LeadFilter:
+class LeadFilter(Loop):
     """The motion chip's filter ``gain (z - zero) / (z + pole)`` with its 8-bit coefficients.
 
-    ``zero`` (A) and ``pole`` (B) are from 1/256 to 255/256. By Tustin's rule the continuous pole is
-    then always at a higher frequency than the zero, so the filter can only lead.
+    By Tustin's rule the continuous pole is always at a higher frequency than the zero, so the
+    filter can only lead.
     """
 
-    clock: str
-    sensor: str
-    drive: str
     gain: Gain
+    """K of the filter."""
     zero: Annotated[Quantity, Units(("",))]
+    """A of the filter, 1/256 to 255/256."""
     pole: Annotated[Quantity, Units(("",))]
+    """B of the filter, 1/256 to 255/256."""
     dac: Dac
-    reference_clock: str | None = None
 
     @model_validator(mode="after")
     def _in_range(self) -> LeadFilter:
@@ -162,6 +170,7 @@ class ProfileController(LeadFilter):
     """
 
     acceleration: Annotated[Quantity, Units(("count/tick**2",), positive=True)]
+    """Acceleration of the generated positions, in whole 256ths of a count/tick^2."""
 
     @model_validator(mode="after")
     def _has_acceleration(self) -> ProfileController:
@@ -183,26 +192,21 @@ class IntegralVelocityController(ProfileController):
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class TrapezoidController(ProfileController):
-    """The motion chip's trapezoid mode: a trapezoidal speed profile to each reference.
-
-    ``velocity`` is held in 7 bits, in counts per tick.
-    """
+    """The motion chip's trapezoid mode: a trapezoidal speed profile to each reference."""
 
     kind: Literal["trapezoid"]
     velocity: Annotated[Quantity, Units(("count/tick",), positive=True, whole=True, most=127)]
+    """Highest speed of the generated positions, a whole number, at most 127."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class VelocityController:
+class VelocityController(Loop):
     """The motion chip's proportional velocity mode: a gain on the speed error."""
 
     kind: Literal["proportional-velocity"]
-    clock: str
-    sensor: str
-    drive: str
     gain: Gain
+    """Gain on the speed error."""
     dac: Dac
-    reference_clock: str | None = None
 
 
 Controller = Annotated[

@@ -32,8 +32,9 @@ from threadline.machine.numbers import (
     line_of,
     plain_node,
 )
-from threadline.machine.parts import EYE_PARTS, switches_in_the_way
+from threadline.machine.parts import switches_in_the_way
 from threadline.machine.pneumatics import switch_faults
+from threadline.machine.tool import EYE_PARTS
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
 """Pydantic's types of error for a missing key."""
@@ -47,8 +48,6 @@ _SAMPLES = {
     "count/m": "100 count/mm",
     "count/tick": "10 count/tick",
 }
-_AXES = ("axes",)
-_BODIES = ("bodies",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,24 +101,31 @@ def missing_keys(
         location = in_file(tagged)
         form = sample(node, _kind(content, location))
         found.append(MissingKey(location, _assigned(location, node, form)))
-    if found and not {"axes", "cylinders"} & set(content):
-        # Pydantic checks rules over several keys only if all keys are valid, which is too late
-        # here.
-        node = field_node(_AXES)
-        found.append(MissingKey(_AXES, _assigned(_AXES, node, sample(node, "linear"))))
-    if found and "bodies" not in content and not _has_only_limits(content):
-        node = field_node(_BODIES)
-        found.append(MissingKey(_BODIES, _assigned(_BODIES, node, sample(node))))
-    turns = any(
-        _kind(content, (*_AXES, name, "kind")) == "rotary"
-        and not {"radius", "profile"} & set(content["axes"][name])
-        for name in _axes_of(content)
-    )
-    if found and turns and "tool" not in content:
-        node = field_node(("tool",))
-        found.append(MissingKey(("tool",), _assigned(("tool",), node, sample(node))))
+    # Pydantic checks rules over several keys only if all keys are valid, which is too late here.
+    for table in _missing_tables(content) if found else ():
+        node = field_node((table,))
+        form = sample(node, "linear" if table == "axes" else "")
+        found.append(MissingKey((table,), _assigned((table,), node, form)))
     order = list(field_node(())["properties"])
     return sorted(found, key=lambda key: order.index(key.location[0]))
+
+
+def _missing_tables(content: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the tables that a machine needs because of what else it has or lacks."""
+    if not {"axes", "cylinders"} & set(content):
+        yield "axes"
+    drives = content.get("drives")
+    names = drives if isinstance(drives, Mapping) else ()
+    only_limits = any(_kind(content, ("drives", name, "kind")) == "kinematic" for name in names)
+    if "bodies" not in content and not only_limits:
+        yield "bodies"
+    axes = content.get("axes")
+    turns = isinstance(axes, Mapping) and any(
+        _kind(content, ("axes", name, "kind")) == "rotary" and not {"radius", "profile"} & set(axis)
+        for name, axis in axes.items()
+    )
+    if turns and "tool" not in content:
+        yield "tool"
 
 
 def sample(node: Mapping[str, Any], kind: str = "") -> str:
@@ -143,15 +149,11 @@ def sample(node: Mapping[str, Any], kind: str = "") -> str:
     if "oneOf" in node:
         return sample(node["oneOf"][0], kind)
     if node.get("type") == "array":
-        return f"[{', '.join(_entries(node, kind))}]"
+        entries = node.get("prefixItems", [node.get("items", {})])
+        return f"[{', '.join(sample(entry, kind) for entry in entries)}]"
     if node.get("type") == "object":
         return f"{{ {', '.join(_rows(node, kind))} }}"
     return {"boolean": "true", "number": "1.0", "integer": "1"}.get(str(node.get("type")), '"text"')
-
-
-def _entries(node: Mapping[str, Any], kind: str) -> Iterator[str]:
-    for entry in node.get("prefixItems", [node.get("items", {})]):
-        yield sample(entry, kind)
 
 
 def _rows(node: Mapping[str, Any], kind: str) -> Iterator[str]:
@@ -189,17 +191,6 @@ def _unit(units: Sequence[str], kind: str) -> str:
     if kind == "linear":
         return next((unit for unit in units if unit not in turning), units[0])
     return "A/V" if kind == "current" and "A/V" in units else units[0]
-
-
-def _has_only_limits(content: Mapping[str, Any]) -> bool:
-    drives = content.get("drives")
-    parts = drives.values() if isinstance(drives, Mapping) else ()
-    return any(isinstance(part, Mapping) and part.get("kind") == "kinematic" for part in parts)
-
-
-def _axes_of(content: Mapping[str, Any]) -> list[str]:
-    axes = content.get("axes")
-    return list(axes) if isinstance(axes, Mapping) else []
 
 
 def _kind(content: Mapping[str, Any], location: tuple[str, ...]) -> str:

@@ -18,15 +18,14 @@ _MOST_PLACES = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=ConfigDict(extra="forbid"))
 class Mandrel:
-    """Radii ``radius`` at the positions ``at`` of the linear axis ``along``.
-
-    Between two positions the mandrel is a cone; beyond the first and last position the radius is
-    constant.
-    """
+    """Radii of a mandrel at positions of a linear axis."""
 
     along: str
+    """The linear axis beside the mandrel: ``"X"``."""
     at: Annotated[tuple[Annotated[Quantity, Units(("m",))], ...], Field(max_length=_MOST_PLACES)]
+    """Increasing positions of that axis, at least two."""
     radius: tuple[Annotated[Quantity, Units(("m",), positive=True)], ...]
+    """Radius at each position: a cone between two positions, constant beyond the ends."""
 
     @model_validator(mode="after")
     def _a_table(self) -> Mandrel:

@@ -31,11 +31,8 @@ from threadline.machine.parts import (
     Operator,
     Period,
     Sensor,
-    Tool,
-    check_eye,
     check_known,
 )
-from threadline.machine.path_limits import PathLimits, acts_at_m, check_path_limits, check_radii
 from threadline.machine.pneumatics import (
     MOST_SCANS,
     Contact,
@@ -49,6 +46,14 @@ from threadline.machine.quantity import Quantity, Units
 from threadline.machine.shaft import Shaft, Tables
 from threadline.machine.sources import Kinematic, PulseServo, Source, Stepper, check_limits_only
 from threadline.machine.tables import Design, Tolerances, check_named, quantities
+from threadline.machine.tool import (
+    PathLimits,
+    Tool,
+    acts_at_m,
+    check_eye,
+    check_path_limits,
+    check_radii,
+)
 
 
 class AxisArrays:
@@ -142,75 +147,71 @@ CommandedBy = Literal["ticks", "switches", "steps"]
 class Machine(AxisArrays):
     """A machine from its TOML file; every number in SI with tolerance and provenance.
 
-    Parameters
-    ----------
-    name, title, sources
-        Name, one-line description and references, for display.
-    tick_budget
-        Largest number of ticks of a job.
-    clocks, bodies, links, drives, sensors, controllers, axes, inputs
-        Parts of the network and of its control, by name. All arrays over axes have the order of
-        ``axes``.
-    cylinders, outputs, contacts, plc
-        Pneumatic axes of an on/off machine and its PLC. Such a machine may have no ``axes``.
-    path
-        Limits of the tool along its path, in addition to limits of the axes.
-    tool
-        Radius of rotary axes without a radius; for a winder, the axes of its eye.
-    operator
-        Settings of the operator.
-    programs
-        How its controller reads part programs.
-    planner
-        Settings of the firmware's motion planner, if the controller plans the motion itself.
-    shaft, tables
-        Main shaft of an embroidery machine, and the controller that plays step tables between
-        stitches.
-    design
-        Numbers that ``threadline design`` may change.
-    tolerances
-        How its numbers vary within their tolerances ``+-``.
-    guide
-        Connectors and presets, for ``threadline guide``.
-    sha256
-        Hash of the content, base file and overlays included.
-    file, reference
-        Path of its file, and the argument of ``load_machine``.
-    parameters
-        Path of the parameter file whose settings replaced those of the machine file; empty without
-        one.
+    All arrays over axes have the order of ``axes``.
     """
 
     name: str
+    """Name in reports and results: letters, digits and hyphens."""
     title: str
+    """One line for people."""
     sources: tuple[str, ...]
+    """Where the numbers come from."""
     tick_budget: Annotated[Quantity, Units(("tick",), positive=True)]
+    """Most ticks of a job; a longer job is refused before it is planned."""
     clocks: dict[Name, Period] = Field(min_length=1)
+    """Exact periods by name, each an hour at most."""
     bodies: dict[Name, Body] = Field(default_factory=dict)
+    """Bodies by name. Without it: all drives are kinematic."""
     links: dict[Name, Link] = Field(default_factory=dict)
+    """Links by name."""
     drives: dict[Name, Drive] = Field(default_factory=dict)
+    """Drives by name."""
     sensors: dict[Name, Sensor] = Field(default_factory=dict)
+    """Sensors by name."""
     controllers: dict[Name, Controller] = Field(default_factory=dict)
+    """Controllers by name."""
     axes: dict[AxisName, Axis] = Field(default_factory=dict, max_length=MAX_AXES)
+    """Axes, each named by one capital letter; all tables have their order. A machine has at least
+    one of ``axes`` and ``cylinders``."""
     inputs: dict[Name, LimitSwitch] = Field(default_factory=dict)
+    """Limit switches by name."""
     cylinders: dict[AxisName, Cylinder] = Field(default_factory=dict, max_length=MAX_AXES)
+    """Pneumatic axes, each named by one capital letter."""
     outputs: dict[Name, Output] = Field(default_factory=dict)
+    """Digital outputs of the PLC by name."""
     contacts: dict[Name, Contact] = Field(default_factory=dict)
+    """Digital inputs of the PLC by name."""
     plc: Plc | None = None
+    """The controller of an on/off machine. Without it: no cylinders."""
     shaft: Shaft | None = None
+    """The main shaft of an embroidery machine; it comes with ``tables``."""
     tables: Tables | None = None
+    """The controller's tables of step intervals; they come with ``shaft``."""
     path: PathLimits | None = None
+    """Limits of the tool along its path."""
     tool: Tool | None = None
+    """The tool: the radius at which rotary axes act, or a winder's eye. Without it: each rotary
+    axis has its own radius."""
     operator: Operator | None = None
+    """Settings of the operator."""
     programs: Programs = Field(default_factory=Programs)
+    """How the controller reads part programs. Without it: the defaults of ``[programs]``."""
     planner: FirmwarePlanner | None = None
+    """The motion planner of the controller's firmware."""
     design: Design | None = None
+    """What ``threadline design`` may change."""
     tolerances: Tolerances = Field(default_factory=Tolerances)
+    """How numbers vary within their ``+-``. Without it: uniformly and independently."""
     guide: Guide = Field(default_factory=Guide)
+    """Connectors and presets for ``threadline guide``."""
     sha256: str = ""
+    """Hash of the content, base file and overlays included; not in the file, as what follows."""
     file: str = ""
+    """Path of the file."""
     reference: str = ""
+    """The argument of ``load_machine``."""
     parameters: str = ""
+    """Parameter file whose settings replaced those of the machine file; empty without one."""
 
     @model_validator(mode="after")
     def _references(self) -> Machine:

@@ -24,18 +24,24 @@ Ring = Annotated[Quantity, Units(("",), positive=True, whole=True, most=4096)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class GrblPlanner:
-    """The planner of grbl and FluidNC: trapezoidal speed, cornering by junction deviation.
+class Planner:
+    """What every planner of a firmware has."""
 
-    ``blocks`` is the size of the ring buffer of blocks, 16 by default; one block in it is always
-    empty. ``left_out``, in every planner, lists functions of the firmware that change the motion
-    but are not planned; every plan reports them.
-    """
+    left_out: list[str] = Field(default_factory=list)
+    """Functions of the controller that no plan includes (a mesh, skew, a shaper); every proof names
+    them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class GrblPlanner(Planner):
+    """The planner of grbl and FluidNC: trapezoidal speed, cornering by junction deviation."""
 
     kind: Literal["grbl"]
+    """grbl, and FluidNC, whose planner is the same."""
     junction_deviation: Deviation
+    """Distance between a corner and its circle: ``$11``."""
     blocks: Ring | None = None
-    left_out: list[str] = Field(default_factory=list)
+    """Size of the ring of waiting blocks, one of them always empty. Without it: 16."""
 
     @property
     def look_ahead(self) -> int:
@@ -44,23 +50,24 @@ class GrblPlanner:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class MarlinPlanner:
-    """Marlin's planner: trapezoidal speed, cornering by junction deviation or speed jumps.
-
-    ``jump`` is the speed jump of an axis at a corner, which Marlin calls jerk (``M205 X Y Z``), by
-    the axis' letter. ``acceleration`` limits every move (``M204 T``) in addition to the limits of
-    the axes. ``least_speed`` is the lowest speed of a move (``M205 T``). Moves shorter than
-    ``short_time`` (``M205 B``), 20 ms by default, are slowed down while few moves are queued.
-    """
+class MarlinPlanner(Planner):
+    """Marlin's planner: trapezoidal speed, cornering by junction deviation or speed jumps."""
 
     kind: Literal["marlin"]
+    """Marlin."""
     junction_deviation: Deviation | None = None
+    """``M205 J``. Without it: ``jump``."""
     jump: dict[str, Jump] = Field(default_factory=dict)
+    """Step of speed that each axis may make at a corner, by letter (``M205 X Y Z``, "jerk").
+    Without it: ``junction_deviation``."""
     acceleration: Acceleration | None = None
+    """Limit of every move (``M204 T``), besides the limits of the axes."""
     least_speed: Speed | None = None
+    """Lowest speed of a move (``M205 T``)."""
     short_time: Annotated[Quantity, Units(("s",), not_negative=True)] | None = None
+    """A shorter move is slowed down while few moves wait (``M205 B``). Without it: 20 ms."""
     blocks: Ring | None = None
-    left_out: list[str] = Field(default_factory=list)
+    """Size of the ring of waiting blocks. Without it: 16."""
 
     @model_validator(mode="after")
     def _one_rule(self) -> MarlinPlanner:
@@ -78,24 +85,25 @@ class MarlinPlanner:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class KlipperPlanner:
-    """Klipper's planner: trapezoids with a minimum cruise, cornering by square corner velocity.
-
-    ``velocity`` and ``acceleration`` are ``max_velocity`` and ``max_accel`` of Klipper's
-    ``[printer]``; ``minimum_cruise_ratio`` is 50 % by default, as in Klipper. ``jump`` is the speed
-    jump of an axis other than X, Y and Z (``INSTANTANEOUS_CORNER_VELOCITY``), by the axis' letter,
-    1 mm/s or deg/s by default; ``alone`` is its acceleration in moves without X, Y and Z (``accel``
-    of ``[manual_stepper]``).
-    """
+class KlipperPlanner(Planner):
+    """Klipper's planner: trapezoids with a minimum cruise, cornering by square corner velocity."""
 
     kind: Literal["klipper"]
+    """Klipper."""
     velocity: Annotated[Quantity, Units(("m/s",), positive=True)]
+    """``max_velocity``."""
     acceleration: Acceleration
+    """``max_accel``."""
     square_corner_velocity: Speed
+    """Speed through a corner of 90 degrees."""
     minimum_cruise_ratio: Annotated[Quantity, Units(("",), not_negative=True)] | None = None
+    """Least share of a move at constant speed. Without it: 0.5."""
     jump: dict[str, Jump] = Field(default_factory=dict)
+    """Step of speed that an axis other than X, Y and Z may make at a corner, by letter
+    (``INSTANTANEOUS_CORNER_VELOCITY``). Without it: 1 mm/s, 1 deg/s."""
     alone: dict[str, AloneAcceleration] = Field(default_factory=dict)
-    left_out: list[str] = Field(default_factory=list)
+    """Acceleration of such an axis in moves without X, Y and Z, by letter (``accel`` of
+    ``[manual_stepper]``). Without it: the acceleration of the axis."""
 
     @model_validator(mode="after")
     def _below_one(self) -> KlipperPlanner:
@@ -112,21 +120,20 @@ class KlipperPlanner:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class RepRapPlanner:
-    """RepRapFirmware's planner: trapezoidal speed, cornering by a speed jump of each axis.
-
-    ``jump`` is the "maximum instantaneous speed change" of an axis (``M566``), by the axis' letter.
-    ``policy`` is ``P`` of ``M566``: with 0, the default, the machine stops between a move with X or
-    Y and a move of other axes only; with 1 it does not. ``acceleration`` limits the moves of X and
-    Y (``M204 T``). ``blocks`` is the length of the move queue, 60 by default.
-    """
+class RepRapPlanner(Planner):
+    """RepRapFirmware's planner: trapezoidal speed, cornering by a speed jump of each axis."""
 
     kind: Literal["reprapfirmware"]
+    """RepRapFirmware."""
     jump: Annotated[dict[str, Jump], Field(min_length=1)]
+    """Step of speed that each axis may make at a corner, by letter (``M566``, there in mm/min)."""
     policy: Annotated[Quantity, Units(("",), not_negative=True, whole=True, most=1)] | None = None
+    """``M566 P``: with 0 the machine stops between a move with X or Y and a move of other axes,
+    with 1 it does not. Without it: 0."""
     acceleration: Acceleration | None = None
+    """Limit of moves with X or Y (``M204 T``), besides the limits of the axes."""
     blocks: Ring | None = None
-    left_out: list[str] = Field(default_factory=list)
+    """Size of the ring of waiting moves: 60 of a Duet 3, 40 of a Duet 2. Without it: 60."""
 
     @property
     def joins_all(self) -> bool:
@@ -140,19 +147,19 @@ class RepRapPlanner:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class LinuxCncPlanner:
-    """LinuxCNC's trajectory planner: arcs in corners, overlapping moves, 50 moves of look-ahead.
-
-    ``tolerance`` is P of G64; without it only the accelerations limit the rounding of corners.
-    ``cam_tolerance`` is Q, within which moves are merged: P by default, 0 for none. With
-    ``exact_stop`` (G61) every move ends at rest, unless the next move continues straight.
-    """
+class LinuxCncPlanner(Planner):
+    """LinuxCNC's trajectory planner: arcs in corners, overlapping moves, 50 moves of look-ahead."""
 
     kind: Literal["linuxcnc"]
+    """LinuxCNC."""
     tolerance: Deviation | None = None
+    """P of ``G64 P``. Without it: accelerations alone limit the rounding of corners, as after
+    ``G64``."""
     cam_tolerance: Deviation | None = None
+    """Q of ``G64 P Q``: moves of X, Y and Z within it of one line become one move; 0 for none.
+    Without it: ``tolerance``."""
     exact_stop: StrictBool = False
-    left_out: list[str] = Field(default_factory=list)
+    """Whether every move ends at rest unless the next goes straight on, as after ``G61``."""
 
     @model_validator(mode="after")
     def _one_mode(self) -> LinuxCncPlanner:
@@ -223,17 +230,17 @@ Offset = Annotated[Quantity, Units(("m", "rad"))]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Programs:
-    """How the controller of the machine reads part programs.
-
-    ``feed_mode`` is the rule for the meaning of F, by default the dialect's rule. ``base_axes`` are
-    the axes whose speed F gives under the rule ``base-axes``; other rules have none. ``offsets``
-    are the origins of G54 to G59 in machine coordinates, by axis; a missing offset is 0.
-    """
+    """How the controller of the machine reads part programs."""
 
     dialect: DialectName = "winder"
+    """Meaning of the words of a program."""
     feed_mode: FeedRule | None = None
+    """Rule by which F is a speed. Without it: the rule of the dialect."""
     base_axes: tuple[Annotated[str, Field(pattern=r"^[A-Z]$")], ...] = ()
+    """Axes whose speed F is under the rule ``base-axes``: ``["A", "X"]``."""
     offsets: dict[System, dict[str, Offset]] = Field(default_factory=dict)
+    """Origins of G54 to G59 in machine coordinates: ``G55 = { X = "120 mm exact, assumed" }``; an
+    axis that is not named has 0."""
 
     @model_validator(mode="after")
     def _base(self) -> Programs:

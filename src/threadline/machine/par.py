@@ -23,8 +23,9 @@ from threadline.base.reading import refuse_special
 from threadline.errors import MachineError, Place
 from threadline.machine.controllers import PdController
 from threadline.machine.model import Machine
-from threadline.machine.parts import Operator, eye_within
+from threadline.machine.parts import Operator
 from threadline.machine.quantity import Provenance, Quantity
+from threadline.machine.tool import eye_within
 
 COMMENT_LINES = 3
 MAX_RECORD_EVERY = 32_767  # "where n varies from 1 to 32K"

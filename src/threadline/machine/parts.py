@@ -47,16 +47,18 @@ Weights = Annotated[dict[str, Coefficient], Field(min_length=1), AfterValidator(
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Body:
-    """A mass with one coordinate (m or rad), counted from the start position of the machine.
-
-    ``friction`` opposes sliding with a constant force; ``stiction`` is the force at breakaway.
-    """
+    """A mass with one coordinate (m or rad), counted from the start position of the machine."""
 
     kind: Literal["linear", "rotary"]
+    """Whether the coordinate is in m or rad; it is 0 where the machine starts."""
     inertia: Annotated[Quantity, Units(("kg", "kg*m^2"), positive=True)]
+    """Mass, or moment of inertia, of all that moves with the coordinate."""
     damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)] | None = None
+    """Viscous friction to the ground. Without it: 0."""
     friction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
+    """Constant force against sliding. Without it: 0."""
     stiction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
+    """Force at breakaway, at least ``friction``. Without it: ``friction``."""
 
     @model_validator(mode="after")
     def _same_kind(self) -> Body:
@@ -78,34 +80,39 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Eccentric:
-    """An eccentric gear, by which the play of a link becomes ``play + width cos(angle)``.
-
-    ``angle`` is the gear's angle in rad as a weighted sum of coordinates, and ``phase`` its value
-    at the start of the machine; ``width`` is the amplitude of the full width of the play.
-    """
+    """An eccentric gear, by which the play of a link becomes ``play + width cos(angle)``."""
 
     angle: dict[str, Annotated[Quantity, Units(("", "rad/m"))]] = Field(min_length=1)
+    """Weight of each coordinate in the gear's angle, which is in rad."""
     width: Annotated[Quantity, Units(("m", "rad"), positive=True)]
+    """Amplitude by which the full width of the play varies, at most ``play``."""
     phase: Annotated[Quantity, Units(("rad",))]
+    """The gear's angle where the machine starts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Link:
     """A spring and damper whose stretch is ``sum(coefficient * coordinate)``.
 
-    With ``preload`` the link is a belt of two runs: each has a share of the stiffness and goes
-    slack without tension. ``first_run`` is the share of the run that a positive stretch tightens, a
-    half by default. ``play`` is the full width of the backlash; with ``eccentric`` it varies with
-    the angle of a gear.
+    With ``preload`` it is a belt of two runs.
     """
 
     stretch: Weights
+    """Weight of each body's coordinate in the stretch: ``{ motor = "...", head = "-1 ..." }``. A
+    link with one body holds it to the ground."""
     stiffness: Annotated[Quantity, Units(("N/m", "N*m/rad"), not_negative=True, certain=True)]
+    """Force per stretch."""
     damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)] | None = None
+    """Force per rate of stretch. Without it: 0."""
     preload: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
+    """Tension at rest of a belt, which is two runs: each run is slack once its share of the tension
+    is gone. Without it: never slack."""
     play: Annotated[Quantity, Units(("m", "rad"), not_negative=True)] | None = None
+    """Full width of the dead band. Without it: 0."""
     first_run: Annotated[Quantity, Units(("",), positive=True)] | None = None
+    """Share of the stiffness in the run that a positive stretch tightens. Without it: a half."""
     eccentric: Eccentric | None = None
+    """An eccentric gear: the play varies as it turns."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Link:
@@ -133,21 +140,24 @@ class Link:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Amplifier:
-    """Amplifier: the controller's voltage sets a voltage (mode voltage) or current (mode current).
-
-    ``limits`` is the kind of current limit of a motor with inductance: ``state`` stops the current
-    at the limit; ``output`` clips the output of an integrator that winds up (as in simulations with
-    a saturation block). ``reserve`` is the share of the voltage and current limits that a plan
-    leaves to the control loop; ``current_reserve`` is another share for the current.
-    """
+    """An amplifier: the controller's voltage sets a voltage or a current."""
 
     mode: Literal["voltage", "current"]
+    """What the output follows: the input sets a voltage or a current."""
     gain: Annotated[Quantity, Units(("", "A/V"), positive=True)]
+    """Volts per volt (a plain number) in mode ``voltage``, amperes per volt in mode ``current``."""
     voltage_limit: Annotated[Quantity, Units(("V",), positive=True)] | None = None
+    """Highest output voltage."""
     current_limit: Annotated[Quantity, Units(("A",), positive=True)] | None = None
+    """Highest output current."""
     limits: Literal["state", "output"] = "state"
+    """How the current of a motor with ``inductance`` is limited: ``state`` holds the current itself
+    at the limit, ``output`` clips the output of an integrator that runs on."""
     reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
+    """Share of voltage and current that ``--interpolation optimal`` leaves to the loop, at most 90
+    %. Without it: 10 %."""
     current_reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
+    """Another share for the current. Without it: ``reserve``."""
 
     @model_validator(mode="after")
     def _gain_unit(self) -> Amplifier:
@@ -165,25 +175,34 @@ class DcMotor:
     """A permanent-magnet motor with its amplifier, acting on bodies."""
 
     kind: Literal["dc-motor"]
+    """A motor with permanent magnets, brushed, or a servo that behaves like one."""
     acts_on: Weights
+    """The bodies that the motor turns, each with its weight: 1 for its own rotor."""
     torque_constant: Annotated[Quantity, Units(("N*m/A", "N/A"), positive=True)]
+    """Torque per ampere; force per ampere of a linear motor."""
     back_emf: Annotated[Quantity, Units(("V*s/rad", "V*s/m"), not_negative=True)]
+    """Voltage per speed."""
     resistance: Annotated[Quantity, Units(("ohm",), positive=True)]
+    """Resistance of the winding and its leads."""
     inductance: Annotated[Quantity, Units(("H",), positive=True)] | None = None
+    """Inductance of the winding. Without it: 0."""
     amplifier: Amplifier
+    """The amplifier that feeds the motor."""
     delay: PositiveTime | None = None
+    """Dead time between the controller's output and the amplifier. Without it: 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Encoder:
-    """An encoder whose reading is ``sum(resolution * coordinate)`` in whole counts.
-
-    ``rounding`` gives the reading between two counts.
-    """
+    """An encoder whose reading is ``sum(resolution * coordinate)`` in whole counts."""
 
     kind: Literal["encoder"]
+    """An encoder, which control loops may read."""
     reads: dict[str, Resolution] = Field(min_length=1)
+    """Counts per unit of each body's coordinate; the reading is a whole number."""
     rounding: Rounding = "nearest"
+    """Reading of a position between two counts: the nearest count, the count below (``floor``), or
+    the count towards zero (``truncate``)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -191,7 +210,9 @@ class Potentiometer:
     """A sensor whose voltage is ``sum(sensitivity * coordinate)``; no loop uses it."""
 
     kind: Literal["potentiometer"]
+    """A potentiometer, which is observed and closes no loop."""
     reads: dict[str, Sensitivity] = Field(min_length=1)
+    """Voltage per unit of each body's coordinate."""
 
 
 Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]
@@ -199,35 +220,46 @@ Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Axis:
-    """An axis that jobs move: its scale, travel and hard limits.
-
-    ``controller`` names the controller that moves it, or ``drive`` a stepper or pulse servo.
-    ``deceleration`` is the limit of braking, by default ``acceleration``. ``load`` is the position
-    of the mass that does the work, in axis units, as a weighted sum of coordinates; by default it
-    is the position that the sensor or drive of the axis counts, not rounded. ``frame`` is the
-    position of the frame in the same form. ``endless`` axes have no travel. ``stroke`` is the
-    distance between the two ends of an axis on which a job may begin anywhere: no job may span
-    more. ``radius`` is the distance at which a rotary axis acts on the work, by default the tool's;
-    for a mandrel, ``profile`` gives it along a linear axis instead. ``working_velocity`` is the
-    speed of daily work, used for warnings.
-    """
+    """An axis that jobs move: its scale, travel and hard limits."""
 
     kind: Literal["linear", "rotary"]
+    """Whether positions are lengths or angles."""
     controller: str = ""
+    """The controller that moves the axis. Without it: ``drive``."""
     drive: str = ""
+    """The stepper, pulse servo or kinematic drive that takes its positions. Without it:
+    ``controller``."""
     counts: Resolution
+    """Counts of the encoder, or microsteps, per unit of the axis."""
     velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)]
+    """Limit of the speed."""
     acceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
+    """Limit of the acceleration."""
     deceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)] | None = None
+    """Limit of braking. Without it: ``acceleration``."""
     jerk: Annotated[Quantity, Units(("m/s^3", "rad/s^3"), positive=True)] | None = None
+    """Limit of the jerk. Without it: accelerations may step."""
     travel: tuple[Position, Position] | None = None
+    """Lowest and highest position: ``["-500 mm ...", "500 mm ..."]``. Without it: ``endless``."""
     stroke: Position | None = None
+    """Distance between the two ends of an axis on which jobs begin anywhere; no job may span more.
+    Without it: only ``travel`` limits a job."""
     endless: StrictBool = False
+    """Whether the axis turns without end and has no ``travel``."""
     radius: Annotated[Quantity, Units(("m",), positive=True)] | None = None
+    """Distance at which a rotary axis acts on the work: the mandrel's radius, or half of the band's
+    width for an eye that rolls. Without it: ``radius`` of ``[tool]``."""
     profile: Mandrel | None = None
+    """Radius of a mandrel along a linear axis, in place of ``radius``."""
     load: Weights | None = None
+    """Position of the mass that does the work, in axis units: weights of the bodies, including
+    those that hold the work. The load is judged. A head over cloth that is clamped to a springy
+    frame is judged relative to that frame (``stitcher+cloth-on-frame``). Without it: the position
+    that the encoder or drive counts, unrounded."""
     frame: Weights | None = None
+    """Position of the machine's frame, in the same form. Without it: not recorded."""
     working_velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)] | None = None
+    """Speed of daily work, for warnings."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Axis:
@@ -274,10 +306,15 @@ class LimitSwitch:
     """A switch that cuts a drive's supply while the axis is at ``at`` or ``beyond`` it."""
 
     kind: Literal["limit-switch"]
+    """A limit switch."""
     axis: str
+    """The axis whose position closes the switch."""
     at: Position
+    """Position at which the switch closes."""
     beyond: Literal["below", "above"]
+    """On which side of ``at`` the switch is closed."""
     cuts: str
+    """The drive whose supply the switch cuts."""
 
 
 def switches_in_the_way(
@@ -312,136 +349,22 @@ def _place(value_si: float, kind: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class EyeAxis:
-    """An axis that moves the eye or turns the mandrel.
-
-    The eye's coordinate is ``zero`` plus the position of the axis; minus it with ``reverse``.
-    """
-
-    axis: str
-    reverse: StrictBool = False
-    zero: Position | None = None
-
-    @property
-    def factor(self) -> float:
-        """1, or -1 for a reversed axis."""
-        return -1.0 if self.reverse else 1.0
-
-    @property
-    def zero_si(self) -> float:
-        """Coordinate of the eye where the axis is at 0, m or rad."""
-        return 0.0 if self.zero is None else self.zero.si
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class Payout:
-    """Pay-out point of the fibre from the eye's carrier, at yaw and roll 0."""
-
-    along: Annotated[Quantity, Units(("m",))]
-    across: Annotated[Quantity, Units(("m",))]
-    up: Annotated[Quantity, Units(("m",))]
-
-
-_TURNS = ("turn", "yaw", "roll")
-EYE_PARTS = ("turn", "along", "across", "up", "yaw", "roll")
-"""Coordinates of an eye, in the order of all arrays."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class Tool:
-    """The tool; ``radius`` is the distance at which rotary axes act on the work.
-
-    ``kind = "eye"`` is the eye of a winder. ``turn`` names the axis that turns the mandrel;
-    ``along`` moves the eye along the mandrel, ``across`` away from its axis and ``up``. ``yaw``
-    turns the eye about the upright from along to across, ``roll`` about the direction across from
-    up to along. A missing coordinate is 0. ``payout`` is the point where the fibre leaves the eye.
-    """
-
-    kind: Literal["radius", "eye"] = "radius"
-    radius: Annotated[Quantity, Units(("m",), positive=True)]
-    turn: EyeAxis | None = None
-    along: EyeAxis | None = None
-    across: EyeAxis | None = None
-    up: EyeAxis | None = None
-    yaw: EyeAxis | None = None
-    roll: EyeAxis | None = None
-    payout: Payout | None = None
-
-    @model_validator(mode="after")
-    def _of_its_kind(self) -> Tool:
-        if self.kind == "radius":
-            for name in (*EYE_PARTS, "payout"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f'{name} belongs to an eye: write kind = "eye", or remove it')
-            return self
-        for name in ("turn", "along"):
-            if getattr(self, name) is None:
-                raise ValueError(f'an eye needs {name}, like {name} = {{ axis = "A" }}')
-        if self.across is None and self.payout is None:
-            raise ValueError('an eye needs across, like across = { axis = "Y" }, or a payout')
-        for name, part in zip(EYE_PARTS, self.parts, strict=True):
-            wanted = "rad" if name in _TURNS else "m"
-            if part is not None and part.zero is not None and part.zero.unit != wanted:
-                raise ValueError(f"{name}.zero is in {wanted}, not {part.zero.unit}")
-        return self
-
-    @property
-    def parts(self) -> tuple[EyeAxis | None, ...]:
-        """The axes of ``EYE_PARTS``."""
-        return self.turn, self.along, self.across, self.up, self.yaw, self.roll
-
-    @property
-    def payout_m(self) -> tuple[float, float, float]:
-        """Pay-out point along, across and up from the eye's carrier."""
-        point = self.payout
-        return (0.0, 0.0, 0.0) if point is None else (point.along.si, point.across.si, point.up.si)
-
-
-def eye_within(tool: Tool | None, axes: Iterable[str]) -> Tool | None:
-    """Return the tool of a machine with some axes alone: without all its axes it is no eye."""
-    known = set(axes)
-    if tool is None or all(part is None or part.axis in known for part in tool.parts):
-        return tool
-    return Tool(radius=tool.radius)
-
-
-def check_eye(tool: Tool | None, axes: Mapping[str, Axis]) -> None:
-    """Check that the axes of an eye exist and are of the right kind.
-
-    Raises
-    ------
-    ValueError
-        If one is missing, rotary instead of linear, or used twice; begins with the key.
-    """
-    if tool is None:
-        return
-    used: dict[str, str] = {}
-    for name, part in zip(EYE_PARTS, tool.parts, strict=True):
-        if part is None:
-            continue
-        at = f"tool.{name}.axis"
-        check_known([part.axis], axes, at, "axis")
-        kind = "rotary" if name in _TURNS else "linear"
-        if axes[part.axis].kind != kind:
-            raise ValueError(f"{at}: {part.axis} is a {axes[part.axis].kind} axis, not {kind}")
-        if part.axis in used:
-            raise ValueError(f"{at}: {part.axis} is the axis of {used[part.axis]} already")
-        used[part.axis] = name
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Operator:
-    """The operator's settings, as in the parameter file of the 1994 controller.
-
-    ``manual_feed``, ``limit_feed`` and ``knots_between`` are optional: only that controller uses
-    them.
-    """
+    """The operator's settings, as in the parameter file of the 1994 controller."""
 
     normal_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
+    """Caps every programmed feed, counted on the fastest axis, unless ``--feed`` is given; it is
+    also the feed of a move without F. Only this machine has it, not one that is based on it."""
     record_every: Annotated[Quantity, Units(("tick",), positive=True, whole=True)]
+    """Ticks between two positions of the 1994 recording, in what ``prove`` reports of it; the
+    simulation records every tick."""
     manual_feed: Annotated[Quantity, Units(("count/tick",), positive=True)] | None = None
+    """Feed of hand control; nothing uses it."""
     limit_feed: Annotated[Quantity, Units(("count/tick",), positive=True)] | None = None
+    """Highest value that a parameter file may give the other two feeds; it caps no plan."""
     knots_between: Annotated[Quantity, Units(("",), positive=True, whole=True)] | None = None
+    """Points that the 1994 controller put between two points of a spline; nothing uses it, because
+    splines here are exact."""
 
 
 def check_known(names: Iterable[str], among: Iterable[str], where: str, what: str) -> None:
@@ -476,17 +399,18 @@ class Connector:
     """A connector: its purpose and location, and the signal at each used pin."""
 
     title: GuideText
+    """Purpose and place of the connector."""
     pins: dict[_Pin, GuideText] = Field(min_length=1)
+    """The signal at each used pin: ``{ 1 = "opto-switch, Y axis" }``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Guide:
-    """Additional content of ``threadline guide``, which cannot be derived from other parts.
-
-    ``presets`` are the steps from the manual of the drives, before the general calibration steps.
-    """
+    """Additional content of ``threadline guide``, which cannot be derived from other parts."""
 
     presets: tuple[GuideText, ...] = ()
+    """Steps that the manual of the drives asks for, before the general steps."""
     connectors: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,20}$")], Connector] = Field(
         default_factory=dict
     )
+    """Connectors by name."""

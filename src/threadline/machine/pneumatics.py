@@ -34,16 +34,17 @@ Fraction = Annotated[Quantity, Units(("",), positive=True)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Output:
-    """A digital output of the PLC.
-
-    ``ramp`` is the time that a soft-start valve takes to pressurise the circuit. ``needs`` is the
-    interlock of a tool or a vacuum: end switches that must be on while the output is on.
-    """
+    """A digital output of the PLC."""
 
     kind: Literal["direction", "flow", "soft-start", "vacuum", "tool"]
+    """Purpose of the output."""
     address: OutputAddress
+    """Address in the PLC, ``%QX0.1``: byte and bit, 0 to 7, without leading zeros."""
     ramp: PositiveTime | None = None
+    """Time in which a soft-start valve gives full pressure; the upper end of its tolerance is
+    waited for. Without it: no soft-start valve."""
     needs: tuple[str, ...] = ()
+    """Interlock of a tool or a vacuum: end switches that are on while the output is on."""
 
     @property
     def ramp_s(self) -> float:
@@ -63,19 +64,21 @@ class Output:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Contact:
-    """A digital input of the PLC.
-
-    ``light-grid`` and ``enable`` are true while the machine may move; ``start`` starts a cycle,
-    ``home`` the return to the home position, and ``acknowledge`` clears a fault. A ``contact`` with
-    a ``cylinder`` is an end switch, closed while the cylinder is at ``at`` or beyond; without a
-    cylinder it is an external input.
-    """
+    """A digital input of the PLC."""
 
     kind: Literal["light-grid", "enable", "start", "acknowledge", "home", "contact"]
+    """Purpose of the input: ``light-grid`` and ``enable`` are true while the machine may move,
+    ``start`` asks for a cycle, ``home`` for the way home, ``acknowledge`` clears a fault, and
+    ``contact`` is anything else."""
     address: InputAddress
+    """Address in the PLC, ``%IX0.1``: byte and bit, 0 to 7, without leading zeros."""
     cylinder: str | None = None
+    """The cylinder of an end switch, with ``at`` and ``beyond``."""
     at: Annotated[Quantity, Units(("m",), not_negative=True)] | None = None
+    """Position at which the end switch closes: inside the stroke by more than its tolerance, and
+    never where a switch of the other end is closed."""
     beyond: Literal["below", "above"] | None = None
+    """On which side of ``at`` the end switch is closed."""
 
     @model_validator(mode="after")
     def _complete(self) -> Contact:
@@ -89,17 +92,17 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Way:
-    """One direction of a cylinder: the valve that selects it, and its flow controls.
-
-    ``opens`` is the delay from the command of one of these valves to its flow, and ``closes`` from
-    the end of the command to the end of the flow; a delay common to both may be in the ``delay`` of
-    the cylinder. None means no delay.
-    """
+    """One direction of a cylinder: the valve that selects it, and its flow controls."""
 
     valve: str
+    """The output of kind ``direction`` that opens this direction."""
     flows: dict[str, Fraction] = Field(min_length=1)
+    """Outputs of kind ``flow``, each with its share of ``speed``; shares of open outputs add up."""
     opens: ShortTime | None = None
+    """Time from the command of one of these valves to its flow, besides ``delay``. Without it: 0.
+    """
     closes: ShortTime | None = None
+    """Time from the end of the command to the end of the flow, besides ``delay``. Without it: 0."""
 
     def levels(self) -> dict[tuple[str, ...], float]:
         """Return every set of open flow controls, including the empty set, with its level."""
@@ -132,45 +135,58 @@ class Way:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Cushion:
-    """End cushioning: over the last ``length`` of the stroke the exhaust is throttled to ``flow``.
+    """End cushioning: over the end of the stroke the exhaust is throttled.
 
     A piston with metered exhaust moves at the speed of the flow, independent of the opposing force,
     so a cushion slows it by reducing the flow.
     """
 
     length: Length
+    """Length of the throttled end of the stroke."""
     flow: Fraction
+    """Share to which the exhaust is throttled."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Cylinder:
     """A pneumatic axis: valves set the speed of a flow, which moves the piston by an air spring.
 
-    The piston pushes the body ``pushes``, and its reaction acts on ``reacts_on``. ``delay`` is the
-    time from a valve's command to the first flow, and ``lag`` the time constant of the flow's
-    speed. The air is a spring with a damper between flow and piston; ``air_ramp`` is the distance
-    over which its damping builds up after each standstill. ``friction`` and ``stiction`` act
-    between piston and housing. ``frame`` gives the position whose vibration is judged, as a
-    weighted sum of coordinates. ``needs`` is its interlock: end switches of other cylinders that
-    must be on while it moves.
+    The air is a spring with a damper between flow and piston.
     """
 
     pushes: str
+    """The body that the piston pushes."""
     reacts_on: str
+    """The body that the cylinder is fixed to. A link, or a chain of links, joins it with
+    ``pushes``; the stiffness of a link between the two may be 0."""
     frame: Weights
+    """Position whose vibration is judged: weights of the bodies."""
     stroke: Length
+    """The piston moves from 0 to here."""
     speed: Annotated[Quantity, Units(("m/s",), positive=True)]
+    """Speed of the piston with all flow controls of a direction open (level 1)."""
     forward: Way
+    """Valve and flow controls of the outward stroke."""
     back: Way
+    """Valve and flow controls of the return stroke."""
     delay: ShortTime
+    """Time from a valve's command to the first flow."""
     lag: ShortTime
+    """Time constant with which the speed follows."""
     air_stiffness: Annotated[Quantity, Units(("N/m",), positive=True)]
+    """Stiffness of the air between flow and piston."""
     air_damping: Annotated[Quantity, Units(("N*s/m",), not_negative=True)]
+    """Damping of that air."""
     air_ramp: Length | None = None
+    """Distance over which the damping builds up after a standstill. Without it: 0."""
     cushion: Cushion | None = None
+    """End cushioning."""
     friction: Annotated[Quantity, Units(("N",), not_negative=True)] | None = None
+    """Friction between piston and housing. Without it: 0."""
     stiction: Annotated[Quantity, Units(("N",), not_negative=True)] | None = None
+    """Force at breakaway, at least ``friction``. Without it: ``friction``."""
     needs: tuple[str, ...] = ()
+    """Interlock: end switches of other cylinders that are on while this one moves."""
 
     @model_validator(mode="after")
     def _stiction(self) -> Cylinder:
@@ -197,17 +213,16 @@ class Cylinder:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Plc:
-    """The controller of an on/off machine.
-
-    ``dwell`` is the shortest time between two switchings of one valve. A scan that takes longer
-    than ``watchdog`` is a fault. With ``never_over``, shaped commands may not exceed the unshaped
-    level.
-    """
+    """The controller of an on/off machine."""
 
     clock: str
+    """Its scan, a name of ``[clocks]``."""
     watchdog: PositiveTime
+    """A longer scan is a fault. It is longer than one scan, and 100 scans at most."""
     dwell: PositiveTime
+    """Shortest time between two switchings of one valve."""
     never_over: bool
+    """Whether no command may exceed the unshaped level."""
 
 
 def check_addresses(outputs: Mapping[str, Output], contacts: Mapping[str, Contact]) -> None:

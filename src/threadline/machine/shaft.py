@@ -26,18 +26,22 @@ _FINEST = 360_000
 class Shaft:
     """The main shaft, which makes one stitch per turn.
 
-    The frame may move from shaft angle 0 to ``window``, and must be at rest afterwards. The needle
-    is in the cloth from ``needle_enters`` to ``needle_leaves``. ``turn`` is the time of a turn at
-    the highest speed, ``slowest_turn`` at the lowest. Without an ``acceleration`` the shaft cannot
-    change its speed during sewing.
+    Angles count from where the frame begins to move; it must be at rest after ``window``.
     """
 
     turn: PositiveTime
+    """Time of a turn at the highest speed."""
     slowest_turn: PositiveTime
+    """Time of a turn at the lowest speed."""
     window: Angle
+    """The frame may move from angle 0 to here."""
     needle_enters: Angle
+    """The needle is in the cloth from here."""
     needle_leaves: Angle
+    """The needle is in the cloth until here."""
     acceleration: Annotated[Quantity, Units(("rad/s^2",), positive=True)] | None = None
+    """Largest change of the speed between two windows, per time. Without it: the speed cannot
+    change during sewing."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Shaft:
@@ -74,19 +78,23 @@ class Shaft:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Tables:
-    """The controller's tables of step intervals, one for each length from ``unit`` to ``longest``.
+    """The controller's tables of step intervals, one for each length of a move.
 
-    Intervals are whole periods of ``clock``. Before each move the controller loads a table for
-    every moving axis, which takes ``fetch`` per table. Its largest step rate is ``step_rate``.
-    ``law`` is the default motion law of the tables.
+    Intervals are whole periods of the clock.
     """
 
     clock: str
+    """The timer, a name of ``[clocks]``; clocks of the drives are multiples of it."""
     unit: Length
+    """Shortest move."""
     longest: Length
+    """Longest move; there is one table for each number of units up to it."""
     fetch: PositiveTime
+    """Time in which a table is loaded, one for each axis that moves, between two moves."""
     step_rate: Annotated[Quantity, Units(("Hz",), positive=True)]
+    """Highest rate of steps."""
     law: str
+    """Motion law of the tables, unless ``--law`` names another."""
 
     @model_validator(mode="after")
     def _whole(self) -> Tables:

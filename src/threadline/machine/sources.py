@@ -29,44 +29,51 @@ class CurvePoint:
     """A point of a data sheet's torque curve: the largest torque (force) at a speed."""
 
     speed: Speed
+    """Speed of the body; it rises from point to point."""
     torque: Torque
+    """Largest torque at this speed; it never rises with speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Winding:
-    """The winding of a stepper, which determines its pull-out torque.
-
-    ``current`` is the amplitude of the sine in a phase, and ``holding_torque`` the torque at that
-    current; ``resistance`` and ``inductance`` are per phase, and ``supply`` is the voltage of the
-    driver.
-    """
+    """The winding of a stepper, which determines its pull-out torque."""
 
     holding_torque: Torque
+    """Holding torque at ``current``."""
     current: Annotated[Quantity, Units(("A",), positive=True)]
+    """Amplitude of the sine in a phase."""
     resistance: Annotated[Quantity, Units(("ohm",), positive=True)]
+    """Resistance of a phase and its leads."""
     inductance: Annotated[Quantity, Units(("H",), positive=True)]
+    """Inductance of a phase."""
     supply: Annotated[Quantity, Units(("V",), positive=True)]
+    """Voltage of the driver."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Stepper:
-    """A stepping motor that moves ``body`` in steps; the body's inertia includes its rotor's.
-
-    ``full_steps`` is the number of full steps per rad (m) of the body, each divided into
-    ``microsteps``. The largest torque at a speed is a ``curve`` from a data sheet, or follows from
-    the ``winding``. ``microstep_error`` is the largest distance of the motor, at rest, from its
-    microstep; ``detent`` is the holding torque without current.
-    """
+    """A stepping motor that moves its body in steps."""
 
     kind: Literal["stepper"]
+    """A stepping motor with its driver."""
     body: str
+    """The body that it turns; its inertia includes the rotor."""
     clock: str
+    """Tick of its commands; within a tick the pulses are evenly spaced."""
     full_steps: Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
+    """Full steps per unit of the body."""
     microsteps: Annotated[Quantity, Units(("",), positive=True, whole=True, most=256)]
+    """Microsteps per full step."""
     curve: tuple[CurvePoint, ...] = ()
+    """Torque curve of a data sheet: at least two points, the first at speed 0; beyond the last
+    there is no torque. Without it: ``winding``."""
     winding: Winding | None = None
+    """Winding, from which the torque curve follows. Without it: ``curve``."""
     microstep_error: Annotated[Quantity, Units(("rad", "m"), not_negative=True)] | None = None
+    """Largest distance of the motor from its microstep; the error repeats every full step. Without
+    it: 0."""
     detent: Annotated[Quantity, Units(("N*m", "N"), not_negative=True)] | None = None
+    """Holding torque without current; nothing uses it."""
 
     @model_validator(mode="after")
     def _one_curve(self) -> Stepper:
@@ -118,11 +125,17 @@ class PulseServo:
     """
 
     kind: Literal["pulse-servo"]
+    """A servo with a loop of its own that takes pulses."""
     body: str
+    """The body that it turns."""
     clock: str
+    """Tick of its commands."""
     resolution: Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
+    """Pulses per unit of the body."""
     bandwidth: Annotated[Quantity, Units(("Hz",), positive=True)]
+    """Bandwidth of its loop."""
     torque_limit: Torque
+    """Largest torque at any speed; more is a fault (``step_loss``)."""
 
     @property
     def counts(self) -> float:
@@ -139,7 +152,9 @@ class Kinematic:
     """A drive that takes positions on ``clock``; its motor and its load are unknown."""
 
     kind: Literal["kinematic"]
+    """A drive of which only the limits are known."""
     clock: str
+    """Tick of its commands."""
 
 
 Source = Stepper | PulseServo

@@ -36,30 +36,22 @@ MOST_TOLERANCES = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DesignParameter:
-    """Numbers of the machine that a common factor changes.
-
-    Parameters
-    ----------
-    of
-        Dotted names of the numbers in the file, such as ``"links.x_belt.stiffness"``.
-    factor
-        Smallest and largest factor on the values of the file; alternatively give ``range``.
-    range
-        Smallest and largest value with units; the numbers must then be equal in the file.
-    weight
-        A change by a factor costs ``weight |ln factor|``.
-    tolerance
-        Relative tolerance of the numbers; with ``--corners`` both ends are simulated.
-    note
-        Remark.
-    """
+    """Numbers of the machine that a common factor changes."""
 
     of: tuple[NumberPath, ...] = Field(min_length=1)
+    """Numbers that change together: ``["links.x_belt.stiffness"]``."""
     factor: tuple[Factor, Factor] | None = None
+    """Smallest and largest factor on the numbers: ``[1, 100]``. Without it: ``range``."""
     range: tuple[str, str] | None = None
+    """Smallest and largest value, ``["27 A", "60 A"]``; the numbers are equal in the file. Without
+    it: ``factor``."""
     weight: Annotated[float, Field(ge=0.0, le=1e6, strict=True)] = 1.0
+    """A change costs weight x abs(ln factor)."""
     tolerance: str | None = None
+    """Relative tolerance of the numbers, ``"10 %"``, for ``--corners`` of ``design``. Without it:
+    0."""
     note: str = ""
+    """Remark for people."""
 
     @model_validator(mode="after")
     def _consistent(self) -> DesignParameter:
@@ -85,23 +77,19 @@ Seconds = Annotated[Quantity, Units(("s",), not_negative=True)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DesignSettings:
-    """Settings that a redesign may change at no cost, each with its smallest and largest value.
-
-    Parameters
-    ----------
-    crossover, phase_margin
-        Crossover frequency and phase margin of the lead filters of all axes. Without them the gains
-        do not change.
-    acceleration
-        Share of the machine's acceleration and jerk limits that the planner uses.
-    needle_delay
-        Time from the command of a stitch to its needle.
-    """
+    """Settings that a redesign may change at no cost, each with its smallest and largest value."""
 
     crossover: tuple[Hertz, Hertz] | None = None
+    """Smallest and largest crossover frequency of all lead filters; it comes with ``phase_margin``.
+    Without it: the gains stay."""
     phase_margin: tuple[Degrees, Degrees] | None = None
+    """Smallest and largest phase margin. Without it: the gains stay."""
     acceleration: tuple[Share, Share] | None = None
+    """Smallest and largest share of acceleration and jerk limits that the planner uses. Without it:
+    all."""
     needle_delay: tuple[Seconds, Seconds] | None = None
+    """Smallest and largest time from the command of a stitch to its needle. Without it: the time in
+    the specification."""
 
     @model_validator(mode="after")
     def _in_order(self) -> DesignSettings:
@@ -125,13 +113,12 @@ class DesignSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class KnownDesign:
-    """A published design, plotted together with the design found.
-
-    ``factors`` maps names of parameters to their factors, by default 1.
-    """
+    """A published design, plotted together with the design found."""
 
     title: str
+    """One line for people."""
     factors: dict[Name, Factor] = Field(min_length=1)
+    """Factor of each parameter; a parameter that is not named keeps 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -139,8 +126,11 @@ class Design:
     """The ``[design]`` table."""
 
     parameters: dict[Name, DesignParameter] = Field(min_length=1, max_length=MOST_PARAMETERS)
+    """What may change, by name: at most eight parameters."""
     settings: DesignSettings = Field(default_factory=DesignSettings)
+    """What can be set without changing the machine. Without it: nothing is set."""
     known: dict[Name, KnownDesign] = Field(default_factory=dict)
+    """Published designs by name, plotted beside the design found."""
 
     @model_validator(mode="after")
     def _references(self) -> Design:
@@ -179,20 +169,16 @@ class Tolerances:
 
     Numbers are named by their dotted names in the file, such as ``"links.x_belt.stiffness"``; ``*``
     stands for any text in a name.
-
-    Parameters
-    ----------
-    normal
-        Numbers with a normal distribution: ``+-`` is two standard deviations.
-    exclude
-        Numbers that do not vary.
-    groups
-        Numbers that vary together, all at the same relative position in their tolerances.
     """
 
     normal: tuple[NumberPattern, ...] = ()
+    """Numbers with a normal distribution: ``+-`` is two standard deviations, and no number is
+    further off than three."""
     exclude: tuple[NumberPattern, ...] = ()
+    """Numbers that do not vary."""
     groups: dict[Name, tuple[NumberPattern, ...]] = Field(default_factory=dict)
+    """Numbers that vary together, by name of the group, all by the same share of their tolerances.
+    All numbers of a group are ``normal``, or none is."""
 
     @model_validator(mode="after")
     def _each_in_one_group(self) -> Tolerances:

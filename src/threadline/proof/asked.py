@@ -6,16 +6,18 @@ read, plan and judge a job in the same way.
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import wraps
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
-from threadline.errors import OptionError
+from threadline.errors import OptionError, ThreadlineError
 from threadline.machine import Machine, load_machine
 from threadline.machine.radii import with_radii
 from threadline.motion.path.interpolations import OPTIMAL
@@ -27,6 +29,7 @@ from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
 from threadline.verdict import Spec, load_spec
 
+VerbT = TypeVar("VerbT", bound=Callable[..., object])
 _LEVELS = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANCES}
 
 
@@ -294,8 +297,8 @@ def level_option(trials: Trials) -> dict[str, str]:
         return level_option(trials.alone) | shares
     if trials == REPEATED:
         return {}
-    if trials.wished is not None:
-        return {"--yield": f"{100.0 * trials.wished:.12g} %"}
+    if trials.wanted_yield is not None:
+        return {"--yield": f"{100.0 * trials.wanted_yield:.12g} %"}
     if trials.machines:
         return {"--tolerances": ""}
     if trials == NOMINAL:
@@ -357,3 +360,35 @@ _PYTHON: Mapping[Type, tuple[str, Any]] = {
     Type.SPEC: ("PathLike | Spec", str | Path | Spec),
     Type.MACHINE: ("PathLike | Machine", str | Path | Machine),
 }
+
+
+def with_options(function: VerbT) -> VerbT:
+    """Give a function the signature that lists every option of its verb, with its default.
+
+    Its errors name arguments of the function where the command line names options.
+    """
+
+    @wraps(function)
+    def verb(*positional: Any, **named: Any) -> object:
+        try:
+            return function(*positional, **named)
+        except ThreadlineError as error:
+            error.message, error.remedy = as_arguments(error.message), as_arguments(error.remedy)
+            error.args = (error.message, *error.args[1:])
+            raise
+
+    own = inspect.signature(function)
+    first = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    listed = [
+        inspect.Parameter(
+            one.word,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=one.default_of(verb.__name__),
+            annotation=python_type(one, verb.__name__),
+        )
+        for one in options_for(verb.__name__, Door.PYTHON)
+        if one.word not in own.parameters
+    ]
+    verb.__signature__ = own.replace(parameters=[*first, *listed])  # type: ignore[attr-defined]
+    verb.words = tuple(one.name for one in listed)  # type: ignore[attr-defined]
+    return cast(VerbT, verb)

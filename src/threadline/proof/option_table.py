@@ -179,7 +179,8 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="product", group=Group.PLAN, kinds=(TICKS,),
         verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "panel"}),
-        help="Product of a winder (NAME.wind.toml): where its fibre lies is judged as well.",
+        help="Product of a winder (NAME.wind.toml, or a file of FiberPath or CADFIL): where its "
+        "fibre lies is judged as well.",
         helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
         attribute="product", parse=product_text, doors=(Door.LINE, Door.PYTHON),
         recorded=FileForm(key="product", write=_same, read=product_text),
@@ -421,6 +422,7 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="within", group=Group.SEARCH, unit="s", verbs=("fastest",),
         help='Longest time of the search, "5 min"; then the best result so far is printed. '
+        "Without it a search over the choices of optimal ends after 10 min of processor time. "
         "Ctrl-C ends the search at once.",
         doors=(Door.LINE, Door.PYTHON),
     ),

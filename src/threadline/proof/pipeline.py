@@ -79,8 +79,8 @@ class Trials:
         batches, ``MOST_RUNS`` are simulated, or fewer of a long job.
     machines
         Number of other machines that are drawn over the tolerances of the file from a fixed seed;
-        without ``wished`` the worst machine within the tolerances is searched as well.
-    wished
+        without ``wanted_yield`` the worst machine within the tolerances is searched as well.
+    wanted_yield
         Wanted yield: the share of the drawn machines that must be in spec. None requires every
         machine that is drawn or searched.
     ends
@@ -93,7 +93,7 @@ class Trials:
 
     repeats: int = 1
     machines: int = 0
-    wished: float | None = None
+    wanted_yield: float | None = None
     ends: float | None = None
     band: float | None = None
 
@@ -120,7 +120,7 @@ class Trials:
     @property
     def level(self) -> Level:
         """How far a verdict over these runs reaches."""
-        return level_of(self.repeats, self.machines, self.wished)
+        return level_of(self.repeats, self.machines, self.wanted_yield)
 
 
 NOMINAL: Trials = Trials()
@@ -130,7 +130,7 @@ TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
 
 def yielding(share: float) -> Trials:
     """Return the trials that check a wanted yield, given as a share."""
-    return Trials(repeats=REPEATED_RUNS, machines=1000, wished=share)
+    return Trials(repeats=REPEATED_RUNS, machines=1000, wanted_yield=share)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -404,7 +404,7 @@ def prove_plan(
             further = judge.verdict(Share(plan, progress, len(recordings)).of(recordings))
             verdict = _beside_first(further, verdict)
     others: tuple[Recording, ...] = ()
-    if trials.machines and trials.wished is None:
+    if trials.machines and trials.wanted_yield is None:
 
         def runs_of(other: Machine) -> tuple[Verdict, tuple[Recording, ...]]:
             proof = prove_plan(plan, spec, None, replace(trials, machines=0), other, judge)
@@ -415,12 +415,14 @@ def prove_plan(
             of_machine, spec, verdict, trials.machines, runs_of, progress, suspects
         )
         verdict, worst, others = over.verdict, over.worst, over.judged
-    if trials.wished is not None:
+    if trials.wanted_yield is not None:
         parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
         of_them = plan if actual is None else replace(plan, machine=machine)
-        found, tried = rejects(kind, of_them, judge, parts, trials.wished, random)
+        found, tried = rejects(kind, of_them, judge, parts, trials.wanted_yield, random)
         results = (*verdict.results, found)
-        verdict = replace(verdict, results=results, machines=tried, wished=trials.wished)
+        verdict = replace(
+            verdict, results=results, machines=tried, wanted_yield=trials.wanted_yield
+        )
     return Proof(
         plan=plan,
         recording=replace(kind.simulate(commands, machine), origin=origin),

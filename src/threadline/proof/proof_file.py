@@ -37,7 +37,6 @@ FORMAT = "threadline proof 1"
 _MAX_BYTES = 64 << 20
 _NAMES = ("job", "machine", "par")
 """Options that name files: the proof has the hashes of the files instead."""
-_PARTS = ("job", "machine", "actual", "options", "spec", "commands")
 _METHOD = "HMAC-SHA256"
 _LEAST_KEY, _MOST_KEY = 16, 1 << 16  # bytes
 _PLACES = {
@@ -355,20 +354,13 @@ def check_proof(
         has.
     """
     known = proof if isinstance(proof, ProofFile) else read_proof(proof)
-    given = {key: value for key, value in plan.options.items() if key not in _NAMES}
     found = {
-        "job": plan.job.sha256,
-        "machine": plan.machine.sha256,
-        "actual": "" if actual is None else actual.sha256,
-        "options": _canonical_sha256(given),
+        **_read_sha256(plan.job.sha256, plan.machine, actual),
+        "options": options_sha256(plan),
         "spec": spec_sha256(spec),
         "commands": plan.commands.rows_sha256(),
     }
-    differences = [
-        Difference(what, known.name(what), known.sha256(what), found[what])
-        for what in _PARTS
-        if known.sha256(what) != found[what]
-    ]
+    differences = _differences(known, found)
     if known.content["threadline"] != __version__:
         told = str(known.content["threadline"])
         differences.append(Difference("threadline", "threadline", told, __version__))
@@ -395,10 +387,10 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
     options = options_from(content["options"]["given"])
     spec = load_spec(known.spec_path, machine)
     job = open_job(folder / content["job"]["file"], machine, options)
-    early = _early(known, job.sha256, machine, actual)
+    early = _differences(known, _read_sha256(job.sha256, machine, actual))
     if early:
         # Planning something else would only report the same difference again.
-        return early
+        return tuple(early)
     plan = plan_job(job, machine, options)
     return check_proof(known, plan, with_shaping(spec, machine, options), actual)
 
@@ -431,19 +423,18 @@ def spec_sha256(spec: Spec) -> str:
     return _canonical_sha256(content)
 
 
-def _early(
-    known: ProofFile, job_sha256: str, machine: Machine, actual: Machine | None
-) -> tuple[Difference, ...]:
-    found = {
-        "job": job_sha256,
-        "machine": machine.sha256,
-        "actual": "" if actual is None else actual.sha256,
-    }
-    return tuple(
+def _read_sha256(job_sha256: str, machine: Machine, actual: Machine | None) -> dict[str, str]:
+    """Return the hashes of what is read before a plan is made."""
+    other = "" if actual is None else actual.sha256
+    return {"job": job_sha256, "machine": machine.sha256, "actual": other}
+
+
+def _differences(known: ProofFile, found: Mapping[str, str]) -> list[Difference]:
+    return [
         Difference(what, known.name(what), known.sha256(what), sha256)
         for what, sha256 in found.items()
         if known.sha256(what) != sha256
-    )
+    ]
 
 
 def _machine(machine: Machine, folder: Path) -> dict[str, Any]:

@@ -124,9 +124,9 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
         yield _of_criterion(criterion)
         if rows.count(row) > 1:
             yield f"{_name(criterion)} is in it {rows.count(row)} times"
-    wished = [c["limit"] for c in criteria if c["name"] == REJECTS]
+    limits = [c["limit"] for c in criteria if c["name"] == REJECTS]
     if level != Level.LIMITS:
-        reached = level_of(runs, machines, wished[0] if wished else None)
+        reached = level_of(runs, machines, limits[0] if limits else None)
         if level != reached:
             yield (
                 f"its level is {level[:40]!r}, where {runs} runs and {machines} other machines "

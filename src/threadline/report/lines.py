@@ -9,18 +9,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from threadline.base.option_defaults import AUTO
+from threadline.commands.intents import Sewn
 from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
 from threadline.files import TickTable, tick_table
 from threadline.jobs.gcode.feeds import of_which
 from threadline.jobs.operations import Job, Source, begins_circuit
+from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.pipeline import Proof
-from threadline.verdict import is_assumed
+from threadline.verdict import Status, is_assumed
 from threadline.verdict.rendering import continuous
 
 if TYPE_CHECKING:
     from threadline.dynamics.preview import Demand
 
 _MINUTE = 60.0
+_MOST_THREADS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,7 +165,23 @@ def about_motion(proof: Proof) -> list[str]:
         *motion_lines(plan),
         *count_circuits(plan).lines(),
         *([] if added is None else [_points_line(added)]),
+        *_instead_lines(proof),
     ]
+
+
+def _instead_lines(proof: Proof) -> Iterator[str]:
+    """Yield a line where loops leave a path that was planned without them, and need not."""
+    plan, machine = proof.plan, proof.plan.machine
+    if plan.options.get("interpolation") != AUTO or plan.motion.of_loads is not None:
+        return
+    if machine.takes_positions or machine.without_dynamics:
+        return
+    failed = {one.name for one in proof.verdict.results if one.status is Status.FAILED}
+    if "contour_error" in failed:
+        yield (
+            f"Out of the path:      {AUTO} asks for the limits of the axes alone; what the loops "
+            f"follow, too, is planned by --interpolation {OPTIMAL}"
+        )
 
 
 def _points_line(added: float) -> str:
@@ -241,9 +261,10 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
         ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
         [
             "Thread",
-            f"{thread_m(plan):.4g} m on the upper side, from hole to hole with the jumps between; "
-            "what the stitches draw in comes on top",
+            f"{sum(one.thread_m for one in stitched.sewn):.4g} m on the upper side, from hole to "
+            "hole with the jumps between; what the stitches draw in comes on top",
         ],
+        *([["Threads", _threads_words(stitched.sewn)]] if len(stitched.sewn) > 1 else []),
     ]
     slowest = _MINUTE * len(stitched.turns) / stitched.slowest_s
     bound = []
@@ -272,10 +293,15 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
     ]
 
 
-def thread_m(plan: Plan) -> float:
-    """Return the length in m of the thread of a plan from hole to hole, jumps between included."""
-    holes = plan.stitched.places_m[plan.stitched.turns.moves.needle == 1]
-    return float(np.hypot(*np.diff(holes, axis=0).T).sum())
+def _threads_words(sewn: Sequence[Sewn]) -> str:
+    """Return colour, length and time of the first threads of a design."""
+    first = [
+        f"{one.block} {one.thread or 'of unknown colour'}, {one.thread_m:.4g} m in "
+        f"{one.duration_s:.4g} s"
+        for one in sewn[:_MOST_THREADS]
+    ]
+    more = len(sewn) - len(first)
+    return "; ".join([*first, *([f"and {more} more, which the report lists"] if more else [])])
 
 
 def _for_words(plan: Plan) -> str:

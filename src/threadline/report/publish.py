@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from threadline.base.writing import remove_with, staging_folder, together
-from threadline.report.document import Document
+from threadline.report.document import Document, failing
 from threadline.report.style import headed, laid_out
 
 _PNG_DPI = 160
@@ -28,7 +31,6 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
     """
     # Imported late: their libraries are heavy.
     from threadline.report.document import svg_text, without_head
-    from threadline.report.html_page import html_page
     from threadline.report.pdf import write_pdf
 
     document = document.shown()
@@ -72,3 +74,37 @@ def _figure_files(folder: Path, stem: str) -> set[str]:
     names = re.findall(r'<figure id="([A-Za-z0-9_-]+)">', page)
     files = {f"{stem}-{name}.{ending}" for name in names for ending in ("svg", "png")}
     return {name for name in files if (folder / name).is_file()}
+
+
+def html_page(document: Document, svgs: Mapping[str, str]) -> str:
+    """Return the text of one self-contained page; ``svgs`` holds the figures, by name."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to import
+
+    environment = Environment(
+        loader=PackageLoader("threadline.report"), autoescape=True, undefined=StrictUndefined
+    )
+    environment.filters["css_string"] = css_string
+    environment.filters["failing"] = failing
+    inline = []
+    for index, (name, svg) in enumerate(svgs.items()):
+        body = svg[svg.index("<svg") :]
+        # Identifiers must be unique once several figures share one page.
+        body = re.sub(r'\bid="', f'id="f{index}-', body)
+        body = re.sub(r'(xlink:href="|href="|url\()#', rf"\1#f{index}-", body)
+        inline.append(
+            {"name": name, "svg": Markup(body), "caption": document.captions.get(name, "")}  # noqa: S704 - our own figure
+        )
+    return environment.get_template("report.html").render(document=document, figures=inline)
+
+
+def css_string(text: str) -> Markup:
+    r"""Return ``text`` quoted as a CSS string, so that it cannot end the string or the style sheet.
+
+    >>> print(css_string('IN SPEC (96 % "used")</style>'))
+    "IN SPEC (96 % \22 used\22 )\3c /style\3e "
+    """
+    return Markup('"{}"').format(Markup(re.sub(r'[\\"<>&\x00-\x1f\x7f]', _css_escape, text)))  # noqa: S704
+
+
+def _css_escape(found: re.Match[str]) -> str:
+    return f"\\{ord(found[0]):x} "

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 _THIN, _THICK = 0.35, 2.4
 _LEVELS = 5
 _OUT = "#D55E00"
+_CLOTH = "0.82"
+_GREYS = (0.1, 0.45, 0.25, 0.6)
 _MINUTE = 60.0
 _SLOWEST = "all as slow as the slowest stitch alone"
 
@@ -90,6 +92,49 @@ def design_figure(proof: Proof, recording: Recording) -> Figure:
         [], [], color=_OUT, linewidth=_THICK, marker="x", markersize=4, markeredgecolor="black",
         markeredgewidth=0.8, label=f"over it: {int(over.sum())}",
     )  # fmt: skip
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.autoscale_view()
+    panel.set_xlabel("X mm")
+    panel.set_ylabel("Y mm")
+    figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def threads_figure(plan: Plan) -> Figure:
+    """Draw the design as embroidered: each block in the colour of its thread, and numbered.
+
+    A block whose colour the file does not say has a grey of its own.
+    """
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+    from matplotlib.patheffects import withStroke
+
+    stitched = plan.stitched
+    figure = Figure(figsize=(7.2, 7.0))
+    panel = figure.subplots()
+    panel.set_facecolor(_CLOTH)
+    panel.grid(visible=False)
+    places = stitched.places_m * 1e3
+    pieces = np.stack((places[:-1], places[1:]), axis=1)
+    for one in stitched.sewn:
+        own = (stitched.turns.block == one.block)[1:] & (stitched.frame_moves == 1)[1:]
+        first = places[(stitched.turns.block == one.block) & (stitched.turns.stitch > 0)][0]
+        grey = str(_GREYS[(one.block - 1) % len(_GREYS)])
+        panel.add_collection(
+            LineCollection(
+                list(pieces[own]),
+                colors=grey if one.thread is None else one.thread.rgb,
+                linewidths=1.2,
+                # An edge, so that white thread on a light cloth, and any in print, can be told.
+                path_effects=[withStroke(linewidth=1.7, foreground="0.3")],
+                label=f"{one.block}  {one.thread or 'colour unknown'}: {one.stitches} stitches, "
+                f"{one.thread_m:.4g} m, {one.duration_s:.4g} s",
+            )
+        )
+        panel.annotate(
+            str(one.block), first, fontsize=7, ha="center", va="center",
+            bbox={"boxstyle": "circle,pad=0.15", "fc": "white", "ec": "black", "lw": 0.5},
+        )  # fmt: skip
     panel.set_aspect("equal", adjustable="datalim")
     panel.autoscale_view()
     panel.set_xlabel("X mm")
@@ -183,12 +228,15 @@ def speeds_figure(plans: Sequence[Plan]) -> Figure:
 _CAPTIONS = {
     "design": "The design as it is sewn. The more of the limit a stitch uses, the thicker and the "
     "darker it is; a cross stands on those out of spec, dotted lines travel with the needle up.",
+    "threads": "The design in the colours of its threads, numbered where each begins, with the "
+    "length and the time of each.",
     "moves": "How many moves there are of each length, the longer of both axes; how long the "
     "frame swings decides how slowly the longest are made.",
     "pace": "Speed of the shaft at each stitch, and the time until then; dashed, the speed "
     "from which on down the slowest stitch alone would be still enough.",
 }
 _DRAWN = ("stitch_residual",)
+_THREADS_HEADER = ["block", "thread", "stitches", "length m", "time s"]
 STITCHES = "report-stitches.csv"
 """File in the folder of the page, with a row for each stitch."""
 _WORST = 10
@@ -210,6 +258,7 @@ def write_stitched(studied: Studied, folder: Path) -> Path:
     with figure_style():
         figures = {
             "design": design_figure(proof, run.recording),
+            "threads": threads_figure(plan),
             "moves": moves_figure(plan),
             "pace": pace_figure(plan),
         }
@@ -222,6 +271,7 @@ def write_stitched(studied: Studied, folder: Path) -> Path:
                 Table(title="Criteria", header=header, rows=rows),
                 *changes(proof.verdict),
                 Table(title="Stitches", header=["", ""], rows=stitch_rows(plan)),
+                Table(title="Threads", header=_THREADS_HEADER, rows=_thread_rows(plan)),
                 _worst_table(proof, run),
             ],
             figures=figures,
@@ -265,6 +315,19 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
             ],
         )
         return write_document(document, folder, "comparison")
+
+
+def _thread_rows(plan: Plan) -> list[list[str]]:
+    return [
+        [
+            str(one.block),
+            str(one.thread or "not in the file"),
+            str(one.stitches),
+            f"{one.thread_m:.4g}",
+            f"{one.duration_s:.4g}",
+        ]
+        for one in plan.stitched.sewn
+    ]
 
 
 def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:

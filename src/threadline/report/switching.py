@@ -275,7 +275,7 @@ def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = 
             captions[name] = captions[name].format(beside=beside)
         for name in ("frame", "cycle"):
             captions[name] += run.words(proof)
-        net = plan.scheduled.single or plan.scheduled
+        net = plan.scheduled.one_cycle
         for number, figure in enumerate(petri_figures(net), start=1):
             name = "petri-net" if number == 1 else f"petri-net-{number}"
             figures[name] = figure

@@ -81,6 +81,9 @@ class FastestJob:
         Whether the best plan of the whole job was judged, too, where trials were judged by a part.
     ended
         Why the search stopped early; empty where it came to its end.
+    left
+        With ``optimal``: number of places that a search that stopped early has left untried, at
+        most.
     by
         Meaning of the feeds.
     """
@@ -95,6 +98,7 @@ class FastestJob:
     cut: bool = False
     whole: bool = True
     ended: str = ""
+    left: int = 0
     by: FeedMode = FeedMode.FASTEST_AXIS
 
 

@@ -278,20 +278,9 @@ def _shaft_again(asked: Question, answer: Answer) -> Callable[[Question], Found]
     return lambda one: speeds(constant_speeds(replace(one, low=about.low, high=about.high), COARSE))
 
 
-def _one_cycle(asked: Question) -> Question:
-    """Return the question about one cycle: no operation of the list is of the first cycle only."""
-    return replace(asked, job=replace(asked.job, once=0))
-
-
 def _switchings(asked: Question) -> Answer:
-    once, asked = asked.job.once, _one_cycle(asked)
     found = fastest_cycle(asked)
     over = None if asked.band is None else robust_cycle(asked, asked.band)
-    # The lists that are written have such operations again.
-    if found.job is not None:
-        found = replace(found, job=replace(found.job, once=once))
-    if over is not None and over.job is not None:
-        over = replace(over, job=replace(over.job, once=once))
     best = found.cycle_s
     return Answer(
         asked=asked, best=best, unit="s", duration_s=best, intervals=_alone(best),
@@ -303,7 +292,7 @@ def _switchings(asked: Question) -> Answer:
 
 def _switchings_again(_asked: Question, _answer: Answer) -> Callable[[Question], Found]:
     def again(one: Question) -> Found:
-        found = fastest_cycle(_one_cycle(one))
+        found = fastest_cycle(one)
         return found.cycle_s, _alone(found.cycle_s), found.limited_by
 
     return again

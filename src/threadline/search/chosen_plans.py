@@ -9,6 +9,7 @@ others can use all of theirs.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -40,7 +41,7 @@ from threadline.search.feed import feed_range_m_s
 from threadline.search.forbidden import closeness
 from threadline.search.least_times import Bound, bounds_of, least_on_any_path
 from threadline.search.paced import Question, beyond
-from threadline.search.until import as_far_as
+from threadline.search.until import HaltError, as_far_as
 from threadline.verdict import Verdict
 
 _CONFIRMED = 200  # runs, by which a plan must pass that is to be the best so far
@@ -48,6 +49,8 @@ _MOST_NARROWED = 6
 _STEPS = 6  # plans between careful and bold
 _LEAST_PLANS, _MOST_PLANS = 12, 240
 _ALL_TICKS = 150_000  # of all plans of a search together
+PROCESSOR_S = 600.0
+"""Processor time after which a search without ``--within`` that has an answer plans no more."""
 BOLD: Mapping[str, float] = {
     "tolerance": 0.8, "outside": 1.0, "volts": 0.9, "current": 0.7, "contour": 0.6,
     "smoothing": 0.57,
@@ -69,6 +72,10 @@ class Choosing:
         Options of the plans, but for the choices.
     rungs
         Every plan that was planned, in order; a plan that is longer than the best is not judged.
+    most, tried
+        Number of places that the search tries, at most, and has tried.
+    begun_s
+        Processor time at the beginning.
     narrower
         Shares of the tolerance at single corners of the best plan, by line.
     """
@@ -78,7 +85,9 @@ class Choosing:
     options: Options
     rungs: list[Rung] = field(default_factory=list)
     narrower: dict[int, float] = field(default_factory=dict)
-    most: int = 1
+    most: int = _STEPS + _MOST_PLANS
+    tried: int = 0
+    begun_s: float = field(default_factory=time.process_time)
 
     @property
     def best_s(self) -> float:
@@ -88,6 +97,7 @@ class Choosing:
     def attempt(self, places: tuple[float, ...], below_s: float) -> Tried:
         """Plan and judge; narrow single corners while they alone are missed."""
         options = chosen(self.options, self.knobs, places, self.narrower)
+        self.tried += 1
         used: dict[str, float] = {}
         first_s: float | None = None
         missed = math.inf
@@ -131,8 +141,15 @@ class Choosing:
         asked = self.asked
         if asked.until is not None:
             asked.until.check()
+        spent = 0.0
+        if asked.until is None or math.isinf(asked.until.end_s):
+            spent = (time.process_time() - self.begun_s) / PROCESSOR_S
+        if spent >= 1.0 and math.isfinite(self.best_s):
+            if asked.until is not None:
+                asked.until.ended = f"after {PROCESSOR_S / 60.0:g} min of processor time"
+            raise HaltError
         if asked.progress is not None:
-            asked.progress("proving", min(len(self.rungs) / self.most, 1.0))
+            asked.progress("proving", min(max(self.tried / self.most, spent), 1.0))
         return plan_job(asked.job, asked.machine, options)
 
     def _judged(self, plan: Plan) -> Verdict:
@@ -163,7 +180,7 @@ def fastest_chosen(asked: Question) -> FastestJob:
     with as_far_as(until, lambda: any(one.rungs for one in searches)):
         for one in _followings(options, asked):
             knobs = knobs_of(machine, asked.spec, one, asked.free)
-            search = Choosing(asked, knobs, one, most=_LEAST_PLANS)
+            search = Choosing(asked, knobs, one)
             searches.append(search)
             careful = places_of(one, knobs, machine)
             bold = tuple(BOLD[knob.word] for knob in knobs)
@@ -171,8 +188,9 @@ def fastest_chosen(asked: Question) -> FastestJob:
             if best_of(tried) is None:
                 continue
             ticks = max(search.best_s / tick_s, 1.0)
-            search.most = int(min(max(_ALL_TICKS / ticks, _LEAST_PLANS), _MOST_PLANS))
-            improved(search.attempt, tried, search.most, tick_s, careful)
+            further = int(min(max(_ALL_TICKS / ticks, _LEAST_PLANS), _MOST_PLANS))
+            search.most = search.tried + further
+            improved(search.attempt, tried, further, tick_s, careful)
             break
     rungs = [rung for search in searches for rung in search.rungs]
     passed = [rung for rung in rungs if rung.duration_s is not None]
@@ -185,8 +203,14 @@ def fastest_chosen(asked: Question) -> FastestJob:
         best=best,
         rungs=tuple(rungs),
         bounds=_bounds(asked, best.options or options),
+        left=_left(searches[-1]) if until is not None and until.ended else 0,
         ended="" if until is None else until.ended,
     )
+
+
+def _left(search: Choosing) -> int:
+    """Return how many places a search has left that ended in the middle of one."""
+    return max(search.most - search.tried + 1, 0)
 
 
 def _followings(options: Options, asked: Question) -> Iterator[Options]:

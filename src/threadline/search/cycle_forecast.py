@@ -95,7 +95,7 @@ class CycleForecast:
     def __init__(
         self, job: Job, machine: Machine, spec: Spec, unshaped: Proof, actual: Machine
     ) -> None:
-        base = unshaped.plan.scheduled
+        base = unshaped.plan.scheduled.one_cycle
         self._job, self._machine, self._base = job, machine, base
         self._scan_s = float(base.commands.clock.period_s)
         axes = {move.axis for move in base.moves}
@@ -103,6 +103,7 @@ class CycleForecast:
         self._turn = self._turns(actual, axes)
         self._limits = [self._limit(spec, move) for move in base.moves]
         self._share = dict.fromkeys(axes, 1.0)
+        self._carried = dict.fromkeys(axes, 0j)  # ringing as the last cycle begins
         self._bias: list[complex] = [0j] * len(base.moves)
         # A correction for one command (its piston hits a stop) need not hold for another duration.
         self._own: list[dict[int, complex]] = [{} for _ in base.moves]
@@ -156,7 +157,7 @@ class CycleForecast:
 
     def next(self) -> Cycle | None:
         """Return the shortest untried cycle whose forecast is within the limits."""
-        states = [_State(0, dict.fromkeys(self._turn, 0j))]
+        states = [_State(0, self._carried)]
         for index, move in enumerate(self._base.moves):
             states = _kept(
                 [after for state in states for after in self._after(state, index, move)],
@@ -216,10 +217,11 @@ class CycleForecast:
         Measured times differ from the schedule where the list waits for a moving piston.
         """
         pauses, ends = [0], list[int]()
-        for index, move in enumerate(run.moves):
+        moves = run.moves[-len(self._base.moves) :]
+        for index, move in enumerate(moves):
             end = round(move.end_s / self._scan_s) + self._rests[index]
             ends.append(max(end, ends[-1]) if self._with_before[index] else end)
-        for index, now in enumerate(run.moves[1:], start=1):
+        for index, now in enumerate(moves[1:], start=1):
             begin = round(now.begin_s / self._scan_s)
             pauses.append(max(begin - ends[index - 1] - waits[index], 0))
         return pauses
@@ -230,18 +232,27 @@ class CycleForecast:
         self._pauses = self._between(run, cycle.waits)
         known: dict[str, tuple[float, complex]] = {}
         learned = False
-        for index, move in enumerate(run.moves):
+        steady = len(run.moves) - len(self._base.moves)
+        for at, move in enumerate(run.moves):
+            index = at % len(self._base.moves)
             axis, sign = move.planned.axis, 1.0 if move.planned.forward else -1.0
+            if at and at == steady:
+                self._carried |= {
+                    a: ringing * np.exp(self._ringing[a].pole * (move.begin_s - since_s))
+                    for a, (since_s, ringing) in known.items()
+                }
             before_s, before = known.get(axis, (move.end_s, 0j))
             aged = before * np.exp(self._ringing[axis].pole * (move.end_s - before_s))
             forecast = complex(aged + sign * cycle.commands[index].left)
-            found = self._measured(run, index)
+            found = self._measured(run, at)
             if found is None:
                 scans = cycle.commands[index].scans
                 bias = self._own[index].get(scans, self._bias[index])
                 known[axis] = move.end_s, forecast + bias
                 continue
             known[axis] = move.end_s, found
+            if at < steady:
+                continue
             fresh = found - forecast
             scans = cycle.commands[index].scans
             believed = self._own[index].get(scans, self._bias[index])

@@ -241,7 +241,7 @@ class OtherRuns:
         Machines within the tolerances of the whole file are left to the proof. Here the corners of
         the changeable parameters represent them.
         """
-        every = trials.machines > 0 and trials.wished is None
+        every = trials.machines > 0 and trials.wanted_yield is None
         return cls(
             space=space,
             repeats=trials.repeats,

@@ -117,7 +117,7 @@ _MOST_SHARE = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheapestSet:
-    """Tolerances that reach a wished yield.
+    """Tolerances that reach a wanted yield.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class CheapestSet:
 
 def cheapest_set(
     judged: MachineYield,
-    wished: float,
+    wanted_yield: float,
     seed: int,
     *,
     machines: int = MACHINES,
@@ -158,12 +158,12 @@ def cheapest_set(
     Halving a tolerance costs the same for every number. The same machines are drawn throughout, and
     the deviation of each number is scaled with its tolerance. The search repeatedly halves the
     tolerance whose halving brings most machines into specification, until the lower end of the
-    exact confidence interval reaches ``wished``. Then it takes back every halving that is no longer
-    needed. So no halving of the set can be left out; another, smaller set may exist.
+    exact confidence interval reaches ``wanted_yield``. Then it takes back every halving that is no
+    longer needed. So no halving of the set can be left out; another, smaller set may exist.
 
     Parameters
     ----------
-    wished
+    wanted_yield
         The yield, a share in (0, 1).
     done
         Called with the number of judged machines.
@@ -177,7 +177,7 @@ def cheapest_set(
         return int(found.passed.sum()), -float(shares[shares > 1.0].sum()), shares
 
     def enough(passed: int) -> bool:
-        return clopper_pearson(passed, machines)[0] >= wished
+        return clopper_pearson(passed, machines)[0] >= wanted_yield
 
     factors = np.ones(parts.shape[1])
     passed, near, shares = tried(factors)

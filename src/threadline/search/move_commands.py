@@ -264,7 +264,9 @@ class MoveCommands:
             texts = ", ".join(f"{a}={name if a == axis else 'none'}" for a in self._machine.moving)
             try:
                 plain = with_choices(self._job, {}, {})
-                made = plan_job(plain, self._machine, Options(shaper=texts)).scheduled.moves
+                made = plan_job(
+                    plain, self._machine, Options(shaper=texts)
+                ).scheduled.one_cycle.moves
             except PlanError:
                 made = ()
             self._plans[axis, name] = {m.operation: m.levels for m in made if m.axis == axis}

@@ -29,6 +29,7 @@ def tick_channels(
         add(f"{name}.commanded", ChannelKind.COMMANDED, unit, name)
         add(f"{name}.measured", ChannelKind.MEASURED, unit, name)
         add(f"{name}.load", ChannelKind.LOAD, unit, name)
+        add(f"{name}.velocity", ChannelKind.VELOCITY, f"{unit}/s", name)
         if axis.frame is not None:
             add(f"{name}.frame", ChannelKind.FRAME, unit, name)
         add(f"{name}.voltage", ChannelKind.VOLTAGE, "V", name)
@@ -43,6 +44,7 @@ def tick_channels(
 _SIGNALS = {
     "measured": Signal.READ,
     "load": Signal.LOAD,
+    "velocity": Signal.RATE,
     "frame": Signal.FRAME,
     "voltage": Signal.VOLTS,
     "current": Signal.CURRENT,

@@ -31,6 +31,7 @@ _MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKin
 _COLUMNS: Mapping[str, tuple[ChannelKind, ...]] = {
     "commanded": (ChannelKind.COMMANDED,),
     "actual": (ChannelKind.TOOL, ChannelKind.LOAD),
+    "velocity": (ChannelKind.VELOCITY,),
     "own": (ChannelKind.MEASURED,),
     "voltage": (ChannelKind.VOLTAGE,),
     "current": (ChannelKind.CURRENT,),
@@ -372,6 +373,7 @@ def _block(
         time_s=part.time_s,
         commanded=part.columns.get("commanded"),
         actual=part.columns.get("actual"),
+        velocity=part.columns.get("velocity"),
         own=part.columns.get("own"),
         voltage=part.columns.get("voltage"),
         current=part.columns.get("current"),

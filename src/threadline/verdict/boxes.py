@@ -13,6 +13,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.verdict.bow import Bows, beside
 from threadline.verdict.nearest import nearest_of_all
 
 COMPANY = 8
@@ -34,6 +35,7 @@ class Boxes(NamedTuple):
     highs: FloatArray
 
 
+_NO_PACE = np.empty((0, 0))
 NO_BOXES = Boxes(False, np.empty((0, 0)), np.empty((0, 0)), np.empty(0), np.empty(0))
 
 
@@ -153,10 +155,17 @@ def _approach(
     vertex: FloatArray,
     axes: tuple[int, ...],
     share: FloatArray | None,
+    out: FloatArray,
+    back: FloatArray,
     best: FloatArray,
     best_time_s: FloatArray,
 ) -> None:
-    """Lower ``best``, (runs,) squared, where the segment ``start`` to ``point`` is nearer."""
+    """Lower ``best``, (runs,) squared, where the segment ``start`` to ``point`` is nearer.
+
+    With the ways ``out`` and ``back`` of its ends, (axes, runs), it is the place beside the
+    segment's nearest one that counts, or its end.
+    """
+    bowed = len(out) > 0
     for r in range(len(best)):
         along = 0.0
         size = 0.0
@@ -176,9 +185,20 @@ def _approach(
         away = 0.0
         for a in range(len(axes)):
             gap = vertex[a] - start[a, r] - where * (point[a, r] - start[a, r])
+            if bowed:
+                gap -= beside(where, point[a, r] - start[a, r], out[a, r], back[a, r])
             if share is not None:
                 gap *= share[a]
             away += gap * gap
+        if bowed:
+            last = 0.0
+            for a in range(len(axes)):
+                gap = vertex[a] - point[a, r]
+                if share is not None:
+                    gap *= share[a]
+                last += gap * gap
+            where = 1.0 if last < away else where
+            away = last if last < away else away
         nearer = away < best[r]
         best[r] = away if nearer else best[r]
         best_time_s[r] = from_s + where * long_s if nearer else best_time_s[r]
@@ -197,6 +217,7 @@ def _vertices_to_path(
     axes: tuple[int, ...],
     share: FloatArray,
     boxes: Boxes,
+    bows: Bows,
     worst: FloatArray,
     best: FloatArray,
     best_time_s: FloatArray,
@@ -215,10 +236,14 @@ def _vertices_to_path(
     low, high = vertices.shape[0], -1
     for i in range(samples):
         low, high = min(low, begin[i] - 1), max(high, end[i + 1])
-    known, lower, upper, _, _ = boxes
+    known, lower, upper, lows, highs = boxes
+    bowed, pace, most = bows
     weighed = len(share) > 0
     boxed = known and not weighed
-    near = np.zeros(samples)
+    near, bow = np.zeros(samples), np.zeros(samples)
+    if bowed and boxed:
+        for i in range(samples):
+            bow[i] = np.sqrt(ends_of(most, i, 0, lows, highs)[1]) * MORE
     for v in range(low, high + 1):
         limit = np.inf
         if boxed:
@@ -232,11 +257,13 @@ def _vertices_to_path(
                 if begin[i] - 1 <= v <= end[i + 1]:
                     apart, across = 0.0, 0.0
                     for a in range(len(axes)):
-                        place, least, most = vertices[v, a], lower[i + 1, a], upper[i + 1, a]
-                        gap = max(min(lower[i, a], least) - place, place - max(upper[i, a], most))
+                        place, under, over = vertices[v, a], lower[i + 1, a], upper[i + 1, a]
+                        gap = max(min(lower[i, a], under) - place, place - max(upper[i, a], over))
                         apart += max(gap, 0.0) ** 2
-                        across += max(most - place, place - least) ** 2
+                        across += max(over - place, place - under) ** 2
                     near[i] = apart
+                    if bowed:
+                        near[i] = max(np.sqrt(apart) - bow[i], 0.0) ** 2
                     limit = min(limit, across)
             limit *= MORE
         for i in range(samples):
@@ -244,14 +271,15 @@ def _vertices_to_path(
                 continue
             start = before if i == 0 else points[i - 1]
             from_s, long_s = time_s[i], time_s[i + 1] - time_s[i]
+            out, back = (pace[i], pace[i + 1]) if bowed else (_NO_PACE, _NO_PACE)
             if weighed:
                 _approach_fast(
-                    points[i], start, from_s, long_s, vertices[v], axes, share[v],
+                    points[i], start, from_s, long_s, vertices[v], axes, share[v], out, back,
                     best[v], best_time_s[v],
                 )  # fmt: skip
             else:
                 _approach_fast(
-                    points[i], start, from_s, long_s, vertices[v], axes, None,
+                    points[i], start, from_s, long_s, vertices[v], axes, None, out, back,
                     best[v], best_time_s[v],
                 )  # fmt: skip
 

@@ -9,13 +9,16 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.verdict.finding import Found, Worst
+from threadline.files import ChannelKind
+from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.samples import Block, Setting
+from threadline.verdict.samples import Block, Setting, lanes
 from threadline.verdict.window import PathWindow
 
 _UNREACHED = "the recording ends before this point"
 _EMPTY = "the recording is empty"
+_UNKNOWN = np.empty((0, 0, 0))
+_NO_VELOCITY = "the velocity of a load has fewer samples than its position"
 _NOTHING_M = 1e-9
 """A move no longer than this has no sample of its own, and no piece of a planned path."""
 
@@ -28,7 +31,9 @@ class ContourPart(NamedTuple):
 
     ``point``, (axes, runs), and ``chord``, (runs,), belong to the sample before the block, after
     the previous sweep; ``fresh`` says that there is none. ``begin``, ``end`` and ``time_s`` have
-    one more entry than the block, for that sample. ``worst``, (runs,) squared, is raised to the
+    one more entry than the block, for that sample. ``speed``, (n, axes, runs), are velocities,
+    empty if unknown, ``reach``, (axes,), is what makes ``Bows.pace`` of them, and ``off``, (runs,)
+    squared, and ``pace`` belong to that sample. ``worst``, (runs,) squared, is raised to the
     largest distance on the segments that lead to the samples; its place is sample ``at``, ``part``
     of the segment, and the chord ``nearest``. ``best`` and ``best_time_s`` are (vertices, runs).
     """
@@ -45,6 +50,10 @@ class ContourPart(NamedTuple):
     nearest: IntArray
     best: FloatArray
     best_time_s: FloatArray
+    speed: FloatArray
+    reach: FloatArray
+    off: FloatArray
+    pace: FloatArray
 
 
 def _raise(
@@ -96,12 +105,21 @@ class Contour(SweptMeasure):
     itself without hiding an error, and trailing along the path by less than the lag costs nothing.
     A machine that trails by more is charged for it.
 
-    The actual path is taken as straight between samples, and measured there too: an axis with
-    acceleration a deviates from it by at most a T^2 / 8 in a sample interval T.
+    The actual path is measured between samples, too. It bows there as the velocities of the loads
+    say (``bow``); without velocities it is taken as straight.
+
+    Parameters
+    ----------
+    interval_s
+        Time between samples at each of which the velocities are known; 0 if they are not.
     """
 
-    def __init__(self, radius_m: FloatArray, runs: int = 1) -> None:
+    def __init__(self, radius_m: FloatArray, runs: int = 1, interval_s: float = 0.0) -> None:
         self._radius_m, self._runs = radius_m, runs
+        self._reach = interval_s * radius_m
+        self._off: FloatArray = np.zeros(runs)  # m^2, of the last sample
+        self._pace: FloatArray = np.zeros((len(radius_m), runs))
+        self._lost = False  # whether velocities end before the places do
         self._worst = Worst(runs, len(radius_m), note=_EMPTY)
         self._squared: FloatArray = np.full(runs, -np.inf)  # m^2, from samples to chords
         self._path: PathWindow | None = None
@@ -149,6 +167,10 @@ class Contour(SweptMeasure):
             nearest=np.zeros(self._runs, dtype=np.int64),
             best=self._best,
             best_time_s=self._best_time_s,
+            speed=self._speed(block),
+            reach=self._reach,
+            off=self._off,
+            pace=self._pace,
         )
         return self._part
 
@@ -176,6 +198,8 @@ class Contour(SweptMeasure):
 
     def finish(self) -> Sequence[Found]:
         """Return the worst sample and the worst programmed point that the run came to."""
+        if self._lost:
+            return [Found.alike(Finding(value=None, note=_NO_VELOCITY), self._runs)]
         seen = self._worst.copy()
         if self._path is not None:
             point, time_s = self._point, self._time_s
@@ -201,6 +225,14 @@ class Contour(SweptMeasure):
                     note=_UNREACHED,
                 )
         return [self._worst.found(seen)]
+
+    def _speed(self, block: Block) -> FloatArray:
+        """Return the (n, axes, runs) velocities of a block; empty if they are unknown."""
+        if block.velocity is None or not self._reach.any():
+            return _UNKNOWN
+        speed = lanes(block.velocity)
+        self._lost = self._lost or not np.isfinite(speed[-1]).all()  # none after the last one
+        return speed
 
     def _hold(self, path: PathWindow) -> None:
         """Take over the window; its new vertices have not been approached yet."""
@@ -255,6 +287,23 @@ def _from_rest(chord: int, path: PathWindow) -> int:
     return chord
 
 
+def bows(setting: Setting) -> bool:
+    """Return whether a recording says how the way bows between samples.
+
+    It has the velocities of all loads, at the instants of their places, at each tick of the
+    commands: between ticks no controller acts.
+    """
+    tick_s = float(setting.plan.commands.clock.period_s)
+    if setting.interval_s > tick_s * (1.0 + 1e-9):
+        return False
+    places = setting.recording.find(ChannelKind.LOAD, setting.axes[0])
+    found = [setting.recording.find(ChannelKind.VELOCITY, axis) for axis in setting.axes]
+    return places is not None and all(
+        one is not None and one.clock == places.clock and one.stride == places.stride
+        for one in found
+    )
+
+
 def start_contour(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
     """Begin measuring the contour error."""
-    return Contour(setting.radius_m, setting.runs)
+    return Contour(setting.radius_m, setting.runs, setting.interval_s if bows(setting) else 0.0)

@@ -35,6 +35,7 @@ _NEVER = (
     "it the mandrel of this program?"
 )
 _NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
+_LOST_M = 0.1  # the same after a part that is not known
 _SELDOM = 32  # samples between two at which the distance of a far eye is searched
 _CLOSE_M = 1e-4  # more than half a step of the outline and than any rounding
 _OUTLINE = 8193  # places of the meridian for the distance of the eye
@@ -228,28 +229,26 @@ class Near:
 
 
 @njit(nogil=True)
-def _off_design(
-    points: FloatArray, operation: IntArray, design: FloatArray, of: IntArray, state: IntArray
-) -> FloatArray:
-    """Return (n,) distances of points to the designed fibre, searched in order along it.
+def _off_design(points: FloatArray, design: FloatArray, state: FloatArray) -> FloatArray:
+    """Return (n,) distances of points to the designed fibre; NaN where one of them is not known.
 
-    ``design`` is (m, 4): place and laid length; ``of`` its operations; ``state`` the chord of the
-    point before, -1 for none.
+    Both are (n, 4), place and laid length in m, and NaN for a place that is not known; lengths do
+    not fall. ``state`` is updated: how much more the design had laid at the point before, and how
+    far beside that length the design is searched.
     """
     found = np.full(len(points), np.nan)
-    near = state[0]
+    last = len(design) - 2
     for i in range(len(points)):
         if np.isnan(points[i, 0]):
+            state[1] = _LOST_M
             continue
-        if near < 0:
-            near = min(np.searchsorted(of, operation[i]), len(design) - 2)
-        low, high = near, near
-        while low > 0 and design[near, 3] - design[low, 3] < _NEAR_M:
-            low -= 1
-        while high < len(design) - 2 and design[high, 3] - design[near, 3] < _NEAR_M:
-            high += 1
-        best = np.inf
+        length = points[i, 3] + state[0]
+        low = max(np.searchsorted(design[:, 3], length - state[1]) - 1, 0)
+        high = min(np.searchsorted(design[:, 3], length + state[1]), last)
+        best, near, at = np.inf, -1, 0.0
         for k in range(low, high + 1):
+            if np.isnan(design[k, 0]) or np.isnan(design[k + 1, 0]):
+                continue
             span, along = 0.0, 0.0
             for j in range(3):
                 d = design[k + 1, j] - design[k, j]
@@ -261,18 +260,27 @@ def _off_design(
                 d = points[i, j] - design[k, j] - share * (design[k + 1, j] - design[k, j])
                 away += d * d
             if away < best:
-                best, near = away, k
+                best, near, at = away, k, share
+        # Before or behind a part of the design that is not known, it has no place beside the point.
+        before = near > 0 and at == 0.0 and np.isnan(design[near - 1, 0])
+        behind = 0 <= near < last and at == 1.0 and np.isnan(design[near + 2, 0])
+        if before or behind:
+            near = -1
+        if near < 0:
+            state[1] = _LOST_M
+            continue
         found[i] = np.sqrt(best)
-    state[0] = near
+        state[0] = design[near, 3] + at * (design[near + 1, 3] - design[near, 3]) - points[i, 3]
+        state[1] = _NEAR_M
     return found
 
 
 def _points(surface: Surface, fibre: Fibre) -> FloatArray:
-    """Return (n, 3) places in the mandrel's frame; NaN where they are not known."""
+    """Return (n, 4) places in the mandrel's frame and laid lengths; NaN for unknown places."""
     u = np.where(fibre.known, fibre.u, 0.0)
     x, r = (values[:, 0] for values in surface.at(u))
-    places = np.column_stack([x, r * np.cos(fibre.angle), r * np.sin(fibre.angle)])
-    places[~fibre.known] = np.nan
+    places = np.column_stack([x, r * np.cos(fibre.angle), r * np.sin(fibre.angle), fibre.length_m])
+    places[~fibre.known, :3] = np.nan
     return places
 
 
@@ -282,27 +290,25 @@ class _Apart:
     def __init__(self, plan: Plan, jobs: Sequence[WoundJob]) -> None:
         job = wound_job(plan)
         assert job is not None
-        rows, operations = [], []
+        rows = [np.empty((0, 4))]
         for samples in programmed_fibre(plan, job):
             fibre = samples.fibres[0]
             points = _points(job.surface, fibre)
-            kept = np.isfinite(points[:, 0])
-            rows.append(np.column_stack([points, fibre.length_m])[kept])
-            assert samples.operation is not None
-            operations.append(samples.operation[kept])
-        self._design = np.vstack(rows) if rows else np.empty((0, 4))
-        self._of = np.concatenate(operations) if rows else np.empty(0, dtype=np.int64)
+            # Of a part that is not known one row stays: no chord leads across it.
+            known = np.concatenate([[True], np.isfinite(points[:, 0])])
+            kept = (known[1:] | known[:-1]) & np.isfinite(fibre.length_m)
+            rows.append(points[kept])
+        self._design = np.vstack(rows)
+        self._design[:, 3] = np.maximum.accumulate(self._design[:, 3])
         self._surfaces = [job.surface for job in jobs]
-        self._state = [np.full(1, -1, dtype=np.int64) for _ in jobs]
+        self._state = [np.array([0.0, _LOST_M]) for _ in jobs]
 
     def __call__(self, samples: Wound, run: int) -> FloatArray:
         fibre = samples.fibres[run]
-        if len(self._design) < 2 or samples.operation is None:
+        if len(self._design) < 2:
             return np.full(len(fibre), np.nan)
         points = _points(self._surfaces[run], fibre)
-        return np.asarray(
-            _off_design(points, samples.operation, self._design, self._of, self._state[run])
-        )
+        return np.asarray(_off_design(points, self._design, self._state[run]))
 
 
 class _Covering:

@@ -35,6 +35,8 @@ class Hidden:
         What limits it, in words.
     enough_s
         Longest interval at which the samples say something of it; for an infinite ``most``.
+    instead
+        Another remedy than finer samples, in words.
     """
 
     channel: str
@@ -42,6 +44,7 @@ class Hidden:
     most: float
     why: str
     enough_s: float = 0.0
+    instead: str = ""
 
     def note(self, room: float) -> str:
         """Return the note of a criterion that has ``room`` left under its limit at the samples."""
@@ -50,7 +53,7 @@ class Hidden:
             allowed_s = self.interval_s * math.sqrt(max(room, 0.0) / self.most)
         return (
             f"{self.channel} has a sample every {1e3 * self.interval_s:.4g} ms: {self.why}; "
-            f"record every {1e3 * allowed_s:.3g} ms at least"
+            f"record every {1e3 * allowed_s:.3g} ms at least{self.instead}"
         )
 
 

@@ -62,7 +62,13 @@ def open_run(recording: Recording, plan: Plan, lag_s: float) -> Run:
     return RUNS[type(plan.intent)](recording, plan, lag_s)
 
 
-_KIND_OF_UNIT = {"m": "linear", "rad": "rotary"}
+_USUAL_UNITS = {
+    ("linear", False): "mm or m",
+    ("rotary", False): "deg or rad",
+    ("linear", True): "mm/s or m/s",
+    ("rotary", True): "deg/s or rad/s",
+}
+_KIND_OF_UNIT = {"m": "linear", "rad": "rotary", "m/s": "linear", "rad/s": "rotary"}
 
 
 def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
@@ -256,7 +262,7 @@ def _check_units(recording: Recording, plan: Plan) -> None:
             raise RecordingError(
                 f"channel {channel.name!r} is in {channel.unit}, and axis {channel.axis} of "
                 f"{plan.machine.name} is {kind}",
-                remedy=f"Give it in {'deg or rad' if kind == 'rotary' else 'mm or m'}.",
+                remedy=f"Give it in {_USUAL_UNITS[kind, '/' in channel.unit]}.",
             )
 
 

@@ -15,6 +15,7 @@ from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.machine.parts import Axis
 from threadline.verdict.blocks import find_first, judged_blocks, master_channel, peak_channels
 from threadline.verdict.by_time import WatchedOperations, with_operation
+from threadline.verdict.contour import bows
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Finding, Found, Hidden
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
@@ -227,6 +228,8 @@ class MotionRun(Setting):
     def _hidden(self, one: Running, axis: str) -> Hidden | None:
         """Return what the samples do not show of a measure; None of samples at each tick.
 
+        Of samples at each tick the contour error of a recording from outside has it, where
+        velocities are not recorded.
         Between samples T apart a position leaves the straight line by at most a T^2 / 8 at an
         acceleration of a. A speed is measured as a mean, over samples that are no further apart.
         """
@@ -242,7 +245,8 @@ class MotionRun(Setting):
         coarsest = max(channels, key=sample_interval_s)
         interval_s = sample_interval_s(coarsest)
         tick_s = float(self.plan.commands.clock.period_s)
-        if interval_s <= tick_s * (1.0 + _ROUNDING):
+        at_ticks = interval_s <= tick_s * (1.0 + _ROUNDING)
+        if at_ticks and (one.kind.name != "contour_error" or self._says_between):
             return None
         unit = one.kind.dimension
         over_s = _VELOCITY_S if unit == "axis/s" else one.options.get("over", 0.0)
@@ -262,7 +266,10 @@ class MotionRun(Setting):
             f"{at_tool:.4g} m/s^2 of the machine file"
         )
         if unit == "tool":
-            return Hidden(coarsest.name, interval_s, hidden_m, why)
+            instead = f", or {', '.join(f'{axis}.velocity' for axis in self.axes)} at each tick"
+            return Hidden(
+                coarsest.name, interval_s, hidden_m, why, instead=instead if at_ticks else ""
+            )
         if unit == "axis":
             return Hidden(coarsest.name, interval_s, float(most[0]) * away, why)
         if unit == "time" and "band" in one.options:
@@ -276,6 +283,11 @@ class MotionRun(Setting):
             least_m = np.inf if first is None else float(first.target_m.min())
             return Hidden(coarsest.name, interval_s, 2.0 * hidden_m / least_m, why)
         return None
+
+    @property
+    def _says_between(self) -> bool:
+        """Whether a recording at each tick says where the loads are in between, or is simulated."""
+        return self.recording.simulated or bows(self)
 
     def unseen(self, reading: RunReading) -> str:
         """Return which channels a measure of many runs lacks, or where; empty if none.

@@ -387,8 +387,10 @@ MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in (*_KINDS, *_FIBR
 def needed_channels(spec: Spec) -> tuple[ChannelKind, ...]:
     """Return the kinds of channels that the criteria of ``spec`` read from a simulated machine.
 
-    If a criterion accepts several kinds of channel, the load is taken.
+    If a criterion accepts several kinds of channel, the load is taken; with its velocity where the
+    way between samples counts.
     """
     needs = (need for criterion in spec.criteria for need in MEASURES[criterion.name].needs)
     found = {kind for n in needs for kind in ((ChannelKind.LOAD,) if ChannelKind.LOAD in n else n)}
-    return tuple(sorted(found | {ChannelKind.LOAD}))
+    bows = any(criterion.name == "contour_error" for criterion in spec.criteria)
+    return tuple(sorted(found | {ChannelKind.LOAD} | ({ChannelKind.VELOCITY} if bows else set())))

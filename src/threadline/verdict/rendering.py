@@ -253,8 +253,8 @@ def _level(verdict: Verdict) -> str:
         told += f", {verdict.ends} at the ends of the tolerances of loads and springs, one run each"
     if verdict.band:
         told += f", {verdict.band} with modes all over the band, one run each"
-    if verdict.wished is not None:
-        told += f", {100.0 * verdict.wished:.6g} % of all to pass"
+    if verdict.wanted_yield is not None:
+        told += f", {100.0 * verdict.wanted_yield:.6g} % of all to pass"
     return told
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
-from threadline.machine.parts import Tool
+from threadline.machine.tool import Tool
 from threadline.verdict.samples import Block, Setting
 from threadline.winding.product import Product, product_of_text
 from threadline.winding.replay import Fibre, Replay, eye_columns

@@ -234,6 +234,8 @@ class Block:
     plan_s, slow
         (n,) the plan's time at each sample, and whether it advanced less than the clock since the
         previous sample; None until the first hold, while it equals the recording's time.
+    velocity
+        (n, runs, axes) or None: of the load, at each of these instants.
     steady
         (n, axes) ``commanded`` with rests found by ``Steady``; None: equal to ``commanded``.
     """
@@ -256,6 +258,7 @@ class Block:
     slow: NDArray[np.bool_] | None = None
     steady: FloatArray | None = None
     left: FloatArray | None = None
+    velocity: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -337,6 +340,7 @@ class Block:
             time_s=self.time_s[rows],
             commanded=those(self.commanded),
             actual=those(self.actual),
+            velocity=None,
             own=those(self.own),
             voltage=those(self.voltage),
             current=those(self.current),

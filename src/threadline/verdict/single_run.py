@@ -11,6 +11,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.verdict.bow import Bows, across, beside, look_along, may_be_farther
 from threadline.verdict.contour import ContourPart
 from threadline.verdict.nearest import look_between
 from threadline.verdict.places import ProgressPart, ahead
@@ -70,9 +71,11 @@ def _to_vertex(
     vertices: FloatArray,
     v: int,
     share: FloatArray,
+    pace: FloatArray,
 ) -> tuple[float, float]:
-    """Return the squared distance of a vertex to the segment to point i, and its place (0..1)."""
+    """Return the squared distance of a vertex to the way to point i, and its place (0..1)."""
     axes, weighed = points.shape[1], len(share) > 0
+    bowed = len(pace) > 0
     along, size, away = 0.0, 0.0, 0.0
     for a in range(axes):
         start = points[i - 1, a] if i else before[a, 0]
@@ -86,9 +89,20 @@ def _to_vertex(
     for a in range(axes):
         start = points[i - 1, a] if i else before[a, 0]
         gap = vertices[v, a] - start - where * (points[i, a] - start)
+        if bowed:
+            gap -= beside(where, points[i, a] - start, pace[i, a, 0], pace[i + 1, a, 0])
         if weighed:
             gap *= share[v, a]
         away += gap * gap
+    if bowed:
+        last = 0.0
+        for a in range(axes):
+            gap = vertices[v, a] - points[i, a]
+            if weighed:
+                gap *= share[v, a]
+            last += gap * gap
+        where = 1.0 if last < away else where
+        away = last if last < away else away
     return away, where
 
 
@@ -102,49 +116,76 @@ def _leave_path(
     vertices: FloatArray,
     share: FloatArray,
     vertex_share: FloatArray,
+    bows: Bows,
     part: ContourPart,
 ) -> None:
-    """Raise the worst to the samples and their segments; lower the distances of vertices.
+    """Raise the worst to the samples and their ways; lower the distances of vertices.
 
     ``squared`` and ``chord``, (n,), belong to the nearest chord of each sample. A vertex that is as
     near as the worst is skipped.
     """
+    bowed, pace, most = bows
     # Each tuple access would count references.
     (
         begin, end, time_s, before, chord_before, fresh, worst, at, place, nearest, best,
-        best_time_s,
+        best_time_s, _, _, off, pace_before,
     ) = part  # fmt: skip
     samples, axes = points.shape
     here, there, of = np.empty(axes), np.empty(axes), np.ones(axes)
     if fresh:
         for a in range(axes):
             before[a, 0] = points[0, a]
-        chord_before[0] = chord[0]
+        chord_before[0], off[0] = chord[0], squared[0]
+    out, back = np.empty(axes), np.empty(axes)
     for i in range(samples):
         if squared[i] > worst[0]:
             worst[0], at[0], place[0], nearest[0] = squared[i], i, 1.0, chord[i]
         left_from = chord[i - 1] if i else chord_before[0]
-        if chord[i] != left_from:
+        if bowed or chord[i] != left_from:
             for a in range(axes):
                 here[a] = points[i - 1, a] if i else before[a, 0]
                 there[a] = points[i, a]
                 if len(share):
                     of[a] = share[i, a]
+        if chord[i] != left_from:
             low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
             look_between(
                 here, there, low, high, left_from, chord[i], vertices, of,
                 worst, at, place, nearest, len(worst) - 1, i,
             )  # fmt: skip
+        if bowed:
+            long = 0.0
+            if chord[i] != left_from:
+                for a in range(axes):
+                    long += (of[a] * (there[a] - here[a])) ** 2
+                long = np.sqrt(long)
+            first = squared[i - 1] if i else off[0]
+            bow = most[i, 0, 0]
+            if long == 0.0 and may_be_farther(first, squared[i], long, bow, worst[0]):
+                for a in range(axes):
+                    out[a], back[a] = pace[i, a, 0], pace[i + 1, a, 0]
+                c = chord[i]
+                bow = across(here, there, out, back, vertices[c - 1], vertices[c], of, bow)
+            if may_be_farther(first, squared[i], long, bow, worst[0]):
+                for a in range(axes):
+                    out[a], back[a] = pace[i, a, 0], pace[i + 1, a, 0]
+                low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
+                look_along(
+                    here, there, out, back, low, high, vertices, of,
+                    worst, at, place, nearest, len(worst) - 1, i,
+                )  # fmt: skip
         least = worst[0]
         for v in range(begin[i] - 1, end[i + 1] + 1):
             if best[v, 0] > least:
-                away, where = _to_vertex_fast(points, before, i, vertices, v, vertex_share)
+                away, where = _to_vertex_fast(points, before, i, vertices, v, vertex_share, pace)
                 if away < best[v, 0]:
                     best[v, 0] = away
                     best_time_s[v, 0] = time_s[i] + where * (time_s[i + 1] - time_s[i])
     for a in range(axes):
         before[a, 0] = points[samples - 1, a]
-    chord_before[0] = chord[samples - 1]
+    chord_before[0], off[0] = chord[samples - 1], squared[samples - 1]
+    for a in range(axes if bowed else 0):
+        pace_before[a, 0] = pace[samples, a, 0]
 
 
 contour_of_one = njit(nogil=True)(_leave_path)

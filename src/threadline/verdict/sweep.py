@@ -14,6 +14,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.verdict.bow import NO_BOWS, Bows, bound_bows, raise_to_bows
 from threadline.verdict.boxes import (
     COMPANY,
     NO_BOXES,
@@ -75,7 +76,7 @@ def _scale(actual: FloatArray, radius_m: FloatArray, points: FloatArray) -> None
 _scale_fast = njit(nogil=True)(_scale)
 
 
-def _sweep(
+def _sweep(  # noqa: PLR0915 - one loop over parts of a block, whose arrays all measures share
     actual: FloatArray,
     share: FloatArray,
     vertex_share: FloatArray,
@@ -100,15 +101,19 @@ def _sweep(
     of_place = share[:0]
     # The row before the first is the previous sample.
     points, chord = np.empty((at_once + 1, axes, runs)), np.empty((at_once + 1, runs), np.int64)
-    squared, only = np.empty((at_once, runs)), np.full(at_once + 1, -1)
+    squared, only = np.empty((at_once + 1, runs)), np.full(at_once + 1, -1)
     least, most = np.empty((at_once + 1, axes)), np.empty((at_once + 1, axes))
     boxes = Boxes(runs >= COMPANY, least, most, np.empty(runs), np.empty(runs))
     if leaves:
-        points[0], chord[0] = contour.point, contour.chord
+        points[0], chord[0], squared[0] = contour.point, contour.chord, contour.off
+    bows, bowed = NO_BOWS, leaves and len(contour.speed) > 0
+    if bowed:
+        bows = Bows(True, np.empty((at_once + 1, axes, runs)), np.empty((at_once, 1, runs)))
+        bows.pace[0] = contour.pace
     for low in range(0, samples, at_once):
         high = min(low + at_once, samples)
         count = high - low
-        here, near, away = points[1 : count + 1], chord[1 : count + 1], squared[:count]
+        here, near, away = points[1 : count + 1], chord[1 : count + 1], squared[1 : count + 1]
         begin, end = chords.begin[low:high], chords.end[low:high]
         if tracking.at.size:
             command = tracking.command[low:high]
@@ -139,19 +144,34 @@ def _sweep(
                 only[1:],
             )  # fmt: skip
             begin, end = contour.begin[low : high + 1], contour.end[low : high + 1]
-            raise_to_samples(
-                away, near, only[1:], low, contour.worst, contour.at, contour.part, contour.nearest
-            )
+            found = contour.worst, contour.at, contour.part, contour.nearest
+            raise_to_samples(away, near, only[1:], low, *found)
             between(
                 here, points[0], near, chord[0], only, begin, end, chords.vertices, of_place,
-                contour.worst, contour.at, contour.part, contour.nearest, low,
+                *found, low,
             )  # fmt: skip
+            if bowed:
+                _scale_fast(contour.speed[low:high], contour.reach, bows.pace[1 : count + 1])
+                if low == 0 and contour.fresh:
+                    squared[0], bows.pace[0] = squared[1], bows.pace[1]
+                bound_bows(here, points[0], of_place, bows)
+                raise_to_bows(
+                    here, points[0], squared, near, chord[0], only, begin, end, chords.vertices,
+                    chords.axes, of_place, bows, *found, low,
+                )  # fmt: skip
             vertices_to_path(
                 here, points[0], contour.time_s[low : high + 1], begin, end, chords.vertices,
-                chords.axes, vertex_share, boxes, contour.worst, contour.best, contour.best_time_s,
+                chords.axes, vertex_share, boxes, bows, contour.worst, contour.best,
+                contour.best_time_s,
             )  # fmt: skip
             points[0], chord[0], only[0] = points[count], chord[count], only[count]
+            squared[0] = squared[count]
+            if bowed:
+                bows.pace[0] = bows.pace[count]
     if leaves:
+        contour.off[:] = squared[0]
+        if bowed:
+            contour.pace[:] = bows.pace[0]
         contour.point[:] = points[0]
         contour.chord[:] = chord[0] if only[0] < 0 else only[0]
 
@@ -181,7 +201,7 @@ _NO_ROWS, _NO_ROWS_OF_NUMBERS = np.empty((0, 0)), np.empty((0, 0), dtype=np.int6
 _NO_CONTOUR = ContourPart(
     begin=_NO_NUMBERS, end=_NO_NUMBERS, time_s=_NONE, point=_NO_ROWS, chord=_NO_NUMBERS,
     fresh=True, worst=_NONE, at=_NO_NUMBERS, part=_NONE, nearest=_NO_NUMBERS, best=_NO_ROWS,
-    best_time_s=_NO_ROWS,
+    best_time_s=_NO_ROWS, speed=np.empty((0, 0, 0)), reach=_NONE, off=_NONE, pace=_NO_ROWS,
 )  # fmt: skip
 _NO_PROGRESS = ProgressPart(
     command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, length=_NONE, heading=_NO_ROWS, first=0,
@@ -262,7 +282,15 @@ def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
             none[:, :, None] if shares is None else shares, squared[:, None], chord[:, None],
             np.full(len(points), -1),
         )  # fmt: skip
-    contour_of_one(points, squared, chord, path.vertices, share, vertex_share, contour)
+    bows = NO_BOWS
+    if len(contour.speed):
+        samples, axes = points.shape
+        bows = Bows(True, np.empty((samples + 1, axes, 1)), np.empty((samples, 1, 1)))
+        _scale_fast(contour.speed, contour.reach, bows.pace[1:])
+        bows.pace[0] = bows.pace[1] if contour.fresh else contour.pace
+        before = block.at_tool[0] if contour.fresh else contour.point
+        bound_bows(block.at_tool, before, none[:, :, None] if shares is None else shares, bows)
+    contour_of_one(points, squared, chord, path.vertices, share, vertex_share, bows, contour)
 
 
 def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -> None:

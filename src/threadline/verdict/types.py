@@ -44,10 +44,10 @@ decide which criterion is named, but their order."""
 _NEAR = 3.0
 
 
-def level_of(runs: int, machines: int, wished: float | None) -> Level:
+def level_of(runs: int, machines: int, wanted_yield: float | None) -> Level:
     """Return the level of runs of a machine, and of others within its tolerances."""
     if machines:
-        return Level.TOLERANCES if wished is None else Level.YIELD
+        return Level.TOLERANCES if wanted_yield is None else Level.YIELD
     return Level.REPEATED if runs >= REPEATED_RUNS else Level.NOMINAL
 
 
@@ -301,7 +301,7 @@ class Verdict:
     tolerances
         What a search for the worst machine and the drawn machines tell of all machines within the
         tolerances; None if neither was asked for.
-    wished
+    wanted_yield
         Share of these machines that must be in specification; None: every one.
     ends
         Number of judged machines at the ends of the tolerances of loads and springs, one run each.
@@ -325,7 +325,7 @@ class Verdict:
     runs: int = 1
     machines: int = 0
     tolerances: OverTolerances | None = None
-    wished: float | None = None
+    wanted_yield: float | None = None
     ends: int = 0
     band: int = 0
     incomplete: str = ""
@@ -341,7 +341,7 @@ class Verdict:
             return Level.LIMITS
         if self.tolerances is not None:
             return Level.TOLERANCES
-        return level_of(self.runs, self.machines, self.wished)
+        return level_of(self.runs, self.machines, self.wanted_yield)
 
     @property
     def tightest(self) -> Result | None:

@@ -21,6 +21,7 @@ from threadline.base.reading import read_text
 from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
+from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
 from threadline.winding.shapes import ellipse, isotensoid, nose, table
 from threadline.winding.surface import Stretch, Surface, line, surface_of
 
@@ -109,7 +110,8 @@ class Product:
 def product_text(given: str | Path) -> str:
     """Return the content of a product file on one line, with the tables of its mandrel.
 
-    A text that was returned before is returned unchanged, so that a recording keeps its product.
+    A file of FiberPath or CADFIL is read for its mandrel and its band (``other_planners.py``). A
+    text that was returned before is returned unchanged, so that a recording keeps its product.
 
     Raises
     ------
@@ -120,6 +122,10 @@ def product_text(given: str | Path) -> str:
     if text.startswith("{"):
         return product_of_text(text).text
     path = Path(text)
+    if path.suffix.lower() in ENDINGS:
+        content = foreign_product(path)
+        _Reader(text, "").product(content)
+        return _one_line(path, content)
     written = read_text(path, _MAX_BYTES, JobError, "product file", "utf-8-sig")
     try:
         content = tomllib.loads(written)
@@ -134,6 +140,10 @@ def product_text(given: str | Path) -> str:
                 reader.index = index
                 part["points"] = _points(path.parent / part.pop("file"), reader)
     reader.product(content)
+    return _one_line(path, content)
+
+
+def _one_line(path: Path, content: Mapping[str, Any]) -> str:
     return json.dumps({"file": path.name, **content}, ensure_ascii=True, sort_keys=True)
 
 
@@ -157,7 +167,9 @@ def product_of_text(text: str) -> Product:
 
 
 def _points(path: Path, reader: _Reader) -> list[list[float]]:
-    """Return the points of a table with the columns x_mm and radius_mm, m."""
+    """Return the points of a table with the columns x_mm and radius_mm, m, or of CADFIL's path."""
+    if path.suffix.lower() in MERIDIANS:
+        return meridian_of(path)
     if path.suffix.lower() == ".dxf":
         reader.refuse(
             "file", f"{path.name}: a meridian cannot be read from DXF",

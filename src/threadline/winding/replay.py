@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.machine.parts import Tool
+from threadline.machine.tool import Tool
 from threadline.winding.laying import (
     BRIDGED,
     KNOWN_AFTER,

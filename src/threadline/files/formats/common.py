@@ -40,7 +40,11 @@ _POSITIONS = frozenset(
         ChannelKind.TOOL,
     }
 )
-_UNITS = {ChannelKind.VOLTAGE: ("V",), ChannelKind.CURRENT: ("A",)}
+_UNITS = {
+    ChannelKind.VOLTAGE: ("V",),
+    ChannelKind.CURRENT: ("A",),
+    ChannelKind.VELOCITY: ("m/s", "rad/s"),
+}
 _PER_AXIS = tuple(k for k in ChannelKind if k in _POSITIONS or k in _UNITS)
 
 
@@ -108,7 +112,7 @@ def parse_column(text: str, place: Place) -> Column:
 
 
 def _factor(name: str, unit: str | None, units: tuple[str, ...], place: Place) -> float:
-    example = {"s": "s", "m": "mm", "V": "V", "A": "A"}[units[0]]
+    example = {"m": "mm", "m/s": "mm/s"}.get(units[0], units[0])
     remedy = f'Write it like "{name} [{example}]".'
     if not unit:
         raise RecordingError(f"column {name!r} has no unit", place=place, remedy=remedy)

@@ -112,6 +112,9 @@ def read_design(path: str | Path, *, machine: Machine, long_stitches: str | None
         operations=OperationStream(Stream.of(tuple(found.operations()))),
         warnings=(*records.warnings, *found.warnings()),
         paced_by="shaft",
+        threads=tuple(
+            records.threads[k] if k < len(records.threads) else None for k in found.thread_of_block
+        ),
     )
 
 
@@ -136,6 +139,8 @@ class _Merged:
     targets: array[float] = field(default_factory=lambda: array("d"))
     rows: array[int] = field(default_factory=lambda: array("q"))
     events: list[tuple[int, str, int]] = field(default_factory=list)  # moves before, name, line
+    changes: int = 0
+    thread_of_block: list[int] = field(default_factory=lambda: [0])
 
     def take(self, line: int, to: tuple[float, float], act: Act) -> None:
         """Take the next record of the design."""
@@ -154,8 +159,14 @@ class _Merged:
         name = EVENTS[act]
         self.cut = self.cut or name in _CUTS
         self.events.append((self.moves, name, line))
-        if name == "colour" and self.stitches:
-            self.block += 1
+        if name == "colour":
+            # Some files change the thread before the first stitch, too: no block begins there.
+            self.changes += 1
+            if self.stitches:
+                self.block += 1
+                self.thread_of_block.append(self.changes)
+            else:
+                self.thread_of_block[-1] = self.changes
 
     def _stitch(self, line: int, to: tuple[float, float]) -> None:
         way = max(abs(a - b) for a, b in zip(to, self.at, strict=True))

@@ -8,6 +8,9 @@ from collections.abc import Callable
 
 from pystitch import EmbPattern
 
+from threadline.jobs.embroidery.threads import threads_of_peer
+from threadline.jobs.operations import Thread
+
 READERS = {
     ".dst": "DstReader",
     ".exp": "ExpReader",
@@ -66,8 +69,10 @@ class _Watched(EmbPattern):  # type: ignore[misc]
         super().end(dx, dy)
 
 
-def read_with_peer(content: bytes, suffix: str) -> tuple[list[list[float]], int]:
-    """Return x, y and code of every record, and the number of bytes read.
+def read_with_peer(
+    content: bytes, suffix: str
+) -> tuple[list[list[float]], list[Thread | None], int]:
+    """Return x, y and code of every record, the threads, and the number of bytes read.
 
     Raises
     ------
@@ -90,4 +95,4 @@ def read_with_peer(content: bytes, suffix: str) -> tuple[list[list[float]], int]
             why = f"what stands before byte {at} of {size} makes no sense there"
         raise SenselessError(why) from error
     stitches: list[list[float]] = pattern.stitches
-    return stitches, stream.tell()
+    return stitches, threads_of_peer(pattern.threadlist), stream.tell()

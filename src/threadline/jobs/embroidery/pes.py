@@ -54,6 +54,20 @@ def read_pes(content: bytes, place: Place) -> list[list[float]]:
     return _from_first_place(found)
 
 
+def palette_indices(content: bytes, place: Place) -> list[int]:
+    """Return the index into Brother's palette for each thread, in the order of the design.
+
+    Raises
+    ------
+    JobError
+        If the file is no PES or is cut off.
+    """
+    block = _block(content, place)
+    changes = content[block + _COLOURS]
+    first = block + _COLOURS + 1
+    return [] if changes == 0xFF else list(content[first : first + changes + 1])
+
+
 def _block(content: bytes, place: Place) -> int:
     """Return the offset of the PEC block."""
     if content[:8] == _PEC:

@@ -13,7 +13,8 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.reading import open_binary
 from threadline.errors import JobError, Place
-from threadline.jobs.embroidery import hus, pes, t15, vp3
+from threadline.jobs.embroidery import hus, pes, t15, threads, vp3
+from threadline.jobs.operations import Thread
 
 _OWN: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
     hus.SUFFIX: hus.read_hus,
@@ -61,6 +62,9 @@ class Records:
         (n,) acts, as numbers of ``Act``.
     content
         All bytes of the file.
+    threads
+        A thread for each colour of the design, None where its colour is not known; empty if the
+        file holds no colours.
     warnings
         Warnings about the file.
     """
@@ -68,6 +72,7 @@ class Records:
     position_m: FloatArray
     act: IntArray
     content: bytes
+    threads: tuple[Thread | None, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
@@ -89,7 +94,12 @@ def read_records(path: Path) -> Records:
     suffix = path.suffix.lower()
     warnings = _check_dst(content, place) if suffix == ".dst" else ()
     own = _OWN.get(suffix)
-    decoded = own(content, place) if own is not None else _decoded(content, suffix, place)
+    decoded: FloatArray | list[list[float]]
+    if own is None:
+        decoded, held = _decoded(content, suffix, place)
+    else:
+        decoded = own(content, place)
+        held = threads.READERS[suffix](content, place) if suffix in threads.READERS else []
     table = np.array(decoded, dtype=np.float64).reshape(len(decoded), 3)
     if not np.isfinite(table).all():
         raise _not_of_its_format(suffix, "a place that is no number", place)
@@ -105,7 +115,9 @@ def read_records(path: Path) -> Records:
         )
     # The readers return Y down.
     position = table[:, :2] * np.array([UNIT_M, -UNIT_M]) + 0.0
-    return Records(position_m=position, act=act, content=content, warnings=warnings)
+    return Records(
+        position_m=position, act=act, content=content, threads=tuple(held), warnings=warnings
+    )
 
 
 def sewn_units(content: bytes, suffix: str) -> IntArray:
@@ -118,17 +130,19 @@ def sewn_units(content: bytes, suffix: str) -> IntArray:
     suffix
         Ending of the format.
     """
-    table = np.array(_decoded(content, suffix, Place("")), dtype=np.float64).reshape(-1, 3)
+    table = np.array(_decoded(content, suffix, Place(""))[0], dtype=np.float64).reshape(-1, 3)
     sewn = table[table[:, 2].astype(np.int64) & 0xFF == Act.STITCH, :2]
     return np.rint(sewn * (1.0, -1.0)).astype(np.int64)
 
 
-def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
-    """Return x, y and code of every record, from the reader of pystitch."""
+def _decoded(
+    content: bytes, suffix: str, place: Place
+) -> tuple[list[list[float]], list[Thread | None]]:
+    """Return x, y and code of every record, and the threads, from the reader of pystitch."""
     from threadline.jobs.embroidery.peer_readers import CutOffError, SenselessError, read_with_peer
 
     try:
-        stitches, read = read_with_peer(content, suffix)
+        stitches, held, read = read_with_peer(content, suffix)
     except CutOffError as error:
         raise _not_of_its_format(suffix, str(error), place) from error
     except SenselessError as error:
@@ -137,7 +151,7 @@ def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
         # EXP has no end mark: the bytes that the reader left would be lost.
         why = f"byte {read - 2} of {len(content)} is no record"
         raise _not_of_its_format(suffix, why, place)
-    return stitches
+    return stitches, held
 
 
 def _not_of_its_format(suffix: str, why: str, place: Place) -> JobError:
@@ -183,7 +197,7 @@ def _is_whole_dst(content: bytes, count: int) -> bool:
     }
     if not count or set(told) != {"ST", "+X", "-X", "+Y", "-Y", "AX", "AY"}:
         return False
-    table = np.array(_decoded(content, ".dst", Place("")), dtype=np.float64)
+    table = np.array(_decoded(content, ".dst", Place(""))[0], dtype=np.float64)
     x, y = table[:, 0], table[:, 1]
     right, left, *along_y = (max(0.0, float(v)) for v in (x.max(), -x.min(), y.max(), -y.min()))
     change = int((table[:, 2].astype(np.int64) & 0xFF == Act.COLOUR).sum())

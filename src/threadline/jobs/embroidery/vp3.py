@@ -45,9 +45,9 @@ class _Bytes:
         """Return the next signed number of ``size`` bytes."""
         return int.from_bytes(self.take(size), "big", signed=True)
 
-    def text(self) -> None:
-        """Skip a text, which begins with its number of bytes."""
-        self.take(int.from_bytes(self.take(2), "big"))
+    def text(self) -> str:
+        """Return a text, which begins with its number of bytes."""
+        return self.take(int.from_bytes(self.take(2), "big")).decode("latin-1")
 
     def refused(self, why: str) -> JobError:
         """Return the error for a file that is no VP3."""
@@ -67,6 +67,38 @@ def read_vp3(content: bytes, place: Place) -> list[list[float]]:
         If the file is no VP3, is cut off, or has invalid records; the error gives the byte.
     """
     source = _Bytes(content, place)
+    centre, blocks = _header(source)
+    found: list[list[float]] = []
+    for block in range(blocks):
+        if block:
+            found.append([*found[-1][:2], _COLOUR] if found else [0.0, 0.0, _COLOUR])
+        _colour_block(source, centre, found)
+    return [*found, [*found[-1][:2], _LAST]] if found else [[0.0, 0.0, _LAST]]
+
+
+def read_threads(content: bytes, place: Place) -> list[tuple[bytes, str]]:
+    """Return red, green and blue of each colour block, and the name of its thread.
+
+    Raises
+    ------
+    JobError
+        If the file is no VP3 or is cut off.
+    """
+    source = _Bytes(content, place)
+    _, blocks = _header(source)
+    found = []
+    for _ in range(blocks):
+        source.take(3)
+        size = source.number(4)
+        end = source.at + size
+        source.take(8)
+        found.append(_thread(source))
+        source.take(end - source.at)
+    return found
+
+
+def _header(source: _Bytes) -> tuple[tuple[float, float], int]:
+    """Skip the parts before the colour blocks; return the centre and the number of blocks."""
     if source.take(len(_MAGIC)) != _MAGIC:
         raise source.refused("it does not begin with %vsm%")
     source.text()
@@ -78,12 +110,20 @@ def read_vp3(content: bytes, place: Place) -> list[list[float]]:
     source.text()
     source.take(24)
     source.text()
-    found: list[list[float]] = []
-    for block in range(int.from_bytes(source.take(2), "big")):
-        if block:
-            found.append([*found[-1][:2], _COLOUR] if found else [0.0, 0.0, _COLOUR])
-        _colour_block(source, centre, found)
-    return [*found, [*found[-1][:2], _LAST]] if found else [[0.0, 0.0, _LAST]]
+    return centre, int.from_bytes(source.take(2), "big")
+
+
+def _thread(source: _Bytes) -> tuple[bytes, str]:
+    """Return the last colour of a block's thread, as pystitch does, and its name."""
+    colours = source.take(2)[0]
+    colour = bytes(3)
+    for _ in range(colours):
+        colour = source.take(6)[:3]
+    source.take(2)
+    source.text()
+    name = source.text()
+    source.text()
+    return colour, name
 
 
 def _colour_block(source: _Bytes, centre: tuple[float, float], found: list[list[float]]) -> None:
@@ -95,10 +135,7 @@ def _colour_block(source: _Bytes, centre: tuple[float, float], found: list[list[
     y = -source.number(4) / _PER_UNIT + centre[1]
     if [x, y] != (found[-1][:2] if found else [0.0, 0.0]):
         found.append([x, y, _JUMP])
-    colours = source.take(2)[0]
-    source.take(6 * colours + 2)
-    for _ in range(3):
-        source.text()
+    _thread(source)
     source.take(18)
     if end < source.at:
         raise source.refused(f"its block of {size} bytes ends before its stitches")

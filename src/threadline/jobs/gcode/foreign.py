@@ -99,7 +99,8 @@ _NAMES: Mapping[str, str] = {
     "linuxcnc": r"\b(?:linuxcnc|emc2|mach ?3|mach ?4)\b",
     "fluidnc": r"\bfluidnc\b",
     "grbl": r"\bgrbl(?:hal)?\b|\b(?:lightburn|laserGRBL)\b",
-    "marlin": r"\b(?:marlin|klipper|reprap|smoothie|cura|slic3r|prusaslicer|repetier)\b",
+    "marlin": r"\b(?:marlin|klipper|reprap|smoothie|cura|slic3r|prusaslicer|repetier)\b"
+    r"|Parameters \{.*\"mandrel\"",  # FiberPath and Cyclone, two planners of windings
     "fanuc": r"\bfanuc\b",
 }
 """Names in comments by which a program names the control that it was made for."""

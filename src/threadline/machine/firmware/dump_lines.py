@@ -2,12 +2,13 @@
 
 Users copy the answers of a firmware to ``$$`` or ``M503`` from terminals and logs of senders, which
 add prefixes: ``> $$``, ``< $0=10``, ``Recv: echo: M92 X80.00``, ``22:24:55.009 : echo:``,
-``[12:31:07] $0=10``, ``Config: M92 X80``.
+``[12:31:07] $0=10``, ``Config: M92 X80``; any other prefix counts if several settings have it.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,9 @@ _BEFORE = re.compile(
     rf"\s*(?:{_DATE}|{_TIME}|{_WORDS}|echo:|config:|[<>│┃]+|->|<-|=>|[:|-](?=\s))\s*",
     re.IGNORECASE,
 )
+_SETTING = re.compile(r"\$\d{1,3}\s*=|(?<![\w.])M(?:92|20[1345])\s*[A-Z]\s*-?\d")
+_NO_PREFIX = re.compile(r"[;#%(/]|.*[\"']|.*\b(?:unknown|invalid|error|default|old|was)\b", re.I)
+_ENOUGH = 3  # settings with the same words in front
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +68,23 @@ class DumpSetting:
 
 def dump_lines(lines: Sequence[str], file: str) -> list[DumpLine]:
     """Return the lines of a log without prompts, time stamps and echoes; numbered from 1."""
-    found = []
-    for number, line in enumerate(lines, start=1):
-        text = line.strip()
-        while (match := _BEFORE.match(text)) is not None and match.end():
-            text = text[match.end() :]
-        found.append(DumpLine(Place(file, number), text.strip()))
-    return found
+    texts = [_without(_BEFORE, line.strip()) for line in lines]
+    shared = Counter(
+        re.sub(r"\d+", "0", text[: match.start()].rstrip())
+        for text in texts
+        if (match := _SETTING.search(text)) is not None and match.start()
+    )
+    for prefix, count in shared.items():
+        if count >= _ENOUGH and _NO_PREFIX.match(prefix) is None:
+            form = re.compile("^" + re.escape(prefix).replace("0", r"\d+") + r"\s*")
+            texts = [_without(_BEFORE, form.sub("", text, count=1)) for text in texts]
+    return [DumpLine(Place(file, number), text) for number, text in enumerate(texts, start=1)]
+
+
+def _without(before: re.Pattern[str], text: str) -> str:
+    while (match := before.match(text)) is not None and match.end():
+        text = text[match.end() :]
+    return text.strip()
 
 
 def in_force(

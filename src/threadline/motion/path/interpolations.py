@@ -290,8 +290,8 @@ def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions
         raise OptionError(
             f"{machine.name} has no firmware that plans motion by itself",
             place=machine.place,
-            remedy="Write [planner] into the machine file (docs/machines.md), or choose another "
-            "interpolation.",
+            remedy="Write [planner] into the machine file (docs/machine-file.md), or choose "
+            "another interpolation.",
         )
     return PlannedPath(
         axes=programmed.axes,

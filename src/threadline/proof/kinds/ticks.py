@@ -278,6 +278,7 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
 _RECORDED = (
     ChannelKind.COMMANDED,
     ChannelKind.LOAD,
+    ChannelKind.VELOCITY,
     ChannelKind.VOLTAGE,
     ChannelKind.CURRENT,
     ChannelKind.OPERATION,

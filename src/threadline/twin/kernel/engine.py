@@ -31,6 +31,7 @@ class Signal(StrEnum):
     VOLTS = "volts"  # at the amplifier's input of the axis, V
     LOAD = "load"  # of the axis from its start, m or rad
     FRAME = "frame"  # of the axis, m or rad
+    RATE = "rate"  # of the axis: velocity of its load, m/s or rad/s
     CURRENT = "current"  # in the motor of the axis, A
     CURRENT_PEAK = "current peak"  # of largest magnitude since the preceding sample, A
     TRIPPED = "tripped"  # 1 after a limit switch has cut its drive
@@ -378,6 +379,7 @@ class _Wiring:
             self.columns[Reading(Signal.READ, axis)] = at.read(controller)
             self.columns[Reading(Signal.LOAD, axis)] = at.load(x)
             self.columns[Reading(Signal.FRAME, axis)] = at.frame(x)
+            self.columns[Reading(Signal.RATE, axis)] = at.rate(x)
             self.columns[Reading(Signal.VOLTS, axis)] = at.volts(controller)
             self.columns[Reading(Signal.CURRENT, axis)] = at.current(drive)
             self.columns[Reading(Signal.CURRENT_PEAK, axis)] = at.peak(drive)

@@ -74,6 +74,8 @@ class Layout:
                 self._add(Field.LOAD, x, j)
             for j in axis.frame:
                 self._add(Field.FRAME, x, j)
+            for j in axis.rate:
+                self._add(Field.RATE, x, j)
         self.fixed = len(self.row)
         reach, _ = shape.reach()
         for w in range(len(shape.guards)):

@@ -60,6 +60,7 @@ class Field(IntEnum):
     SENSOR = auto()  # row: counts read
     LOAD = auto()  # row of an axis
     FRAME = auto()  # row of an axis
+    RATE = auto()  # row of an axis: of its load's velocity
     # Of a mode.
     LOW = auto()  # bounds of a guard
     HIGH = auto()
@@ -230,7 +231,11 @@ class SampleLayout(NamedTuple):
         """Return the column of a limit switch, 1 after it has cut its drive."""
         return 2 * (self.controllers + self.axes + self.drives) + switch
 
+    def rate(self, axis: int) -> int:
+        """Return the column of the velocity of an axis' load, m/s or rad/s."""
+        return self.tripped(self.inputs) + axis
+
     @property
     def columns(self) -> int:
         """Number of columns."""
-        return self.tripped(self.inputs)
+        return self.rate(self.axes)

@@ -67,6 +67,7 @@ def shape_of(
                 controller=int(axis_controller[x]),
                 load=_pattern(_somewhere(piece.load_rows[:, x])),
                 frame=_pattern(_somewhere(piece.frame_rows[:, x])),
+                rate=_pattern(_somewhere(piece.rate_rows[:, x])),
             )
             for x in range(len(axis_controller))
         ),

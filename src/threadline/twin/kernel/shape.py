@@ -32,6 +32,7 @@ class AxisShape(NamedTuple):
     controller: int
     load: Pattern
     frame: Pattern
+    rate: Pattern
 
 
 class GuardShape(NamedTuple):

@@ -226,6 +226,7 @@ def _numbers(machine: Machine, piece: Piece) -> dict[Row, FloatArray]:
         for j in range(equations.base.shape[2]):
             found[Field.LOAD, x, j] = equations.load_rows[:, x, j]
             found[Field.FRAME, x, j] = equations.frame_rows[:, x, j]
+            found[Field.RATE, x, j] = equations.rate_rows[:, x, j]
     return found
 
 

@@ -182,6 +182,7 @@ def write_sample(rows: Lanes, records: Value, sample: Value, lane: Value) -> Non
     for x, axis in enumerate(shape.axes):
         values[at.load(x)] = rows.product(Field.LOAD, x, axis.load)
         values[at.frame(x)] = rows.product(Field.FRAME, x, axis.frame)
+        values[at.rate(x)] = rows.product(Field.RATE, x, axis.rate)
     for d, pattern in enumerate(shape.drives):
         now, kept = rows.product(Field.CURRENT, d, pattern), rows[Field.PEAK, d]
         larger = code.call("fabs", now) > code.call("fabs", kept)

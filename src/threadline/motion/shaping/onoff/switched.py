@@ -250,12 +250,23 @@ class Valves:
         """
         if self.at_once:
             return np.asarray(ticks, dtype=np.float64), np.diff(levels, prepend=0.0)
-        opened = np.array([self._opened(level) for level in levels], dtype=np.float64)
-        changes = np.diff(opened, axis=0, prepend=np.zeros((1, len(self.flows))))
+        changes = self._changes(levels)
         row, flow = np.nonzero(changes)
         height = changes[row, flow] * np.asarray(self.flows)[flow]
         late = np.where(height > 0.0, self.opens, self.closes)
         return np.asarray(ticks, dtype=np.float64)[row] + late, height
+
+    def _changes(self, levels: tuple[float, ...]) -> FloatArray:
+        """Return by how much each flow control opens at each level, (levels, flows)."""
+        opened = np.array([self._opened(level) for level in levels], dtype=np.float64)
+        changes: FloatArray = np.diff(opened, axis=0, prepend=np.zeros((1, len(self.flows))))
+        return changes
+
+    def apart(self, ticks: tuple[int, ...], levels: tuple[float, ...]) -> int:
+        """Return the fewest scans between two switchings of one flow control."""
+        at = np.asarray(ticks)
+        switched = (at[changes != 0.0] for changes in self._changes(levels).T)
+        return min((int(np.diff(own).min()) for own in switched if len(own) > 1), default=at[-1])
 
     def _opened(self, level: float) -> tuple[bool, ...]:
         """Return which of them are open for a level: the set that comes closest, the smaller."""

@@ -1,4 +1,4 @@
-"""A yield that is wished for: proved, searched for, designed for, and bought most cheaply."""
+"""A yield that is wanted: proved, searched for, designed for, and bought most cheaply."""
 
 from __future__ import annotations
 
@@ -189,10 +189,12 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     assert plain is not None and plain.verdict.passed
     plan = plan_job(read_job(file, plain.machine), plain.machine, Options())
     assert MachineYield(plan, plain.spec).drawn(600, 7).interval[1] < 0.15
-    wished = design(file, machine, spec, Options(), Wanted(trials=yielding(0.15), effort=NO_REGION))
-    assert "rejects" in wished.refused
-    assert wished.found is not None
-    assert wished.found.candidate.cost > plain.candidate.cost
+    for_yield = design(
+        file, machine, spec, Options(), Wanted(trials=yielding(0.15), effort=NO_REGION)
+    )
+    assert "rejects" in for_yield.refused
+    assert for_yield.found is not None
+    assert for_yield.found.candidate.cost > plain.candidate.cost
 
 
 @pytest.mark.usefixtures("judged_once")
@@ -222,10 +224,10 @@ def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
     plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
     assert plain is not None and plain.candidate.cost == 0.0
     assert drawn_by_hand(plain)[1] < 0.7
-    wished = design(
+    for_yield = design(
         file, machine, spec, Options(), Wanted(trials=yielding(0.8), effort=NO_REGION)
     ).found
-    assert wished is not None and wished.verdict.passed
-    assert wished.verdict.result("rejects").measured <= 0.2
-    assert wished.candidate.cost > 0.1
-    assert drawn_by_hand(wished)[0] > 0.8
+    assert for_yield is not None and for_yield.verdict.passed
+    assert for_yield.verdict.result("rejects").measured <= 0.2
+    assert for_yield.candidate.cost > 0.1
+    assert drawn_by_hand(for_yield)[0] > 0.8

@@ -1,0 +1,156 @@
+"""Output of ``threadline fastest`` for ``optimal``: the plans proved, their choices and limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from threadline.base.option_defaults import NO_CONTOUR
+from threadline.cli.fastest_output import SearchOutput
+from threadline.cli.found import limit_words, margin_words, typed
+from threadline.proof.option_words import reserve_words, share_words
+from threadline.proof.options import Options
+from threadline.report.document import Printed
+from threadline.report.strips import binding_lines, binding_of
+from threadline.search import FastestJob, Rung
+from threadline.search.by_pace import Answer
+
+
+class OptimalOutput(SearchOutput):
+    """Output of a search over allowances: the fastest plan in spec, and its limits."""
+
+    of: FastestJob
+
+    def __init__(self, found: Answer, title: str) -> None:
+        super().__init__(found, title)
+        self._bound = binding_of(found.plan())
+
+    def _table(self) -> Printed:
+        if self.of.best.options is not None:
+            return self._chosen()
+        rows = [
+            [
+                _allowance(rung),
+                "" if rung.duration_s is None else f"{rung.duration_s:.3f}",
+                _outcome(rung),
+            ]
+            for rung in self.of.rungs
+        ]
+        by_share = self.of.best.contour_m is None
+        header = ["acceleration limits used" if by_share else "contour mm", "job s", "verdict"]
+        how = f"{self.how}, optimal{margin_words(self.asked.margin)}"
+        return f"{how}: plans proved", header, rows
+
+    def _chosen(self) -> Printed:
+        """Return a table of the plans that were the best so far."""
+        rows, best_s = [], math.inf
+        for rung in self.of.rungs:
+            if rung.duration_s is None or rung.duration_s >= best_s or rung.options is None:
+                continue
+            best_s = rung.duration_s
+            one = rung.options
+            rows.append(
+                [
+                    f"{best_s:.3f}",
+                    typed(round(one.tolerance_m * 1e3, 6)),
+                    typed(round(one.outside_m * 1e3, 6)),
+                    str(len(one.narrow)),
+                    "" if one.reserve is None else reserve_words(one.reserve),
+                    "" if one.feed_forward_s is None else typed(one.feed_forward_s * 1e3),
+                    typed(round(one.allowance_m * 1e3, 6)),
+                ]
+            )
+        header = [
+            "job s",
+            "tolerance mm",
+            "outside mm",
+            "narrow",
+            "reserve",
+            "smoothing ms",
+            "contour mm",
+        ]
+        how = f"{self.how}, optimal{margin_words(self.asked.margin)}"
+        return f"{how}: the best plans so far", header, rows
+
+    def _lines(self) -> Iterator[str]:
+        best, proved = self.of.best, len(self.of.rungs)
+        if best.duration_s is None:
+            yield f"no plan is in spec ({proved} proved): {best.found.limited_by} fails at all"
+            return
+        yield (
+            f"fastest: {best.duration_s:.3f} s, limited by {limit_words(best.found.limited_by)}; "
+            f"{proved} plans proved"
+        )
+        if self.of.left:
+            yield (
+                f"unsearched: up to {self.of.left} further choices of a plan, about each of which "
+                'some plans are tried; --within "2 h" goes on that long'
+            )
+        if any(rung.alone for rung in self.of.rungs):
+            yield "alone: the plan for an allowance smaller by half a percent is out of spec"
+        for bound in self.of.bounds:
+            over = best.duration_s / bound.duration_s - 1.0
+            least = f"{bound.duration_s:.3f} s ({over:+.0%})"
+            yield f"within the limits of {bound.within} alone: {least}"
+
+    def _after(self) -> Iterator[str]:
+        yield from () if self._bound is None else binding_lines(self._bound)
+
+    def _page(self, folder: Path) -> Path | None:
+        return self._proved(folder)  # without a passed plan, the closest one shows the failures
+
+    def _details(self) -> dict[str, Any]:
+        best = self.of.best
+        return {
+            "duration_s": best.duration_s,
+            "bounds": [{"within": b.within, "duration_s": b.duration_s} for b in self.of.bounds],
+            "binds": {} if self._bound is None else self._bound.binds,
+            "unsearched": self.of.left,
+            "rungs": [
+                {
+                    "duration_s": rung.duration_s,
+                    "limited_by": None if rung.duration_s is not None else rung.found.limited_by,
+                    "alone": rung.alone,
+                    **_allowed(rung),
+                }
+                for rung in self.of.rungs
+            ],
+            **_allowed(best),
+        }
+
+
+def _allowed(rung: Rung) -> dict[str, Any]:
+    contour_m = rung.contour_m
+    return {
+        "limits": rung.share,
+        "contour_m": None if contour_m is None or math.isinf(contour_m) else contour_m,
+        **_choices(rung.options),
+    }
+
+
+def _choices(options: Options | None) -> dict[str, Any]:
+    """Return the choices of a plan, where all of them were searched."""
+    if options is None:
+        return {}
+    kept = options.reserve
+    return {
+        "tolerance_m": options.tolerance_m,
+        "outside_m": options.outside_m,
+        "narrow_m": {str(line): width for line, width in options.narrow},
+        "reserve": None if kept is None else {"volts": kept.volts, "current": kept.current},
+        "feed_forward_s": options.feed_forward_s,
+    }
+
+
+def _outcome(rung: Rung) -> str:
+    if rung.duration_s is None:
+        return f"OUT: {rung.found.limited_by}"
+    return "in spec, alone" if rung.alone else "in spec"
+
+
+def _allowance(rung: Rung) -> str:
+    if rung.contour_m is None:
+        return share_words(rung.share)
+    return NO_CONTOUR if math.isinf(rung.contour_m) else typed(round(rung.contour_m * 1e3, 6))

@@ -1,0 +1,244 @@
+"""The tool: the radius at which an axis acts, a winder's eye, limits along the path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sized
+from typing import Annotated, Literal
+
+from pydantic import StrictBool, model_validator
+from pydantic.dataclasses import dataclass
+
+from threadline.machine.parts import STRICT, Axis, Position, check_known
+from threadline.machine.quantity import Quantity, Units
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class EyeAxis:
+    """An axis that moves the eye or turns the mandrel.
+
+    The eye's coordinate is ``zero`` plus the position of the axis; minus it with ``reverse``.
+    """
+
+    axis: str
+    """The axis of the machine."""
+    reverse: StrictBool = False
+    """Whether the eye moves back when the axis moves forwards."""
+    zero: Position | None = None
+    """Coordinate of the eye where the axis is at 0. Without it: 0."""
+
+    @property
+    def factor(self) -> float:
+        """1, or -1 for a reversed axis."""
+        return -1.0 if self.reverse else 1.0
+
+    @property
+    def zero_si(self) -> float:
+        """Coordinate of the eye where the axis is at 0, m or rad."""
+        return 0.0 if self.zero is None else self.zero.si
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Payout:
+    """Pay-out point of the fibre from the eye's carrier, at yaw and roll 0."""
+
+    along: Annotated[Quantity, Units(("m",))]
+    """Distance from the eye's carrier along the mandrel."""
+    across: Annotated[Quantity, Units(("m",))]
+    """Distance away from the mandrel's axis."""
+    up: Annotated[Quantity, Units(("m",))]
+    """Distance upwards."""
+
+
+_TURNS = ("turn", "yaw", "roll")
+EYE_PARTS = ("turn", "along", "across", "up", "yaw", "roll")
+"""Coordinates of an eye, in the order of all arrays."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Tool:
+    """The tool, or with ``kind = "eye"`` the eye of a winder.
+
+    Along, across and up are right-handed, with the origin on the axis of the mandrel.
+    """
+
+    kind: Literal["radius", "eye"] = "radius"
+    """``radius``, or ``eye`` for a winder whose fibre is [replayed](winding.md)."""
+    radius: Annotated[Quantity, Units(("m",), positive=True)]
+    """Radius at which rotary axes without a radius act: an angle times it is a length at the tool,
+    in feeds and in errors."""
+    turn: EyeAxis | None = None
+    """Of an eye: the axis that turns the mandrel. Without it: no eye."""
+    along: EyeAxis | None = None
+    """Of an eye: the axis that moves it along the mandrel. Without it: no eye."""
+    across: EyeAxis | None = None
+    """The axis that moves the eye away from the mandrel's axis. Without it: ``payout``."""
+    up: EyeAxis | None = None
+    """The axis that lifts the eye. Without it: 0."""
+    yaw: EyeAxis | None = None
+    """The axis that turns the eye about the upright, from along to across. Without it: 0."""
+    roll: EyeAxis | None = None
+    """The axis that turns the eye about the direction across, from up to along. Without it: 0."""
+    payout: Payout | None = None
+    """Point where the fibre leaves the eye, from its carrier at yaw and roll 0. Without it: the
+    carrier."""
+
+    @model_validator(mode="after")
+    def _of_its_kind(self) -> Tool:
+        if self.kind == "radius":
+            for name in (*EYE_PARTS, "payout"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f'{name} belongs to an eye: write kind = "eye", or remove it')
+            return self
+        for name in ("turn", "along"):
+            if getattr(self, name) is None:
+                raise ValueError(f'an eye needs {name}, like {name} = {{ axis = "A" }}')
+        if self.across is None and self.payout is None:
+            raise ValueError('an eye needs across, like across = { axis = "Y" }, or a payout')
+        for name, part in zip(EYE_PARTS, self.parts, strict=True):
+            wanted = "rad" if name in _TURNS else "m"
+            if part is not None and part.zero is not None and part.zero.unit != wanted:
+                raise ValueError(f"{name}.zero is in {wanted}, not {part.zero.unit}")
+        return self
+
+    @property
+    def parts(self) -> tuple[EyeAxis | None, ...]:
+        """The axes of ``EYE_PARTS``."""
+        return self.turn, self.along, self.across, self.up, self.yaw, self.roll
+
+    @property
+    def payout_m(self) -> tuple[float, float, float]:
+        """Pay-out point along, across and up from the eye's carrier."""
+        point = self.payout
+        return (0.0, 0.0, 0.0) if point is None else (point.along.si, point.across.si, point.up.si)
+
+
+def eye_within(tool: Tool | None, axes: Iterable[str]) -> Tool | None:
+    """Return the tool of a machine with some axes alone: without all its axes it is no eye."""
+    known = set(axes)
+    if tool is None or all(part is None or part.axis in known for part in tool.parts):
+        return tool
+    return Tool(radius=tool.radius)
+
+
+def check_eye(tool: Tool | None, axes: Mapping[str, Axis]) -> None:
+    """Check that the axes of an eye exist and are of the right kind.
+
+    Raises
+    ------
+    ValueError
+        If one is missing, rotary instead of linear, or used twice; begins with the key.
+    """
+    if tool is None:
+        return
+    used: dict[str, str] = {}
+    for name, part in zip(EYE_PARTS, tool.parts, strict=True):
+        if part is None:
+            continue
+        at = f"tool.{name}.axis"
+        check_known([part.axis], axes, at, "axis")
+        kind = "rotary" if name in _TURNS else "linear"
+        if axes[part.axis].kind != kind:
+            raise ValueError(f"{at}: {part.axis} is a {axes[part.axis].kind} axis, not {kind}")
+        if part.axis in used:
+            raise ValueError(f"{at}: {part.axis} is the axis of {used[part.axis]} already")
+        used[part.axis] = name
+
+
+def check_radii(axes: Mapping[str, Axis], tool: Tool | None) -> None:
+    """Check that every rotary axis has a radius, and every profile a linear axis.
+
+    Raises
+    ------
+    ValueError
+        If an axis has none; names the axis.
+    """
+    rotary = sorted(name for name, axis in axes.items() if axis.kind == "rotary")
+    for name in rotary:
+        axis = axes[name]
+        if axis.profile is not None:
+            along = axis.profile.along
+            check_known([along], axes, f"axes.{name}.profile.along", "axis")
+            if along in rotary:
+                raise ValueError(
+                    f"axes.{name}.profile is along {along}, a rotary axis; name a linear axis"
+                )
+        elif axis.radius is None and tool is None:
+            raise ValueError(
+                f"'tool' is missing: it gives the radius of the rotary axis {name}, like "
+                '[tool] radius = "100 mm exact, assumed"; or give the axis a radius'
+            )
+
+
+def acts_at_m(axis: Axis, tool: Tool | None) -> float:
+    """Return 1 for a linear axis; for a rotary axis its (largest) radius in m."""
+    if axis.kind == "linear":
+        return 1.0
+    if axis.profile is not None:
+        return axis.profile.largest_m
+    if axis.radius is not None:
+        return axis.radius.si
+    # ``check_radii`` ensures a tool if a rotary axis has no radius.
+    return 1.0 if tool is None else tool.radius.si
+
+
+_Acceleration = Annotated[Quantity, Units(("m/s^2",), positive=True)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class PathLimits:
+    """Limits of the tool's motion along its path, with rotary axes at their radii."""
+
+    velocity: Annotated[Quantity, Units(("m/s",), positive=True)] | None = None
+    """Limit of the tool's speed."""
+    acceleration: _Acceleration | None = None
+    """Limit of the tool's acceleration along the path."""
+    deceleration: _Acceleration | None = None
+    """Limit of braking along the path. Without it: ``acceleration``."""
+    jerk: Annotated[Quantity, Units(("m/s^3",), positive=True)] | None = None
+    """Limit of the tool's jerk along the path."""
+    centripetal: _Acceleration | None = None
+    """Limit of the tool's acceleration across the path."""
+
+    @property
+    def asks_for_rests(self) -> bool:
+        """Whether the tool must stop where its path turns back: its speed has a kink there."""
+        return self.acceleration is not None or self.jerk is not None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> PathLimits:
+        if self.deceleration is not None and self.acceleration is None:
+            raise ValueError("a deceleration along the path needs an acceleration: give both")
+        if not any((self.velocity, self.acceleration, self.jerk, self.centripetal)):
+            raise ValueError(
+                "a [path] without limits: give velocity, acceleration, jerk or centripetal, or "
+                "remove the table"
+            )
+        return self
+
+
+def check_path_limits(
+    path: PathLimits | None, axes: Mapping[str, Axis], cylinders: Sized, tables: object
+) -> None:
+    """Refuse path limits on machines that follow no path; ``ValueError`` begins with the key."""
+    if path is not None and not axes:
+        raise ValueError(
+            "path: limits along the path need [axes.X]; cylinders are switched: remove it"
+        )
+    if path is not None and cylinders:
+        raise ValueError(
+            "path: limits along the path have no meaning for [cylinders.X], which are switched "
+            "and follow no path: remove it"
+        )
+    if tables is None:
+        return
+    if path is not None:
+        raise ValueError(
+            "path: step tables move each axis separately between two stitches, along no path: "
+            "remove it"
+        )
+    for name, axis in axes.items():
+        if axis.deceleration is not None:
+            raise ValueError(
+                f"axes.{name}.deceleration: the laws of step tables brake as they speed up: "
+                "remove it"
+            )

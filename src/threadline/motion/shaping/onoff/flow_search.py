@@ -1,0 +1,249 @@
+"""Search for the shortest command of flow controls that rings little enough all over a band.
+
+A command is known by the scans at which each flow control opens and shuts. A search shifts these
+by one scan, singly and in pairs, as long as the worst ringing over the band falls. It starts from
+the best command with free levels, rounded to the flow controls with some noise, and from shifted
+copies of the best commands so far. Nothing is taken symmetric. An integer program over the same
+switchings finds longer commands in a hundred times the time: pairs of shifts keep the distance,
+which a branch of a tree meets late. What was not found may still exist.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import ComplexArray, FloatArray, IntArray
+from threadline.base.linear_programs import solved
+from threadline.motion.shaping.onoff.flow_levels import (
+    OVER,
+    SHORT,
+    FlowCommand,
+    FlowMove,
+    around_a_circle,
+)
+
+_STARTS = 900
+"""Starts for each duration: unlike a time limit, independent of the computer."""
+_HOPELESS = ((150, 1.7), (400, 1.3))
+"""After so many starts a duration is given up if the best command rings more, x the limit."""
+_FRESH = 0.1  # share of the starts that begin at the free levels
+_HOP = 4  # most scans by which an edge of a kept command is shifted for a further start
+_KEPT = 12
+_STEPS = 80
+_MEAN_WEIGHT = 0.15  # of the root mean square beside the worst: it leads out of corners
+_NOISE = 0.6  # most, of a dwell, in the rounding of free levels
+_CHANGE = 0.3  # scans of distance that a switching must gain in the rounding
+_BY_ONE: IntArray = np.array([-1, 1], dtype=np.int64)
+
+Edges = tuple[tuple[int, ...], ...]
+"""For each flow control the scans at which it opens, shuts, opens and so on."""
+
+
+def shortest_flow_command(move: FlowMove, least: int, most_scans: int) -> FlowCommand | None:
+    """Return the shortest command of at least ``least`` scans that is found."""
+    found = (flow_command(move, scans) for scans in range(least, most_scans + 1))
+    return next((command for command in found if command is not None), None)
+
+
+def flow_command(move: FlowMove, scans: int, seed: int = 0) -> FlowCommand | None:
+    """Return a command of at most ``scans`` scans that rings at most ``move.most``.
+
+    Other seeds find other commands. None if none was found; that does not prove that there is none.
+    """
+    if scans < move.dwell_scans:
+        return None
+    search, rng = _Search(move, scans), np.random.default_rng(seed)
+    free = _free_levels(move, scans)
+    kept: dict[Edges, float] = {}
+    for start in range(_STARTS):
+        if any(start == after and min(kept.values()) > most for after, most in _HOPELESS):
+            return None
+        if not kept or rng.random() < _FRESH:
+            begin = _rounded(move, free, _NOISE * rng.random() if start else 0.0, rng)
+        else:
+            ranked = list(kept)
+            begin = search.shifted(ranked[min(int(rng.exponential(2.0)), len(ranked) - 1)], rng)
+        if not search.fits(begin):
+            continue
+        edges, value = search.improved(begin)
+        command = search.command(edges)
+        if value < 1.1 and search.within(command):
+            return command
+        kept[edges] = value
+        kept = dict(sorted(kept.items(), key=lambda pair: pair[1])[:_KEPT])
+    return None
+
+
+def _free_levels(move: FlowMove, scans: int) -> FloatArray:
+    """Return the level of each scan that rings least with levels free in [0, 1], (scans,)."""
+    seen, around = move.seen(), around_a_circle()
+    grown = np.exp(np.log(move.turns[seen])[:, None] * np.arange(scans, -1.0, -1.0))
+    ring = (grown[:, :-1] - grown[:, 1:]) / move.most[seen, None]
+    rows = (ring[None] * around[:, None, None]).real.reshape(-1, scans)
+    found = solved(
+        np.append(np.zeros(scans), 1.0),
+        below=(np.hstack((rows, -np.ones((len(rows), 1)))), np.zeros(len(rows))),
+        equal=(np.append(np.ones(scans), 0.0)[None], [min(move.on_scans, float(scans))]),
+        bounds=[(0.0, 1.0)] * scans + [(0.0, None)],
+    )
+    levels: FloatArray = np.zeros(scans) if found.x is None else np.clip(found.x[:scans], 0.0, 1.0)
+    return levels
+
+
+def _rounded(move: FlowMove, free: FloatArray, noise: float, rng: np.random.Generator) -> Edges:
+    """Return switchings whose distance follows the free levels', a dwell ahead of each scan."""
+    flows, dwell, scans = np.asarray(move.valves.flows), move.dwell_scans, len(free)
+    sets = np.array(list(product((0, 1), repeat=len(flows))))
+    ahead = np.concatenate((np.cumsum(free), np.full(dwell, free.sum())))
+    before = np.concatenate(([0.0], ahead))
+    opened = np.zeros(len(flows), dtype=np.int64)
+    since = np.full(len(flows), dwell)
+    edges: list[list[int]] = [[] for _ in flows]
+    behind = 0.0
+    for scan in range(scans):
+        look = min(dwell, scans - scan)
+        changes = sets != opened
+        may = ~(changes & (since < dwell)).any(axis=1)
+        if look < dwell:
+            may &= ~((sets == 1) & changes).any(axis=1)
+        error = behind + before[scan + look] - before[scan] - look * (sets @ flows)
+        price = np.abs(error) + noise * dwell * rng.random(len(sets)) + _CHANGE * changes.sum(1)
+        chosen = int(np.argmin(np.where(may, price, np.inf)))
+        for flow in np.flatnonzero(changes[chosen]):
+            edges[flow].append(scan)
+            since[flow] = 0
+        opened = sets[chosen]
+        since += 1
+        behind += float(free[scan] - opened @ flows)
+    for flow in np.flatnonzero(opened):
+        edges[flow].append(scans)
+    return tuple(tuple(of_flow) for of_flow in edges)
+
+
+class _Search:
+    """The commands of one duration: their cost, and what a shift of switchings makes of them."""
+
+    def __init__(self, move: FlowMove, scans: int) -> None:
+        self._move, self._scans = move, scans
+        valves, seen = move.valves, move.seen()
+        rates = np.log(move.turns[seen])[None, :]
+        to_go = scans - np.arange(scans + 1.0)[:, None]
+        # Ringing of a step of level 1 at each scan, in units of the limit, (scans + 1, K).
+        self._opening = np.exp(rates * (to_go - valves.opens)) / move.most[seen]
+        self._closing = np.exp(rates * (to_go - valves.closes)) / move.most[seen]
+
+    def fits(self, edges: Edges) -> bool:
+        """Return whether the flow controls can make these switchings."""
+        return any(edges) and all(
+            b - a >= self._move.dwell_scans for of_flow in edges for a, b in pairwise(of_flow)
+        )
+
+    def shifted(self, edges: Edges, rng: np.random.Generator) -> Edges:
+        """Return a copy with a few switchings at other scans."""
+        every = [(flow, k) for flow, of_flow in enumerate(edges) for k in range(len(of_flow))]
+        moved = [list(of_flow) for of_flow in edges]
+        count = min(len(every), int(rng.integers(2, 6)))
+        for chosen in rng.choice(len(every), size=count, replace=False):
+            flow, k = every[chosen]
+            to = moved[flow][k] + int(rng.integers(-_HOP, _HOP + 1))
+            moved[flow][k] = min(max(to, 0), self._scans)
+        return tuple(tuple(of_flow) for of_flow in moved)
+
+    def command(self, edges: Edges) -> FlowCommand:
+        """Return the levels that these switchings make; the first scan is scan 0."""
+        levels = np.zeros(self._scans)
+        for flow, of_flow in zip(self._move.valves.flows, edges, strict=True):
+            for a, b in zip(of_flow[::2], of_flow[1::2], strict=True):
+                levels[a:b] += flow
+        changes = np.flatnonzero(np.abs(np.diff(levels, prepend=0.0, append=0.0)) > 1e-9)
+        kept = np.append(levels, 0.0)[changes]
+        return FlowCommand(tuple((changes - changes[0]).tolist()), tuple(kept.tolist()))
+
+    def within(self, command: FlowCommand) -> bool:
+        """Return whether valves make a command, it covers the distance, and rings little enough.
+
+        Its levels alone name the open flow controls: where two sets of them make one level, other
+        flow controls than the searched ones may switch.
+        """
+        move = self._move
+        covered = move.valves.covered(command.ticks, command.levels)
+        far_enough = -SHORT - 1e-9 <= covered - move.on_scans <= OVER + 1e-9
+        dwells = move.valves.apart(command.ticks, command.levels) >= move.dwell_scans
+        return far_enough and dwells and move.quiet(command)
+
+    def _cost(self, ringing: ComplexArray, covered: FloatArray) -> FloatArray:
+        size = np.abs(ringing)
+        mean_square: FloatArray = np.mean(size**2, axis=-1)
+        beyond = covered - self._move.on_scans
+        off = np.maximum(np.maximum(-SHORT - beyond, beyond - OVER), 0.0)
+        found: FloatArray = size.max(axis=-1) + _MEAN_WEIGHT * np.sqrt(mean_square) + off
+        # Mirrored shifts cost the same: rounding, not the processor, decides that they are equal.
+        return np.round(found, 9)
+
+    def improved(self, edges: Edges) -> tuple[Edges, float]:
+        """Apply the best shift of one switching or two until none is better.
+
+        Returns
+        -------
+        tuple
+            The switchings, and their worst ringing in units of the limit plus the scans by which
+            they miss the distance.
+        """
+        valves, dwell = self._move.valves, self._move.dwell_scans
+        at = np.array([scan for of_flow in edges for scan in of_flow], dtype=np.int64)
+        flow = np.repeat(np.arange(len(edges)), [len(of_flow) for of_flow in edges])
+        opens = np.concatenate([np.arange(len(of_flow)) % 2 == 0 for of_flow in edges])
+        height = np.asarray(valves.flows)[flow] * np.where(opens, 1.0, -1.0)
+        shut = float(np.sum(-height[~opens])) * valves.longer
+        first = np.flatnonzero(np.append(False, flow[1:] != flow[:-1]) | (np.arange(len(at)) == 0))
+        last = np.append(first[1:], len(at)) - 1
+        left = np.setdiff1d(np.arange(len(at)), last)  # switchings with a next one
+        count = 2 * len(at)
+        pairs = np.repeat(np.arange(len(at)), 2)[:, None] != np.repeat(np.arange(len(at)), 2)
+
+        def rings(scans: IntArray) -> ComplexArray:
+            each = np.where(opens[:, None, None], self._opening[scans], self._closing[scans])
+            turned: ComplexArray = each * height[:, None, None]
+            return turned
+
+        ringing, covered = rings(at[:, None]).sum(axis=(0, 1)), shut - float(height @ at)
+        value = float(self._cost(ringing, np.array(covered)))
+        for _ in range(_STEPS):
+            to = at[:, None] + _BY_ONE
+            above = np.full((len(at), 2), True)
+            below = (to >= 0) & (to <= self._scans)
+            above[left] = to[left] <= at[left + 1, None] - dwell
+            inside = below.copy()
+            below[left + 1] &= to[left + 1] >= at[left, None] + dwell
+            single = (above & below).reshape(-1)
+            gain = (rings(np.clip(to, 0, self._scans)) - rings(at[:, None])).reshape(count, -1)
+            way = -np.repeat(height, 2) * np.tile(_BY_ONE, len(at))
+            may: NDArray[np.bool_] = single[:, None] & single & pairs
+            # Two neighbours that are shifted at once keep their distance from each other's place.
+            near = to[left + 1, None, :] - to[left, :, None] >= dwell
+            near &= (below[left] & inside[left])[:, :, None]
+            near &= (above[left + 1] & inside[left + 1])[:, None, :]
+            rows = 2 * left[:, None, None] + np.arange(2)[None, :, None]
+            columns = 2 * (left + 1)[:, None, None] + np.arange(2)[None, None, :]
+            may[rows, columns] = near
+            may[columns, rows] = near
+            ones = self._cost(ringing + gain, covered + way)
+            twos = self._cost(
+                ringing + gain[:, None] + gain[None], covered + way[:, None] + way[None]
+            )
+            ones[~single] = np.inf
+            twos[~may] = np.inf
+            one, two = int(np.argmin(ones)), divmod(int(np.argmin(twos)), count)
+            better = float(min(ones[one], twos[two]))
+            if not better < value * (1.0 - 1e-9):
+                break
+            for chosen in (one,) if ones[one] <= twos[two] else two:
+                at[chosen // 2] += _BY_ONE[chosen % 2]
+                ringing, covered = ringing + gain[chosen], covered + way[chosen]
+            value = better
+        found = tuple(tuple(at[flow == k].tolist()) for k in range(len(edges)))
+        off = float(self._cost(0.0 * ringing, np.array(covered)))
+        return found, float(np.abs(ringing).max()) + off

@@ -1,0 +1,289 @@
+"""The way between two samples, where the velocity of the load is recorded as well.
+
+Within a tick no controller acts, and a load that accelerates by a leaves the straight line between
+its samples by a T^2 / 8. With the places and the velocities at both ends the way between is the
+cubic that has them (Hermite). Of a load whose acceleration is steady over the tick it is exact;
+where the acceleration steps by b within the tick, it is off by b T^2 / 62 at most, and where the
+load moves by exp(-t / tau) by a T^4 / (384 tau^2).
+
+Few ways have to be looked along: a bound tells of almost all that they are no worse than the worst.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.verdict.nearest import weighed_to_segment
+
+_NOTHING_M2 = 1e-26  # a place this close to the path is on it, up to rounding
+_PARTS = 8  # of a way that is looked along: between them it bows by a 64th of the whole
+_MORE = 1.0 + 1e-9  # factor on a bound, for rounding in the value that it is compared with
+
+
+class Bows(NamedTuple):
+    """How the ways that lead to n samples bow.
+
+    ``pace``, (n + 1, axes, runs), is the way at the tool that each load would go in a sample
+    interval at its velocity; row 0 belongs to the sample before. ``most``, (n, 1, runs), is a
+    bound of the squared distance from the straight line. ``known`` is False without velocities,
+    and both are empty then.
+    """
+
+    known: bool
+    pace: FloatArray
+    most: FloatArray
+
+
+NO_BOWS = Bows(False, np.empty((0, 0, 0)), np.empty((0, 0, 0)))
+
+
+def _bound(points: FloatArray, before: FloatArray, share: FloatArray, bows: Bows) -> None:
+    """Fill in the bounds of the ways that lead to (n, axes, runs) points; s(1-s) is at most 1/4."""
+    _, pace, most = bows
+    weighed = len(share) > 0
+    samples, axes, runs = points.shape
+    for i in range(samples):
+        for r in range(runs):
+            most[i, 0, r] = 0.0
+        for a in range(axes):
+            for r in range(runs):
+                start = before[a, r] if i == 0 else points[i - 1, a, r]
+                step = points[i, a, r] - start
+                out, back = pace[i, a, r] - step, pace[i + 1, a, r] - step
+                out, back = out * out, back * back
+                larger = out if out > back else back
+                if weighed:
+                    larger *= share[i, a, r] * share[i, a, r]
+                most[i, 0, r] += larger * (_MORE / 16.0)
+
+
+bound_bows = njit(nogil=True)(_bound)
+
+
+def _beside(s: float, step: float, out: float, back: float) -> float:
+    """Return how far the way is from the straight line at s (0..1), of one axis.
+
+    Source: the cubic through both ends with the slopes ``out`` and ``back``, less its chord.
+    """
+    return s * (1.0 - s) * ((1.0 - s) * (out - step) - s * (back - step))
+
+
+beside = njit(nogil=True)(_beside)
+
+
+def _look_along(
+    here: FloatArray,
+    there: FloatArray,
+    out: FloatArray,
+    back: FloatArray,
+    low: int,
+    high: int,
+    vertices: FloatArray,
+    of: FloatArray,
+    worst: FloatArray,
+    at: IntArray,
+    part: FloatArray,
+    worst_chord: IntArray,
+    r: int,
+    number: int,
+) -> None:
+    """Raise ``worst[r]``, squared, where a way is farther from the chords ``low`` to ``high``."""
+    axes = len(here)
+    point = np.empty(axes)
+    for k in range(1, _PARTS):
+        s = k / _PARTS
+        for a in range(axes):
+            step = there[a] - here[a]
+            point[a] = here[a] + s * step + beside(s, step, out[a], back[a])
+        best, nearest = np.inf, -1
+        for c in range(low, high + 1):
+            away = weighed_to_segment(point, vertices[c - 1], vertices[c], of)
+            if away < best:
+                best, nearest = away, c
+        if best > worst[r]:
+            worst[r], at[r], part[r], worst_chord[r] = best, number, s, nearest
+
+
+look_along = njit(nogil=True)(_look_along)
+
+
+def _across(
+    here: FloatArray,
+    there: FloatArray,
+    out: FloatArray,
+    back: FloatArray,
+    start: FloatArray,
+    end: FloatArray,
+    of: FloatArray,
+    bow: float,
+) -> float:
+    """Return a bound of how far a way bows across the chord from ``start`` to ``end``, squared.
+
+    A load that speeds up bows along its chord, which is no error. Near an end of the chord all of
+    ``bow`` counts.
+    """
+    length, first, second, of_out, of_back = 0.0, 0.0, 0.0, 0.0, 0.0
+    for a in range(len(here)):
+        way, step = of[a] * (end[a] - start[a]), there[a] - here[a]
+        length += way * way
+        first += of[a] * (here[a] - start[a]) * way
+        second += of[a] * (there[a] - start[a]) * way
+        of_out += of[a] * (out[a] - step) * way
+        of_back += of[a] * (back[a] - step) * way
+    most = np.sqrt(bow * length)
+    if not (min(first, second) >= most and max(first, second) <= length - most):
+        return bow
+    lead, trail = 0.0, 0.0
+    for a in range(len(here)):
+        way, step = of[a] * (end[a] - start[a]) / length, there[a] - here[a]
+        lead += (of[a] * (out[a] - step) - of_out * way) ** 2
+        trail += (of[a] * (back[a] - step) - of_back * way) ** 2
+    return float(max(lead, trail) * (_MORE / 16.0))
+
+
+across = njit(nogil=True)(_across)
+
+
+def _may_be_farther(first: float, second: float, long: float, bow: float, worst: float) -> bool:
+    """Return whether a way may be farther than the worst, all squared but for ``long``.
+
+    ``long`` is the length of a straight line that is near one chord at its start and another at
+    its end, else 0.
+    """
+    off = max(first, second)
+    if long > 0.0:
+        off = max(off, (0.5 * (np.sqrt(first) + np.sqrt(second) + long)) ** 2)
+    worst = max(worst, _NOTHING_M2)
+    return bool(bow > 0.0 and (off + bow + 2.0 * np.sqrt(off * bow)) * _MORE > worst)
+
+
+may_be_farther = njit(nogil=True)(_may_be_farther)
+
+
+def _any_across(
+    points: FloatArray,
+    before: FloatArray,
+    out: FloatArray,
+    back: FloatArray,
+    start: FloatArray,
+    end: FloatArray,
+    each: tuple[int, ...],
+    first: FloatArray,
+    second: FloatArray,
+    most: FloatArray,
+    worst: FloatArray,
+) -> bool:
+    """Return whether a way of any run may be farther than its worst, by ``across``.
+
+    All are (axes, runs) or (runs,), of one sample whose runs are all near the same chord; ``each``
+    has an entry for each axis, so that the loop over the runs becomes vector instructions.
+    """
+    length = 0.0
+    for a in range(len(each)):
+        length += (end[a] - start[a]) * (end[a] - start[a])
+    length = length if length > 0.0 else 1.0
+    larger = 0
+    for r in range(points.shape[1]):
+        low, high, of_out, of_back = 0.0, 0.0, 0.0, 0.0
+        for a in range(len(each)):
+            way, step = end[a] - start[a], points[a, r] - before[a, r]
+            low += (before[a, r] - start[a]) * way
+            high += (points[a, r] - start[a]) * way
+            of_out += (out[a, r] - step) * way
+            of_back += (back[a, r] - step) * way
+        lead, trail = 0.0, 0.0
+        for a in range(len(each)):
+            way, step = (end[a] - start[a]) / length, points[a, r] - before[a, r]
+            lead += (out[a, r] - step - of_out * way) * (out[a, r] - step - of_out * way)
+            trail += (back[a, r] - step - of_back * way) * (back[a, r] - step - of_back * way)
+        reach = np.sqrt(most[r] * length)
+        lead = (lead if lead > trail else trail) * (_MORE / 16.0)
+        inside = ((low if low < high else high) >= reach) & (
+            (high if high > low else low) <= length - reach
+        )
+        bow = lead if inside else most[r]
+        off = first[r] if first[r] > second[r] else second[r]
+        least = worst[r] if worst[r] > _NOTHING_M2 else _NOTHING_M2
+        larger += (off + bow + 2.0 * np.sqrt(off * bow)) * _MORE > least
+    return larger > 0
+
+
+_any_across_fast = njit(nogil=True)(_any_across)
+
+
+def _raise_to_bows(
+    points: FloatArray,
+    before: FloatArray,
+    off: FloatArray,
+    chord: IntArray,
+    chord_before: IntArray,
+    only: IntArray,
+    begin: IntArray,
+    end: IntArray,
+    vertices: FloatArray,
+    each: tuple[int, ...],
+    share: FloatArray,
+    bows: Bows,
+    worst: FloatArray,
+    at: IntArray,
+    part: FloatArray,
+    worst_chord: IntArray,
+    number: int,
+) -> None:
+    """Raise ``worst``, (runs,) squared, where a way to a point is farther than all before.
+
+    ``off``, (n + 1, runs), are squared distances of the samples, of the one before first. The
+    others are as in ``nearest.between``.
+    """
+    _, pace, most = bows
+    samples, axes, runs = points.shape
+    here, there, of = np.empty(axes), np.empty(axes), np.ones(axes)
+    out, back = np.empty(axes), np.empty(axes)
+    for i in range(samples):
+        alike = only[i] >= 0 and only[i] == only[i + 1]
+        if alike:
+            larger = 0
+            for r in range(runs):
+                worse = off[i, r] if off[i, r] > off[i + 1, r] else off[i + 1, r]
+                bow = most[i, 0, r]
+                larger += (worse + bow + 2.0 * np.sqrt(worse * bow)) * _MORE > worst[r]
+            if not larger or not (len(share) or _any_across_fast(
+                points[i], before if i == 0 else points[i - 1], pace[i], pace[i + 1],
+                vertices[only[i] - 1], vertices[only[i]], each, off[i], off[i + 1], most[i, 0],
+                worst,
+            )):  # fmt: skip
+                continue
+        for r in range(runs):
+            left_from = only[i]
+            if left_from < 0:
+                left_from = chord_before[r] if i == 0 else chord[i - 1, r]
+            led_to = only[i + 1] if only[i + 1] >= 0 else chord[i, r]
+            long = 0.0
+            for a in range(axes):
+                here[a] = before[a, r] if i == 0 else points[i - 1, a, r]
+                there[a] = points[i, a, r]
+                if len(share):
+                    of[a] = share[i, a, r]
+                long += (of[a] * (there[a] - here[a])) ** 2
+            long = 0.0 if left_from == led_to else np.sqrt(long)
+            bow = most[i, 0, r]
+            if not may_be_farther(off[i, r], off[i + 1, r], long, bow, worst[r]):
+                continue
+            for a in range(axes):
+                out[a], back[a] = pace[i, a, r], pace[i + 1, a, r]
+            if long == 0.0:
+                c = led_to
+                bow = across(here, there, out, back, vertices[c - 1], vertices[c], of, bow)
+            if may_be_farther(off[i, r], off[i + 1, r], long, bow, worst[r]):
+                low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
+                look_along(
+                    here, there, out, back, low, high, vertices, of,
+                    worst, at, part, worst_chord, r, number + i,
+                )  # fmt: skip
+
+
+raise_to_bows = njit(nogil=True)(_raise_to_bows)

@@ -1,0 +1,293 @@
+"""Mandrels and bands from files of other planners: FiberPath's ``.wind`` 1.x, and CADFIL's.
+
+FiberPath publishes the specification of its format, a JSON document. CADFIL's help describes the
+fibre path ``.FIB`` and the payout path ``.PAY`` field by field; of a control file ``.CTL`` it says
+that it lists payout files. A path of CADFIL shows the mandrel only where its fibre lies.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.base.reading import read_text
+from threadline.errors import JobError, Place
+
+ENDINGS = (".wind", ".fib", ".pay", ".ctl")
+"""Endings of the files that ``foreign_product`` reads, in lower case."""
+MERIDIANS = (".fib", ".pay")
+"""Endings of the files that ``meridian_of`` reads."""
+_MAX_BYTES = 20_000_000
+_MOST_POINTS = 200_000
+_FRICTION = 0.2
+"""Default slip limit of FiberPath's machine profile; neither planner writes a friction."""
+_NAMED = f"friction {_FRICTION:g} assumed"
+_BANDS = 2.0  # widths of the band by which a mandrel is longer than FiberPath's winding length
+_SAME_M = 1e-5  # two points of a meridian are one
+_FIB_LINES, _PAY_LINES = 4, 4  # before the points
+_FIB_WIDTHS = (5, *(11,) * 6)
+_PAY_WIDTHS = (10,) * 9
+_NAME = re.compile(r"[^\s,;\"']+")
+
+Content = dict[str, Any]
+
+
+def foreign_product(path: Path) -> Content:
+    """Return the content of a product file (``product.py``) with what another planner's file says.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read, is damaged, or describes what is no body of revolution here.
+    """
+    ending = path.suffix.lower()
+    if ending == ".wind":
+        return _of_fiberpath(path)
+    paths = [path] if ending != ".ctl" else list(_listed(path))
+    widths = [_width_mm(each) for each in paths]
+    points = np.vstack([_cadfil_points(each) for each in paths])
+    if max(widths) > min(widths):
+        raise JobError(
+            f"its payout files have bands of {min(widths):g} to {max(widths):g} mm",
+            place=Place(str(path)),
+            remedy="Replay them one by one.",
+        )
+    meridian = _meridian(points, path)
+    return {
+        "name": f"{path.stem} ({_NAMED})",
+        "mandrel": {"at": f"{1e3 * meridian[0][0]:.9g} mm"},
+        "part": [{"points": meridian}],
+        "band": {"width": f"{widths[0]!r} mm"},
+        "friction": {"value": _FRICTION},
+    }
+
+
+def meridian_of(path: Path) -> list[list[float]]:
+    """Return places along the axis and radii, m, of the mandrel under a path of CADFIL.
+
+    Raises
+    ------
+    JobError
+        As ``foreign_product``.
+    """
+    return _meridian(_cadfil_points(path), path)
+
+
+# --- FiberPath ---
+
+
+def _of_fiberpath(path: Path) -> Content:
+    text = read_text(path, _MAX_BYTES, JobError, "winding definition", "utf-8-sig")
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        line = getattr(error, "lineno", 0)
+        raise JobError(
+            f"it is no JSON: {getattr(error, 'msg', 'nested too deeply')}",
+            place=Place(str(path), line),
+            remedy="FiberPath writes .wind as JSON; correct that line.",
+        ) from error
+    wind = _Wind(path, content if isinstance(content, dict) else {})
+    version = wind.content.get("schemaVersion", "1.0")
+    if not isinstance(version, str) or not re.fullmatch(r"1(\.\d{1,6})?", version):
+        wind.refuse(f"schemaVersion {str(version)[:20]!r}: versions 1.x are read", "Convert it.")
+    mandrel, tow = wind.table("mandrelParameters"), wind.table("towParameters")
+    radius = 0.5 * wind.length(mandrel, "diameter")
+    length, width = wind.length(mandrel, "windLength"), wind.length(tow, "width")
+    profile = mandrel.get("profile")
+    more = _BANDS * width
+    if profile is not None:
+        kind = profile.get("type") if isinstance(profile, dict) else profile
+        if kind != "vonKarman":
+            wind.refuse(f"a mandrel of the profile {str(kind)[:40]!r}", "vonKarman is read.")
+        # Half of the radius at which the lowest geodesic turns back: no fibre comes nearer.
+        tip = min([math.sin(math.radians(a)) for a in wind.angles()] or [1.0])
+        opening = max(0.5 * radius * tip, 0.51 * width)
+        nose = {"kind": "nose", "radius": radius, "height": length, "opening": opening}
+        base = {"kind": "cylinder", "radius": radius, "length": more}
+        parts: list[Content] = [base, nose | {"pole": "right"}]
+        covered = None
+    else:
+        end = 0.5 * wind.length(mandrel, "endDiameter") if "endDiameter" in mandrel else radius
+        slope = (end - radius) / length
+        parts = [
+            {"kind": "cone", "radius": radius - more * slope, "length": length + 2.0 * more,
+             "end_radius": max(end + more * slope, 0.1 * end)}
+        ]  # fmt: skip
+        covered = {"begin": f"{more!r} mm", "end": f"{more + length!r} mm"}
+    written = [
+        {key: f"{value!r} mm" if isinstance(value, float) else value for key, value in part.items()}
+        for part in parts
+    ]
+    found: Content = {
+        "name": f"{path.stem} ({_NAMED})",
+        "mandrel": {"at": f"{-more!r} mm"},
+        "part": written,
+        "band": {"width": f"{width!r} mm", "thickness": f"{wind.length(tow, 'thickness')!r} mm"},
+        "friction": {"value": _FRICTION},
+    }
+    return found if covered is None else found | {"coverage": covered}
+
+
+class _Wind:
+    """The content of a ``.wind`` with its checks; members that are not known are not looked at."""
+
+    def __init__(self, path: Path, content: Mapping[str, Any]) -> None:
+        self.path, self.content = path, content
+
+    def refuse(self, what: str, remedy: str) -> None:
+        raise JobError(what, place=Place(str(self.path)), remedy=remedy)
+
+    def table(self, name: str) -> Mapping[str, Any]:
+        found = self.content.get(name)
+        if not isinstance(found, dict):
+            raise JobError(
+                f"{name} is missing",
+                place=Place(str(self.path)),
+                remedy='FiberPath writes {"mandrelParameters": {"diameter": 70, ...}, ...}.',
+            )
+        return found
+
+    def length(self, table: Mapping[str, Any], key: str) -> float:
+        """Return a length above 0, mm."""
+        value = table.get(key)
+        good = isinstance(value, int | float) and not isinstance(value, bool)
+        if not good or not 1e-6 < float(value) < 1e6:  # type: ignore[arg-type]
+            raise JobError(
+                f"{key} is {str(value)[:40]}, not a length above 0 mm",
+                place=Place(str(self.path)),
+                remedy=f'Write "{key}": 70.',
+            )
+        return float(value)  # type: ignore[arg-type]
+
+    def angles(self) -> Iterator[float]:
+        """Yield the winding angles of the layers that can be read, degrees."""
+        layers = self.content.get("layers")
+        for layer in layers if isinstance(layers, list) else ():
+            angle = layer.get("windAngle") if isinstance(layer, dict) else None
+            if isinstance(angle, int | float) and 0.0 < angle <= 90.0:
+                yield float(angle)
+
+
+# --- CADFIL ---
+
+
+def _listed(path: Path) -> Iterator[Path]:
+    """Yield the payout files that a control file lists, which stand beside it."""
+    text = read_text(path, _MAX_BYTES, JobError, "control file", "latin-1")
+    beside = {file.name.lower(): file for file in path.parent.iterdir()}
+    seen: set[str] = set()
+    for number, line in enumerate(text.splitlines(), start=1):
+        for word in _NAME.findall(line):
+            name = re.split(r"[\\/]", word)[-1].lower()
+            named = name.endswith(".pay")
+            file = beside.get(name if named else f"{name}.pay")
+            if named and file is None:
+                raise JobError(
+                    f"the payout file {word[:60]!r} is not beside the control file",
+                    place=Place(str(path), number),
+                    remedy="Copy the payout files into its folder.",
+                )
+            if file is not None and name not in seen:
+                seen.add(name)
+                yield file
+    if not seen:
+        raise JobError(
+            "the control file names no payout file (.PAY)",
+            place=Place(str(path)),
+            remedy="Give a .PAY, or the mandrel as a product file (.wind.toml).",
+        )
+
+
+def _rows(path: Path) -> list[str]:
+    text = read_text(path, _MAX_BYTES, JobError, "file of CADFIL", "latin-1")
+    return [line for line in text.splitlines() if line.strip()]
+
+
+def _numbers(path: Path, line: str, number: int, widths: Sequence[int], least: int) -> list[float]:
+    """Return the numbers of a line, parted by blanks or by the widths of Fortran's columns."""
+    words = line.split()
+    if len(words) < least:
+        ends = np.cumsum(widths).tolist()
+        words = [line[a:b].strip() for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+        words = [word for word in words if word]
+    try:
+        found = [float(word) for word in words]
+    except ValueError:
+        found = []
+    if len(found) < least or not all(map(math.isfinite, found)):
+        raise JobError(
+            f"{line.strip()[:60]!r} is not what CADFIL writes here: {least} numbers or more",
+            place=Place(str(path), number),
+            remedy="Save it again from CADFIL.",
+        )
+    return found
+
+
+def _width_mm(path: Path) -> float:
+    """Return the width of the band in a payout path, or in the one beside a fibre path."""
+    if path.suffix.lower() == ".fib":
+        beside = [file for file in path.parent.iterdir() if file.stem == path.stem]
+        payout = next((file for file in beside if file.suffix.lower() == ".pay"), None)
+        if payout is None:
+            raise JobError(
+                "a .FIB has no width of the band",
+                place=Place(str(path)),
+                remedy=f"Put {path.stem}.PAY beside it, or write a product file with [[part]] "
+                f'file = "{path.name}" and [band].',
+            )
+        path = payout
+    rows = _rows(path)
+    if len(rows) < _PAY_LINES:
+        raise JobError("it ends within its head", place=Place(str(path)), remedy="Save it again.")
+    width = _numbers(path, rows[2], 3, (6, 6, 14, 14, 14), 4)[3]
+    if not 1e-6 < width < 1e4:
+        raise JobError(
+            f"the band is {width:g} mm wide", place=Place(str(path), 3), remedy="Correct BWID."
+        )
+    return width
+
+
+def _cadfil_points(path: Path) -> np.ndarray:
+    """Return (n, 3) points of the fibre on the mandrel, mm."""
+    rows, payout = _rows(path), path.suffix.lower() == ".pay"
+    head, step = (_PAY_LINES, 2) if payout else (_FIB_LINES, 1)
+    if len(rows) <= head:
+        raise JobError("it ends within its head", place=Place(str(path)), remedy="Save it again.")
+    count = _numbers(path, rows[head - 1], head, (6,), 1)[0]
+    points = rows[head::step]
+    if not 2 <= count <= _MOST_POINTS or len(points) < count:
+        raise JobError(
+            f"it states {count:g} points and has {len(points)}",
+            place=Place(str(path), head),
+            remedy="The file may be truncated: save it again.",
+        )
+    first, widths, least = (0, _PAY_WIDTHS, 6) if payout else (1, _FIB_WIDTHS, 7)
+    found = [
+        _numbers(path, line, head + 1 + step * index, widths, least)[first : first + 3]
+        for index, line in enumerate(points[: int(count)])
+    ]
+    return np.array(found)
+
+
+def _meridian(points_mm: np.ndarray, path: Path) -> list[list[float]]:
+    """Return the meridian under points, left to right; points at one place are one."""
+    x, r = 1e-3 * points_mm[:, 0], 1e-3 * np.hypot(points_mm[:, 1], points_mm[:, 2])
+    order = np.argsort(x, kind="stable")
+    x, r = x[order], r[order]
+    group = np.concatenate([[0], np.cumsum(np.diff(x) > _SAME_M)])
+    count = np.bincount(group)
+    places, radii = np.bincount(group, x) / count, np.bincount(group, r) / count
+    if len(places) < 2 or float(radii.min()) <= 0.0:
+        raise JobError(
+            "its points show no mandrel: they stay at one place, or reach the axis",
+            place=Place(str(path)),
+            remedy="Give the mandrel as a product file (.wind.toml).",
+        )
+    return [[float(place), float(radius)] for place, radius in zip(places, radii, strict=True)]
