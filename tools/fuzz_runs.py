@@ -23,7 +23,7 @@ from threadline.commands.plan import Motion, Plan
 from threadline.files import Stream
 from threadline.jobs.operations import Move, OperationStream
 from threadline.machine import Machine, load_machine
-from threadline.machine.path_limits import PathLimits
+from threadline.machine.tool import PathLimits
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, prove, with_product
 from threadline.verdict import Criterion, judge, load_spec
