@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +29,7 @@ from threadline.proof.pipeline import (
     with_shaping,
 )
 from threadline.report.proof import write_report
+from threadline.report.solid import wound_glb
 from threadline.search.compare import compare, placement_spec
 from threadline.search.question import question_of
 from threadline.search.studied import Studied
@@ -35,10 +38,11 @@ from threadline.verdict.fibre import (
     MEASURED,
     PLANNED,
     Closing,
-    _off_design,
+    _Covering,
     measure_planned,
 )
 from threadline.verdict.finding import Finding
+from threadline.verdict.laid_error import off_design
 from threadline.verdict.replayed import Wound, WoundJob, programmed_fibre, wound_job
 from threadline.winding.clearance import Clearance
 from threadline.winding.fit import fitting_radius
@@ -198,7 +202,7 @@ def test_a_run_is_judged_like_its_plan(
     assert not proof.verdict.passed  # one circuit leaves gaps
     page = write_report(Studied(proof=proof), tmp_path / "report")
     names = {file.name for file in page.parent.iterdir()}
-    assert {"report-winding-map.svg", "report-winding-along.svg"} <= names
+    assert {"report-winding-map.svg", "report-winding-along.svg", "report-winding-map.glb"} <= names
     # The page names the product and does not quote it.
     assert "vessel.wind.toml, sha256" in page.read_text() and "isotensoid" not in page.read_text()
 
@@ -356,12 +360,77 @@ def test_the_design_is_found_again_where_the_fibre_was_not_known() -> None:
     points[800:1200, :3] = np.nan  # more than the stretch that is searched from place to place
     points[3000:, 0] += 1e-4
     points[:, 3] += 0.04  # it laid more before its place was known
-    found = _off_design(points, design, np.array([0.0, 0.1]))
+    found = off_design(points, design, np.array([0.0, 0.1]))
     assert np.isnan(found[800:1200]).all() and np.isnan(found[1501:2499]).all()
     for part in (slice(0, 800), slice(1200, 1499), slice(2502, 3000)):
         assert found[part].max() < 1e-9
     across = 1e-4 * 0.05 / math.hypot(0.02, 0.05)
     np.testing.assert_allclose(found[3000:-1], across, rtol=1e-3)
+
+
+def test_the_wound_mandrel_is_a_glb(vessel: Product, circuit: FloatArray, machine: Machine) -> None:
+    """Read as the specification of glTF 2.0 says: chunks, accessors, areas of mandrel and bands."""
+    assert machine.tool is not None
+    laid = Replay(vessel.surface, machine.tool, 0.2, vessel.tied).feed(_eyes(circuit, 2))
+    fibre = np.column_stack([laid.u, laid.angle, laid.winding])
+    fibre[~laid.known] = np.nan
+    slips = np.arange(len(fibre)) >= len(fibre) - 20
+    content = wound_glb(vessel.surface, vessel.width.si, fibre, slips, "two circuits")
+
+    assert content[:4] == b"glTF"
+    assert np.frombuffer(content[4:12], "<u4").tolist() == [2, len(content)]
+    size = int.from_bytes(content[12:16], "little")
+    described = json.loads(content[20 : 20 + size])
+    data = content[28 + size :]
+    assert len(content) % 4 == size % 4 == 0
+    assert described["buffers"] == [{"byteLength": len(data)}]
+
+    def array(number: int) -> FloatArray:
+        accessor = described["accessors"][number]
+        view = described["bufferViews"][accessor["bufferView"]]
+        kind = "<f4" if accessor["componentType"] == 5126 else "<u4"
+        part = data[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        width = {"VEC3": 3, "SCALAR": 1}[accessor["type"]]
+        found = np.frombuffer(part, kind).reshape(accessor["count"], width)
+        if "min" in accessor:
+            np.testing.assert_array_equal(found.min(axis=0), np.float32(accessor["min"]))
+        return found.astype(np.float64)
+
+    area = {0: 0.0, 1: 0.0, 2: 0.0}
+    for node in described["nodes"]:
+        (primitive,) = described["meshes"][node["mesh"]]["primitives"]
+        places = array(primitive["attributes"]["POSITION"])
+        corners = places[array(primitive["indices"]).astype(int).reshape(-1, 3)]
+        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area[primitive["material"]] += 0.5 * float(np.linalg.norm(sides, axis=1).sum())
+        radii = np.hypot(places[:, 1], places[:, 2])
+        assert radii.max() < 0.0503 and radii.min() > 0.0279
+    u = np.linspace(0.0, vessel.surface.length_m, 4001)
+    mandrel = 2.0 * math.pi * float(np.trapezoid(vessel.surface.at(u)[1][:, 0], u))
+    assert area[0] == pytest.approx(mandrel, rel=2e-3)
+    length = float(laid.length_m[-1] - laid.length_m[1])
+    assert area[1] + area[2] == pytest.approx(length * vessel.width.si, rel=0.02)
+    slipping = float(laid.length_m[-1] - laid.length_m[-21])
+    assert area[2] == pytest.approx(slipping * vessel.width.si, rel=0.1)
+    assert [node["name"] for node in described["nodes"]][1] == "wound 0 to 5 %"
+
+
+def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
+    vessel: Product, machine: Machine, circuit: FloatArray
+) -> None:
+    """Untied, the first five free lengths of 40 mm are not known: 0.2 m of two circuits."""
+    assert machine.tool is not None
+    eyes = _eyes(circuit, 2)
+    covering = _Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
+    replay = Replay(vessel.surface, machine.tool, 0.2)
+    for part in np.array_split(eyes, 5):
+        blank = np.zeros((len(part), 3))
+        fibre = replay.feed(part)
+        covering.take(Wound(blank[:, 0], None, blank, [fibre], [part]))
+    share = re.search(r"the place of (\d+) % of the laid", covering.found().worst().note)
+    length = programs.geodesic(vessel.surface)[0][-1]
+    assert share is not None
+    assert float(share[1]) == pytest.approx(100.0 * 0.2 / (2.0 * length), abs=1.5)
 
 
 @pytest.mark.parametrize(("slip", "said"), [(2e-4, "0.02% too little"), (-2e-4, "0.02% too far")])

@@ -109,6 +109,7 @@ def test_a_corner_of_a_table_is_rounded(tmp_path: Path) -> None:
         ("0,40\n10\n", "m.csv:3: '10' is no point"),
         ("0,40\n10,nan\n", "is no point"),
         ("0,40\n", "has 1 points"),
+        ("0,40\n1e300,40\n", "m.csv:3: '1e300,40' is no point"),
     ],
 )
 def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -> None:
@@ -140,6 +141,15 @@ def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -
         ),
         ("[mandrel]\nshaft = '60 mm'\n" + CYLINDER + BAND, "p.wind.toml:2: a shaft with radius 60"),
         ("[mandrel]\nslip = '100 deg'\n" + CYLINDER + BAND, "p.wind.toml:2: slip is above 90 deg"),
+        (CYLINDER + BAND + '[fibre]\ntake_up = "-1 mm"\n', "p.wind.toml:10: take_up = '-1 mm' is"),
+        (
+            CYLINDER + BAND + '[coverage]\nbegin = "9 mm"\nend = "20 mm"\ngap = "-1 mm"\n',
+            "p.wind.toml:12: gap = '-1 mm' is below 0",
+        ),
+        (
+            '[mandrel]\nradius_error = "0 mm +- 90 mm"\n' + CYLINDER + BAND,
+            "p.wind.toml:2: a radius_error of 0 +- 90 mm",
+        ),
     ],
 )
 def test_faults_name_their_line(tmp_path: Path, text: str, said: str) -> None:

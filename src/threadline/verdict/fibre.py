@@ -8,16 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.base.compiled import njit
 from threadline.commands.plan import Plan
 from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.laid_error import Apart
 from threadline.verdict.measure import Measure
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
     least_friction,
     planned_fibre,
-    programmed_fibre,
     shared_replays,
     wound_job,
 )
@@ -28,13 +27,11 @@ from threadline.winding.fit import Witness, turn_error
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
 from threadline.winding.product import Product
 from threadline.winding.raster import Raster
-from threadline.winding.replay import Fibre
 from threadline.winding.surface import Surface
 
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
 _NEVER = "the fibre is never known"
-_NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
-_LOST_M = 0.1  # the same after a part that is not known
+_FEW = 0.01  # share of the laid fibre; less than this may lie anywhere
 _OUTLINE = 8193  # places of the meridian among which the widest is searched
 
 
@@ -208,89 +205,6 @@ class Near:
         return one.words(int(one.pair[at])) if one.too_near else ""
 
 
-@njit(nogil=True)
-def _off_design(points: FloatArray, design: FloatArray, state: FloatArray) -> FloatArray:
-    """Return (n,) distances of points to the designed fibre; NaN where one of them is not known.
-
-    Both are (n, 4), place and laid length in m, and NaN for a place that is not known; lengths do
-    not fall. ``state`` is updated: how much more the design had laid at the point before, and how
-    far beside that length the design is searched.
-    """
-    found = np.full(len(points), np.nan)
-    last = len(design) - 2
-    for i in range(len(points)):
-        if np.isnan(points[i, 0]):
-            state[1] = _LOST_M
-            continue
-        length = points[i, 3] + state[0]
-        low = max(np.searchsorted(design[:, 3], length - state[1]) - 1, 0)
-        high = min(np.searchsorted(design[:, 3], length + state[1]), last)
-        best, near, at = np.inf, -1, 0.0
-        for k in range(low, high + 1):
-            if np.isnan(design[k, 0]) or np.isnan(design[k + 1, 0]):
-                continue
-            span, along = 0.0, 0.0
-            for j in range(3):
-                d = design[k + 1, j] - design[k, j]
-                span += d * d
-                along += d * (points[i, j] - design[k, j])
-            share = min(max(along / span, 0.0), 1.0) if span > 0.0 else 0.0
-            away = 0.0
-            for j in range(3):
-                d = points[i, j] - design[k, j] - share * (design[k + 1, j] - design[k, j])
-                away += d * d
-            if away < best:
-                best, near, at = away, k, share
-        # Before or behind a part of the design that is not known, it has no place beside the point.
-        before = near > 0 and at == 0.0 and np.isnan(design[near - 1, 0])
-        behind = 0 <= near < last and at == 1.0 and np.isnan(design[near + 2, 0])
-        if before or behind:
-            near = -1
-        if near < 0:
-            state[1] = _LOST_M
-            continue
-        found[i] = np.sqrt(best)
-        state[0] = design[near, 3] + at * (design[near + 1, 3] - design[near, 3]) - points[i, 3]
-        state[1] = _NEAR_M
-    return found
-
-
-def _points(surface: Surface, fibre: Fibre) -> FloatArray:
-    """Return (n, 4) places in the mandrel's frame and laid lengths; NaN for unknown places."""
-    u = np.where(fibre.known, fibre.u, 0.0)
-    x, r = (values[:, 0] for values in surface.at(u))
-    places = np.column_stack([x, r * np.cos(fibre.angle), r * np.sin(fibre.angle), fibre.length_m])
-    places[~fibre.known, :3] = np.nan
-    return places
-
-
-class _Apart:
-    """Distance between the laid fibre and the fibre of the program."""
-
-    def __init__(self, plan: Plan, jobs: Sequence[WoundJob]) -> None:
-        job = wound_job(plan)
-        assert job is not None
-        rows = [np.empty((0, 4))]
-        for samples in programmed_fibre(plan, job):
-            fibre = samples.fibres[0]
-            points = _points(job.surface, fibre)
-            # Of a part that is not known one row stays: no chord leads across it.
-            known = np.concatenate([[True], np.isfinite(points[:, 0])])
-            kept = (known[1:] | known[:-1]) & np.isfinite(fibre.length_m)
-            rows.append(points[kept])
-        self._design = np.vstack(rows)
-        self._design[:, 3] = np.maximum.accumulate(self._design[:, 3])
-        self._surfaces = [job.surface for job in jobs]
-        self._state = [np.array([0.0, _LOST_M]) for _ in jobs]
-
-    def __call__(self, samples: Wound, run: int) -> FloatArray:
-        fibre = samples.fibres[run]
-        if len(self._design) < 2:
-            return np.full(len(fibre), np.nan)
-        points = _points(self._surfaces[run], fibre)
-        return np.asarray(_off_design(points, self._design, self._state[run]))
-
-
 class _Covering:
     """The largest gap between the bands of each run."""
 
@@ -300,10 +214,16 @@ class _Covering:
         for job in jobs:
             begin, end = job.product.covered or (0.0, 0.0)
             self._rasters.append(Raster(job.surface, job.width_m, begin, end))
+        self._last = [np.nan for _ in jobs]
+        self._laid = np.zeros((len(jobs), 2))  # length in all, and of an unknown place, m
 
     def take(self, samples: Wound) -> None:
         """Lay the bands of the next samples."""
-        for raster, fibre in zip(self._rasters, samples.fibres, strict=True):
+        for run, (raster, fibre) in enumerate(zip(self._rasters, samples.fibres, strict=True)):
+            step = np.diff(fibre.length_m, prepend=self._last[run])
+            step = np.where(step > 0.0, step, 0.0)
+            self._laid[run] += step.sum(), step[~fibre.known].sum()
+            self._last[run] = fibre.length_m[-1] if len(fibre) else self._last[run]
             operation = samples.operation
             lines = np.zeros(len(fibre), dtype=np.int64) if operation is None else operation
             raster.lay(fibre.u, fibre.angle, fibre.winding, fibre.known, lines)
@@ -314,9 +234,25 @@ class _Covering:
         self._worst.offer(
             np.array([gap.width_m for gap in gaps]),
             operation=np.array([gap.operation for gap in gaps]),
-            note=np.array([gap.words for gap in gaps], dtype=object),
+            note=np.array(
+                [gap.words + self._unknown(run) for run, gap in enumerate(gaps)], dtype=object
+            ),
         )
         return self._worst.found()
+
+    def _unknown(self, run: int) -> str:
+        """Say how much of the fibre is missing on the raster because its place is not known."""
+        laid, unknown = self._laid[run]
+        if not unknown > _FEW * laid:
+            return ""
+        return f"; the place of {1e2 * unknown / laid:.2g} % of the laid fibre is not known"
+
+
+def middle_of(surface: Surface) -> float:
+    """Return the place u, m, in the middle of where a mandrel is widest."""
+    u = np.linspace(0.0, surface.length_m, _OUTLINE)
+    r = surface.at(u)[1][:, 0]
+    return float(np.median(u[r > r.max() * (1.0 - 1e-9)]))
 
 
 class Closing:
@@ -329,11 +265,10 @@ class Closing:
         self._worst = Worst(len(jobs), axes, note="fewer than two known circuits")
         self._width_m, self._radius_m, self._at_u = [], [], []
         for job in jobs:
-            u = np.linspace(0.0, job.surface.length_m, _OUTLINE)
-            r = job.surface.at(u)[1][:, 0]
+            at = middle_of(job.surface)
             self._width_m.append(job.width_m)
-            self._radius_m.append(float(r.max()))
-            self._at_u.append(float(np.median(u[r > r.max() * (1.0 - 1e-9)])))
+            self._radius_m.append(float(job.surface.at(np.array([at]))[1][0, 0]))
+            self._at_u.append(at)
         self._last = [np.full((1, 2), np.nan) for _ in jobs]
         # Angle, angle with the meridian and operation of each beginning.
         self._circuits: list[list[FloatArray]] = [[] for _ in jobs]
@@ -411,7 +346,7 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
             noted = _Largest(runs, axes, near, lambda _, run, at: near.words(run, at))
             return _OfRun(setting, noted)
         if name == "laid_error":
-            return _OfRun(setting, _Largest(runs, axes, _Apart(plan, jobs)))
+            return _OfRun(setting, _Largest(runs, axes, Apart(plan, jobs)))
         if name == "lifting":
             return _OfRun(setting, _Lifted(runs, axes))
         values, note = _OF_FIBRE[name]

@@ -20,18 +20,20 @@ from threadline.base.reading import read_text
 from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
-from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
-from threadline.winding.profiles import (
+from threadline.winding.meridians import (
     MAX_BYTES,
     read_points,
     read_section,
     shifted,
     stretches_of,
 )
+from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
 from threadline.winding.shapes import ellipse, isotensoid, nose, table
 from threadline.winding.surface import Stretch, Surface, line, surface_of
 
 _MOST_FRICTION = 1.0
+_FARTHEST = 1e4  # m, and tex
+_NOT_NEGATIVE = ("thickness", "tex", "take_up", "clearance", "gap")
 _TABLES: Mapping[str, tuple[str, ...]] = {
     "": ("name", "mandrel", "part", "boss", "pin", "band", "friction", "fibre", "coverage"),
     "mandrel": ("at", "radius_error", "edge", "shaft", "slip"),
@@ -264,6 +266,14 @@ class _Reader:
         band = self._table(content, "band")
         width = self._number(band, "width", "m", None)
         smallest = surface.least_radius_m
+        if abs(error.si) + error.tolerance >= smallest:
+            self.table = "mandrel"
+            self.refuse(
+                "radius_error",
+                f"a radius_error of {1e3 * error.si:g} +- {1e3 * error.tolerance:g} mm leaves no "
+                f"mandrel where its radius is {1e3 * smallest:.4g} mm",
+                'Like "0 mm +- 0.1 mm".',
+            )
         if not width.si - width.tolerance > 0.0:
             self.refuse("width", "the width of the band must be above 0", 'Like "5 mm +- 0.3 mm".')
         if width.si > 2.0 * smallest:
@@ -384,8 +394,10 @@ class _Reader:
                 around = parse_quantity(spread, unit) if spread else 0.0
         except UnitError as error:
             self.refuse(key, f"{key}: {error.message}", like)
-        if abs(value) > 1e4 or not 0.0 <= around <= 1e4:
+        if abs(value) > _FARTHEST or not 0.0 <= around <= _FARTHEST:
             self.refuse(key, f"{key} = {text[:60]!r} is out of reach", like)
+        if value < 0.0 and key in _NOT_NEGATIVE:
+            self.refuse(key, f"{key} = {text[:60]!r} is below 0", like)
         return Toleranced(value, around)
 
     def _surface(self, parts: Sequence[Mapping[str, Any]], edge: float) -> Surface:
