@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from tests.winding import programs
 from threadline.base.arrays import FloatArray
 from threadline.machine import load_machine
 from threadline.machine.quantity import Quantity, parse_machine_quantity
@@ -205,3 +206,23 @@ def test_a_bead_is_in_the_way_of_a_free_fibre_that_comes_back() -> None:
     assert turns[at] > 22.0 and float(product.surface.at(fibre.u[at : at + 1])[0][0, 0]) > 0.085
     without = Clearance(product.surface, (), tool, 0.0)
     assert without.feed(eyes, fibre).max() == 0.0
+
+
+def test_a_sound_vessel_is_clear_of_its_own_polar_layers() -> None:
+    """44 circuits pile up 2 mm at the poles, and no fibre of them is in its own way."""
+    vessel = product_of_text(product_text(VESSEL))
+    circuit = programs.eyes(vessel.surface, programs.geodesic(vessel.surface)[1])
+    turn = circuit[-1, 0] - circuit[0, 0]
+    eyes = np.zeros((programs.CIRCUITS * (len(circuit) - 1), 6))
+    eyes[:, :3] = np.vstack(
+        [circuit[:-1] + np.array([k * turn, 0.0, 0.0]) for k in range(programs.CIRCUITS)]
+    )
+    eyes[:, 1] -= programs.AT_M
+    assert EYE is not None and vessel.thickness is not None and vessel.clearance is not None
+    fibre = Replay(vessel.surface, EYE, 0.2, vessel.tied).feed(eyes)
+    near = Clearance(
+        vessel.surface, (), EYE, vessel.clearance, vessel.width.si * vessel.thickness,
+        vessel.width.si,
+    )  # fmt: skip
+    assert near.feed(eyes, fibre).max() == 0.0
+    assert near.thickness_m.max() > 1e-3

@@ -25,6 +25,8 @@ _MOST_CHORDS = 20_000
 _EXACT_M = 1e-6  # of the least distance along a line
 _PLACES = 48  # along the free fibre over built-up layers
 _SAMPLES = 512  # with one thickness of the layers
+_WITHIN = 2.0  # thicknesses of the band, that a fibre may be within the layers ahead
+_BESIDE = 2.0  # widths of the band from the laid point, in which a fibre lies on its layers
 _QUARTER = 0.25  # of the band between two fibres that are compared with the layers
 _PILE = 2  # number of the pair of free fibre and mandrel
 _LEAF = 16  # chords that are tried together
@@ -242,8 +244,9 @@ def _over_layers(
     layers
         (2, m) u and thickness of the layers.
     sizes
-        Laid length between two fibres that are compared, and the thickness of the band: so much of
-        a layer a fibre may be within, as it lies beside its neighbours.
+        Laid length between two fibres that are compared; the allowed depth: so far within a
+        layer a fibre may be, as it lies beside its neighbours; and the length of the fibre
+        from the laid point that is not compared.
     """
     still, hint, last = np.zeros(6), 0, -math.inf
     a, b = np.empty(3), np.empty(3)
@@ -261,7 +264,10 @@ def _over_layers(
         a[1], a[2] = (r + raised * cb) * cos, (r + raised * cb) * sin
         b[0] = x + dx
         b[1], b[2] = (r + dr) * cos - dc * sin, (r + dr) * sin + dc * cos
-        for k in range(1, _PLACES):
+        length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+        # Near the laid point the grown mandrel is what the fibre lies on.
+        first = math.ceil(sizes[2] / max(length, 1e-9) * _PLACES)
+        for k in range(max(first, 1), _PLACES):
             away = _distance(a, b, k / _PLACES, 0, line, boxes, line, math.inf)
             if away + sizes[1] < min(least, 0.0):
                 least = away + sizes[1]
@@ -370,7 +376,8 @@ class Clearance:
             )  # fmt: skip
             if self._layer and self._wound.any():
                 tables = np.array([self._u, self.thickness_m])
-                sizes = np.array([_QUARTER * self._width, self._layer / self._width])
+                width = self._width
+                sizes = np.array([_QUARTER * width, _WITHIN * self._layer / width, _BESIDE * width])
                 self._least = _over_layers(
                     eyes[part], laid[part], table, self._payout, tables, sizes, line, boxes,
                     self._least, found[part], self.pair[part],
