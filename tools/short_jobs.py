@@ -28,6 +28,7 @@ needle_speed = "20 stitch/s"
 unit = "mm"
 points = [[10, 10], [40, 10], [40, 15]]
 """
+PROGRAM_OF_STEPS = "G21\nG90\nG1 X20 A60 F3000\nX30 A-20\nX5\nM2\n"
 MOVES = """
 name = "short"
 

@@ -174,6 +174,7 @@ def _sample(machine, plant, loops, begin, phases, quantised, found) -> None:
         volt = 2.0 * controller.dac.range.si / 2.0**controller.dac.bits.si
         seen = _seen(machine, plant, controller, phases.get(name, 0.5), quantised)
         add(f"{name}.load", begin[name] + plant.load[name] @ plant.z)
+        add(f"{name}.velocity", plant.load[name] @ plant.A @ plant.z)
         add(f"{name}.measured", begin[name] + seen / axis.counts.si)
         add(f"{name}.voltage", loops[axis.controller].level * volt)
         motor = plant.motors[controller.drive]

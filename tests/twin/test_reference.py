@@ -1,6 +1,6 @@
 """The engine against the slow twin: library machines, and random networks of every part.
 
-Asked for are 1e-6 counts at loads, encoders and frames and 1e-6 V and A, with and without
+Asked for are 1e-6 counts at loads, encoders and frames and 1e-6 V, A and m/s, with and without
 quantisers: a million ticks of rounding at 1e-12, the slack of the modes. Rounded readings and
 levels must be the same. What is seen is 1e-11 in the library and 1e-7 in the worst random network,
 where hundreds of changes of modes follow each other.

@@ -34,7 +34,7 @@ from threadline.machine.numbers import (
 )
 from threadline.machine.parts import switches_in_the_way
 from threadline.machine.pneumatics import switch_faults
-from threadline.machine.tool import EYE_PARTS
+from threadline.machine.tool import EYE_BODY, EYE_PARTS
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
 """Pydantic's types of error for a missing key."""
@@ -415,7 +415,8 @@ def _without_lost_eye(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
     named = {part.get("axis") for part in map(tool.get, EYE_PARTS) if isinstance(part, dict)}
     if not any(value == "none" and name in named for name, value in axes.items()):
         return below
-    kept = {key: value for key, value in tool.items() if key not in (*EYE_PARTS, "kind", "payout")}
+    of_eye = (*EYE_PARTS, *EYE_BODY, "kind")
+    kept = {key: value for key, value in tool.items() if key not in of_eye}
     return below | {"tool": kept}
 
 

@@ -74,8 +74,8 @@ class Choosing:
         Every plan that was planned, in order; a plan that is longer than the best is not judged.
     most, tried
         Number of places that the search tries, at most, and has tried.
-    begun_s
-        Processor time at the beginning.
+    begun_s, started_s
+        Processor time and clock at the beginning.
     narrower
         Shares of the tolerance at single corners of the best plan, by line.
     """
@@ -88,6 +88,7 @@ class Choosing:
     most: int = _STEPS + _MOST_PLANS
     tried: int = 0
     begun_s: float = field(default_factory=time.process_time)
+    started_s: float = field(default_factory=time.monotonic)
 
     @property
     def best_s(self) -> float:
@@ -141,10 +142,12 @@ class Choosing:
         asked = self.asked
         if asked.until is not None:
             asked.until.check()
-        spent = 0.0
-        if asked.until is None or math.isinf(asked.until.end_s):
+        end_s = math.inf if asked.until is None else asked.until.end_s
+        if math.isinf(end_s):
             spent = (time.process_time() - self.begun_s) / PROCESSOR_S
-        if spent >= 1.0 and math.isfinite(self.best_s):
+        else:
+            spent = (time.monotonic() - self.started_s) / max(end_s - self.started_s, 1e-3)
+        if math.isinf(end_s) and spent >= 1.0 and math.isfinite(self.best_s):
             if asked.until is not None:
                 asked.until.ended = f"after {PROCESSOR_S / 60.0:g} min of processor time"
             raise HaltError

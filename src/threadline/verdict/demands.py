@@ -166,14 +166,16 @@ NAME = "needle_use"
 def with_needle(spec: Spec, job: Job) -> Spec:
     """Return the specification with the needle limit of a seam that sets one.
 
-    The limit comes from the seam file, as axis limits come from the machine: no specification
-    widens it.
+    The limit comes from the seam file, as axis limits come from the machine: a specification may
+    lower it, but does not raise it.
     """
     if not np.isfinite(job.along_m_s2):
         return spec
+    own = [c.limit for c in spec.criteria if c.name == NAME and c.limit is not None]
+    limit = min(1.0, *own) if own else 1.0
     others = tuple(c for c in spec.criteria if c.name != NAME)
     return replace(
-        spec, criteria=(*others, Criterion(name=NAME, limit=1.0, required=True, hard=True))
+        spec, criteria=(*others, Criterion(name=NAME, limit=limit, required=True, hard=True))
     )
 
 

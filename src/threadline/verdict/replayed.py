@@ -12,7 +12,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.machine.tool import Tool
 from threadline.verdict.samples import Block, Setting
-from threadline.winding.product import Product, product_of_text
+from threadline.winding.product import Product, Ring, product_of_text
 from threadline.winding.replay import Fibre, Replay, eye_columns
 from threadline.winding.surface import Surface
 
@@ -44,10 +44,10 @@ class WoundJob:
 
     @property
     def _draws(self) -> FloatArray:
-        """(3,) of -1 to 1: errors of the radius, of the place and of the width of the band."""
+        """(5,) of -1 to 1: errors of radius, place, width of the band, slip and friction."""
         if self.number is None:
-            return np.zeros(3)
-        return np.random.default_rng((_DRAWS, self.number)).uniform(-1.0, 1.0, 3)
+            return np.zeros(5)
+        return np.random.default_rng((_DRAWS, self.number)).uniform(-1.0, 1.0, 5)
 
     @property
     def surface(self) -> Surface:
@@ -66,15 +66,39 @@ class WoundJob:
         """Width of the band."""
         return self.product.width.si + float(self._draws[2]) * self.product.width.tolerance
 
+    @property
+    def slip(self) -> float:
+        """Share by which the mandrel stays behind the axis that turns it."""
+        return self.product.slip.si + float(self._draws[3]) * self.product.slip.tolerance
+
+    @property
+    def friction(self) -> float:
+        """Friction beyond which the fibre's place is not known; its lower end if not drawn."""
+        if self.number is None:
+            return least_friction(self.product)
+        return self.product.friction.si + float(self._draws[4]) * self.product.friction.tolerance
+
+    @property
+    def rings(self) -> tuple[Ring, ...]:
+        """What else turns about the axis, from the mandrel's left end."""
+        found, tool = list(self.product.rings), self.tool
+        for name, stop, sign in (("chuck", tool.chuck, -1.0), ("tailstock", tool.tailstock, 1.0)):
+            if stop is not None:
+                face = stop.at.si - self.at_m
+                begin, end = sorted((face, face + sign * stop.length.si))
+                found.append(Ring(f"the {name}", begin, end, stop.radius.si))
+        return tuple(found)
+
     def eyes(self, positions: FloatArray) -> FloatArray:
         """Return (n, 6) coordinates of the eye from the mandrel's left end."""
         columns = eye_columns(self.tool, self.axes, positions)
+        columns[:, 0] *= 1.0 - self.slip
         columns[:, 1] -= self.at_m
         return columns
 
     def replay(self) -> Replay:
         """Return a replay that has read nothing."""
-        return Replay(self.surface, self.tool, least_friction(self.product), self.product.tied)
+        return Replay(self.surface, self.tool, self.friction, self.product.tied)
 
 
 def least_friction(product: Product) -> float:
