@@ -355,6 +355,17 @@ def test_the_error_asks_once_what_several_axes_lack_and_its_hint_does(tmp_path: 
         machine_text(settings, parse_answers(asked), "m")
 
 
+@pytest.mark.parametrize("more", ["[printer]\nmax_velocity: 9\n", "[mcu]\nserial: /dev/x\n"])
+def test_an_include_that_is_not_there_is_named_where_it_would_have_the_axes(
+    tmp_path: Path, more: str
+) -> None:
+    """People send printer.cfg alone."""
+    said = r"contain no axis \(klipper\); settings.txt:1: \[include steppers.cfg\] is not read"
+    with pytest.raises(MachineError, match=said) as caught:
+        read(tmp_path, "[include steppers.cfg]\n" + more)
+    assert "beside this one" in caught.value.remedy
+
+
 def test_no_file_outside_its_folder_is_included(tmp_path: Path) -> None:
     inner = tmp_path / "inner"
     inner.mkdir()
