@@ -59,7 +59,7 @@ def test_what_a_slicer_or_post_writes_is_refused_by_what_it_is(
 
 def test_t_behind_an_m_word_of_marlin_is_no_command(tmp_path: Path, xyza: Machine) -> None:
     """Slicers write ``M104 T0 S215``; behind G1 a T is a word that Marlin drops."""
-    text = "M104 T0 S215\nM109 S215 T0\nG1 X5 F600\nM84 X Y E\nM18\nM2\n"
+    text = "M0 Put tool 2 in\nM104 T0 S215\nM109 S215 T0\nG1 X5 F600\nM84 X Y E\nM18\nM2\n"
     job = read(tmp_path, xyza, text, "marlin")
     assert [p[0] for p in millimetres(job)] == [5]
     for line in ("G1 X6 T0", "M106 S255 G1 X6"):

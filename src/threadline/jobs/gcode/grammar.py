@@ -21,7 +21,10 @@ from threadline.jobs.gcode.words import ONE, exact
 
 _NUMBER_OF_LINE = re.compile(r" *N *([0-9]+) *")
 _CHECKSUM = re.compile(r"\*[ \t]*([0-9]{1,3})[ \t]*$")
-_TEXT = re.compile(r" *(?:N *[0-9]+ *)?M *(?:11[78]|23|28|30|32|928)(?![0-9.])")
+_TEXT = re.compile(
+    r" *(?:N *[0-9]+ *)?M *"
+    r"(?:(?:11[78]|23|28|30|32|928)(?![0-9.])|[01](?![0-9.])(?: *[PS] *[0-9]+)*)"
+)
 _FLAGS = re.compile(r" *(?:N *[0-9]+ *)?(?:G *28|M *(?:1[78]|84))(?![0-9.])")
 _ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
 _COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
@@ -191,9 +194,9 @@ def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
 def one_command(text: str, place: Place) -> str:
     """Return a line of a one-command firmware as words with numbers.
 
-    The text of M117 and similar words, the line number and the checksum are removed; the checksum
-    is compared first. Letters without a number, which name axes behind G28, M17, M18 and M84, get
-    the number 0.
+    The text of M0, M117 and similar words, the line number and the checksum are removed; the
+    checksum is compared first. Letters without a number, which name axes behind G28, M17, M18 and
+    M84, get the number 0.
 
     >>> here = Place("a.gcode", 1)
     >>> one_command("N3 G28 X Y*17", here), one_command("M117 hello X1", here)
