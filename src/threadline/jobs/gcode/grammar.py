@@ -240,9 +240,9 @@ def one_command(text: str, place: Place) -> str:
     if code.strip(" \t%") and _COMMAND.match(code) is None:
         raise JobError(
             "the line does not begin with a command (G, M or T and a number), which marlin passes "
-            "over",
+            "over; klipper runs it as a macro, whose moves are not in the program",
             place=place,
-            remedy="Write the command in front, like G1 X5 F600.",
+            remedy="Write the command in front, like G1 X5 F600; take a macro out.",
         )
     if _FLAGS.match(code):
         code = _ALONE.sub(r"\g<1>0", code)
