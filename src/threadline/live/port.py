@@ -85,7 +85,7 @@ def host_and_port(address: str) -> tuple[str, int]:
     host = bare(host)
     wrong = ""
     if ":" not in address:
-        wrong = "it has no port"
+        wrong = "there is no colon between host and port"
     elif not is_host(host):
         wrong = f"{host[:60]!r} is not a host"
     elif not (port.isascii() and port.isdecimal() and len(port) <= _DIGITS):
