@@ -106,7 +106,7 @@ def pool() -> tuple[Kept, ...]:
                 channels = MAKERS["judge-axes"](random.Random(f"{number}/{k}"), seed)
                 samples = {name: one.chunks[0][1] for name, one in channels.items()}
                 samples = _switched_wrong(random.Random(f"{number}/{k}"), seed, samples)
-            known = _values(seed, recording_of(seed, samples), seed.proof.spec)
+            known = values_of(seed, recording_of(seed, samples), seed.proof.spec)
             found.append(Kept(seed, samples, known))
     return tuple(found)
 
@@ -152,7 +152,8 @@ def _rows(seed: Seed, recording: Recording, spec: Spec) -> list[tuple[Key, np.nd
     return [((r.name, r.axis, r.step), r.values, r.failed) for r in each.rows]
 
 
-def _values(seed: Seed, recording: Recording, spec: Spec) -> dict[Key, float]:
+def values_of(seed: Seed, recording: Recording, spec: Spec) -> dict[Key, float]:
+    """Return the value of each criterion of the only run of a recording."""
     return {key: float(values[0]) for key, values, _ in _rows(seed, recording, spec)}
 
 

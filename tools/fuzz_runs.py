@@ -27,7 +27,7 @@ from threadline.machine.tool import PathLimits
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, prove, with_product
 from threadline.verdict import Criterion, judge, load_spec
-from threadline.verdict.demands import BRAKING, PATH_USE, measure_demands
+from threadline.verdict.demands import BRAKING, NEEDLE_USE, PATH_USE, measure_demands
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.stitch_run import measure_tables
 from threadline.winding.product import product_of_text, product_text
@@ -74,7 +74,8 @@ def more_seeds() -> tuple[Seed, ...]:
     """Return runs with the criteria that no other has.
 
     A fibre over a waist that it bridges, with the eye too near; one that lifts; steps lost on a
-    machine that brakes otherwise than it speeds up, with limits along the path.
+    machine that brakes otherwise than it speeds up, with limits along the path; a needle that
+    follows the head.
     """
     winder, stepper = load_machine("lathe-winder"), load_machine("stepper-winder")
     waist = product_text(_EXAMPLES / "vessel-waist.wind.toml").replace("2 mm", "60 mm")
@@ -93,6 +94,7 @@ def more_seeds() -> tuple[Seed, ...]:
     of_fibre = Options(product=waist, shaper=_SHAPER)
     return (
         *(_seed(f"{k}.prg", text, winder, of_fibre) for k, text in enumerate(wound)),
+        _seed("follows.seam.toml", short_jobs.FOLLOWED_SEAM, load_machine("stitcher"), Options()),
         _seed("steps.nc", short_jobs.PROGRAM_OF_STEPS, limited, Options(interpolation="optimal")),
     )
 
@@ -101,7 +103,8 @@ def _seed(file: str, text: str, machine: Machine, options: Options) -> Seed:
     """Return a run with the least facts: the second reading reads none of these."""
     (_FOLDER / file).write_text(text)
     spec = with_product(load_spec(None, machine), machine, options)
-    own = tuple(Criterion(name=name) for name in (BRAKING, PATH_USE))
+    names = (BRAKING, PATH_USE, *((NEEDLE_USE,) if text is short_jobs.FOLLOWED_SEAM else ()))
+    own = tuple(Criterion(name=name) for name in names)
     spec = replace(spec, criteria=(*spec.criteria, *own))
     proof = prove(_FOLDER / file, machine, spec, options)
     return _seed_of(proof, _FOLDER / file, options, None)

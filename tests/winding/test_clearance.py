@@ -175,15 +175,22 @@ def _helix(layers: int) -> tuple[Product, Tool, FloatArray, Fibre]:
 
 
 def test_layers_grow_by_their_thickness_and_come_near_the_eye() -> None:
-    """Bands side by side: each layer is one thickness, and the eye has so much less room."""
-    product, tool, eyes, fibre = _helix(4)
+    """Bands side by side: each layer is one thickness, and the eye has so much less room.
+
+    The eye that winds the fifth layer has four below it, and some of the fifth beside it.
+    """
+    product, tool, eyes, fibre = _helix(5)
     assert product.thickness is not None
     near = Clearance(product.surface, (), tool, 0.009, product.width.si * product.thickness, 5e-3)
     found = near.feed(eyes, fibre)
     middle = near.thickness_m[(near._x > 0.05) & (near._x < 0.15)]
-    np.testing.assert_allclose(middle, 4 * 0.4e-3, rtol=0.03)
+    np.testing.assert_allclose(middle, 5 * 0.4e-3, rtol=0.03)
     # 10 mm from the bare mandrel, less the eye's 1 mm and the 9 mm wanted, less the layers.
-    assert found.max() == pytest.approx(4 * 0.4e-3, rel=0.1)
+    assert 0.97 * 4 * 0.4e-3 < found.max() < 5 * 0.4e-3
+    cut = Clearance(product.surface, (), tool, 0.009, product.width.si * product.thickness, 5e-3)
+    replay = Replay(product.surface, tool, 1.0, 0.02)
+    parts = [cut.feed(part, replay.feed(part)) for part in np.split(eyes, [1, 700, 5_001])]
+    np.testing.assert_allclose(np.concatenate(parts), found, atol=1e-15)
     bare = Clearance(product.surface, (), tool, 0.0089)
     assert bare.feed(eyes, fibre).max() == 0.0
 

@@ -119,10 +119,15 @@ class _OfRun:
 
     def feed(self, block: Block) -> None:
         """Take the next samples."""
-        self._taking.take(self._shared.samples(block))
+        samples = self._shared.samples(block)
+        if len(samples.time_s):
+            self._taking.take(samples)
 
     def finish(self) -> Sequence[Found]:
         """Return the worst of each run."""
+        rest = self._shared.rest()
+        if rest is not None:
+            self._taking.take(rest)
         return [self._taking.found()]
 
 

@@ -125,8 +125,38 @@ class Wound:
     eyes: Sequence[FloatArray]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """Consecutive samples of parallel runs, before they are replayed."""
+
+    time_s: FloatArray
+    operation: IntArray | None
+    actual: FloatArray
+    eyes: Sequence[FloatArray]
+
+    def rows(self, part: slice) -> _Samples:
+        operation = None if self.operation is None else self.operation[part]
+        eyes = [one[part] for one in self.eyes]
+        return _Samples(self.time_s[part], operation, self.actual[part], eyes)
+
+    def joined(self, more: _Samples) -> _Samples:
+        operation = None
+        if self.operation is not None and more.operation is not None:
+            operation = np.concatenate([self.operation, more.operation])
+        return _Samples(
+            np.concatenate([self.time_s, more.time_s]),
+            operation,
+            np.vstack([self.actual, more.actual]),
+            [np.vstack(pair) for pair in zip(self.eyes, more.eyes, strict=True)],
+        )
+
+
 class SharedReplays:
-    """The replays of the parallel runs of a recording, which all measures of it share."""
+    """The replays of the parallel runs of a recording, which all measures of it share.
+
+    The last sample of a block waits for the next block, whose operation says whether more samples
+    are judged together with it: where a recording is cut into blocks changes nothing.
+    """
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
@@ -136,21 +166,42 @@ class SharedReplays:
         self._replays = [None if job is None else job.replay() for job in self.jobs]
         self._block: Block | None = None
         self._found: Wound | None = None
+        self._waiting: _Samples | None = None
+        self._rest: Wound | None = None
 
     def samples(self, block: Block) -> Wound:
         """Return the samples of a block; replayed once."""
         if block is self._block and self._found is not None:
             return self._found
         assert block.actual is not None
-        fibres, eyes = [], []
-        for run, (job, replay) in enumerate(zip(self.jobs, self._replays, strict=True)):
-            assert job is not None and replay is not None
+        eyes = []
+        for run, job in enumerate(self.jobs):
+            assert job is not None
             eyes.append(job.eyes(np.ascontiguousarray(block.actual[:, run])))
-            fibres.append(replay.feed(eyes[-1], block.operation))
         actual = block.actual[:, 0] if block.commanded is None else block.commanded
+        read = _Samples(block.time_s, block.operation, actual, eyes)
+        if self._waiting is not None:
+            read = self._waiting.joined(read)
+        behind = None
+        if read.operation is not None and len(read.time_s):
+            behind = int(read.operation[-1])
+            self._waiting, read = read.rows(slice(-1, None)), read.rows(slice(None, -1))
         self._block = block
-        self._found = Wound(block.time_s, block.operation, actual, fibres, eyes)
+        self._found = self._replayed(read, behind)
         return self._found
+
+    def rest(self) -> Wound | None:
+        """Return the sample that waits at the end of the recording; None if there is none."""
+        if self._waiting is not None:
+            self._rest, self._waiting = self._replayed(self._waiting, None), None
+        return self._rest
+
+    def _replayed(self, read: _Samples, behind: int | None) -> Wound:
+        fibres = []
+        for eyes, replay in zip(read.eyes, self._replays, strict=True):
+            assert replay is not None
+            fibres.append(replay.feed(eyes, read.operation, behind))
+        return Wound(read.time_s, read.operation, read.actual, fibres, read.eyes)
 
 
 _LATEST = local()

@@ -8,7 +8,7 @@ distance is found between bounds, as a distance changes by no more than the poin
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -24,7 +24,7 @@ _SAGITTA_M = 1e-6  # of a chord of the outline
 _MOST_CHORDS = 20_000
 _EXACT_M = 1e-6  # of the least distance along a line
 _PLACES = 48  # along the free fibre over built-up layers
-_SAMPLES = 512  # with one thickness of the layers
+_SAMPLES = 512  # of a run with one thickness of the layers
 _WITHIN = 2.0  # thicknesses of the band, that a fibre may be within the layers ahead
 _BESIDE = 2.0  # widths of the band from the laid point, in which a fibre lies on its layers
 _QUARTER = 0.25  # of the band between two fibres that are compared with the layers
@@ -319,7 +319,8 @@ class Clearance:
         self._edges = np.linspace(0.0, surface.length_m, _CELLS + 1)
         middle = 0.5 * (self._edges[:-1] + self._edges[1:])
         self._area = 2.0 * math.pi * surface.at(middle)[1][:, 0] * np.diff(self._edges)
-        self._wound = np.zeros(_CELLS)
+        self._wound, self._fresh = np.zeros(_CELLS), np.zeros(_CELLS)
+        self._seen = 0
         self._length = 0.0
         self._least = math.inf
         self.pair: IntArray = np.zeros(0, dtype=np.int64)
@@ -365,10 +366,7 @@ class Clearance:
         found, self.pair = np.zeros(count), np.zeros(count, dtype=np.int64)
         surface, eyes = self._surface, np.ascontiguousarray(eyes)
         table = surface.nodes, surface.x, surface.r
-        for first in range(0, count, _SAMPLES if self._layer else max(count, 1)):
-            part = slice(first, first + _SAMPLES if self._layer else count)
-            if fibre is not None:
-                self._grow(fibre.u[part], fibre.length_m[part])
+        for part in self._parts(count):
             line, boxes = self._outline()
             self._least = _walk(
                 eyes[part], laid[part], table, self._payout, self._sizes, line, boxes, self._rings,
@@ -382,17 +380,40 @@ class Clearance:
                     eyes[part], laid[part], table, self._payout, tables, sizes, line, boxes,
                     self._least, found[part], self.pair[part],
                 )  # fmt: skip
+            if fibre is not None:
+                self._wind(fibre.u[part], fibre.length_m[part])
         return found
 
-    def _grow(self, u: FloatArray, length_m: FloatArray) -> None:
+    def _parts(self, count: int) -> Iterator[slice]:
+        """Return the next samples in parts that have one thickness of the layers each.
+
+        The mandrel grows after every ``_SAMPLES`` samples of the run, however it is read in blocks.
+        """
+        first = 0
+        while first < count:
+            stop = count
+            if self._layer:
+                if self._seen % _SAMPLES == 0:
+                    self._wound, self._fresh = self._wound + self._fresh, np.zeros(_CELLS)
+                stop = min(count, first + _SAMPLES - self._seen % _SAMPLES)
+            self._seen += stop - first
+            yield slice(first, stop)
+            first = stop
+
+    def _wind(self, u: FloatArray, length_m: FloatArray) -> None:
+        """Add fibre that lies at (n,) ``u``; the ends of its stretches have (n,) ``length_m``."""
         finite = np.isfinite(u) & np.isfinite(length_m)
         if not self._layer or not finite.any():
             return
         length = length_m[finite]
         laid = np.diff(length, prepend=self._length)
         self._length = float(length[-1])
-        cells = np.clip(np.searchsorted(self._edges, u[finite]) - 1, 0, _CELLS - 1)
-        self._wound += np.bincount(cells, weights=laid * self._layer, minlength=_CELLS)
+        # Shared between the two nearest cells: an edge of a cell makes no step.
+        place = np.clip(u[finite] / self._edges[1] - 0.5, 0.0, _CELLS - 1.0)
+        cells = np.minimum(place.astype(np.int64), _CELLS - 2)
+        share = place - cells
+        for cell, part in ((cells, 1.0 - share), (cells + 1, share)):
+            self._fresh += np.bincount(cell, weights=laid * part * self._layer, minlength=_CELLS)
 
     def words(self, pair: int) -> str:
         """Return in words which part comes too near to which body."""

@@ -227,7 +227,8 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
     eyes
         (n + 1, 6) turn, along, across, up, yaw and roll at the ends of n blocks, linear between.
     group
-        (n,) blocks of equal consecutive numbers are steered together.
+        (n + 1,) blocks of equal consecutive numbers are steered together; the last is the number of
+        the block behind them.
     tables
         Mandrel and eye.
     start
@@ -306,7 +307,7 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
             used += tables.payout[6] * math.atan2(math.sin(turned), math.cos(turned))
         slack = max(slack - used, 0.0)
         mean = math.nan
-        ends = i + 1 == count or group[i + 1] != group[i]
+        ends = group[i + 1] != group[i]
         if ends and lengthwise >= _WINDOW_M:
             mean = area / lengthwise
         laid.state[i] = state

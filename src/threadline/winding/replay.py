@@ -135,7 +135,9 @@ class Replay:
         self._turns = False
         self._last: FloatArray | None = None
 
-    def feed(self, eyes: FloatArray, group: IntArray | None = None) -> Fibre:
+    def feed(
+        self, eyes: FloatArray, group: IntArray | None = None, behind: int | None = None
+    ) -> Fibre:
         """Take the next (n, 6) positions of ``eye_columns``; return the fibre at each of them.
 
         Before the first position nothing is laid: its block is ``WAITING``.
@@ -144,12 +146,16 @@ class Replay:
         ----------
         group
             (n,) blocks with the same number are judged together; None: each for itself.
+        behind
+            Number of the block behind them; None: with the last block its group ends.
         """
         count = len(eyes)
         before = eyes[:1] if self._last is None else self._last
         chain = np.vstack([before, eyes])
-        self._last = chain[-1:]
-        groups = np.arange(count) if group is None else group
+        self._last = chain[-1:] if len(chain) else None
+        own = np.arange(count) if group is None else group
+        ended = -1 - abs(int(own[-1])) if behind is None and count else behind or 0
+        groups = np.append(own, ended)
         laid = Laid(
             state=np.full(count, WAITING, dtype=np.int64),
             place=np.full((count, 10), np.nan),
