@@ -389,9 +389,8 @@ def _check_name(name: str) -> None:
     known = library_names()
     if name not in known:
         hint = nearest(name, known, "The library has")
-        raise MachineError(
-            f"no machine {name[:80]!r} in the library", remedy=f"{hint} A file ends in .toml."
-        )
+        made = "A file ends in .toml; threadline new makes one from a controller's settings."
+        raise MachineError(f"no machine {name[:80]!r} in the library", remedy=f"{hint} {made}")
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
