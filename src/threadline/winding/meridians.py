@@ -7,17 +7,17 @@ import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.reading import read_text
 from threadline.errors import JobError, Place
-from threadline.geometry.curves import Pieces
-from threadline.geometry.read_dxf import read_dxf
-from threadline.geometry.strokes import read_limited
 from threadline.winding.surface import Stretch, line, stretch_of
+
+if TYPE_CHECKING:
+    from threadline.geometry.curves import Pieces
 
 MAX_BYTES = 1_000_000
 _MOST_ROWS = 20_000
@@ -111,6 +111,10 @@ def read_section(path: Path, layer: str | None = None) -> list[list[list[float]]
     JobError
         If the drawing cannot be read, or its lines are no open chain above the axis.
     """
+    # Only a mandrel that is drawn needs the readers of drawings.
+    from threadline.geometry.read_dxf import read_dxf
+    from threadline.geometry.strokes import read_limited
+
     file = str(path)
     drawing = read_dxf(read_limited(path, MAX_BYTES), file)
     for refusal in drawing.refusals:
