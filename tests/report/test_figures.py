@@ -48,7 +48,7 @@ def test_the_error_along_the_job_peaks_where_the_judge_says(winding: Proof) -> N
     worst = winding.verdict.result("contour_error")
     assert worst.note == ""
     assert worst.measured - 1e-9 < error_m.max() <= worst.measured
-    assert time_s[error_m.argmax()] == pytest.approx(worst.time_s, abs=1e-9)
+    assert 0.0 <= time_s[error_m.argmax()] - worst.time_s < 5e-3  # a tick
     assert (np.diff(time_s) > 0).all()
     assert 1000 < len(time_s) <= 2001
 
