@@ -30,7 +30,7 @@ from threadline.machine.model import Drive
 from threadline.machine.numbers import with_numbers
 from threadline.machine.parts import DcMotor
 from threadline.machine.quantity import Quantity
-from threadline.motion.laws import Law, law
+from threadline.motion.laws import LAWS, Law, law
 from threadline.motion.shaping import FlexibleMode, Shaper, convolve, design, vibration_of
 from threadline.motion.shaping.law_residual import lasting_windows_s
 from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
@@ -375,7 +375,8 @@ def frame_windows(hertz: str, factor: str = "1") -> dict[str, float]:
     """Windows of 16.5 mm on a mode of damping ratio 0.02: at most 0.05 mm left over +-10 % of it.
 
     At ``factor`` times the peak acceleration of modified sine in 120 ms. A law that is not made for
-    the mode takes the window from which on every longer one will do.
+    the mode takes the window from which on every longer one will do; ``best`` is the least of them
+    over all laws that the program knows by name.
     """
     mode, move_m = float(hertz), 0.0165
     acceleration = float(factor) * law("modified-sine").acceleration * move_m / 0.12**2
@@ -384,14 +385,14 @@ def frame_windows(hertz: str, factor: str = "1") -> dict[str, float]:
         acceleration_m_s2=acceleration, jerk_m_s3=usual_jerk_m_s3(move_m, acceleration),
     )  # fmt: skip
     found = {
-        name: max(
-            still_s(law(name), mode), float(np.sqrt(law(name).acceleration * move_m / acceleration))
-        )
-        for name in ("trapezoid", "double-parabola", "simple-harmonic", "modified-sine")
+        name: max(still_s(each, mode), float(np.sqrt(each.acceleration * move_m / acceleration)))
+        for name, each in LAWS.items()
     }
+    found["best"] = min(found.values())
     made = made_law(demand)
     found |= {"made": made.window_s, "free_levels": made.free_levels_s, "rigid": demand.rigid_s}
-    return found | {"speed": found["modified-sine"] / made.window_s}
+    speeds = {"speed": found["modified-sine"], "speed_best": found["best"]}
+    return found | {name: window / made.window_s for name, window in speeds.items()}
 
 
 NAMES: dict[str, Callable[..., Any]] = {
