@@ -24,7 +24,7 @@ ROBUST = options_of("auto", None, "0.1 mm", feed_forward=True, robust="100 %")
 
 
 def test_a_seam_is_in_spec_on_machines_that_fail_the_plain_plan() -> None:
-    """38 stitches a second by all that is asked, where plain feed-forward is worst."""
+    """42 stitches a second by all that is asked, where plain feed-forward is worst."""
     spec = load_spec(None, MACHINE)
     job = read_job(EXAMPLES / "stitcher-robust.seam.toml", MACHINE)
     robust = plan_job(job, MACHINE, ROBUST)

@@ -14,6 +14,7 @@ A new reader is one more entry of ``READERS``.
 from __future__ import annotations
 
 import argparse
+import io
 import random
 import signal
 import sys
@@ -29,7 +30,7 @@ from itertools import islice
 from pathlib import Path
 from types import FrameType
 
-import ezdxf.filemanagement  # noqa: F401 - a case must not wait for it
+import ezdxf.filemanagement
 from tools.fuzz_bytes import NUMBERS, TOKENS, UNITS, mutate
 from tools.fuzz_designs import fuzz_designs
 from tools.fuzz_drawings import fuzz_drawings
@@ -46,7 +47,7 @@ from threadline.machine.quantity import parse_machine_quantity
 from threadline.units import parse_exact_time_s, parse_quantity
 from threadline.verdict import load_spec
 from threadline.winding.other_planners import meridian_of
-from threadline.winding.product import product_text
+from threadline.winding.product import product_of_text, product_text
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
@@ -141,7 +142,30 @@ def seam_file(kind: str) -> Callable[[random.Random], bytes]:
     return lambda rng: mutate(rng, rng.choice(SEEDS[kind]))
 
 
+def product_file(rng: random.Random) -> bytes:
+    """A product with a value changed, or mutated anywhere."""
+    data = rng.choice(SEEDS["product"])
+    if rng.randrange(3):
+        return mutate(rng, data)
+    lines = data.decode().split("\n")
+    at = rng.randrange(len(lines))
+    key, equals, _ = lines[at].partition("=")
+    text = f'"{rng.choice(NUMBERS)} {rng.choice(("mm", "m", "deg", "%", rng.choice(UNITS)))}"'
+    lines[at] = f"{key}{equals or '='}{rng.choice((text, text, text, 'true', '[]', '{}', '-1'))}"
+    return "\n".join(lines).encode()
+
+
 # --- readers ---
+
+
+def read_product(path: Path) -> None:
+    """Read a product, or the meridian of one."""
+    if path.suffix != ".toml":
+        whole = path.with_name("p.wind.toml")
+        whole.write_text(MERIDIAN.format(path.name))
+        path = whole
+    product = product_of_text(product_text(path))
+    assert product_of_text(product_text(product.text)) is product
 
 
 def read_program(path: Path) -> None:
@@ -210,11 +234,13 @@ READERS: dict[str, Reader] = {
     "machine": Reader("a.toml", machine_file, load_machine, 4),
     "spec": Reader("a.toml", seam_file("spec"), lambda p: load_spec(p, WINDER), 4),
     "moves": Reader("a.toml", seam_file("moves"), read_move_list, 4),
+    "product": Reader("a.wind.toml", product_file, read_product, 4),
+    "meridian-csv": Reader("a.csv", seam_file("meridian-csv"), read_product, 2),
+    "meridian-dxf": Reader("a.dxf", seam_file("meridian-dxf"), read_product, 1),
     "seam-toml": Reader("a.seam.toml", seam_file("seam-toml"), read_seam_job, 1),
     "seam-csv": Reader("a.csv", seam_file("seam-csv"), read_seam_job, 1),
     "seam-svg": Reader("a.svg", seam_file("seam-svg"), read_seam_job, 1),
     "seam-dxf": Reader("a.dxf", seam_file("seam-dxf"), read_seam_job, 1),
-    "product": Reader("a.wind.toml", seam_file("product"), product_text, 4),
     "wind": Reader("a.wind", seam_file("wind"), product_text, 4),
     "fib": Reader("a.fib", seam_file("fib"), meridian_of, 8),
     "pay": Reader("a.pay", seam_file("pay"), product_text, 4),
@@ -226,6 +252,65 @@ READERS: dict[str, Reader] = {
     **{name: Reader(*target) for name, target in fuzz_designs(mutate).items()},
 }
 
+MERIDIAN = '[[part]]\nfile = "{}"\n[band]\nwidth = "4 mm"\n[friction]\nvalue = "0.3"\n'
+_MERIDIAN_CSV = b"x_mm,radius_mm\n" + b"".join(b"%d,%d\n" % (9 * k, 20 + k % 5) for k in range(12))
+
+
+def _half_section() -> bytes:
+    document = ezdxf.filemanagement.new("R2000", units=4)
+    space = document.modelspace()
+    space.add_arc((0, 0), 50, 90, 160)
+    space.add_line((0, 50), (60, 50))
+    space.add_spline([(60, 50), (80, 45), (100, 20)])
+    out = io.StringIO()
+    document.write(out)
+    return out.getvalue().encode()
+
+
+_PRODUCT = b"""[mandrel]
+at = "100 mm +- 0.5 mm"
+shaft = "6 mm"
+slip = "0 deg +- 0.1 deg"
+[[part]]
+kind = "nose"
+radius = "50 mm"
+height = "90 mm"
+opening = "8 mm"
+pole = "left"
+[[part]]
+kind = "cone"
+radius = "50 mm"
+end_radius = "45 mm"
+length = "80 mm"
+[[part]]
+kind = "ellipsoid"
+radius = "45 mm"
+height = "20 mm"
+opening = "9 mm"
+pole = "right"
+[[boss]]
+at = "-9 mm"
+length = "10 mm"
+radius = "12 mm"
+[[pin]]
+at = "80 mm"
+radius = "60 mm"
+diameter = "3 mm"
+[band]
+width = "4 mm +- 5 %"
+thickness = "0.2 mm"
+tex = 600
+[friction]
+value = "0.25 +- 0.05"
+[fibre]
+tied = "30 mm"
+take_up = "50 mm"
+clearance = "2 mm"
+[coverage]
+begin = "95 mm"
+end = "150 mm"
+gap = "0.1 mm"
+"""
 _PAR = b"""FW-CNC.PAR
 comment
 comment
@@ -259,7 +344,6 @@ _WIND = (
     b'[{"windType": "helical", "windAngle": 30, "patternNumber": 3}, {"windType": "hoop"}]}'
 )
 SEEDS: dict[str, list[bytes]] = {
-    "product": [p.read_bytes() for p in sorted(EXAMPLES.glob("*.wind.toml"))],
     "wind": [
         _WIND % more
         for more in (b'"endDiameter": 54', b'"profile": {"type": "vonKarman"}', b'"other": 1')
@@ -274,6 +358,9 @@ SEEDS: dict[str, list[bytes]] = {
     "par": [_PAR, _PAR + b"3 ; axes\n2 ; Kp\n4 ; Kd\n"],
     "machine": [p.read_bytes() for p in sorted(LIBRARY.glob("*.toml")) if ".spec." not in p.name],
     "spec": [p.read_bytes() for p in sorted(LIBRARY.glob("*.spec.toml"))],
+    "product": [_PRODUCT] + [p.read_bytes() for p in sorted(EXAMPLES.glob("*.wind.toml"))],
+    "meridian-csv": [_MERIDIAN_CSV],
+    "meridian-dxf": [_half_section()],
     "moves": [(EXAMPLES / "letter-cycle.toml").read_bytes()],
     "seam-toml": [p.read_bytes() for p in sorted(EXAMPLES.glob("*.seam.toml"))],
     **{

@@ -15,22 +15,28 @@ from typing import Any
 
 import numpy as np
 from tests.verdict.interpreter import Facts, Stitch
+from tests.winding import programs
 from tools import short_jobs
 
 from threadline.commands.intents import Stitched
 from threadline.commands.plan import Motion, Plan
 from threadline.files import Stream
 from threadline.jobs.operations import Move, OperationStream
-from threadline.machine import load_machine
+from threadline.machine import Machine, load_machine
+from threadline.machine.tool import PathLimits
 from threadline.proof.options import Options
-from threadline.proof.pipeline import Proof, prove
-from threadline.verdict import judge, load_spec
-from threadline.verdict.demands import measure_demands
+from threadline.proof.pipeline import Proof, prove, with_product
+from threadline.verdict import Criterion, judge, load_spec
+from threadline.verdict.demands import BRAKING, NEEDLE_USE, PATH_USE, measure_demands
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.stitch_run import measure_tables
+from threadline.winding.product import product_of_text, product_text
 
 _FOLDER = Path(tempfile.mkdtemp(prefix="threadline-fuzz-"))  # a job is read again and again
 atexit.register(shutil.rmtree, _FOLDER, ignore_errors=True)
+_EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+_BRIDGED, _LIFTED = 110, 60  # blocks of a circuit: over the waist, and less
+_SHAPER = "zv:12Hz:0.02"
 _PLACER = "letter-placer+whole-scans+own-damping"
 
 
@@ -59,15 +65,61 @@ def seeds() -> tuple[Seed, ...]:
         (_FOLDER / file).write_bytes(text if isinstance(text, bytes) else text.encode())
         machine = load_machine(name)
         proof = prove(_FOLDER / file, machine, load_spec(None, machine), options)
-        proof = replace(proof, plan=_held(proof.plan))
-        blocks = list(proof.recording)
-        samples = {
-            c.name: np.concatenate([b.samples[c.name] for b in blocks])
-            for c in proof.recording.channels
-        }
-        period_s = float(proof.recording.channels[0].clock.period_s)
-        found.append(Seed(proof, _facts(proof), period_s, samples, _FOLDER / file, options))
+        found.append(_seed_of(proof, _FOLDER / file, options, _facts(proof)))
     return tuple(found)
+
+
+@cache
+def more_seeds() -> tuple[Seed, ...]:
+    """Return runs with the criteria that no other has.
+
+    A fibre over a waist that it bridges, with the eye too near; one that lifts; steps lost on a
+    machine that brakes otherwise than it speeds up, with limits along the path; a needle that
+    follows the head.
+    """
+    winder, stepper = load_machine("lathe-winder"), load_machine("stepper-winder")
+    waist = product_text(_EXAMPLES / "vessel-waist.wind.toml").replace("2 mm", "60 mm")
+    smooth = product_of_text(product_text(_EXAMPLES / "vessel.wind.toml")).surface
+    circuit = programs.eyes(smooth, programs.geodesic(smooth)[1])
+    bridged, lifted = (programs.steps(circuit[:end]) for end in (_BRIDGED, _LIFTED))
+    lifted[_LIFTED // 2] = -8.0, 0.0, 0.0
+    wound = (programs.program(circuit[:2], 1, rows) for rows in (bridged, lifted))
+    x = stepper.axes["X"]
+    braking = replace(x, deceleration=replace(x.acceleration, si=0.7 * x.acceleration.si))
+    limited = replace(
+        stepper,
+        axes={**stepper.axes, "X": braking},
+        path=PathLimits(acceleration=replace(x.acceleration, si=0.9 * x.acceleration.si)),
+    )
+    of_fibre = Options(product=waist, shaper=_SHAPER)
+    return (
+        *(_seed(f"{k}.prg", text, winder, of_fibre) for k, text in enumerate(wound)),
+        _seed("follows.seam.toml", short_jobs.FOLLOWED_SEAM, load_machine("stitcher"), Options()),
+        _seed("steps.nc", short_jobs.PROGRAM_OF_STEPS, limited, Options(interpolation="optimal")),
+    )
+
+
+def _seed(file: str, text: str, machine: Machine, options: Options) -> Seed:
+    """Return a run with the least facts: the second reading reads none of these."""
+    (_FOLDER / file).write_text(text)
+    spec = with_product(load_spec(None, machine), machine, options)
+    names = (BRAKING, PATH_USE, *((NEEDLE_USE,) if text is short_jobs.FOLLOWED_SEAM else ()))
+    own = tuple(Criterion(name=name) for name in names)
+    spec = replace(spec, criteria=(*spec.criteria, *own))
+    proof = prove(_FOLDER / file, machine, spec, options)
+    return _seed_of(proof, _FOLDER / file, options, None)
+
+
+def _seed_of(proof: Proof, file: Path, options: Options, facts: Facts | None) -> Seed:
+    proof = replace(proof, plan=_held(proof.plan))
+    blocks = list(proof.recording)
+    samples = {
+        c.name: np.concatenate([b.samples[c.name] for b in blocks])
+        for c in proof.recording.channels
+    }
+    period_s = float(proof.recording.channels[0].clock.period_s)
+    known = facts or Facts(list(proof.plan.axes), set(), False, 0.0, 0.0)
+    return Seed(proof, known, period_s, samples, file, options)
 
 
 def _held(plan: Plan) -> Plan:

@@ -28,6 +28,16 @@ needle_speed = "20 stitch/s"
 unit = "mm"
 points = [[10, 10], [40, 10], [40, 15]]
 """
+FOLLOWED_SEAM = SEAM.replace(
+    "[[contour",
+    """needle = "follow"
+needle_slowest = "10 stitch/s"
+needle_acceleration = "2000 stitch/s^2"
+
+[[contour""",
+)
+"""A needle that follows the head: its turns differ in length, and it waits where the head does."""
+PROGRAM_OF_STEPS = "G21\nG90\nG1 X20 A60 F3000\nX30 A-20\nX5\nM2\n"
 MOVES = """
 name = "short"
 

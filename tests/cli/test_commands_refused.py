@@ -101,6 +101,22 @@ def test_options_that_do_not_fit_are_refused_before_the_work(
         assert word in err
 
 
+@pytest.mark.parametrize("words", [["prove", "--tolerances"], ["yield", "--variants", "2"]])
+def test_the_worst_machine_has_a_name_that_commands_take(
+    words: list[str], tmp_path: Path, examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Otherwise the printed command would name a file that --actual seeks in the library."""
+    file, winder = tmp_path / "worst.txt", ["-m", "lathe-winder"]
+    verb, *level = words
+
+    code, out, err = run(
+        capsys, verb, examples / "x-180.prg", *winder, *level, "--worst", str(file)
+    )
+
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "ends in .toml" in err and not file.exists()
+
+
 def test_missing_job_exits_with_two(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = run(capsys, "prove", "no-such-job.prg", "-m", "lathe-winder")
     assert (code, out, err.count("\n")) == (2, "", 1)

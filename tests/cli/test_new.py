@@ -281,3 +281,15 @@ def test_the_kind_that_was_meant_is_named(
 ) -> None:
     code, _, err = run(capsys, "new", old, tmp_path / "mine")
     assert code == 2 and f"Did you mean '{now}'?" in err
+
+
+@pytest.mark.parametrize("named", ["plotter", "Laser", "router"])
+def test_a_machine_by_its_work_is_sent_to_its_firmware(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], named: str
+) -> None:
+    """Fresh eyes type what they have; the nearest word of plotter was placer."""
+    with pytest.raises(SystemExit) as stopped:
+        main(["new", named, str(tmp_path / "mine")])
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert "named after the firmware of its controller. There are: grbl" in " ".join(said.split())

@@ -173,6 +173,24 @@ def test_linuxcnc_bends_and_shifts_alike(
         assert ours[label][-1] == pytest.approx(tuple(end), abs=3e-4), lines[label - 1]
 
 
+@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "marlin", "linuxcnc"])
+def test_a_centre_of_0_along_the_third_axis_is_idle_but_for_linuxcnc(
+    tmp_path: Path, xyza: Machine, dialect: str
+) -> None:
+    """FreeCAD writes I J K in every arc. gcode.c of grbl drops K; LinuxCNC reports an error."""
+    text = "G1 X0 Z0 F600\nG2 X10 Y0 I5 J0 K{}\n"
+    if dialect == "linuxcnc":
+        with pytest.raises(JobError, match="K has no use in an arc of X and Y"):
+            list(read(tmp_path, xyza, text.format("0.000") + "M2\n", dialect))
+        return
+    job = read(tmp_path, xyza, text.format("0.000"), dialect)
+    assert millimetres(job) == millimetres(
+        read(tmp_path, xyza, text.replace(" K{}", ""), dialect, "plain.nc")
+    )
+    with pytest.raises(JobError, match="K has no use in an arc of X and Y"):
+        list(read(tmp_path, xyza, text.format("2"), dialect))
+
+
 @pytest.mark.parametrize(
     ("block", "said"),
     [

@@ -23,6 +23,59 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return made_machine(tmp_path_factory.mktemp("xyza"), "XYZ", "A")
 
 
+@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc", "marlin"])
+def test_a_block_behind_a_semicolon_is_a_comment_for_controls(
+    tmp_path: Path, xyza: Machine, dialect: str
+) -> None:
+    """Posts write ``M0 ;T102``, and people put a block aside with a semicolon."""
+    text = "G21\nG90\nG1 X5 F600 ;G1 X9\nM0 ;T102\nG1 X7 ; Y3\nM30\n"
+    job = read(tmp_path, xyza, text, dialect)
+    assert [p[:2] for p in millimetres(job)] == [(5, 0), (7, 0)]
+
+
+@pytest.mark.parametrize("dialect", ["winder", "fanuc"])
+def test_where_a_semicolon_ends_a_block_another_behind_it_is_refused(
+    tmp_path: Path, xyza: Machine, dialect: str
+) -> None:
+    with pytest.raises(JobError, match=r"reads as another block: 'Y2\.'"):
+        list(read(tmp_path, xyza, "G1 X1. F600.; Y2.\nM30\n", dialect))
+
+
+@pytest.mark.parametrize(
+    ("dialect", "block", "said"),
+    [
+        ("marlin", "M201 X4000 Y4000 Z200", "M201 is what sets the steps, limits or jerks"),
+        ("marlin", "M204 P4000 T4000", "M204 is what sets the steps, limits or jerks"),
+        ("marlin", "M220 S50", "M220 is a share of every feed"),
+        ("linuxcnc", "M68 E0 Q50", "M68 is an analogue output"),
+    ],
+)
+def test_what_a_slicer_or_post_writes_is_refused_by_what_it_is(
+    tmp_path: Path, xyza: Machine, dialect: str, block: str, said: str
+) -> None:
+    with pytest.raises(JobError, match=said):
+        list(read(tmp_path, xyza, f"G21\nG90\n{block}\nG1 X5 F600\nM30\n", dialect))
+
+
+def test_t_behind_an_m_word_of_marlin_is_no_command(tmp_path: Path, xyza: Machine) -> None:
+    """Slicers write ``M104 T0 S215``; behind G1 a T is a word that Marlin drops."""
+    text = "M0 Put tool 2 in\nM104 T0 S215\nM109 S215 T0\nG1 X5 F600\nM84 X Y E\nM18\nM2\n"
+    job = read(tmp_path, xyza, text, "marlin")
+    assert [p[0] for p in millimetres(job)] == [5]
+    for line in ("G1 X6 T0", "M106 S255 G1 X6"):
+        with pytest.raises(JobError, match="runs the first command of a line alone"):
+            list(read(tmp_path, xyza, f"G1 X5 F600\n{line}\n", "marlin"))
+
+
+def test_fanuc_reads_times_of_moves(tmp_path: Path, xyza: Machine) -> None:
+    """Posts of rotary axes write G93: 120 a minute is half a second, whatever moves."""
+    text = "G21 G90 G93\nG1 X1. A3.5 F120.\nG94 X2. F60.\nM30\n"
+    for dialect in ("fanuc", "linuxcnc"):
+        first, second = moves(read(tmp_path, xyza, text, dialect))
+        assert first.feed is not None and first.feed.value == 2.0, dialect
+        assert second.feed is not None and second.feed.value == pytest.approx(1e-3), dialect
+
+
 @pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc"])
 @pytest.mark.parametrize("word", ["G28.1", "G92.1"])
 def test_axis_words_beside_what_takes_none_are_a_move(
@@ -182,7 +235,7 @@ def test_grbl_keeps_the_radius_of_the_start(
         ("G21 F50", "does not read F50 beside G21"),
         ("G90 X5", "axis words without a G word"),
         ("G2 X15 Y0 I5 J0 P2", "P of an arc is no number of turns for marlin"),
-        ("M502", "M502 is what sets the steps, limits and jerks"),
+        ("M502", "M502 is what sets the steps, limits or jerks"),
         ("M420 S1", "M420 is the compensation of the bed"),
         ("M810", "M810 is a macro"),
         ("G20", "INCH_MODE_SUPPORT; otherwise all numbers stay millimetres"),

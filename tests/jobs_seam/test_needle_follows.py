@@ -18,7 +18,7 @@ from threadline.proof.kinds.ticks import NeedleColumns
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import NOMINAL, plan_job, try_plan
 from threadline.search.feed import needle_range_hz
-from threadline.verdict import Verdict, load_spec
+from threadline.verdict import Criterion, Spec, Verdict, load_spec
 from threadline.verdict.demands import measure_needle_use
 from threadline.verdict.needle import Stitches, planned_stitches
 from threadline.verdict.stitch_run import turn_error
@@ -141,6 +141,19 @@ def test_a_timing_that_asks_more_of_the_drive_is_out(stitcher: Machine) -> None:
     assert load_spec(None, stitcher).criteria[-1].name != "needle_use"
     result = judged(plan).result("needle_use")
     assert result.status == "failed" and result.measured is not None and result.measured > 2.0
+
+
+@pytest.mark.parametrize(("limit", "held"), [(0.5, 0.5), (2.0, 1.0), (None, 1.0)])
+def test_a_specification_may_ask_for_more_of_the_needle_and_not_for_less(
+    stitcher: Machine, limit: float | None, held: float
+) -> None:
+    plan = planned(stitcher, needle_acceleration="1000 stitch/s^2")
+    asked = Criterion(name="needle_use", limit=limit)
+    result = try_plan(plan, Spec(name="own", criteria=(asked,)), NOMINAL, None).verdict.result(
+        "needle_use"
+    )
+    assert result.limit == held and result.measured is not None and 0.95 < result.measured < 1.001
+    assert (result.status == "failed") == (held < 1.0)
 
 
 def planned_auto(stitcher: Machine, **settings: str) -> Plan:

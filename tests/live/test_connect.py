@@ -105,6 +105,8 @@ def _answer(
             send(f"<{status or 'Idle'}|MPos:0.000,0.000,0.000>\r\n".encode())
         *lines, rest = (rest + more).split(b"\n")
         for line in (one.decode().strip() for one in lines):
+            if not line and firmware == "grbl":
+                send(b"ok\r\n")  # protocol.c: an empty line, for syncing
             if line:
                 heard.append(line)
                 text = answers.get(line, unknown(firmware, line))
@@ -170,7 +172,7 @@ def test_settings_come_from_the_controller_and_make_a_machine(
     assert not [line for line in heard if line not in ("$I", "$$", "$CD", "M115", "M503", "?")]
     travels = [f"travel.{letter}=300 mm" for letter in "XYZ"] if kind in ("marlin", "rrf") else []
     answered = [word for one in ("rotary=none", *travels) for word in ("--set", one)]
-    made = ran(*told["new"].split()[1:], "--limits-only", *answered)
+    made = ran(*told["new"].split()[1:], *answered)
     assert made.exit_code == 0, made.stderr
     assert Path("my-machine/machine.toml").exists()
 

@@ -49,9 +49,9 @@ def test_addresses_of_a_controller() -> None:
         ("localhost:-1", "'-1' is not a port"),
         ("localhost:" + "9" * 5000, "is not a port"),
         ("a..b:23", "'a..b' is not a host"),
-        ("23", "'' is not a host"),
+        ("23", "there is no colon between host and port"),
         (":23", "'' is not a host"),
-        ("dev/ttyUSB0", "'' is not a host"),
+        ("dev/ttyUSB0", "there is no colon between host and port"),
     ],
 )
 def test_what_is_no_address_of_a_controller(address: str, says: str) -> None:

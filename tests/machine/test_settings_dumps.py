@@ -331,6 +331,41 @@ def test_files_that_klipper_includes_are_read_beside(tmp_path: Path) -> None:
         read(tmp_path, "[include parts/*.cfg]\n" + head)
 
 
+def test_axes_begin_with_x_whatever_klipper_s_includes_name_first(tmp_path: Path) -> None:
+    """A macro's file may set Z before the sections of X and Y."""
+    (tmp_path / "park.cfg").write_text("[stepper_z]\nposition_max: 240\n")
+    settings = read(tmp_path, "[include park.cfg]\n" + KLIPPER)
+    assert list(settings.axes) == ["X", "Y", "Z"]
+
+
+def test_the_error_asks_once_what_several_axes_lack_and_its_hint_does(tmp_path: Path) -> None:
+    """An INI of a simulation without scales, with axes that turn."""
+    ini = "[EMC]\nMACHINE = m\n[TRAJ]\nCOORDINATES = X Y A\nLINEAR_UNITS = mm\n[KINS]\nJOINTS = 3\n"
+    for number, kind in enumerate(("LINEAR", "LINEAR", "ANGULAR")):
+        ini += f"[JOINT_{number}]\nTYPE = {kind}\nMAX_VELOCITY = 30\nMAX_ACCELERATION = 200\n"
+        ini += f"MIN_LIMIT = 0\nMAX_LIMIT = 300\n[AXIS_{'XYA'[number]}]\n"
+        ini += "MAX_VELOCITY = 30\nMAX_ACCELERATION = 200\nMIN_LIMIT = 0\nMAX_LIMIT = 300\n"
+    settings = read(tmp_path, ini, "m.ini")
+    with pytest.raises(OptionError) as caught:
+        machine_text(settings, parse_answers([]), "m", limits_only=True)
+    asked = re.findall(r'--set "([^"]+)"', caught.value.remedy)
+    assert asked == ["steps=80 count/mm", "steps.A=26.667 count/deg", "radius=50 mm"]
+    machine_text(settings, parse_answers(asked), "m", limits_only=True)
+    with pytest.raises(OptionError, match="need no motors: --limits-only"):
+        machine_text(settings, parse_answers(asked), "m")
+
+
+@pytest.mark.parametrize("more", ["[printer]\nmax_velocity: 9\n", "[mcu]\nserial: /dev/x\n"])
+def test_an_include_that_is_not_there_is_named_where_it_would_have_the_axes(
+    tmp_path: Path, more: str
+) -> None:
+    """People send printer.cfg alone."""
+    said = r"contain no axis \(klipper\); settings.txt:1: \[include steppers.cfg\] is not read"
+    with pytest.raises(MachineError, match=said) as caught:
+        read(tmp_path, "[include steppers.cfg]\n" + more)
+    assert "beside this one" in caught.value.remedy
+
+
 def test_no_file_outside_its_folder_is_included(tmp_path: Path) -> None:
     inner = tmp_path / "inner"
     inner.mkdir()

@@ -161,3 +161,9 @@ def test_winder_is_analysed_too():
     assert x.settling_s == pytest.approx(0.122, rel=0.05) and x.overshoot < 0.05
     assert found["X"].actuator.poles[0] == pytest.approx(-46.7, abs=0.05)
     assert found["X"].as_json()["modes_hz"] == []
+
+
+def test_no_unclipped_command_serves_nine_machines_at_55_stitches_a_second() -> None:
+    """A bound above what the plan of ``stitcher-robust.seam.toml`` does at 42 would be wrong."""
+    assert claims.stitcher_two_stitches("55")["least_error"] > 0.07
+    assert claims.stitcher_two_stitches("42")["least_error"] < 0.04

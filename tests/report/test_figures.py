@@ -39,15 +39,16 @@ def test_the_error_along_the_job_peaks_where_the_judge_says(winding: Proof) -> N
     """The worst of the curve is the measured contour error, at its time.
 
     Of a straight path at a corner: the tool leaves the chord, no point is missed by more. The
-    curve and the judge have the same distances, so equal to the rounding of a square root.
+    curve takes the samples; the judge looks between them, too, where the way bows by less than
+    1 nm at this peak.
     """
     along = contour_along(winding.recording, winding.plan, winding.spec.lag_s)
     assert along is not None
     time_s, error_m = along
     worst = winding.verdict.result("contour_error")
     assert worst.note == ""
-    assert error_m.max() == pytest.approx(worst.measured, rel=1e-12)
-    assert time_s[error_m.argmax()] == pytest.approx(worst.time_s, abs=1e-9)
+    assert worst.measured - 1e-9 < error_m.max() <= worst.measured
+    assert 0.0 <= time_s[error_m.argmax()] - worst.time_s < 5e-3  # a tick
     assert (np.diff(time_s) > 0).all()
     assert 1000 < len(time_s) <= 2001
 

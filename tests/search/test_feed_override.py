@@ -130,6 +130,18 @@ def test_programs_with_feeds_that_differ_are_searched_by_their_override(
     assert search_range(beyond, mill, FeedMode.OVERRIDE)[1] == 1.0
 
 
+def test_a_lift_that_a_slow_axis_holds_back_is_no_end_of_the_search(
+    tmp_path: Path, mill: Machine
+) -> None:
+    """Slicers lift at the F of travels, which Z never reaches: X can still be 30 times faster."""
+    head, y, rest = Path(mill.reference).read_text().partition("[axes.Y]")
+    file = tmp_path / "slow.toml"
+    file.write_text(head + y + rest.replace('"0.5 m/s exact', '"10 mm/s exact', 1))
+    slow_y = load_machine(file)
+    lifted = job_of(tmp_path, slow_y, "G1 X5 F333\nY40 F1200\nX60 F1000\nM2\n")
+    assert search_range(lifted, slow_y, FeedMode.OVERRIDE)[1] == pytest.approx(30.0, rel=1e-5)
+
+
 def test_what_is_found_is_typed_back(
     tmp_path: Path, mill: Machine, capsys: pytest.CaptureFixture[str]
 ) -> None:

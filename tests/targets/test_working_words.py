@@ -384,6 +384,9 @@ def test_a_program_is_not_slower_than_its_source_unless_told_to(
     slow = times_of([*wanted, "--limits", "10 %", "--slower"], capsys)
     assert out.exists()
     assert slow == pytest.approx((float(told[2]), float(told[1])), rel=1e-4)
+    with pytest.raises(SystemExit):
+        main([*wanted, "--limits", "10 %", "--feed", "F 6000"])
+    assert "s over zigzag.gcode at the same feed" in " ".join(capsys.readouterr().err.split())
     stands_s, as_run_s = times_of(wanted, capsys)
     assert stands_s == slow[0] and as_run_s <= 1.001 * stands_s
 

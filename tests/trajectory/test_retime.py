@@ -167,7 +167,7 @@ def test_a_higher_limit_of_velocity_costs_no_time(seed, jerk):
     """Elements were cut less fine the higher it was: 1e9 took 5 to 20 % longer than 10.
 
     Between limits that the axes reach the time may grow by what the docstring states: the last
-    three are the worst of 180 sets, with up to 0.6 %. Limits out of reach are one and the same.
+    four are the worst of 180 sets, with up to 0.6 %. Limits out of reach are one and the same.
     """
     random = np.random.default_rng(seed)
     points = random.normal(size=(7, 1 + seed % 3))

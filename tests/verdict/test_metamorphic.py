@@ -44,6 +44,24 @@ def test_what_must_not_matter_changes_no_verdict(kind: str, tmp_path: Path) -> N
     assert run(kind, tmp_path, CASES[kind]) == []
 
 
+@pytest.mark.parametrize(
+    ("name", "edges"),
+    [
+        ("1.prg", (1572,)),  # in a block that lifts the fibre and slips
+        ("1.prg", tuple(range(1, 3459, 7))),
+        ("follows.seam.toml", (1500,)),  # between a stop of the head and the end of its contour
+        ("follows.seam.toml", tuple(range(1, 2113, 50))),
+    ],
+)
+def test_where_a_recording_is_cut_into_blocks_changes_no_value(
+    name: str, edges: tuple[int, ...]
+) -> None:
+    kept = next(kept for kept in cases.pool() if kept.seed.file.name == name)
+    cut = cases.recording_of(kept.seed, kept.samples, edges)
+    found = cases.values_of(kept.seed, cut, kept.seed.proof.spec)
+    assert found == pytest.approx(kept.measured, rel=1e-9, abs=1e-12, nan_ok=True)
+
+
 def _wider(criterion, plan):
     return None if criterion.limit is None else 1.002 * criterion.limit
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from threadline.base.arrays import FloatArray
 
@@ -53,17 +54,60 @@ def eye_in_mandrel(columns: FloatArray) -> FloatArray:
     return np.array([along, across * cos + up * sin, up * cos - across * sin])
 
 
+@dataclass(frozen=True)
+class Roller:
+    """A roller: its centre and axis on the carrier, its radius, and the way to its chosen side."""
+
+    centre: FloatArray
+    axis: FloatArray
+    radius: float
+    side: FloatArray
+
+    def leaves(self, columns: FloatArray, point: FloatArray) -> FloatArray:
+        """Return (3,) where the fibre to a point leaves the roller, in the mandrel's frame.
+
+        Roll turns up to along about across, yaw turns along to across about up. The tangent to the
+        circle is searched for as a root, on the chosen side.
+        """
+        turn, yaw, roll = columns[0], columns[4], columns[5]
+        carrier = Rotation.from_rotvec([0.0, 0.0, yaw]) * Rotation.from_rotvec([0.0, roll, 0.0])
+        mandrel = Rotation.from_rotvec([-turn, 0.0, 0.0])
+        middle = mandrel.apply(columns[1:4] + carrier.apply(self.centre))
+        axis = mandrel.apply(carrier.apply(self.axis))
+        side = mandrel.apply(carrier.apply(self.side))
+        to = point - middle
+        to = to - axis * (axis @ to)
+        near = to / np.linalg.norm(to)
+        over = side - axis * (axis @ side) - near * (near @ side)
+        over = over / np.linalg.norm(over)
+
+        def place(angle: float) -> FloatArray:
+            return np.asarray(middle + self.radius * (np.cos(angle) * near + np.sin(angle) * over))
+
+        def edge(angle: float) -> float:
+            return float((place(angle) - middle) @ (point - place(angle)))
+
+        return place(brentq(edge, 0.0, 0.5 * np.pi, xtol=1e-15, rtol=1e-15))
+
+
 def laid(
-    surface: Quadric, columns: Callable[[float], FloatArray], start: FloatArray, until: float
+    surface: Quadric,
+    columns: Callable[[float], FloatArray],
+    start: FloatArray,
+    until: float,
+    roller: Roller | None = None,
 ) -> Callable[[FloatArray], FloatArray]:
     """Return a function of times, (n,), to places (n, 3) of the point of the fibre that is laid."""
 
+    def seen(time: float, point: FloatArray) -> FloatArray:
+        if roller is None:
+            return eye_in_mandrel(columns(time))
+        return roller.leaves(columns(time), point)
+
     def rates(time: float, point: FloatArray) -> FloatArray:
-        step = 1e-6
-        eye = eye_in_mandrel(columns(time))
-        velocity = (eye_in_mandrel(columns(time + step)) - eye_in_mandrel(columns(time - step))) / (
-            2.0 * step
-        )
+        step = 1e-6 if roller is None else 1e-5
+        eye = seen(time, point)
+        velocity = (seen(time + step, point) - seen(time - step, point)) / (2.0 * step)
         away = eye - point
         free = float(np.linalg.norm(away))
         tangent = away / free

@@ -98,7 +98,8 @@ def program(
     for axis, way in ("Y", first[2]), ("X", first[1]):
         ends = np.round(np.linspace(0.0, way, pieces + 1), 3)
         lines += [f"{axis} {step:.3f};" for step in np.diff(ends)]
-    lines += [f"M98 P 999 L {circuits};"]
+    # A spline that does not stop here would round the corner between approach and circuit.
+    lines += ["M00;"] * (pieces > 1) + [f"M98 P 999 L {circuits};"]
     lines += [_block(10 * k, row) for k, row in enumerate(() if rows is None else rows, start=1)]
     return "\n".join([*lines, "M30;", "%", ""])
 

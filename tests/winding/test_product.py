@@ -7,6 +7,8 @@ import math
 import random
 from pathlib import Path
 
+import ezdxf
+import ezdxf.units
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -107,6 +109,7 @@ def test_a_corner_of_a_table_is_rounded(tmp_path: Path) -> None:
         ("0,40\n10\n", "m.csv:3: '10' is no point"),
         ("0,40\n10,nan\n", "is no point"),
         ("0,40\n", "has 1 points"),
+        ("0,40\n1e300,40\n", "m.csv:3: '1e300,40' is no point"),
     ],
 )
 def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -> None:
@@ -129,11 +132,108 @@ def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -
         (CYLINDER + BAND + '[fibre]\ntied = "300 mm"\n', "p.wind.toml:10: tied = 300 mm"),
         (CYLINDER + BAND + 'colour = "red"\n', "unknown key 'colour'"),
         (CYLINDER + BAND + "[", "not valid TOML"),
-        ('[[part]]\nfile = "x.dxf"\n' + BAND, "cannot be read from DXF"),
+        ('[[part]]\nfile = "x.dxf"\n' + BAND, "x.dxf"),
+        ('[[part]]\nfile = "x.csv"\nlayer = "A"\n' + BAND, "p.wind.toml:3: layer belongs to a"),
+        (CYLINDER + BAND + '[[boss]]\nat = "0 mm"\nlength = "1 mm"\n', "boss.radius is missing"),
+        (
+            CYLINDER + BAND + '[[pin]]\nat = "0 mm"\ndiameter = "-1 mm"\nradius = "9 mm"\n',
+            "p.wind.toml:11: diameter must be above 0",
+        ),
+        ("[mandrel]\nshaft = '60 mm'\n" + CYLINDER + BAND, "p.wind.toml:2: a shaft with radius 60"),
+        ("[mandrel]\nslip = '100 deg'\n" + CYLINDER + BAND, "p.wind.toml:2: slip is above 90 deg"),
+        (CYLINDER + BAND + '[fibre]\ntake_up = "-1 mm"\n', "p.wind.toml:10: take_up = '-1 mm' is"),
+        (
+            CYLINDER + BAND + '[coverage]\nbegin = "9 mm"\nend = "20 mm"\ngap = "-1 mm"\n',
+            "p.wind.toml:12: gap = '-1 mm' is below 0",
+        ),
+        (
+            '[mandrel]\nradius_error = "0 mm +- 90 mm"\n' + CYLINDER + BAND,
+            "p.wind.toml:2: a radius_error of 0 +- 90 mm",
+        ),
     ],
 )
 def test_faults_name_their_line(tmp_path: Path, text: str, said: str) -> None:
     assert said in _refused(tmp_path, text)
+
+
+def _drawn(folder: Path, *, faces: bool = True) -> Path:
+    """Draw a dome of 50 mm on a cylinder as an arc, a line and a face, from right to left."""
+    document = ezdxf.new("R2010", units=ezdxf.units.MM)
+    space = document.modelspace()
+    end = math.degrees(math.acos(0.2))
+    space.add_arc((0.0, 0.0), 50.0, 90.0, 90.0 + end, dxfattribs={"layer": "MERIDIAN"})
+    space.add_line((80.0, 50.0), (0.0, 50.0), dxfattribs={"layer": "MERIDIAN"})
+    space.add_line((-60.0, 0.0), (90.0, 0.0), dxfattribs={"layer": "MERIDIAN"})
+    if faces:
+        space.add_line((80.0, 50.0), (80.0, 0.0), dxfattribs={"layer": "MERIDIAN"})
+    space.add_circle((0.0, -200.0), 10.0, dxfattribs={"layer": "NOTES"})
+    file = folder / "m.dxf"
+    document.saveas(file)
+    return file
+
+
+DRAWN = '[[part]]\nfile = "m.dxf"\nlayer = "MERIDIAN"\n'
+
+
+def test_a_half_section_in_dxf_is_its_arc_and_line(tmp_path: Path) -> None:
+    """An arc stays an arc: a hemisphere has the radii of a circle, and its bend."""
+    _drawn(tmp_path)
+    product = _read(tmp_path, DRAWN + BAND)
+    surface = product.surface
+    x, r = surface.at(np.linspace(0.0, surface.length_m, 501))
+    centre = 0.05 * math.sqrt(1.0 - 0.2**2)  # of the dome, from the left end
+    dome = x[:, 0] < centre
+    expected = np.sqrt(0.05**2 - np.where(dome, x[:, 0] - centre, 0.0) ** 2)
+    np.testing.assert_allclose(r[:, 0], expected, atol=1e-9)
+    bend = -(x[:, 1] * r[:, 2] - r[:, 1] * x[:, 2])
+    np.testing.assert_allclose(bend[x[:, 0] < centre - 1e-3], 20.0, rtol=1e-4)
+    assert surface.at(np.array([surface.length_m]))[0][0, 0] == pytest.approx(centre + 0.08)
+    # A recording keeps the section without its file.
+    (tmp_path / "m.dxf").unlink()
+    again = product_of_text(product.text).surface
+    np.testing.assert_array_equal(again.x, surface.x)
+    damaged = product.text.replace('"section": [[[0.0,', '"section": [[["a",')
+    with pytest.raises(JobError, match="damaged"):
+        product_of_text(damaged)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (((-60.0, 10.0), (-49.0, 10.0)), "the mandrel is open or has two lines: one ends at x"),
+        (((80.0, 50.0), (90.0, -5.0)), "the mandrel crosses its axis: y = -5 mm"),
+        (((80.0, 50.0), (80.0, 60.0)), "the mandrel doubles back at x = 80 mm"),
+    ],
+)
+def test_faults_of_a_drawing_name_its_line(
+    tmp_path: Path, line: tuple[tuple[float, float], tuple[float, float]], said: str
+) -> None:
+    document = ezdxf.readfile(_drawn(tmp_path, faces=False))
+    document.modelspace().add_line(*line, dxfattribs={"layer": "MERIDIAN"})
+    document.saveas(tmp_path / "m.dxf")
+    message = _refused(tmp_path, DRAWN + BAND)
+    assert said in message
+    assert "m.dxf:" in message
+    assert "no meridian on the layer 'X'" in _refused(tmp_path, DRAWN.replace("MERIDIAN", "X"))
+
+
+def test_the_whole_drawing_without_a_layer_says_what_crosses(tmp_path: Path) -> None:
+    _drawn(tmp_path)
+    assert "the mandrel crosses its axis" in _refused(tmp_path, '[[part]]\nfile = "m.dxf"\n' + BAND)
+
+
+def test_bosses_pins_and_shaft_are_placed(tmp_path: Path) -> None:
+    text = (
+        '[mandrel]\nshaft = "8 mm"\nslip = "0 deg +- 3.6 deg"\n' + CYLINDER + BAND
+        + '[[boss]]\nat = "-10 mm"\nlength = "12 mm"\nradius = "30 mm"\n'
+        + '[[pin]]\nat = "180 mm"\nradius = "57 mm"\ndiameter = "3 mm"\n'
+    )  # fmt: skip
+    product = _read(tmp_path, text)
+    found = [(ring.begin_m, ring.end_m, ring.radius_m) for ring in product.rings]
+    assert found[0][1:] == (0.0, 0.008) and found[1][::2] == (pytest.approx(0.2), 0.008)
+    assert found[2] == pytest.approx((-0.01, 0.002, 0.03))
+    assert found[3] == pytest.approx((0.1785, 0.1815, 0.057))
+    assert (product.slip.si, product.slip.tolerance) == (0.0, pytest.approx(0.01))
 
 
 def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:

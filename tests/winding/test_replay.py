@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from tests.winding.cartesian import (
     Quadric,
+    Roller,
     cone,
     cylinder,
     ellipsoid,
@@ -19,13 +21,20 @@ from tests.winding.cartesian import (
 )
 from threadline.base.arrays import FloatArray
 from threadline.machine import load_machine
-from threadline.winding.laying import BRIDGED, LAID, LIFTED, OFF
+from threadline.machine.quantity import Quantity, parse_machine_quantity
+from threadline.machine.tool import Payout, Tool
+from threadline.machine.tool import Roller as TubeRoller
+from threadline.winding.laying import BRIDGED, LAID, LIFTED, OFF, SUNK
 from threadline.winding.replay import Fibre, Replay
 from threadline.winding.shapes import ellipse
 from threadline.winding.surface import Stretch, Surface, line, surface_of
 
 TOOL = load_machine("lathe-winder").tool
 assert TOOL is not None
+
+
+def _mm(value: float) -> Quantity:
+    return parse_machine_quantity(f"{value} mm exact, assumed: a test", ("m",))
 
 
 def _surface(*parts: Stretch) -> Surface:
@@ -108,7 +117,7 @@ def test_the_wobble_on_a_cylinder_is_the_printed_one() -> None:
     assert narrow == pytest.approx(0.5 * wide, rel=0.1)
 
 
-def _hemisphere(ratio: float) -> tuple[Surface, FloatArray, FloatArray]:
+def _hemisphere(ratio: float, angle: float = 0.7) -> tuple[Surface, FloatArray, FloatArray]:
     """Return a hemisphere of 100 mm, a friction path on it, and the eye on a sphere of 130 mm."""
     radius, away = 0.1, 0.13
     surface = _surface(
@@ -118,7 +127,7 @@ def _hemisphere(ratio: float) -> tuple[Surface, FloatArray, FloatArray]:
     def meridian(u: float) -> tuple[float, float, float, float]:
         return radius * np.sin(u / radius), radius * np.cos(u / radius), -u / radius, 1.0 / radius
 
-    path = _planned(meridian, (0.0, 0.7), ratio, 150)
+    path = _planned(meridian, (0.0, angle), ratio, 150)
     free = np.sqrt(away**2 - radius**2)
     slope = -path[:, 0] / radius
     along, out = radius * np.sin(-slope), radius * np.cos(slope)
@@ -133,16 +142,25 @@ def _hemisphere(ratio: float) -> tuple[Surface, FloatArray, FloatArray]:
     return surface, eyes, places
 
 
-def test_a_friction_path_on_a_hemisphere_comes_back() -> None:
-    """Printed: the ratio wobbles from 0.180 to 0.215, its mean stays within 0.0025."""
-    surface, eyes, places = _hemisphere(0.2)
+@pytest.mark.parametrize("angle", [0.3, 0.7])
+def test_a_friction_path_on_a_hemisphere_comes_back(angle: float) -> None:
+    """Printed: the ratio wobbles from 0.180 to 0.215, its mean stays within 0.0025.
+
+    Where that path starts is not printed: the wobble is wider the steeper it begins.
+    """
+    surface, eyes, places = _hemisphere(0.2, angle)
     fibre = _replayed(surface, eyes, tied=0.0)
 
     steer = fibre.steer[np.isfinite(fibre.steer)]
     assert len(steer) > 100
-    assert np.abs(steer - 0.2).max() < 0.003
-    assert np.nanmin(fibre.least[np.isfinite(fibre.least)]) > 0.175
-    assert np.nanmax(fibre.most[np.isfinite(fibre.most)]) < 0.22
+    assert np.abs(steer - 0.2).max() < 0.0025
+    least = np.nanmin(fibre.least[np.isfinite(fibre.least)])
+    most = np.nanmax(fibre.most[np.isfinite(fibre.most)])
+    if angle == 0.3:
+        assert least == pytest.approx(0.180, abs=0.004)
+        assert most == pytest.approx(0.215, abs=0.004)
+    else:
+        assert 0.180 < least < 0.2 < most < 0.215
     assert np.abs(_places(surface, fibre)[1:] - places[1:]).max() < 5e-6
 
 
@@ -233,6 +251,73 @@ def test_replay_agrees_with_a_cartesian_integrator(surface: Surface, quadric: Qu
     assert np.abs(found - expected).max() < 1e-6
 
 
+_EGG = _surface(
+    ellipse(0.05, 0.1, 0.25, 0.02, left=True), ellipse(0.05, 0.1, 0.25, 0.02, left=False)
+)
+
+
+def _turning(time: FloatArray | float) -> FloatArray:
+    """Return ``_wavy`` with a carrier that yaws and rolls."""
+    t = np.asarray(time, dtype=np.float64)
+    eyes = _wavy(t)
+    eyes[..., 4], eyes[..., 5] = 0.3 * np.sin(0.8 * t), 0.2 * np.sin(0.6 * t)
+    return eyes
+
+
+@pytest.mark.parametrize(("axis", "side"), [("along", "+"), ("along", "-"), ("up", "+")])
+def test_a_roller_agrees_with_its_tangent_in_space(axis: str, side: str) -> None:
+    """The fibre runs to the root of its tangency on a roller of 8 mm that yaws and rolls."""
+    quadric, surface = ellipsoid(0.05, 0.25, 0.1), _EGG
+    tool = Tool(
+        kind="eye", radius=TOOL.radius, turn=TOOL.turn, along=TOOL.along, across=TOOL.across,
+        payout=Payout(along=_mm(5.0), across=_mm(-10.0), up=_mm(3.0)),
+        roller=TubeRoller(radius=_mm(8.0), axis=axis, side=side),
+    )  # fmt: skip
+    directions = {"along": np.array([1.0, 0.0, 0.0]), "up": np.array([0.0, 0.0, 1.0])}
+    way = (1.0 if side == "+" else -1.0) * directions["up" if axis == "along" else "along"]
+    roller = Roller(np.array([5e-3, -1e-2, 3e-3]), directions[axis], 8e-3, way)
+    until, count = 5.0, 25_000
+    times = np.linspace(0.0, until, count + 1)
+    fibre = Replay(surface, tool, 10.0, -0.03).feed(_turning(times))
+    first = int(np.argmax(fibre.state == LAID))
+    assert (fibre.state[first:] == LAID).all()
+    found = _places(surface, fibre)
+    start = found[first]
+    eye = roller.leaves(_turning(times[first]), start)
+    gradient = quadric.gradient(start)
+    # The first place is a tangent of both, and the rest follow from it.
+    away = eye - start
+    assert abs(gradient @ away) < 1e-6 * np.linalg.norm(gradient) * np.linalg.norm(away)
+    begin_s = float(times[first])
+    path = laid(quadric, lambda t: _turning(t + begin_s), start, until - begin_s, roller)
+    assert np.abs(found[first:] - path(times[first:] - begin_s)).max() < 1e-6
+    # Without its radius it is the plain eye at its centre.
+    flat = replace(tool, roller=TubeRoller(radius=_mm(0.0), axis=axis, side=side))
+    plain = Replay(surface, replace(tool, roller=None), 10.0, -0.03).feed(_turning(times[:500]))
+    bare = Replay(surface, flat, 10.0, -0.03).feed(_turning(times[:500]))
+    np.testing.assert_array_equal(bare.u, plain.u)
+
+
+def test_the_roller_gives_out_what_the_taut_fibre_takes() -> None:
+    """Fibre given out is the growth of laid, free and wound-round length, by its shortest way."""
+    radius, size = 0.05, 8e-3
+    surface = _surface(line(-0.5, radius, 1.0, radius))
+    tool = replace(TOOL, roller=TubeRoller(radius=_mm(1e3 * size), axis="along", side="+"))
+    eyes = np.zeros((401, 6))
+    share = np.linspace(0.0, 1.0, 401)
+    eyes[:, 0], eyes[:, 2], eyes[:, 3] = -3.0 * share, 0.07 + 0.02 * share, 0.01 * share
+    fibre = Replay(surface, tool, 10.0, 0.0).feed(eyes)
+    # In the plane: laid below the axis, the fibre crosses to the upper side of the roller.
+    distance, level = np.hypot(eyes[:, 2], eyes[:, 3]), np.arctan2(eyes[:, 3], eyes[:, 2])
+    assert fibre.angle[-1] + eyes[-1, 0] < 0.0
+    free = np.sqrt(distance**2 - (radius + size) ** 2)
+    arc = size * (level + np.arcsin((radius + size) / distance))
+    length = fibre.length_m + free + arc
+    laid = fibre.state == LAID
+    used = fibre.used_m[laid][5:]
+    np.testing.assert_allclose(used, np.diff(length)[-len(used) :], atol=1e-8)
+
+
 def test_a_wrong_start_is_forgotten_with_the_free_length() -> None:
     """What is left of a wrong start falls as exp(-laid length / free length)."""
     radius = 0.05
@@ -312,6 +397,23 @@ def test_a_hollow_is_bridged_with_its_height() -> None:
     assert fibre.bridge_m.max() == pytest.approx(over[x < 0.08].max(), abs=4e-4)
     far = float(surface.at(fibre.u[at : at + 1])[0][0, 0])
     assert far == pytest.approx(0.08, abs=3e-3)
+
+
+def test_an_eye_that_sinks_into_the_mandrel_lays_nothing_more() -> None:
+    """From 60 mm to 40 mm from the axis of a cylinder of 50 mm, while it turns on."""
+    radius = 0.05
+    surface = _surface(line(-0.5, radius, 1.0, radius))
+    eyes = np.zeros((400, 6))
+    eyes[:, 0] = -0.05 * np.arange(400)
+    eyes[:, 2] = 0.06 - 0.02 * np.clip((np.arange(400) - 300) / 50.0, 0.0, 1.0)
+    fibre = _replayed(surface, eyes, tied=0.0)
+    inside = eyes[:, 2] < radius - 1e-4
+    assert (fibre.state[inside] == SUNK).sum() == 1
+    assert fibre.state[int(np.argmax(inside))] == SUNK
+    assert fibre.known[1 : int(np.argmax(inside)) - 1].all()
+    assert not fibre.known[inside].any()
+    # Nothing is laid or given out from there on, and before it at most what the mandrel turns.
+    assert np.nanmax(np.abs(fibre.used_m)) < 2.0 * 0.05 * 0.05
 
 
 def test_a_fibre_that_runs_off_the_mandrel_is_said() -> None:

@@ -57,7 +57,9 @@ def connect(
         staged.write(found.text.encode("utf-8"))
     settings = settings_of(found.kind, file)
     rows = read_rows(settings)
-    command = f"threadline new {found.kind} my-machine --from {shlex.quote(str(file))}"
+    command = (
+        f"threadline new {found.kind} my-machine --from {shlex.quote(str(file))} --limits-only"
+    )
     if json:
         keys = ("setting", "value", "from")
         print_json(

@@ -277,12 +277,18 @@ def _without_operator(machine: str) -> str:
     return re.sub(r"^\[operator\]\n(?:[^\n\[][^\n]*\n)*\n?", "", machine, flags=re.MULTILINE)
 
 
+_MACHINES = ("cnc", "engraver", "laser", "lathe", "mill", "plotter", "printer", "robot", "router")
+"""Machines that people name first, and that any controller may drive."""
+
+
 def _project(kind: str) -> Project:
     if kind not in PROJECTS:
         own = {firmware: name for name, firmware in FIRMWARES.items()}
         word = kind.partition("-")[0]
         close = difflib.get_close_matches(own.get(word, word), [*PROJECTS, *KINDS], n=1)
         hint = f"Did you mean {close[0]!r}? " if close else ""
+        if kind.lower() in _MACHINES:
+            hint = "A machine like this is named after the firmware of its controller. "
         raise OptionError(
             f"there is no project {kind[:40]!r}",
             remedy=f"{hint}There are: {', '.join([*KINDS, *PROJECTS])}.",

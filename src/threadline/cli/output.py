@@ -123,7 +123,9 @@ _STEMS = ("report", "comparison", "shaper", "analysis", "design")
 """Page names of reports, without suffix, whose files must be writable."""
 
 
-def check_outputs(*, file: Path | None = None, folder: Path | None = None) -> None:
+def check_outputs(
+    *, file: Path | None = None, folder: Path | None = None, worst: Path | None = None
+) -> None:
     """Refuse outputs that could not be written, before hours of work go into them.
 
     Parameters
@@ -132,17 +134,24 @@ def check_outputs(*, file: Path | None = None, folder: Path | None = None) -> No
         File to write; its folder may be missing.
     folder
         Folder to write into; it may be missing.
+    worst
+        Machine file to write; commands take a name for one if it ends in .toml.
 
     Raises
     ------
     OptionError
-        If a file stands where a folder is needed, the folder is not writable, or the target
-        exists and cannot be replaced.
+        If ``worst`` has another ending, a file stands where a folder is needed, the folder is not
+        writable, or the target exists and cannot be replaced.
     """
     if file is not None:
         check_output(file)
         if not is_stdout(file):
             _check_folder(Path(os.path.realpath(file)).parent, file)
+    if worst is not None and worst.suffix != ".toml" and not is_stdout(worst):
+        raise OptionError(
+            f"--worst {str(worst)!r}: the name of a machine file ends in .toml",
+            remedy=f"Write --worst {worst.name}.toml, or another such name.",
+        )
     if folder is not None:
         _check_folder(Path(os.path.realpath(folder)), folder)
         for stem, ending in product(_STEMS, ("html", "pdf")):

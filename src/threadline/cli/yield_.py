@@ -314,7 +314,7 @@ def _check_files(
     for one in (worst, output):
         keep_inputs(one, *inputs, resume)
     keep_inputs(resume, *inputs)
-    check_outputs(file=worst, folder=report)
+    check_outputs(file=worst, folder=report, worst=worst)
     check_outputs(file=resume)
     check_outputs(file=output)
     for name, one in ("--worst", worst), ("--output", output):

@@ -104,7 +104,7 @@ def write_firmware_program(
             if override is not None:
                 told, as_run_s = _written_once(replace(planned, own_feeds=True), file, programmed)
                 told += "; F is that of the job, since the planned speeds as F would be slower"
-            refuse_slower(target, job, as_run_s)
+            refuse_slower(target, job, as_run_s, override)
     return replace(written(path, (f"{path.name}: {told}",)), as_run_s=as_run_s)
 
 
@@ -123,7 +123,7 @@ def _written_once(
     if as_run_s is not None:
         planned_by = (
             f"{as_run_s[1]:.4g} s as the planner of {BOARDS[target].planner} runs it, which takes "
-            f"{as_run_s[0]:.4g} s over {chords.job.name} as it stands"
+            f"{as_run_s[0]:.4g} s over {_as_fed(chords.job, chords.override)}"
         )
     rate = _rate_words(target, Path(file.name), again, machine)
     planned_s = chords.trajectory.duration_s
@@ -134,8 +134,17 @@ def _is_slower(as_run_s: tuple[float, float] | None) -> bool:
     return as_run_s is not None and as_run_s[1] > as_run_s[0] * (1.0 + _NO_SLOWER)
 
 
-def refuse_slower(target: str, job: Job, as_run_s: tuple[float, float] | None) -> None:
+def _as_fed(job: Job, override: float | None) -> str:
+    """Return the job in words, with the feed for which its time is meant."""
+    return f"{job.name} as it stands" if override == 1.0 else f"{job.name} at the same feed"
+
+
+def refuse_slower(
+    target: str, job: Job, as_run_s: tuple[float, float] | None, override: float | None = 1.0
+) -> None:
     """Refuse a program for which the firmware's planner takes longer than for the job.
+
+    ``override`` is the factor on the feeds of the job, None if another feed replaces them.
 
     Raises
     ------
@@ -146,7 +155,7 @@ def refuse_slower(target: str, job: Job, as_run_s: tuple[float, float] | None) -
         return
     raise PlanError(
         f"the program for {target} would be slower: the planner of the firmware takes "
-        f"{as_run_s[1]:.5g} s over it, and {as_run_s[0]:.5g} s over {job.name} as it stands",
+        f"{as_run_s[1]:.5g} s over it, and {as_run_s[0]:.5g} s over {_as_fed(job, override)}",
         remedy=f"Run {job.name} itself, or give another --interpolation, a wider --tolerance or a "
         "higher --feed; --slower writes it all the same.",
     )

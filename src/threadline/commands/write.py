@@ -149,7 +149,7 @@ def _of_firmware(name: str) -> Target:
         # With a share of the limits the user asked for the planned speeds, so they stay.
         gentle = not plan.limits_in_full
         file = write_one(plan, path, slower=gentle)
-        refuse_slower(name, plan.job, file.as_run_s)
+        refuse_slower(name, plan.job, file.as_run_s, plan.feed_override)
         return [file]
 
     return Target(

@@ -178,6 +178,7 @@ FORMATS: tuple[Format, ...] = (
             ".ngc",
             ".gcode",
             ".gco",
+            ".gc",
             ".g",
             ".cnc",
             ".tap",

@@ -84,7 +84,9 @@ def host_and_port(address: str) -> tuple[str, int]:
     host, _, port = address.rpartition(":")
     host = bare(host)
     wrong = ""
-    if not is_host(host):
+    if ":" not in address:
+        wrong = "there is no colon between host and port"
+    elif not is_host(host):
         wrong = f"{host[:60]!r} is not a host"
     elif not (port.isascii() and port.isdecimal() and len(port) <= _DIGITS):
         wrong = f"{port[:20]!r} is not a port"

@@ -126,7 +126,9 @@ def _asked(port: Port, heard: list[str]) -> ControllerSettings | None:
                 f"the controller is in the state {match[1]}: it lists its settings at rest alone",
                 remedy="Wait until it stands, and ask again.",
             )
-    port.send(b"\n$I\n")
+    port.send(b"\n")  # ends what "?" began; grbl answers an empty line with ok, too
+    _lines_until(port, SILENCE_S, _NEVER)
+    port.send(b"$I\n")
     lines = [line.strip() for line in _answer(port)]
     version = next((line for line in lines if line.startswith("[VER:")), "")
     if version:

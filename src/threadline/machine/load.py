@@ -34,7 +34,7 @@ from threadline.machine.numbers import (
 )
 from threadline.machine.parts import switches_in_the_way
 from threadline.machine.pneumatics import switch_faults
-from threadline.machine.tool import EYE_PARTS
+from threadline.machine.tool import EYE_BODY, EYE_PARTS
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
 """Pydantic's types of error for a missing key."""
@@ -389,9 +389,8 @@ def _check_name(name: str) -> None:
     known = library_names()
     if name not in known:
         hint = nearest(name, known, "The library has")
-        raise MachineError(
-            f"no machine {name[:80]!r} in the library", remedy=f"{hint} A file ends in .toml."
-        )
+        made = "A file ends in .toml; threadline new makes one from a controller's settings."
+        raise MachineError(f"no machine {name[:80]!r} in the library", remedy=f"{hint} {made}")
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
@@ -415,7 +414,8 @@ def _without_lost_eye(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
     named = {part.get("axis") for part in map(tool.get, EYE_PARTS) if isinstance(part, dict)}
     if not any(value == "none" and name in named for name, value in axes.items()):
         return below
-    kept = {key: value for key, value in tool.items() if key not in (*EYE_PARTS, "kind", "payout")}
+    of_eye = (*EYE_PARTS, *EYE_BODY, "kind")
+    kept = {key: value for key, value in tool.items() if key not in of_eye}
     return below | {"tool": kept}
 
 

@@ -49,9 +49,55 @@ class Payout:
     """Distance upwards."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Roller:
+    """The roller over which the fibre leaves the eye, in the middle of the roller.
+
+    The point where it leaves moves round the roller with the direction of the fibre.
+    """
+
+    radius: Annotated[Quantity, Units(("m",))]
+    """Radius of the roller; 0 is a plain eye."""
+    axis: Literal["along", "up"]
+    """Direction of its axis at yaw and roll 0."""
+    side: Literal["+", "-"] = "+"
+    """Side on which the fibre passes: ``+`` is up for an axis along the mandrel, and along the
+    mandrel for an upright axis."""
+
+    @model_validator(mode="after")
+    def _no_hole(self) -> Roller:
+        if self.radius.si < 0.0:
+            raise ValueError("radius of the roller must be 0, a plain eye, or above")
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Arm:
+    """The arm of an eye: a round rod that goes across, away from the mandrel."""
+
+    radius: Annotated[Quantity, Units(("m",), positive=True)]
+    """Radius of the rod."""
+    length: Annotated[Quantity, Units(("m",), positive=True)]
+    """Length of the rod from the pay-out point."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class EndStop:
+    """Chuck or tailstock: a cylinder about the axis, outwards from its face."""
+
+    at: Annotated[Quantity, Units(("m",))]
+    """Place of the face towards the mandrel, along the machine."""
+    radius: Annotated[Quantity, Units(("m",), positive=True)]
+    """Radius of the cylinder."""
+    length: Annotated[Quantity, Units(("m",), positive=True)]
+    """Length of the cylinder."""
+
+
 _TURNS = ("turn", "yaw", "roll")
 EYE_PARTS = ("turn", "along", "across", "up", "yaw", "roll")
 """Coordinates of an eye, in the order of all arrays."""
+EYE_BODY = ("payout", "roller", "body", "arm", "chuck", "tailstock")
+"""Keys of an eye that name no axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -79,13 +125,23 @@ class Tool:
     roll: EyeAxis | None = None
     """The axis that turns the eye about the direction across, from up to along. Without it: 0."""
     payout: Payout | None = None
-    """Point where the fibre leaves the eye, from its carrier at yaw and roll 0. Without it: the
-    carrier."""
+    """Point where the fibre leaves the eye, or the centre of its roller, from the carrier at yaw
+    and roll 0. Without it: the carrier."""
+    roller: Roller | None = None
+    """The roller over which the fibre leaves the eye. Without it: a plain eye."""
+    body: Annotated[Quantity, Units(("m",), positive=True)] | None = None
+    """Radius of the eye about its pay-out point. Without it: the roller's."""
+    arm: Arm | None = None
+    """The arm that holds the eye. Without it: none."""
+    chuck: EndStop | None = None
+    """What turns the mandrel's shaft, on the left. Without it: none."""
+    tailstock: EndStop | None = None
+    """What holds the shaft on the right. Without it: none."""
 
     @model_validator(mode="after")
     def _of_its_kind(self) -> Tool:
         if self.kind == "radius":
-            for name in (*EYE_PARTS, "payout"):
+            for name in (*EYE_PARTS, *EYE_BODY):
                 if getattr(self, name) is not None:
                     raise ValueError(f'{name} belongs to an eye: write kind = "eye", or remove it')
             return self
@@ -110,6 +166,31 @@ class Tool:
         """Pay-out point along, across and up from the eye's carrier."""
         point = self.payout
         return (0.0, 0.0, 0.0) if point is None else (point.along.si, point.across.si, point.up.si)
+
+    @property
+    def roller_m(self) -> tuple[float, float, float, float]:
+        """Axis of the roller along, across and up, and its radius, m.
+
+        The radius is negative where the fibre passes on the minus side, and 0 for a plain eye.
+        """
+        roller = self.roller
+        if roller is None:
+            return 1.0, 0.0, 0.0, 0.0
+        # Axis x across is up for an axis along the mandrel, and against along for an upright one.
+        plus = (roller.side == "+") == (roller.axis == "along")
+        size = roller.radius.si if plus else -roller.radius.si
+        return (1.0, 0.0, 0.0, size) if roller.axis == "along" else (0.0, 0.0, 1.0, size)
+
+    @property
+    def body_m(self) -> float:
+        """Radius of the eye about its pay-out point, at least the radius of its roller."""
+        own = 0.0 if self.body is None else self.body.si
+        return max(own, abs(self.roller_m[3]))
+
+    @property
+    def arm_m(self) -> tuple[float, float]:
+        """Radius and length of the arm; 0 without one."""
+        return (0.0, 0.0) if self.arm is None else (self.arm.radius.si, self.arm.length.si)
 
 
 def eye_within(tool: Tool | None, axes: Iterable[str]) -> Tool | None:

@@ -92,6 +92,8 @@ class Document:
         Versions, hashes and options, with which the report can be made again.
     warnings
         Warnings about the inputs and the results.
+    beside
+        Files beside the figures, by the name of a figure with an ending.
     """
 
     title: str
@@ -102,6 +104,7 @@ class Document:
     captions: Mapping[str, str]
     facts: Sequence[tuple[str, str]]
     warnings: Sequence[str] = field(default_factory=tuple)
+    beside: Mapping[str, bytes] = field(default_factory=dict)
 
     def shown(self) -> Document:
         """Return the document with control characters escaped; its figures are changed in place.

@@ -54,7 +54,8 @@ def write_motion(studied: Studied, folder: Path) -> Path:
         seam = seam_figure(proof, sewn_run.recording)
         if seam is not None:
             figures = {"seam": seam, **figures}
-        figures = {**winding_figures(proof), **figures}
+        wound, beside = winding_figures(proof)
+        figures = {**wound, **figures}
         thinned = "" if traces.stride == 1 else thinned_words(traces.stride)
         thinned += traces.run.words(proof)
         document = Document(
@@ -82,6 +83,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
                 ),
             ],
             figures=figures,
+            beside=beside,
             captions={
                 name: _caption(name, known=bool(traces.actual))
                 + (sewn_run.words(proof) if name == "seam" else thinned)

@@ -50,6 +50,8 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
                         f"{alone}.png", dpi=_PNG_DPI, metadata={"Software": None},
                         bbox_inches=area, pil_kwargs=_PNG,
                     )  # fmt: skip
+            for name, content in document.beside.items():
+                Path(f"{temporary / stem}-{name}").write_bytes(content)
             page = temporary / f"{stem}.html"
             page.write_text(html_page(document, svgs), encoding="utf-8")
             write_pdf(document, temporary / f"{stem}.pdf")
@@ -72,7 +74,7 @@ def _figure_files(folder: Path, stem: str) -> set[str]:
     except (OSError, ValueError):
         return set()
     names = re.findall(r'<figure id="([A-Za-z0-9_-]+)">', page)
-    files = {f"{stem}-{name}.{ending}" for name in names for ending in ("svg", "png")}
+    files = {f"{stem}-{name}.{ending}" for name in names for ending in ("svg", "png", "glb")}
     return {name for name in files if (folder / name).is_file()}
 
 

@@ -7,21 +7,27 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.files import ChannelKind
 from threadline.proof.pipeline import Proof
+from threadline.report.solid import wound_glb
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, WORST
+from threadline.verdict.fibre import middle_of
 from threadline.verdict.replayed import Wound, WoundJob, least_friction, planned_fibre, wound_job
 from threadline.verdict.types import Status
 from threadline.winding.raster import Raster
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
 _BINS = 200  # places along the mandrel
 _MOST_COLUMNS = 700  # of the map
+_SHOWN = (1, 5)  # circuits after which the pattern is drawn, besides all
+_MOST_OF_IT = 0.85  # share of the mandrel whose bands have different shades
 _MOST_DRAWN = 4000  # points of the centre line of the last fibre
 _OF_FIBRE = ("slip_tendency", "bridging", "lifting", "laid_error", "coverage_gap")
 _LOADS = (ChannelKind.TOOL, ChannelKind.LOAD)
@@ -40,31 +46,58 @@ class _Laid:
     of_run: bool
 
 
-def winding_figures(proof: Proof) -> dict[str, Figure]:
-    """Return the figures of a proof with a product; none without one."""
+def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes]]:
+    """Return the figures of a proof with a product, and files beside them; none without one."""
     job = wound_job(proof.plan)
     if job is None:
-        return {}
+        return {}, {}
     laid = _laid(proof, job)
     if not (laid.known > 0.0).any():
-        return {}
+        return {}, {}
     surface = job.surface
     ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
     raster = Raster(surface, job.width_m, float(ends[0]), float(ends[1]))
-    raster.lay(laid.u, laid.angle, laid.winding, laid.known > 0.0, laid.operation)
-    return {
+    shown, circuits, last = [], _circuits(job, laid), 0
+    for row in [*(circuits[n] for n in _SHOWN if n < len(circuits)), len(laid.u)]:
+        part = slice(last, row)
+        raster.lay(
+            laid.u[part], laid.angle[part], laid.winding[part], laid.known[part] > 0.0,
+            laid.operation[part],
+        )  # fmt: skip
+        shown.append(_thinned(raster))
+        last = row
+    figures = {
         "winding-map": _map(proof, job, laid, raster),
         "winding-along": _along(job, laid, raster),
     }
+    if len(circuits) > 1:
+        numbers = [n for n in _SHOWN if n < len(circuits)]
+        figures["winding-pattern"] = _pattern(job, raster, shown, [*numbers, len(circuits)])
+    fibre = np.column_stack([laid.u, laid.angle, laid.winding])
+    fibre[laid.known == 0.0] = np.nan
+    # The steering of a block stands at its end.
+    ends_of = np.isfinite(laid.steer)
+    steer = np.append(np.abs(laid.steer[ends_of]), 0.0)
+    of_row = np.concatenate([[0], np.cumsum(ends_of)[:-1]])
+    slips = steer[of_row] > least_friction(job.product)
+    name = f"{proof.plan.job.name} on {job.product.name}"
+    return figures, {"winding-map.glb": wound_glb(surface, job.width_m, fibre, slips, name)}
 
 
 def winding_caption(name: str) -> str:
     """Return the caption of a figure of ``winding_figures``."""
+    if name == "winding-pattern":
+        return (
+            "The pattern as it grows: the unrolled mandrel after the first circuits and after all. "
+            "A circuit begins where the fibre crosses the middle of the widest place from left to "
+            "right."
+        )
     if name == "winding-map":
         return (
             "The unrolled mandrel: the darker, the more bands lie on each other; white is bare. "
             "The line is the middle of the last fibre, the marks are the worst places with their "
-            "program lines. Fibre whose place is not known is not drawn."
+            "program lines. Fibre whose place is not known is not drawn. report-winding-map.glb "
+            "shows the same in space: each node is a twentieth of what is wound."
         )
     return (
         "Along the mandrel: the largest steering of the fibre, mean of a block, against the lower "
@@ -119,6 +152,52 @@ def _of_run(proof: Proof, job: WoundJob) -> Wound | None:
     return Wound(np.full(len(of), np.nan), of, np.column_stack(columns[1:]), [fibre], [eyes])
 
 
+def _circuits(job: WoundJob, laid: _Laid) -> list[int]:
+    """Return the rows at which circuits begin: where the fibre crosses the middle rightwards."""
+    middle = middle_of(job.surface)
+    beside = np.where(laid.known > 0.0, laid.u - middle, np.nan)
+    return [int(row) + 1 for row in np.flatnonzero((beside[:-1] < 0.0) & (beside[1:] >= 0.0))]
+
+
+def _thinned(raster: Raster) -> NDArray[np.uint16]:
+    """Return the number of bands, round by along, with at most as many cells as are seen."""
+    steps = [max(size // _MOST_COLUMNS, 1) for size in raster.count.shape]
+    return raster.count[:: steps[0], :: steps[1]].T.copy()
+
+
+def _shade(panel: Axes, job: WoundJob, raster: Raster, count: NDArray[np.uint16]) -> QuadMesh:
+    """Draw a map: the shades are for what lies on most of the mandrel, not for its poles."""
+    x = 1e3 * job.surface.at(raster.places)[0][:, 0]
+    most = max(2.0 * float(np.quantile(count, _MOST_OF_IT)), 4.0)
+    panel.set_ylim(0.0, 360.0)
+    panel.set_yticks(range(0, 361, 60))
+    panel.set_xlabel("along the mandrel, mm")
+    return panel.pcolormesh(
+        x[:: max(len(x) // _MOST_COLUMNS, 1)],
+        np.linspace(0.0, 360.0, len(count)),
+        count,
+        cmap="Greys",
+        vmin=0,
+        vmax=most,
+        shading="nearest",
+        rasterized=True,
+    )
+
+
+def _pattern(
+    job: WoundJob, raster: Raster, shown: Sequence[NDArray[np.uint16]], circuits: Sequence[int]
+) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 3.2))
+    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    for panel, count, number in zip(panels, shown, circuits, strict=True):
+        _shade(panel, job, raster, count)
+        panel.set_title("After 1 circuit" if number == 1 else f"After {number} circuits")
+    panels[0].set_ylabel("round it, deg")
+    return figure
+
+
 def _map(proof: Proof, job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
@@ -126,19 +205,8 @@ def _map(proof: Proof, job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
     figure = Figure(figsize=(7.2, 4.6))
     panel = figure.subplots()
     x = 1e3 * job.surface.at(raster.places)[0][:, 0]
-    count = raster.count.T[:: max(raster.count.shape[1] // _MOST_COLUMNS, 1)]
-    thin = max(count.shape[1] // _MOST_COLUMNS, 1)
-    shown = panel.pcolormesh(
-        x[::thin],
-        np.linspace(0.0, 360.0, len(count)),
-        count[:, ::thin],
-        cmap="Greys",
-        vmin=0,
-        vmax=max(2.0 * float(count.max()), 4.0),
-        shading="nearest",
-        rasterized=True,
-    )
-    bar = figure.colorbar(shown, ax=panel, label="bands on each other")
+    shown = _shade(panel, job, raster, _thinned(raster))
+    bar = figure.colorbar(shown, ax=panel, label="bands on each other", extend="max")
     bar.locator = MaxNLocator(integer=True)
     bar.update_ticks()
     known = np.flatnonzero(laid.known > 0.0)[-_MOST_DRAWN:]
@@ -149,9 +217,6 @@ def _map(proof: Proof, job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
     panel.plot(line_x, line_a, **ACTUAL)
     _mark(proof, job, laid, panel)
     panel.set_xlim(float(x[0]), float(x[-1]))
-    panel.set_ylim(0.0, 360.0)
-    panel.set_yticks(range(0, 361, 60))
-    panel.set_xlabel("along the mandrel, mm")
     panel.set_ylabel("round it, deg")
     panel.set_title(f"The unrolled mandrel, {'as wound' if laid.of_run else 'as planned'}")
     return figure
@@ -177,6 +242,7 @@ def _mark(proof: Proof, job: WoundJob, laid: _Laid, panel: Axes) -> None:
             textcoords="offset points",
             xytext=(6, 6),
             fontsize=7,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         )
         marked = True
 

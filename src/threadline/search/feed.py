@@ -55,15 +55,17 @@ def search_range(job: Job, machine: Machine, by: FeedMode) -> tuple[float, float
     """Return the useful feed range of a search, in the unit of ``by``.
 
     The range is the result of ``feed_range_m_s``, except for an override. The highest override
-    brings the fastest programmed moves to their axes' limits, and is at least 1: beyond it only
-    slower moves get faster, and the ratios are lost. At the lowest override these moves make one
-    count per tick.
+    brings the fastest of the moves that are free to their axes' limits, and is at least 1: beyond
+    it only slower moves get faster, and the ratios are lost. A move is free unless an axis is at
+    its limit at the programmed feed, as the slow Z of a lift is. Where no free move reaches the
+    feed of the fastest others, the override is 1. At the lowest override the fastest moves of all
+    make one count per tick.
     """
     if by is not FeedMode.OVERRIDE:
         return feed_range_m_s(machine, by, job.feed_rule)
     column = [machine.axis_names.index(axis) for axis in job.axes]
     radius, velocity = machine.radius_m[column], machine.velocity_limit[column]
-    fastest_m_s, faster = 0.0, 1.0
+    fastest_m_s, free_m_s, faster = 0.0, 0.0, 1.0
     last = np.array(job.start)
     for block in programmed_path(job, machine):
         way = np.abs(np.diff(block.positions, axis=0, prepend=last[None]))
@@ -74,11 +76,16 @@ def search_range(job: Job, machine: Machine, by: FeedMode) -> tuple[float, float
         nominal_s = block.nominal_s[fed]
         speeds = (way[fed] * radius).max(axis=1) / nominal_s
         shares = nominal_s / (way[fed] / velocity).max(axis=1)
-        top = float(speeds.max())
-        if top > fastest_m_s * (1.0 + _SAME):
-            fastest_m_s, faster = top, 1.0
-        same = speeds >= fastest_m_s * (1.0 - _SAME)
+        fastest_m_s = max(fastest_m_s, float(speeds.max()))
+        free = shares > 1.0 + _SAME
+        speeds, shares = speeds[free], shares[free]
+        top = float(speeds.max(initial=0.0))
+        if top > free_m_s * (1.0 + _SAME):
+            free_m_s, faster = top, 1.0
+        same = speeds >= free_m_s * (1.0 - _SAME)
         faster = max(faster, float(shares[same].max(initial=1.0)))
+    if free_m_s * faster < fastest_m_s * (1.0 - _SAME):
+        faster = 1.0
     least_m_s = feed_range_m_s(machine)[0]
     if not fastest_m_s:
         return 0.01, 1.0

@@ -160,20 +160,22 @@ def measure_path_use(plan: Plan) -> dict[str, list[Finding]]:
     return {PATH_USE: [worst]}
 
 
-NAME = "needle_use"
+NEEDLE_USE = "needle_use"
 
 
 def with_needle(spec: Spec, job: Job) -> Spec:
     """Return the specification with the needle limit of a seam that sets one.
 
-    The limit comes from the seam file, as axis limits come from the machine: no specification
-    widens it.
+    The limit comes from the seam file, as axis limits come from the machine: a specification may
+    lower it, but does not raise it.
     """
     if not np.isfinite(job.along_m_s2):
         return spec
-    others = tuple(c for c in spec.criteria if c.name != NAME)
+    own = [c.limit for c in spec.criteria if c.name == NEEDLE_USE and c.limit is not None]
+    limit = min(1.0, *own) if own else 1.0
+    others = tuple(c for c in spec.criteria if c.name != NEEDLE_USE)
     return replace(
-        spec, criteria=(*others, Criterion(name=NAME, limit=1.0, required=True, hard=True))
+        spec, criteria=(*others, Criterion(name=NEEDLE_USE, limit=limit, required=True, hard=True))
     )
 
 
@@ -184,7 +186,7 @@ def measure_needle_use(plan: Plan) -> dict[str, list[Finding]]:
     the next. Beside a rest of the head it changes to or from zero at that end of the turn.
     """
     if not has_stitches(plan.job):
-        return {NAME: [Finding(value=None, note="the job has no stitches")]}
+        return {NEEDLE_USE: [Finding(value=None, note="the job has no stitches")]}
     worst = Finding(value=None, note="no seam sets the acceleration of a needle that follows")
     before = (0.0, 0.0)  # speed of the last turn, and half its duration
     for run in planned_stitches(plan):
@@ -200,7 +202,7 @@ def measure_needle_use(plan: Plan) -> dict[str, list[Finding]]:
                 operation=int(run.operation[k]),
                 job_line=int(run.line[k]),
             )
-    return {NAME: [worst]}
+    return {NEEDLE_USE: [worst]}
 
 
 def _shares(run: Stitches, before: tuple[float, float]) -> tuple[FloatArray, tuple[float, float]]:

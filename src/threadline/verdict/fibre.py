@@ -3,54 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.base.compiled import njit
 from threadline.commands.plan import Plan
 from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.laid_error import Apart
 from threadline.verdict.measure import Measure
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
     least_friction,
     planned_fibre,
-    programmed_fibre,
     shared_replays,
     wound_job,
 )
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.types import Criterion
+from threadline.winding.clearance import Clearance
+from threadline.winding.fit import Witness, turn_error
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
 from threadline.winding.product import Product
 from threadline.winding.raster import Raster
-from threadline.winding.replay import Fibre
 from threadline.winding.surface import Surface
 
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
-_NEVER = (
-    "the fibre is never known: nothing is laid on this mandrel for five free lengths in a row; is "
-    "it the mandrel of this program?"
-)
-_NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
-_LOST_M = 0.1  # the same after a part that is not known
-_SELDOM = 32  # samples between two at which the distance of a far eye is searched
-_CLOSE_M = 1e-4  # more than half a step of the outline and than any rounding
-_OUTLINE = 8193  # places of the meridian for the distance of the eye
+_NEVER = "the fibre is never known"
+_FEW = 0.01  # share of the laid fibre; less than this may lie anywhere
+_OUTLINE = 8193  # places of the meridian among which the widest is searched
 
 
 Values = Callable[[Wound, int], FloatArray]
 """Returns (n,) values of a run, NaN where there is none."""
+Note = Callable[[Wound, int, int], str]
+"""Says something of the value of a run at a sample."""
 
 
 class _Largest:
     """The largest value of each run."""
 
-    def __init__(
-        self, runs: int, axes: int, values: Values, note: Callable[[Fibre, int], str] | None = None
-    ) -> None:
+    def __init__(self, runs: int, axes: int, values: Values, note: Note | None = None) -> None:
         self._worst = Worst(runs, axes, note=_NEVER)
         self._values, self._note = values, note
 
@@ -64,8 +58,8 @@ class _Largest:
         if not self._worst.is_beaten(most):
             return
         notes = [
-            "" if self._note is None else self._note(fibre, int(row))
-            for fibre, row in zip(samples.fibres, at, strict=True)
+            "" if self._note is None else self._note(samples, run, int(row))
+            for run, row in enumerate(at)
         ]
         self._worst.offer(
             np.where(np.isneginf(most), np.nan, most),
@@ -125,10 +119,15 @@ class _OfRun:
 
     def feed(self, block: Block) -> None:
         """Take the next samples."""
-        self._taking.take(self._shared.samples(block))
+        samples = self._shared.samples(block)
+        if len(samples.time_s):
+            self._taking.take(samples)
 
     def finish(self) -> Sequence[Found]:
         """Return the worst of each run."""
+        rest = self._shared.rest()
+        if rest is not None:
+            self._taking.take(rest)
         return [self._taking.found()]
 
 
@@ -151,8 +150,9 @@ def _steer(samples: Wound, run: int) -> FloatArray:
     return np.where(fibre.known, np.abs(fibre.steer), np.nan)
 
 
-def _wobble(fibre: Fibre, at: int) -> str:
+def _wobble(samples: Wound, run: int, at: int) -> str:
     """Say how far the steering wobbles in a block, and which step would halve it."""
+    fibre = samples.fibres[run]
     low, high = float(fibre.least[at]), float(fibre.most[at])
     if not np.isfinite(high - low) or high - low < 1e-3:
         return ""
@@ -189,126 +189,25 @@ def _paid_out(samples: Wound, run: int) -> FloatArray:
 
 
 class Near:
-    """How far the eye comes nearer to the mandrel than the product allows."""
+    """How far eye, arm and free fibre come nearer to what turns than the product allows."""
 
     def __init__(self, jobs: Sequence[WoundJob]) -> None:
-        # Imported only here: few jobs have a product, and the library takes long to load.
-        from scipy.spatial import cKDTree
-
-        self._trees, self._outlines, self._wanted = [], [], []
-        for job in jobs:
-            surface = job.surface
-            x, r = surface.at(np.linspace(0.0, surface.length_m, _OUTLINE))
-            self._outlines.append((x[:, 0], r[:, 0]))
-            self._trees.append(cKDTree(np.column_stack([x[:, 0], r[:, 0]])))
-            self._wanted.append(job.product.clearance or 0.0)
+        self._runs = [
+            Clearance(
+                job.surface, job.rings, job.tool, job.product.clearance or 0.0,
+                job.width_m * (job.product.thickness or 0.0), job.width_m,
+            )
+            for job in jobs
+        ]  # fmt: skip
 
     def __call__(self, samples: Wound, run: int) -> FloatArray:
-        """Return (n,) lengths, m, by which the eye of a run is too near."""
-        eyes, (x, r) = samples.eyes[run], self._outlines[run]
-        place = np.column_stack([eyes[:, 1], np.hypot(eyes[:, 2], eyes[:, 3])])
-        inside = (place[:, 0] > x[0]) & (place[:, 0] < x[-1])
-        inside &= place[:, 1] < np.interp(place[:, 0], x, r)
-        distance = self._distances(place, inside, run)
-        signed = np.where(inside, -distance, distance)
-        return np.asarray(np.maximum(self._wanted[run] - signed, 0.0))
+        """Return (n,) lengths, m, by which a run is too near; 0 where it was nearer before."""
+        return self._runs[run].feed(samples.eyes[run], samples.fibres[run])
 
-    def _distances(self, place: FloatArray, inside: NDArray[np.bool_], run: int) -> FloatArray:
-        """Return (n,) distances to the surface; infinite where it is surely further than wanted.
-
-        The distance changes by no more than the eye moves, so most samples need no search.
-        """
-        moved = np.hypot(*np.diff(place, axis=0, prepend=place[:1]).T).cumsum()
-        tree, seldom = self._trees[run], np.arange(0, len(place), _SELDOM)
-        group = np.arange(len(place)) // _SELDOM
-        least = np.asarray(tree.query(place[seldom])[0])[group] - (moved - moved[seldom][group])
-        near = inside | (least <= self._wanted[run] + _CLOSE_M)
-        distance = np.full(len(place), np.inf)
-        distance[near] = tree.query(place[near])[0]
-        return distance
-
-
-@njit(nogil=True)
-def _off_design(points: FloatArray, design: FloatArray, state: FloatArray) -> FloatArray:
-    """Return (n,) distances of points to the designed fibre; NaN where one of them is not known.
-
-    Both are (n, 4), place and laid length in m, and NaN for a place that is not known; lengths do
-    not fall. ``state`` is updated: how much more the design had laid at the point before, and how
-    far beside that length the design is searched.
-    """
-    found = np.full(len(points), np.nan)
-    last = len(design) - 2
-    for i in range(len(points)):
-        if np.isnan(points[i, 0]):
-            state[1] = _LOST_M
-            continue
-        length = points[i, 3] + state[0]
-        low = max(np.searchsorted(design[:, 3], length - state[1]) - 1, 0)
-        high = min(np.searchsorted(design[:, 3], length + state[1]), last)
-        best, near, at = np.inf, -1, 0.0
-        for k in range(low, high + 1):
-            if np.isnan(design[k, 0]) or np.isnan(design[k + 1, 0]):
-                continue
-            span, along = 0.0, 0.0
-            for j in range(3):
-                d = design[k + 1, j] - design[k, j]
-                span += d * d
-                along += d * (points[i, j] - design[k, j])
-            share = min(max(along / span, 0.0), 1.0) if span > 0.0 else 0.0
-            away = 0.0
-            for j in range(3):
-                d = points[i, j] - design[k, j] - share * (design[k + 1, j] - design[k, j])
-                away += d * d
-            if away < best:
-                best, near, at = away, k, share
-        # Before or behind a part of the design that is not known, it has no place beside the point.
-        before = near > 0 and at == 0.0 and np.isnan(design[near - 1, 0])
-        behind = 0 <= near < last and at == 1.0 and np.isnan(design[near + 2, 0])
-        if before or behind:
-            near = -1
-        if near < 0:
-            state[1] = _LOST_M
-            continue
-        found[i] = np.sqrt(best)
-        state[0] = design[near, 3] + at * (design[near + 1, 3] - design[near, 3]) - points[i, 3]
-        state[1] = _NEAR_M
-    return found
-
-
-def _points(surface: Surface, fibre: Fibre) -> FloatArray:
-    """Return (n, 4) places in the mandrel's frame and laid lengths; NaN for unknown places."""
-    u = np.where(fibre.known, fibre.u, 0.0)
-    x, r = (values[:, 0] for values in surface.at(u))
-    places = np.column_stack([x, r * np.cos(fibre.angle), r * np.sin(fibre.angle), fibre.length_m])
-    places[~fibre.known, :3] = np.nan
-    return places
-
-
-class _Apart:
-    """Distance between the laid fibre and the fibre of the program."""
-
-    def __init__(self, plan: Plan, jobs: Sequence[WoundJob]) -> None:
-        job = wound_job(plan)
-        assert job is not None
-        rows = [np.empty((0, 4))]
-        for samples in programmed_fibre(plan, job):
-            fibre = samples.fibres[0]
-            points = _points(job.surface, fibre)
-            # Of a part that is not known one row stays: no chord leads across it.
-            known = np.concatenate([[True], np.isfinite(points[:, 0])])
-            kept = (known[1:] | known[:-1]) & np.isfinite(fibre.length_m)
-            rows.append(points[kept])
-        self._design = np.vstack(rows)
-        self._design[:, 3] = np.maximum.accumulate(self._design[:, 3])
-        self._surfaces = [job.surface for job in jobs]
-        self._state = [np.array([0.0, _LOST_M]) for _ in jobs]
-
-    def __call__(self, samples: Wound, run: int) -> FloatArray:
-        fibre = samples.fibres[run]
-        if len(self._design) < 2:
-            return np.full(len(fibre), np.nan)
-        points = _points(self._surfaces[run], fibre)
-        return np.asarray(_off_design(points, self._design, self._state[run]))
+    def words(self, run: int, at: int) -> str:
+        """Say what is too near at a sample of the latest block."""
+        one = self._runs[run]
+        return one.words(int(one.pair[at])) if one.too_near else ""
 
 
 class _Covering:
@@ -320,10 +219,16 @@ class _Covering:
         for job in jobs:
             begin, end = job.product.covered or (0.0, 0.0)
             self._rasters.append(Raster(job.surface, job.width_m, begin, end))
+        self._last = [np.nan for _ in jobs]
+        self._laid = np.zeros((len(jobs), 2))  # length in all, and of an unknown place, m
 
     def take(self, samples: Wound) -> None:
         """Lay the bands of the next samples."""
-        for raster, fibre in zip(self._rasters, samples.fibres, strict=True):
+        for run, (raster, fibre) in enumerate(zip(self._rasters, samples.fibres, strict=True)):
+            step = np.diff(fibre.length_m, prepend=self._last[run])
+            step = np.where(step > 0.0, step, 0.0)
+            self._laid[run] += step.sum(), step[~fibre.known].sum()
+            self._last[run] = fibre.length_m[-1] if len(fibre) else self._last[run]
             operation = samples.operation
             lines = np.zeros(len(fibre), dtype=np.int64) if operation is None else operation
             raster.lay(fibre.u, fibre.angle, fibre.winding, fibre.known, lines)
@@ -334,9 +239,25 @@ class _Covering:
         self._worst.offer(
             np.array([gap.width_m for gap in gaps]),
             operation=np.array([gap.operation for gap in gaps]),
-            note=np.array([gap.words for gap in gaps], dtype=object),
+            note=np.array(
+                [gap.words + self._unknown(run) for run, gap in enumerate(gaps)], dtype=object
+            ),
         )
         return self._worst.found()
+
+    def _unknown(self, run: int) -> str:
+        """Say how much of the fibre is missing on the raster because its place is not known."""
+        laid, unknown = self._laid[run]
+        if not unknown > _FEW * laid:
+            return ""
+        return f"; the place of {1e2 * unknown / laid:.2g} % of the laid fibre is not known"
+
+
+def middle_of(surface: Surface) -> float:
+    """Return the place u, m, in the middle of where a mandrel is widest."""
+    u = np.linspace(0.0, surface.length_m, _OUTLINE)
+    r = surface.at(u)[1][:, 0]
+    return float(np.median(u[r > r.max() * (1.0 - 1e-9)]))
 
 
 class Closing:
@@ -349,11 +270,10 @@ class Closing:
         self._worst = Worst(len(jobs), axes, note="fewer than two known circuits")
         self._width_m, self._radius_m, self._at_u = [], [], []
         for job in jobs:
-            u = np.linspace(0.0, job.surface.length_m, _OUTLINE)
-            r = job.surface.at(u)[1][:, 0]
+            at = middle_of(job.surface)
             self._width_m.append(job.width_m)
-            self._radius_m.append(float(r.max()))
-            self._at_u.append(float(np.median(u[r > r.max() * (1.0 - 1e-9)])))
+            self._radius_m.append(float(job.surface.at(np.array([at]))[1][0, 0]))
+            self._at_u.append(at)
         self._last = [np.full((1, 2), np.nan) for _ in jobs]
         # Angle, angle with the meridian and operation of each beginning.
         self._circuits: list[list[FloatArray]] = [[] for _ in jobs]
@@ -385,13 +305,14 @@ class Closing:
                 notes.append("")
                 continue
             off = 2.0 * rows[-1, 0] - rows[-2, 0] - rows[0, 0]
-            off = abs(float(np.arctan2(np.sin(off), np.cos(off))))
-            away = off * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
+            whole, off = off, float(np.arctan2(np.sin(off), np.cos(off)))
+            away = abs(off) * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
             values.append(away)
             operations.append(int(rows[-1, 2]))
+            bands = away / self._width_m[run]
             notes.append(
-                f"after {len(rows)} circuits the next would lie {away / self._width_m[run]:.2f} "
-                "bands beside the first"
+                f"after {len(rows)} circuits the next would lie {bands:.2f} bands beside the first"
+                + turn_error(off, whole, bands)
             )
         self._worst.offer(
             np.array(values),
@@ -401,7 +322,7 @@ class Closing:
         return self._worst.found()
 
 
-_OF_FIBRE: Mapping[str, tuple[Values, Callable[[Fibre, int], str] | None]] = {
+_OF_FIBRE: Mapping[str, tuple[Values, Note | None]] = {
     "slip_tendency": (_steer, _wobble),
     "bridging": (_bridged, None),
     "free_length": (_free, None),
@@ -426,9 +347,11 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
         if name == "pattern_closure":
             return _OfRun(setting, Closing(jobs, axes))
         if name == "clearance":
-            return _OfRun(setting, _Largest(runs, axes, Near(jobs)))
+            near = Near(jobs)
+            noted = _Largest(runs, axes, near, lambda _, run, at: near.words(run, at))
+            return _OfRun(setting, noted)
         if name == "laid_error":
-            return _OfRun(setting, _Largest(runs, axes, _Apart(plan, jobs)))
+            return _OfRun(setting, _Largest(runs, axes, Apart(plan, jobs)))
         if name == "lifting":
             return _OfRun(setting, _Lifted(runs, axes))
         values, note = _OF_FIBRE[name]
@@ -460,10 +383,23 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     taking["planned_pattern_closure"] = Closing([job], axes)
     if job.product.covered is not None:
         taking["planned_coverage_gap"] = _Covering([job], axes)
+    witness = Witness(job.surface)
     for samples in planned_fibre(plan, job):
+        witness.take(samples.eyes[0], samples.fibres[0])
         for one in taking.values():
             one.take(samples)
-    return {name: [one.found().worst()] for name, one in taking.items()}
+    found = {name: [one.found().worst()] for name, one in taking.items()}
+    slip = found["planned_slip_tendency"][0]
+    friction = least_friction(job.product)
+    note = ""
+    if slip.value is None:
+        note = f"{_NEVER}: {witness.reason()}"
+    elif slip.value > friction:
+        fit = witness.fit(job.tool, friction, job.product.tied)
+        note = "; ".join(text for text in (slip.note, fit) if text)
+    if note:
+        found["planned_slip_tendency"] = [replace(slip, note=note)]
+    return found
 
 
 _LEAST_M = 5e-5  # lifted or bridged: a tow is thicker

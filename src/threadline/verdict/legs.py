@@ -43,7 +43,9 @@ class Dip:
     stop, turn
         First and last instant at which the command stands, or its slowest instant.
     period_s
-        Turn of the needle there.
+        Turn of the needle where the stretch begins.
+    rise_period_s
+        Turn of the needle where the command has its speed again.
     rise
         When the command has its speed again; None until then.
     geared
@@ -57,6 +59,7 @@ class Dip:
     stop: Instant
     turn: Instant
     period_s: float
+    rise_period_s: float = np.nan
     rise: Instant | None = None
     geared: bool = False
     stopped: bool = False
@@ -155,9 +158,9 @@ class Past:
         Where no leg begins: when the command is slowest, and NaN.
         """
         assert self._rows is not None and dip.rise is not None
-        rows, turn_s, period_s = self._rows, dip.turn.due_s, dip.period_s
+        rows, turn_s, period_s = self._rows, dip.turn.due_s, dip.rise_period_s
         _, last = self._between(dip.begin_s, dip.rise.due_s)
-        corner = self._corner(dip, dip.rise.due_s)
+        corner = self._corner(dip, dip.rise.due_s, period_s)
         if corner is None:
             fresh = rows.first[: last + 1] & (rows.contour[: last + 1] == rows.contour[last])
             own = np.flatnonzero(fresh & (rows.due_s[: last + 1] >= dip.begin_s))
@@ -182,12 +185,16 @@ class Past:
         """
         assert self._rows is not None
         rows, stop_s, period_s = self._rows, dip.stop.due_s, dip.period_s
-        until_s = stop_s + TURNS * period_s if dip.rise is None else dip.rise.due_s
-        first, _ = self._between(dip.begin_s, until_s)
-        corner = self._corner(dip, until_s)
+        # A recording is read in parts: a rise beyond these turns may be known, or not yet.
+        until_s = stop_s + TURNS * period_s
+        if dip.rise is not None:
+            until_s = min(until_s, dip.rise.due_s)
+        first, last = self._between(dip.begin_s, until_s)
+        corner = self._corner(dip, until_s, period_s)
         end = len(rows)
         if corner is None:
-            if dip.least > STILL:
+            goes_on = rows.contour[last] == rows.contour[first]
+            if dip.least > STILL or (goes_on and rows.due_s[last] <= rows.down_s[last]):
                 return stop_s, np.nan
             own = np.flatnonzero(rows.contour == rows.contour[first])
             of_leg = own[rows.due_s[own] <= max(stop_s, float(rows.down_s[own[-1]]))]
@@ -203,13 +210,12 @@ class Past:
         back = rows.rows(np.arange(end - 1, first - 1, -1))
         return -_first_moved(replace(back, due_s=-back.due_s), acting), needle_s
 
-    def _corner(self, dip: Dip, until_s: float) -> _Corner | None:
+    def _corner(self, dip: Dip, until_s: float, beside_s: float) -> _Corner | None:
         """Return the corner of a dip, up to a turn of the needle beside it.
 
         While one axis stops and another starts, the speed may dip twice, with the corner between.
         """
         assert self._rows is not None
-        beside_s = dip.period_s
         return _corner(self._rows, *self._between(dip.begin_s - beside_s, until_s + beside_s))
 
     def _between(self, begin_s: float, end_s: float) -> tuple[int, int]:

@@ -15,12 +15,12 @@ from threadline.verdict.advance import start_progress
 from threadline.verdict.contour import start_contour
 from threadline.verdict.demands import (
     BRAKING,
+    NEEDLE_USE,
     PATH_USE,
     measure_braking,
     measure_needle_use,
     measure_path_use,
 )
-from threadline.verdict.demands import NAME as NEEDLE_USE
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.fibre import MEASURED, PLANNED, measure_planned, starter
 from threadline.verdict.finding import Finding

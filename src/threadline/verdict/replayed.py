@@ -12,7 +12,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.machine.tool import Tool
 from threadline.verdict.samples import Block, Setting
-from threadline.winding.product import Product, product_of_text
+from threadline.winding.product import Product, Ring, product_of_text
 from threadline.winding.replay import Fibre, Replay, eye_columns
 from threadline.winding.surface import Surface
 
@@ -44,10 +44,10 @@ class WoundJob:
 
     @property
     def _draws(self) -> FloatArray:
-        """(3,) of -1 to 1: errors of the radius, of the place and of the width of the band."""
+        """(5,) of -1 to 1: errors of radius, place, width of the band, slip and friction."""
         if self.number is None:
-            return np.zeros(3)
-        return np.random.default_rng((_DRAWS, self.number)).uniform(-1.0, 1.0, 3)
+            return np.zeros(5)
+        return np.random.default_rng((_DRAWS, self.number)).uniform(-1.0, 1.0, 5)
 
     @property
     def surface(self) -> Surface:
@@ -66,15 +66,39 @@ class WoundJob:
         """Width of the band."""
         return self.product.width.si + float(self._draws[2]) * self.product.width.tolerance
 
+    @property
+    def slip(self) -> float:
+        """Share by which the mandrel stays behind the axis that turns it."""
+        return self.product.slip.si + float(self._draws[3]) * self.product.slip.tolerance
+
+    @property
+    def friction(self) -> float:
+        """Friction beyond which the fibre's place is not known; its lower end if not drawn."""
+        if self.number is None:
+            return least_friction(self.product)
+        return self.product.friction.si + float(self._draws[4]) * self.product.friction.tolerance
+
+    @property
+    def rings(self) -> tuple[Ring, ...]:
+        """What else turns about the axis, from the mandrel's left end."""
+        found, tool = list(self.product.rings), self.tool
+        for name, stop, sign in (("chuck", tool.chuck, -1.0), ("tailstock", tool.tailstock, 1.0)):
+            if stop is not None:
+                face = stop.at.si - self.at_m
+                begin, end = sorted((face, face + sign * stop.length.si))
+                found.append(Ring(f"the {name}", begin, end, stop.radius.si))
+        return tuple(found)
+
     def eyes(self, positions: FloatArray) -> FloatArray:
         """Return (n, 6) coordinates of the eye from the mandrel's left end."""
         columns = eye_columns(self.tool, self.axes, positions)
+        columns[:, 0] *= 1.0 - self.slip
         columns[:, 1] -= self.at_m
         return columns
 
     def replay(self) -> Replay:
         """Return a replay that has read nothing."""
-        return Replay(self.surface, self.tool, least_friction(self.product), self.product.tied)
+        return Replay(self.surface, self.tool, self.friction, self.product.tied)
 
 
 def least_friction(product: Product) -> float:
@@ -101,8 +125,38 @@ class Wound:
     eyes: Sequence[FloatArray]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """Consecutive samples of parallel runs, before they are replayed."""
+
+    time_s: FloatArray
+    operation: IntArray | None
+    actual: FloatArray
+    eyes: Sequence[FloatArray]
+
+    def rows(self, part: slice) -> _Samples:
+        operation = None if self.operation is None else self.operation[part]
+        eyes = [one[part] for one in self.eyes]
+        return _Samples(self.time_s[part], operation, self.actual[part], eyes)
+
+    def joined(self, more: _Samples) -> _Samples:
+        operation = None
+        if self.operation is not None and more.operation is not None:
+            operation = np.concatenate([self.operation, more.operation])
+        return _Samples(
+            np.concatenate([self.time_s, more.time_s]),
+            operation,
+            np.vstack([self.actual, more.actual]),
+            [np.vstack(pair) for pair in zip(self.eyes, more.eyes, strict=True)],
+        )
+
+
 class SharedReplays:
-    """The replays of the parallel runs of a recording, which all measures of it share."""
+    """The replays of the parallel runs of a recording, which all measures of it share.
+
+    The last sample of a block waits for the next block, whose operation says whether more samples
+    are judged together with it: where a recording is cut into blocks changes nothing.
+    """
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
@@ -112,21 +166,42 @@ class SharedReplays:
         self._replays = [None if job is None else job.replay() for job in self.jobs]
         self._block: Block | None = None
         self._found: Wound | None = None
+        self._waiting: _Samples | None = None
+        self._rest: Wound | None = None
 
     def samples(self, block: Block) -> Wound:
         """Return the samples of a block; replayed once."""
         if block is self._block and self._found is not None:
             return self._found
         assert block.actual is not None
-        fibres, eyes = [], []
-        for run, (job, replay) in enumerate(zip(self.jobs, self._replays, strict=True)):
-            assert job is not None and replay is not None
+        eyes = []
+        for run, job in enumerate(self.jobs):
+            assert job is not None
             eyes.append(job.eyes(np.ascontiguousarray(block.actual[:, run])))
-            fibres.append(replay.feed(eyes[-1], block.operation))
         actual = block.actual[:, 0] if block.commanded is None else block.commanded
+        read = _Samples(block.time_s, block.operation, actual, eyes)
+        if self._waiting is not None:
+            read = self._waiting.joined(read)
+        behind = None
+        if read.operation is not None and len(read.time_s):
+            behind = int(read.operation[-1])
+            self._waiting, read = read.rows(slice(-1, None)), read.rows(slice(None, -1))
         self._block = block
-        self._found = Wound(block.time_s, block.operation, actual, fibres, eyes)
+        self._found = self._replayed(read, behind)
         return self._found
+
+    def rest(self) -> Wound | None:
+        """Return the sample that waits at the end of the recording; None if there is none."""
+        if self._waiting is not None:
+            self._rest, self._waiting = self._replayed(self._waiting, None), None
+        return self._rest
+
+    def _replayed(self, read: _Samples, behind: int | None) -> Wound:
+        fibres = []
+        for eyes, replay in zip(read.eyes, self._replays, strict=True):
+            assert replay is not None
+            fibres.append(replay.feed(eyes, read.operation, behind))
+        return Wound(read.time_s, read.operation, read.actual, fibres, read.eyes)
 
 
 _LATEST = local()

@@ -268,7 +268,7 @@ class _ToSpeed:
             if not low[part[0]]:
                 if dip is not None:
                     dip.rise = instant(int(at[part[0]]))
-                    dip.period_s = float(period_s[part[0]])
+                    dip.rise_period_s = float(period_s[part[0]])
                 continue
             speeds = meant[part]
             still = np.flatnonzero(speeds <= STILL)
@@ -296,7 +296,8 @@ class _ToSpeed:
         end_s = np.inf if final else self._past.end_s
         for k, dip in enumerate(self._dips):
             ended = dip.rise is not None or dip.least <= STILL
-            seen_s = (dip.rise or dip.stop).due_s + (TURNS + 2.0) * dip.period_s
+            turn_s = max(dip.period_s, dip.rise_period_s) if dip.rise else dip.period_s
+            seen_s = (dip.rise or dip.stop).due_s + (TURNS + 2.0) * turn_s
             if not dip.stopped and (final or (ended and end_s >= seen_s)):
                 self._stopped(dip)
             if dip.rise is None or dip.started or not dip.stopped:
@@ -338,7 +339,7 @@ class _ToSpeed:
             moved_s, note = needle_s + self._delay_s, _STARTS[2]
         for head, there in zip(self._heads, came, strict=True):
             if there is not None and not np.isnan(moved_s):
-                head.count(max(there[0] - moved_s, 0.0) / dip.period_s, there[1], note)
+                head.count(max(there[0] - moved_s, 0.0) / dip.rise_period_s, there[1], note)
 
 
 _STARTS = ("from where it is slowest", "from the first movement", "from the first needle-down")

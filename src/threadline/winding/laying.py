@@ -16,10 +16,12 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.winding.eye import ahead, centre
 from threadline.winding.surface import meridian
 
-LAID, LIFTED, BRIDGED, OFF, WAITING = range(5)
-"""States of a block: laid, unwound, over a hollow, off the end of the mandrel, nothing laid yet."""
+LAID, LIFTED, BRIDGED, OFF, WAITING, SUNK = range(6)
+"""States of a block: laid, unwound, over a hollow, off the end of the mandrel, nothing laid yet, no
+straight fibre from the eye to the mandrel: the eye is inside."""
 KNOWN_AFTER = 5.0
 """Free lengths after which a wrong start is forgotten: what is left of it is exp(-5), below 1 %."""
 _ROTATION = 0.08  # rad of a step
@@ -30,6 +32,8 @@ _SLACK_M = 5e-5  # unwound in one go: less is no lifting, as a tow is thicker
 _FLAT = 1e-6  # 1/m, the least normal curvature that a fibre lies on
 _WINDOW_M = 5e-4  # a block that lays less than this is judged with the blocks after it
 _ALONG = 48  # places along the free fibre where it is compared with the mandrel
+_ROUNDS = 8  # Newton steps to a tangent of mandrel and roller
+_TAUT = 0.02  # rad between the fibre and the tangent plane: a taut fibre is in it
 _TOUCH_M = 1e-6  # a free fibre that is this much below the surface touches it
 
 
@@ -41,7 +45,9 @@ class Tables(NamedTuple):
     nodes, x, r
         As ``Surface``.
     payout
-        (3,) pay-out point along, across and up from its carrier at yaw and roll 0, m.
+        (10,) along, across and up from the carrier at yaw and roll 0: the pay-out point or the
+        centre of the roller, m; the roller's axis; and, after the radius of the roller, m, the
+        direction across. The radius is negative where the fibre passes on the minus side.
     friction
         Coefficient of friction, above which the place of the fibre is not known.
     convex
@@ -68,33 +74,6 @@ class Laid(NamedTuple):
 
 
 @njit(nogil=True)
-def _eye(
-    q: FloatArray, v: FloatArray, payout: FloatArray
-) -> tuple[float, float, float, float, float, float]:
-    """Return place and velocity of the pay-out point along, across and up, on the machine.
-
-    ``q`` and ``v`` are turn, along, across, up, yaw and roll, and their rates.
-    """
-    along, across, up = q[1], q[2], q[3]
-    d_along, d_across, d_up = v[1], v[2], v[3]
-    if payout[0] != 0.0 or payout[1] != 0.0 or payout[2] != 0.0:
-        cos, sin = math.cos(q[5]), math.sin(q[5])
-        a = payout[0] * cos + payout[2] * sin
-        h = payout[2] * cos - payout[0] * sin
-        da, dh = h * v[5], -a * v[5]
-        cos, sin = math.cos(q[4]), math.sin(q[4])
-        a2 = a * cos - payout[1] * sin
-        c2 = a * sin + payout[1] * cos
-        along += a2
-        across += c2
-        up += h
-        d_along += da * cos - c2 * v[4]
-        d_across += da * sin + a2 * v[4]
-        d_up += dh
-    return along, across, up, d_along, d_across, d_up
-
-
-@njit(nogil=True)
 def _rates(
     u: float, theta: float, q: FloatArray, v: FloatArray, tables: Tables, hint: int, out: FloatArray
 ) -> int:
@@ -102,18 +81,13 @@ def _rates(
 
     ``out`` becomes: rates of u and of the angle, rate of laying, v . b, v . n, k_n, free length,
     cosine and sine of the fibre's angle with the meridian, distance of the eye behind the tangent
-    plane, radius, place along the axis, v . t, length along the meridian per u.
+    plane, radius, place along the axis, v . t, length along the meridian per u, angle of the fibre
+    on the roller.
     """
     hint, x, r, cb, sb, bend, speed = meridian(tables.nodes, tables.x, tables.r, u, hint)
-    along, across, up, d_along, d_across, d_up = _eye(q, v, tables.payout)
-    psi = theta + q[0]
-    cos, sin = math.cos(psi), math.sin(psi)
-    er, ec = across * cos + up * sin, up * cos - across * sin
-    vr = d_across * cos + d_up * sin + v[0] * ec
-    vc = d_up * cos - d_across * sin - v[0] * er
-    dx, dr = along - x, er - r
+    dx, dr, ec, vx, vr, vc, wrap = ahead(x, r, theta + q[0], q, v, tables.payout)
     dm, dn = dx * cb + dr * sb, dx * sb - dr * cb
-    vm, vn = d_along * cb + vr * sb, d_along * sb - vr * cb
+    vm, vn = vx * cb + vr * sb, vx * sb - vr * cb
     free = math.sqrt(dm * dm + ec * ec)
     ca, sa = dm / free, ec / free
     kn = bend * ca * ca + cb / r * sa * sa
@@ -132,6 +106,7 @@ def _rates(
     out[11] = x
     out[12] = ca * vm + sa * vc
     out[13] = speed
+    out[14] = wrap
     return hint
 
 
@@ -147,6 +122,36 @@ def _steps(ds: float, out: FloatArray, v: FloatArray, radius: float) -> int:
 
 
 @njit(nogil=True)
+def _at(
+    x: float, place: float, tables: Tables, hint: int
+) -> tuple[int, float, float, float, float]:
+    """Return piece, u, x, radius and cosine of the meridian at a place along the axis, or its end.
+
+    ``place`` and ``hint`` are a u and a piece nearby.
+    """
+    # Along the meridian x increases.
+    while hint < len(tables.x) - 1 and tables.x[hint + 1, 0] <= x:
+        hint += 1
+    while hint > 0 and tables.x[hint, 0] > x:
+        hint -= 1
+    place = min(max(place, tables.nodes[hint]), tables.nodes[hint + 1])
+    for _ in range(4):
+        hint, px, r, cb, _sb, _, speed = meridian(tables.nodes, tables.x, tables.r, place, hint)
+        place += (x - px) / (cb * speed)
+        place = min(max(place, 0.0), tables.nodes[-1])
+    return hint, place, px, r, cb
+
+
+@njit(nogil=True)
+def _inside(u: float, theta: float, q: FloatArray, tables: Tables, hint: int) -> bool:
+    """Return whether the pay-out point, seen from a laid point, is inside the mandrel."""
+    hint, x0, r0, _, _, _, _ = meridian(tables.nodes, tables.x, tables.r, u, hint)
+    dx, dr, dc = ahead(x0, r0, theta + q[0], q, q, tables.payout)[:3]
+    hint, _, x, r, _ = _at(x0 + dx, u, tables, hint)
+    return abs(x - x0 - dx) < 1e-6 and math.hypot(r0 + dr, dc) < r
+
+
+@njit(nogil=True)
 def _bridge(
     u: float, theta: float, q: FloatArray, tables: Tables, hint: int, out: FloatArray
 ) -> bool:
@@ -156,26 +161,13 @@ def _bridge(
     the fibre over the hollow between.
     """
     hint, x0, r0, _, _, _, _ = meridian(tables.nodes, tables.x, tables.r, u, hint)
-    along, across, up = _eye(q, q, tables.payout)[:3]
-    psi = theta + q[0]
-    dx = along - x0
-    dr = across * math.cos(psi) + up * math.sin(psi) - r0
-    dc = up * math.cos(psi) - across * math.sin(psi)
+    dx, dr, dc = ahead(x0, r0, theta + q[0], q, q, tables.payout)[:3]
     deepest, at_u, at_angle, height, highest = 0.0, 0.0, 0.0, 0.0, 0.0
     place = u
     for k in range(1, _ALONG):
         share = k / _ALONG
         x = x0 + share * dx
-        # The piece at this x: along the meridian x increases.
-        while hint < len(tables.x) - 1 and tables.x[hint + 1, 0] <= x:
-            hint += 1
-        while hint > 0 and tables.x[hint, 0] > x:
-            hint -= 1
-        place = min(max(place, tables.nodes[hint]), tables.nodes[hint + 1])
-        for _ in range(4):
-            hint, px, r, cb, _sb, _, speed = meridian(tables.nodes, tables.x, tables.r, place, hint)
-            place += (x - px) / (cb * speed)
-            place = min(max(place, 0.0), tables.nodes[-1])
+        hint, place, px, r, cb = _at(x, place, tables, hint)
         radius = math.hypot(r0 + share * dr, share * dc)
         over = (radius - r) * cb
         if abs(px - x) > 1e-6:
@@ -235,7 +227,8 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
     eyes
         (n + 1, 6) turn, along, across, up, yaw and roll at the ends of n blocks, linear between.
     group
-        (n,) blocks of equal consecutive numbers are steered together.
+        (n + 1,) blocks of equal consecutive numbers are steered together; the last is the number of
+        the block behind them.
     tables
         Mandrel and eye.
     start
@@ -254,7 +247,7 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
         n, or the block in which the fibre ran off the mandrel or was unwound by a free length.
     """
     count = len(eyes) - 1
-    work, v, q, touched = np.empty((6, 14)), np.empty(6), np.empty(6), np.empty(3)
+    work, v, q, touched = np.empty((6, 15)), np.empty(6), np.empty(6), np.empty(3)
     u, theta, length = start[0], start[1], start[2]
     since, unwound, hint, slack = start[3], start[4], int(start[5]), start[6]
     area, lengthwise, low, high = start[7], start[8], start[9], start[10]
@@ -266,7 +259,7 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
             q[j] = eyes[i, j]
         hint = _rates(u, theta, q, v, tables, hint, work[0])
         steps = _steps(work[0, 2], work[0], v, work[0, 10])
-        h, begin, taken_up = 1.0 / steps, length, work[0, 6]
+        h, begin, taken_up, wrap = 1.0 / steps, length, work[0, 6], work[0, 14]
         state, peeled, height, longest = LAID, 0.0, 0.0, work[0, 6]
         for step in range(steps):
             if step:
@@ -279,6 +272,9 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
                 break
             if u < 0.0 or u > last:
                 state = OFF
+                break
+            if abs(work[4, 9]) > _TAUT * work[4, 6] and _inside(u, theta, work[5], tables, hint):
+                state, since = SUNK, 0.0
                 break
             length += ds
             lengthwise += ds
@@ -306,9 +302,12 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
                 state, height = BRIDGED, touched[2]
                 u, theta = touched[0], touched[1]
         used = length - begin + work[4, 6] - taken_up
+        if tables.payout[6] != 0.0:
+            turned = work[4, 14] - wrap
+            used += tables.payout[6] * math.atan2(math.sin(turned), math.cos(turned))
         slack = max(slack - used, 0.0)
         mean = math.nan
-        ends = i + 1 == count or group[i + 1] != group[i]
+        ends = group[i + 1] != group[i]
         if ends and lengthwise >= _WINDOW_M:
             mean = area / lengthwise
         laid.state[i] = state
@@ -332,7 +331,7 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
                 since = 0.0
             area, lengthwise, low, high = 0.0, 0.0, math.inf, -math.inf
         lost = state == LIFTED and peeled >= work[4, 6]
-        if state == OFF or lost or not math.isfinite(u + theta):
+        if state in (OFF, SUNK) or lost or not math.isfinite(u + theta):
             start[2], start[6] = length, slack
             return i
     start[0], start[1], start[2] = u, theta, length
@@ -359,8 +358,8 @@ def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray)
         (m, 2, 3) angle, v . n and v . b of the tangents from the eye; NaN where there is none.
     """
     found = np.full((len(places), 2, 3), np.nan)
-    out = np.empty(14)
-    along, across, up = _eye(eye, rate, tables.payout)[:3]
+    out = np.empty(15)
+    along, across, up = centre(eye, rate, tables.payout)[:3]
     away = math.sqrt(across * across + up * up)
     at = math.atan2(up, across) - eye[0]
     hint = 0
@@ -372,8 +371,39 @@ def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray)
         for side in range(2):
             theta = at - math.acos(cos) if side == 0 else at + math.acos(cos)
             hint = _rates(places[i], theta, eye, rate, tables, hint, out)
+            # Round a roller the pay-out point depends on the place.
+            for _ in range(_ROUNDS if tables.payout[6] != 0.0 else 0):
+                back = out[9] / (cb * out[6] * out[8])
+                theta += min(max(back, -0.3), 0.3)
+                hint = _rates(places[i], theta, eye, rate, tables, hint, out)
             if out[5] > _FLAT:
                 found[i, side, 0] = theta
                 found[i, side, 1] = out[4]
                 found[i, side, 2] = out[3]
     return found
+
+
+@njit(nogil=True)
+def first_look(
+    chain: FloatArray, at: int, tables: Tables, places: FloatArray
+) -> tuple[int, int, float]:
+    """Return the first block from ``at`` on in which the eye can lay, the place and the angle.
+
+    It is the place with the least steering; the block is the number of blocks if there is none.
+    """
+    count = len(chain) - 1
+    for block in range(at, count):
+        rate = chain[block + 1] - chain[block]
+        if not rate.any():
+            continue
+        found = looks(chain[block], rate, tables, places)
+        least, row, angle = math.inf, -1, 0.0
+        for i in range(len(places)):
+            for side in range(2):
+                if found[i, side, 1] > 0.0:
+                    steer = abs(found[i, side, 2] / found[i, side, 1])
+                    if steer < least:
+                        least, row, angle = steer, i, found[i, side, 0]
+        if row >= 0:
+            return block, row, angle
+    return count, -1, 0.0

@@ -28,6 +28,7 @@ _MOST_POINTS = 200_000
 _FRICTION = 0.2
 """Default slip limit of FiberPath's machine profile; neither planner writes a friction."""
 _NAMED = f"friction {_FRICTION:g} assumed"
+_MOST_MM = 1e6
 _BANDS = 2.0  # widths of the band by which a mandrel is longer than FiberPath's winding length
 _SAME_M = 1e-5  # two points of a meridian are one
 _FIB_LINES, _PAY_LINES = 4, 4  # before the points
@@ -221,7 +222,7 @@ def _numbers(path: Path, line: str, number: int, widths: Sequence[int], least: i
         found = [float(word) for word in words]
     except ValueError:
         found = []
-    if len(found) < least or not all(map(math.isfinite, found)):
+    if len(found) < least or not all(abs(value) <= _MOST_MM for value in found):
         raise JobError(
             f"{line.strip()[:60]!r} is not what CADFIL writes here: {least} numbers or more",
             place=Place(str(path), number),

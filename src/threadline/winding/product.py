@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import math
@@ -21,16 +20,25 @@ from threadline.base.reading import read_text
 from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
+from threadline.winding.meridians import (
+    MAX_BYTES,
+    read_points,
+    read_section,
+    shifted,
+    stretches_of,
+)
 from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
 from threadline.winding.shapes import ellipse, isotensoid, nose, table
 from threadline.winding.surface import Stretch, Surface, line, surface_of
 
-_MAX_BYTES = 1_000_000
-_MOST_ROWS = 20_000
 _MOST_FRICTION = 1.0
+_FARTHEST = 1e4  # m, and tex
+_NOT_NEGATIVE = ("thickness", "tex", "take_up", "clearance", "gap")
 _TABLES: Mapping[str, tuple[str, ...]] = {
-    "": ("name", "mandrel", "part", "band", "friction", "fibre", "coverage"),
-    "mandrel": ("at", "radius_error", "edge"),
+    "": ("name", "mandrel", "part", "boss", "pin", "band", "friction", "fibre", "coverage"),
+    "mandrel": ("at", "radius_error", "edge", "shaft", "slip"),
+    "boss": ("at", "length", "radius"),
+    "pin": ("at", "radius", "diameter"),
     "band": ("width", "thickness", "tex"),
     "friction": ("value",),
     "fibre": ("tied", "take_up", "clearance"),
@@ -43,10 +51,23 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
     "ellipsoid": ("radius", "height", "opening", "pole"),
     "isotensoid": ("radius", "opening", "pole"),
     "nose": ("radius", "height", "opening", "pole"),
-    "table": ("file",),
+    "table": ("file", "layer"),
 }
+_LISTS = ("part", "boss", "pin")
+_ENDLESS_M = 100.0
+_TURN = 2.0 * math.pi
 _EXAMPLE = '[[part]] kind = "cylinder", radius = "50 mm", length = "200 mm"'
 _NUMBER = re.compile(r"(?P<value>.+?)(?:\s*(?:\+-|\+/-|±)\s*(?P<tolerance>.+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """A solid cylinder about the axis: a boss, a ring of pins, the shaft, chuck or tailstock."""
+
+    name: str
+    begin_m: float
+    end_m: float
+    radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +96,11 @@ class Product:
         Machine place of the left end of the mandrel, m.
     radius_error
         Amount by which the mandrel's radius is larger than drawn, m, with its tolerance.
+    slip
+        Share by which the mandrel stays behind the axis that turns it: a slip of 3.6 deg a turn is
+        0.01.
+    rings
+        Shaft, bosses and rings of pins, placed from the mandrel's left end.
     width, thickness
         Of the band, m; the thickness is None if unknown.
     friction
@@ -97,6 +123,8 @@ class Product:
     surface: Surface
     at: Toleranced
     radius_error: Toleranced
+    slip: Toleranced
+    rings: tuple[Ring, ...]
     width: Toleranced
     friction: Toleranced
     thickness: float | None = None
@@ -126,7 +154,7 @@ def product_text(given: str | Path) -> str:
         content = foreign_product(path)
         _Reader(text, "").product(content)
         return _one_line(path, content)
-    written = read_text(path, _MAX_BYTES, JobError, "product file", "utf-8-sig")
+    written = read_text(path, MAX_BYTES, JobError, "product file", "utf-8-sig")
     try:
         content = tomllib.loads(written)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -137,14 +165,29 @@ def product_text(given: str | Path) -> str:
     if isinstance(parts, list):
         for index, part in enumerate(parts):
             if isinstance(part, dict) and isinstance(part.get("file"), str):
-                reader.index = index
-                part["points"] = _points(path.parent / part.pop("file"), reader)
+                reader.table, reader.index = "part", index
+                _embed(part, path.parent, reader)
     reader.product(content)
     return _one_line(path, content)
 
 
 def _one_line(path: Path, content: Mapping[str, Any]) -> str:
     return json.dumps({"file": path.name, **content}, ensure_ascii=True, sort_keys=True)
+
+
+def _embed(part: dict[str, Any], folder: Path, reader: _Reader) -> None:
+    """Put the content of a part's file in place of its name."""
+    name = part.pop("file")
+    layer = part.pop("layer", None)
+    if name.lower().endswith(".dxf"):
+        if layer is not None and not isinstance(layer, str):
+            reader.refuse("layer", "layer must be a name", 'Write layer = "MERIDIAN".')
+        part["section"] = read_section(folder / name, layer)
+        return
+    if layer is not None:
+        reader.refuse("layer", "layer belongs to a drawing in DXF", "Remove it.")
+    read = meridian_of if Path(name).suffix.lower() in MERIDIANS else read_points
+    part["points"] = read(folder / name)
 
 
 @lru_cache(maxsize=8)
@@ -166,60 +209,6 @@ def product_of_text(text: str) -> Product:
     return _Reader(file, "", text).product(content)
 
 
-def _points(path: Path, reader: _Reader) -> list[list[float]]:
-    """Return the points of a table with the columns x_mm and radius_mm, m, or of CADFIL's path."""
-    if path.suffix.lower() in MERIDIANS:
-        return meridian_of(path)
-    if path.suffix.lower() == ".dxf":
-        reader.refuse(
-            "file", f"{path.name}: a meridian cannot be read from DXF",
-            "Save its points as CSV, with the columns x_mm and radius_mm.",
-        )  # fmt: skip
-    text = read_text(path, _MAX_BYTES, JobError, "table of a meridian", "utf-8-sig")
-    rows = [(i, row) for i, row in enumerate(csv.reader(text.splitlines()), 1) if any(row)]
-    header = [cell.strip() for cell in rows[0][1]] if rows else []
-    if sorted(header) != ["radius_mm", "x_mm"]:
-        raise JobError(
-            "a meridian has the columns x_mm and radius_mm",
-            place=Place(str(path), 1),
-            remedy="Begin it with the line x_mm,radius_mm.",
-        )
-    if not 3 <= len(rows) <= _MOST_ROWS:
-        raise JobError(
-            f"the meridian has {len(rows) - 1} points, needed are 2 to {_MOST_ROWS - 1}",
-            place=Place(str(path)),
-            remedy="Give as many points as its shape needs.",
-        )
-    found: list[list[float]] = []
-    for number, row in rows[1:]:
-        try:
-            cells = dict(zip(header, map(float, row), strict=True))
-        except ValueError:
-            cells = {"x_mm": math.nan, "radius_mm": math.nan}
-        point = [1e-3 * cells["x_mm"], 1e-3 * cells["radius_mm"]]
-        if not all(map(math.isfinite, point)):
-            raise JobError(
-                f"{','.join(row)[:60]!r} is no point of a meridian",
-                place=Place(str(path), number),
-                remedy="Write two numbers, like 12.5,40.",
-            )
-        if point[1] <= 0.0:
-            raise JobError(
-                f"the mandrel crosses its axis: radius {1e3 * point[1]:g} mm",
-                place=Place(str(path), number),
-                remedy="End it at a polar opening with a radius above 0.",
-            )
-        if found and point[0] <= found[-1][0]:
-            raise JobError(
-                f"the mandrel doubles back: x = {1e3 * point[0]:g} mm follows "
-                f"{1e3 * found[-1][0]:g} mm",
-                place=Place(str(path), number),
-                remedy="Sort the points by x; each x once.",
-            )
-        found.append(point)
-    return found
-
-
 @dataclass(slots=True)
 class _Reader:
     """Reads the content of a product file; knows the line of each key while the file is there."""
@@ -236,13 +225,14 @@ class _Reader:
 
     def _line(self, key: str) -> int:
         """Return the line of a key in the present table, of the table without it, or 0."""
-        table, count, header = "", -1, 0
+        table, header, count = "", 0, dict.fromkeys(_LISTS, -1)
         for number, row in enumerate(self.written.splitlines(), start=1):
             opened = re.match(r"\s*\[\[?\s*([A-Za-z_]+)\s*\]", row)
             if opened:
                 table = opened[1]
-                count += table == "part"
-            here = table == self.table and (table != "part" or count == self.index)
+                if table in count:
+                    count[table] += 1
+            here = table == self.table and (table not in _LISTS or count[table] == self.index)
             if here and opened:
                 header = number
             if here and re.match(rf"\s*{re.escape(key)}\s*=", row):
@@ -259,6 +249,10 @@ class _Reader:
         mandrel = self._table(content, "mandrel")
         at = self._number(mandrel, "at", "m", "0 mm")
         error = self._number(mandrel, "radius_error", "m", "0 mm")
+        slip = self._number(mandrel, "slip", "rad", "0 deg")
+        if abs(slip.si) + slip.tolerance > 0.5 * math.pi:
+            self.refuse("slip", "slip is above 90 deg a turn", 'Like "0 deg +- 0.05 deg".')
+        shaft = self._number(mandrel, "shaft", "m", "0 mm").si
         edge = self._number(mandrel, "edge", "m", "1 mm").si
         if edge <= 0.0:
             self.refuse("edge", "edge must be above 0: no mandrel is sharper", 'Like "1 mm".')
@@ -268,9 +262,18 @@ class _Reader:
             self.refuse("part", "the mandrel has no [[part]]", f"Write its parts like {_EXAMPLE}.")
         surface = self._surface(parts, edge)
         self.index = -1
+        rings = self._rings(content, shaft, surface)
         band = self._table(content, "band")
         width = self._number(band, "width", "m", None)
-        smallest = float(surface.r[:, 0].min())
+        smallest = surface.least_radius_m
+        if abs(error.si) + error.tolerance >= smallest:
+            self.table = "mandrel"
+            self.refuse(
+                "radius_error",
+                f"a radius_error of {1e3 * error.si:g} +- {1e3 * error.tolerance:g} mm leaves no "
+                f"mandrel where its radius is {1e3 * smallest:.4g} mm",
+                'Like "0 mm +- 0.1 mm".',
+            )
         if not width.si - width.tolerance > 0.0:
             self.refuse("width", "the width of the band must be above 0", 'Like "5 mm +- 0.3 mm".')
         if width.si > 2.0 * smallest:
@@ -297,20 +300,62 @@ class _Reader:
         ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
         if tied is not None and not ends[0] <= tied <= ends[1]:
             self.refuse("tied", f"tied = {1e3 * tied:g} mm is beside the mandrel", _within(ends))
-        coverage = self._table(content, "coverage")
-        covered, gap = None, None
-        if coverage:
-            begin = self._number(coverage, "begin", "m", None).si
-            end = self._number(coverage, "end", "m", None).si
-            gap = self._number(coverage, "gap", "m", "0 mm").si
-            if not ends[0] <= begin < end <= ends[1]:
-                self.refuse("begin", "the covered part is not on the mandrel", _within(ends))
-            covered = begin, end
+        covered, gap = self._coverage(content, ends)
         return Product(
             name=name, file=self.file, text=self.text, surface=surface, at=at, radius_error=error,
+            slip=Toleranced(slip.si / _TURN, slip.tolerance / _TURN), rings=rings,
             width=width, friction=friction, thickness=thickness, tied=tied, take_up=take_up,
             clearance=apart, covered=covered, gap=gap,
         )  # fmt: skip
+
+    def _coverage(
+        self, content: Mapping[str, Any], ends: FloatArray
+    ) -> tuple[tuple[float, float] | None, float | None]:
+        coverage = self._table(content, "coverage")
+        if not coverage:
+            return None, None
+        begin = self._number(coverage, "begin", "m", None).si
+        end = self._number(coverage, "end", "m", None).si
+        gap = self._number(coverage, "gap", "m", "0 mm").si
+        if not ends[0] <= begin < end <= ends[1]:
+            self.refuse("begin", "the covered part is not on the mandrel", _within(ends))
+        return (begin, end), gap
+
+    def _rings(
+        self, content: Mapping[str, Any], shaft: float, surface: Surface
+    ) -> tuple[Ring, ...]:
+        ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
+        found = []
+        if shaft:
+            self.table = "mandrel"
+            smallest = surface.least_radius_m
+            if not 0.0 < shaft <= smallest:
+                self.refuse(
+                    "shaft", f"a shaft with radius {1e3 * shaft:g} mm is thicker than the mandrel",
+                    f"The smallest radius of the mandrel is {1e3 * smallest:.4g} mm.",
+                )  # fmt: skip
+            found += [
+                Ring("the shaft", -_ENDLESS_M, float(ends[0]), shaft),
+                Ring("the shaft", float(ends[1]), _ENDLESS_M, shaft),
+            ]
+        for name, size in (("boss", "length"), ("pin", "diameter")):
+            rows = content.get(name, [])
+            self.table, self.index = name, 0
+            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+                self.refuse(name, f"{name} must be a list of tables", f"Write [[{name}]].")
+            for self.index, row in enumerate(rows):
+                self._known(row, _TABLES[name])
+                at = self._number(row, "at", "m", None).si
+                radius = self._number(row, "radius", "m", None).si
+                long = self._number(row, size, "m", None).si
+                for key, value in (("radius", radius), (size, long)):
+                    if value <= 0.0:
+                        self.refuse(key, f"{key} must be above 0", 'Like "20 mm".')
+                begin = at if name == "boss" else at - 0.5 * long
+                words = f"the {'boss' if name == 'boss' else 'pins'} at {1e3 * at:g} mm"
+                found.append(Ring(words, begin, begin + long, radius))
+        self.index = -1
+        return tuple(found)
 
     def _known(self, content: Mapping[str, Any], keys: Sequence[str]) -> None:
         for key in content:
@@ -349,18 +394,21 @@ class _Reader:
                 around = parse_quantity(spread, unit) if spread else 0.0
         except UnitError as error:
             self.refuse(key, f"{key}: {error.message}", like)
-        if abs(value) > 1e4 or not 0.0 <= around <= 1e4:
+        if abs(value) > _FARTHEST or not 0.0 <= around <= _FARTHEST:
             self.refuse(key, f"{key} = {text[:60]!r} is out of reach", like)
+        if value < 0.0 and key in _NOT_NEGATIVE:
+            self.refuse(key, f"{key} = {text[:60]!r} is below 0", like)
         return Toleranced(value, around)
 
     def _surface(self, parts: Sequence[Mapping[str, Any]], edge: float) -> Surface:
         chain: list[Stretch] = []
         for index, part in enumerate(parts):
             self.index = index
-            kind = part.get("kind", "table" if "points" in part else None)
+            held = next((key for key in ("points", "section") if key in part), None)
+            kind = part.get("kind", "table" if held else None)
             if not isinstance(kind, str) or kind not in _PARTS:
                 self.refuse("kind", f"a part of the kind {kind!r}"[:80], nearest(str(kind), _PARTS))
-            own = ("points",) if kind == "table" else _PARTS[kind]
+            own = (held,) if kind == "table" and held else _PARTS[kind]
             self._known(part, ("kind", *own))
             x = 0.0 if not chain else float(chain[-1].x[-1, 0])
             made = self._part(kind, part, x)
@@ -378,6 +426,11 @@ class _Reader:
         return surface_of(chain, edge, self.file)
 
     def _part(self, kind: str, part: Mapping[str, Any], x: float) -> list[Stretch]:
+        if kind == "table" and "section" in part:
+            stretches = stretches_of(part["section"])
+            if stretches is None:
+                self.refuse("section", "the section of this product is damaged", "Read it again.")
+            return shifted(stretches, x)
         if kind == "table":
             points = self._table_points(part.get("points"))
             points[:, 0] += x - points[0, 0]

@@ -20,15 +20,15 @@ from threadline.winding.laying import (
     LAID,
     LIFTED,
     OFF,
+    SUNK,
     WAITING,
     Laid,
     Tables,
+    first_look,
     lay,
-    looks,
 )
 from threadline.winding.surface import Surface
 
-_SIDES = 2
 _GUESSES = 801  # places along the meridian where a start is looked for
 _STATE = 12
 _TURNED_M = 1e-4  # at the largest radius; until the mandrel turns, the fibre is only tied
@@ -41,7 +41,7 @@ class Fibre:
     Parameters
     ----------
     state
-        (n,) ``LAID``, ``LIFTED``, ``BRIDGED``, ``OFF`` or ``WAITING``.
+        (n,) ``LAID``, ``LIFTED``, ``BRIDGED``, ``OFF``, ``WAITING`` or ``SUNK``.
     u, angle
         (n,) place along the meridian, m, and angle on the mandrel, rad, without wrap-round.
     length_m
@@ -122,7 +122,7 @@ class Replay:
             nodes=surface.nodes,
             x=surface.x,
             r=surface.r,
-            payout=np.array(eye.payout_m),
+            payout=np.array([*eye.payout_m, *eye.roller_m, 0.0, 1.0, 0.0]),
             friction=friction,
             convex=surface.convex,
         )
@@ -135,7 +135,9 @@ class Replay:
         self._turns = False
         self._last: FloatArray | None = None
 
-    def feed(self, eyes: FloatArray, group: IntArray | None = None) -> Fibre:
+    def feed(
+        self, eyes: FloatArray, group: IntArray | None = None, behind: int | None = None
+    ) -> Fibre:
         """Take the next (n, 6) positions of ``eye_columns``; return the fibre at each of them.
 
         Before the first position nothing is laid: its block is ``WAITING``.
@@ -144,12 +146,16 @@ class Replay:
         ----------
         group
             (n,) blocks with the same number are judged together; None: each for itself.
+        behind
+            Number of the block behind them; None: with the last block its group ends.
         """
         count = len(eyes)
         before = eyes[:1] if self._last is None else self._last
         chain = np.vstack([before, eyes])
-        self._last = chain[-1:]
-        groups = np.arange(count) if group is None else group
+        self._last = chain[-1:] if len(chain) else None
+        own = np.arange(count) if group is None else group
+        ended = -1 - abs(int(own[-1])) if behind is None and count else behind or 0
+        groups = np.append(own, ended)
         laid = Laid(
             state=np.full(count, WAITING, dtype=np.int64),
             place=np.full((count, 10), np.nan),
@@ -191,26 +197,17 @@ class Replay:
             if not turned.any():
                 return len(chain) - 1
             self._turns, at = True, max(at, int(np.argmax(turned)))
-        for block in range(at, len(chain) - 1):
-            rate = chain[block + 1] - chain[block]
-            if not rate.any():
-                continue
-            places = self._places if self._tied is None else np.array([self._tied])
-            found = looks(chain[block], rate, self._tables, places)
-            with np.errstate(invalid="ignore"):
-                steer = np.where(found[..., 1] > 0.0, np.abs(found[..., 2] / found[..., 1]), np.nan)
-            if np.isnan(steer).all():
-                continue
-            row, side = divmod(int(np.nanargmin(steer)), _SIDES)
+        places = self._places if self._tied is None else np.array([self._tied])
+        block, row, angle = first_look(chain, at, self._tables, places)
+        if row >= 0:
             state = np.zeros(_STATE)
-            state[0], state[1] = places[row], found[row, side, 0]
+            state[0], state[1] = places[row], angle
             state[2], state[6] = self._state[2], self._state[6]
             state[3] = 0.0 if self._tied is None else KNOWN_AFTER
             state[9], state[10] = np.inf, -np.inf
             self._tied = None
             self._state, self._begun = state, True
-            return block
-        return len(chain) - 1
+        return block
 
 
 STATES: Mapping[int, str] = {
@@ -219,4 +216,5 @@ STATES: Mapping[int, str] = {
     BRIDGED: "bridged",
     OFF: "off the mandrel",
     WAITING: "not laid",
+    SUNK: "the eye is inside",
 }

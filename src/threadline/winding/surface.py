@@ -163,6 +163,11 @@ class Surface:
         """Length of the meridian, m."""
         return float(self.nodes[-1])
 
+    @property
+    def least_radius_m(self) -> float:
+        """Smallest radius, at the ends of the pieces, m."""
+        return float(self.at(self.nodes)[1][:, 0].min())
+
     def at(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (n, 3) places and radii, m, with their two derivatives by ``u``."""
         return _evaluated(self.x, self.nodes, u), _evaluated(self.r, self.nodes, u)

@@ -131,7 +131,7 @@ def parse_block(text: str, line: int, reading: Reading) -> Block | None:
         text = one_command(text, place)
     else:
         check_line(text, dialect.grammar, dialect.name, place)
-    raw = split_words(text, reading.file, line)
+    raw = split_words(text, reading.file, line, one_block=not dialect.semicolon_ends)
     return block_of(raw, line, reading) if raw.words else None
 
 

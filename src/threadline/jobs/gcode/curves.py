@@ -255,6 +255,10 @@ class Curves:
             shares = self._spline(words, p, tenth_mm, before, after, (start, end), at)
         else:
             allowed = {own_u, own_v, "R"}
+            if self._reading.dialect.grammar.idle_centre:
+                words = {
+                    letter: value for letter, value in words.items() if value or letter in allowed
+                }
             wrong = [letter for letter in words if letter not in allowed]
             if wrong:
                 raise JobError(

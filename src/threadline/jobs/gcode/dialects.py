@@ -145,13 +145,14 @@ _CNC_M: dict[int, MMode] = {
 }  # fmt: skip
 _MARLIN_IDLE = (
     16, 17, 18, 31, 42, 73, 75, 76, 77, 78, 80, 81, 82, 83, 84, 85, 104, 105, 106, 107, 108, 110,
-    111, 113, 114, 115, 117, 118, 119, 120, 121, 140, 141, 150, 154, 155, 250, 256, 280, 300, 301,
-    302, 304, 355, 500, 503, 900,
+    111, 113, 114, 115, 117, 118, 119, 120, 121, 140, 141, 150, 154, 155, 221, 250, 256, 280, 300,
+    301, 302, 304, 355, 486, 500, 503, 900,
 )  # fmt: skip
 _MARLIN_M: dict[int, MMode] = {
     **dict.fromkeys(_MARLIN_IDLE, "idle"), 0: "stop", 1: "stop", 3: "on", 4: "on", 5: "off",
     7: "idle", 8: "idle", 9: "idle", 400: "rest", 109: "wait", 190: "wait",
     30: "idle",  # it deletes a file on the card and does not end the program
+    2: "idle",  # as many posts write it: Marlin has no such command, says so and goes on
 }  # fmt: skip
 
 
@@ -198,6 +199,8 @@ class Dialect:
     off_behind
         Whether M5 and M9 beside a move act after the move. RS274/NGC and similar controls switch
         before the move.
+    semicolon_ends
+        Whether a semicolon ends a block; otherwise all behind it is a comment.
     flavour
         How the control reads parameters, expressions and O words; None if it does not read them.
     grammar
@@ -222,6 +225,7 @@ class Dialect:
     points: bool = False
     one_command: bool = False
     off_behind: bool = False
+    semicolon_ends: bool = False
     flavour: Flavour | None = None
     grammar: Grammar = grammar.PLAIN
 
@@ -252,6 +256,7 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "G64": "no word of grbl, which blends by its own settings",
     },
     "fluidnc": {"G64": "no word of fluidnc, which blends by its own settings"},
+    "linuxcnc": dict.fromkeys(("M67", "M68"), "an analogue output, which no machine here has"),
     "marlin": {
         "G5": f"{_BUILT} BEZIER_CURVE_SUPPORT, and passes over otherwise",
         **dict.fromkeys(
@@ -261,7 +266,11 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "G92.1": f"{_BUILT} CNC_COORDINATE_SYSTEMS, and reads as G92 otherwise",
         "G91.1": "read as G91 by marlin",
         "M420": "the compensation of the bed by a mesh, which changes the path",
-        "M502": "what sets the steps, limits and jerks of the firmware anew",
+        **dict.fromkeys(
+            ("M92", "M201", "M203", "M204", "M205", "M501", "M502"),
+            "what sets the steps, limits or jerks of the firmware anew",
+        ),
+        "M220": "a share of every feed behind it",
         "M810": "a macro, whose moves only the firmware knows",
         "T": "no word of a machine with one tool, which is T0 on a line of its own",
     },
@@ -274,6 +283,7 @@ DIALECTS: Mapping[str, Dialect] = {
         g=_WINDER,
         m={**_PROGRAM, **_CALLS},
         off_behind=True,
+        semicolon_ends=True,
     ),
     "linuxcnc": Dialect(
         name="linuxcnc",
@@ -317,7 +327,7 @@ DIALECTS: Mapping[str, Dialect] = {
         g={
             **_MOTION, **_MODES, **_ARCS, **_SYSTEMS, 920: "action", 40: "action", 280: "action",
             800: "motion", 610: "blending", 400: "cutter", 490: "length", 540: "system",
-            430: "length", 690: "rotation", 150: "polar", 970: "speed", 980: "return",
+            430: "length", 690: "rotation", 930: "feed", 150: "polar", 970: "speed", 980: "return",
             990: "return",
         },
         m={**_CNC_M, **_CALLS},
@@ -328,6 +338,7 @@ DIALECTS: Mapping[str, Dialect] = {
         dwell_s={"P": (1e-3, 1.0), "X": (1.0, 1.0), "U": (1.0, 1.0)},
         points=True,
         off_behind=True,
+        semicolon_ends=True,
         home_beside=True,
     ),
 }  # fmt: skip

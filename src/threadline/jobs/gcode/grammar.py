@@ -21,8 +21,11 @@ from threadline.jobs.gcode.words import ONE, exact
 
 _NUMBER_OF_LINE = re.compile(r" *N *([0-9]+) *")
 _CHECKSUM = re.compile(r"\*[ \t]*([0-9]{1,3})[ \t]*$")
-_TEXT = re.compile(r" *(?:N *[0-9]+ *)?M *(?:11[78]|23|28|30|32|928)(?![0-9.])")
-_HOMING = re.compile(r" *(?:N *[0-9]+ *)?G *28(?![0-9.])")
+_TEXT = re.compile(
+    r" *(?:N *[0-9]+ *)?M *"
+    r"(?:(?:11[78]|23|28|30|32|928)(?![0-9.])|[01](?![0-9.])(?: *[PS] *[0-9]+)*)"
+)
+_FLAGS = re.compile(r" *(?:N *[0-9]+ *)?(?:G *28|M *(?:1[78]|84))(?![0-9.])")
 _ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
 _COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
 _MOVES = re.compile(r"G0*[0-3](?:\.0*)?")
@@ -75,6 +78,8 @@ class Grammar:
         Whether P in an arc block is the number of turns.
     arc_ends
         Whether an arc needs an axis word of its plane.
+    idle_centre
+        Whether a 0 for the centre along the third axis, as posts write it, is passed over.
     round_arcs
         Whether an arc keeps its start radius up to the last chord, which leads to the end.
     single
@@ -109,6 +114,7 @@ class Grammar:
     reset_last: bool = False
     turns: bool = False
     arc_ends: bool = False
+    idle_centre: bool = False
     round_arcs: bool = False
     single: bool = False
     exact_circles: bool = False
@@ -125,22 +131,25 @@ GRBL = Grammar(
     longest=79, packed=True, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
     alone=_NON_MODAL, m_kinds=_COOLANT, takes_axes=_MOTIONS | {280, 920, 490},
     loses_axes=frozenset({490}), feed_first=True, cancelled=True, reset_last=True, arc_ends=True,
-    round_arcs=True, single=True, of_sender=frozenset({6}), tape="refused",
+    idle_centre=True, round_arcs=True, single=True, of_sender=frozenset({6}), tape="refused",
     realtime=r"[!?~\x84\x85\x90-\x97\x99-\x9e\xa0\xa1]",
 )  # fmt: skip
 FLUIDNC = Grammar(
     longest=127, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
     alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS}, takes_axes=_MOTIONS | {280, 920, 490},
     loses_axes=frozenset({490}), needs_p=frozenset(_OUTPUTS), split_comments=True,
-    feed_first=True, cancelled=True, reset_last=True, turns=True, arc_ends=True, round_arcs=True,
-    single=True, tape="first", realtime=r"[!?~]|\xc2[\x84-\x8a\x90-\x9e\xa0\xa1\xb2-\xb4]",
+    feed_first=True, cancelled=True, reset_last=True, turns=True, arc_ends=True, idle_centre=True,
+    round_arcs=True, single=True, tape="first",
+    realtime=r"[!?~]|\xc2[\x84-\x8a\x90-\x9e\xa0\xa1\xb2-\xb4]",
 )  # fmt: skip
 LINUXCNC = Grammar(
     longest=252, unsigned="FST", alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS},
     takes_axes=_MOTIONS | {50, 280, 920}, needs_p=frozenset(_OUTPUTS), feed_first=True,
     forgets_feed=True, numbers_first=True, turns=True,
 )  # fmt: skip
-MARLIN = Grammar(longest=95, letters="LO", round_arcs=True, single=True, exact_circles=True)
+MARLIN = Grammar(
+    longest=95, letters="LO", idle_centre=True, round_arcs=True, single=True, exact_circles=True
+)
 
 
 def check_line(text: str, grammar: Grammar, name: str, place: Place) -> None:
@@ -185,8 +194,9 @@ def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
 def one_command(text: str, place: Place) -> str:
     """Return a line of a one-command firmware as words with numbers.
 
-    The text of M117 and similar words, the line number and the checksum are removed; the checksum
-    is compared first. Letters without a number, which name the axes of G28, get the number 0.
+    The text of M0, M117 and similar words, the line number and the checksum are removed; the
+    checksum is compared first. Letters without a number, which name axes behind G28, M17, M18 and
+    M84, get the number 0.
 
     >>> here = Place("a.gcode", 1)
     >>> one_command("N3 G28 X Y*17", here), one_command("M117 hello X1", here)
@@ -230,11 +240,11 @@ def one_command(text: str, place: Place) -> str:
     if code.strip(" \t%") and _COMMAND.match(code) is None:
         raise JobError(
             "the line does not begin with a command (G, M or T and a number), which marlin passes "
-            "over",
+            "over; klipper runs it as a macro, whose moves are not in the program",
             place=place,
-            remedy="Write the command in front, like G1 X5 F600.",
+            remedy="Write the command in front, like G1 X5 F600; take a macro out.",
         )
-    if _HOMING.match(code):
+    if _FLAGS.match(code):
         code = _ALONE.sub(r"\g<1>0", code)
     return f"{code}{mark}{comment}"
 
@@ -283,6 +293,8 @@ def check_first_alone(words: Sequence[tuple[str, str]], name: str, place: Place)
     commands = [f"{letter}{number}" for letter, number in words if letter in "GMT"]
     if not commands:
         return
+    if commands[0][0] == "M":  # T behind it says whose value this is: M104 S200 T0
+        commands = [command for command in commands if command[0] != "T"]
     if len(commands) > 1:
         raise JobError(
             f"{name} runs the first command of a line alone ({commands[0]}), and not {commands[1]}",

@@ -36,8 +36,10 @@ class RawBlock(NamedTuple):
     tags: tuple[tuple[str, float], ...]
 
 
-def split_words(text: str, file: str, line: int) -> RawBlock:
+def split_words(text: str, file: str, line: int, *, one_block: bool = False) -> RawBlock:
     """Return the words of one line.
+
+    With ``one_block`` anything may stand behind ``;``.
 
     Raises
     ------
@@ -46,7 +48,7 @@ def split_words(text: str, file: str, line: int) -> RawBlock:
     """
     tags: tuple[tuple[str, float], ...] = ()
     if ";" in text or "(" in text or ")" in text:
-        text, comment = without_comments(text, file, line)
+        text, comment = without_comments(text, file, line, one_block=one_block)
         if "=" in comment:
             tags = tags_of(comment, file, line) if text.strip() else ()
     if _BLOCK.fullmatch(text) is None:
@@ -75,11 +77,19 @@ def _exact_unusual(whole: str, fraction: str) -> int | None:
     return int(f"{sign}{whole or '0'}{fraction.ljust(DECIMALS, '0')}")
 
 
-def without_comments(text: str, file: str, line: int) -> tuple[str, str]:
+def without_comments(
+    text: str, file: str, line: int, *, one_block: bool = False
+) -> tuple[str, str]:
     """Return ``text`` without its comments, and the comment after the semicolon.
 
-    In the dialect of the printed winder program ``;`` ends a block; in all other dialects ``;``
-    begins a comment. Text after ``;`` that reads as a block is therefore refused.
+    In the printed winder program, and in prints of Fanuc programs, ``;`` ends a block. Text after
+    ``;`` that reads as a block is refused there. For all other controls ``;`` begins a comment,
+    whatever it says (``one_block``): ``M0 ;T102``.
+
+    Raises
+    ------
+    JobError
+        If parentheses do not match, or another block follows.
     """
     code, _, comment = _cut_at_semicolon(text)
     if "(" in code or ")" in code:
@@ -91,7 +101,7 @@ def without_comments(text: str, file: str, line: int) -> tuple[str, str]:
                 place=Place(file, line),
                 remedy="Put a comment between one ( and one ) on the same line.",
             )
-    if comment.strip() and code.strip():
+    if not one_block and comment.strip() and code.strip():
         # In "X1; Y2;" or "X1; home; Y2" the printed dialect would move Y, too.
         for part in _PARENTHESES.sub(" ", comment).split(";"):
             if _WORD.match(part) and _BLOCK.fullmatch(part):

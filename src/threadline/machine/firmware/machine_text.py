@@ -149,6 +149,19 @@ def missing_answers(settings: Settings, answers: Answers, *, limits_only: bool) 
     return [Missing(key, what, example) for key, (what, example) in found]
 
 
+def _asked(missing: Sequence[Missing]) -> Iterator[str]:
+    """Yield the missing answers with examples; one for all linear axes that lack the same."""
+    for one in missing:
+        base, _, axis = one.key.partition(".")
+        alike = [m for m in missing if m.key.startswith(f"{base}.") and m.example == one.example]
+        if axis and len(alike) > 1 and one.example == OPTIONAL[base][1]:
+            if one is alike[0]:
+                alone = f"{base}.{axis} is for {axis} alone"
+                yield f'--set "{base}={one.example}" ({one.what}; {alone})'
+        else:
+            yield f'--set "{one.key}={one.example}" ({one.what})'
+
+
 def turning_axes(settings: Settings, answers: Answers) -> str:
     """Return the letters of the rotary axes, from the owner if given, else from the settings."""
     if "rotary" in answers.given:
@@ -190,10 +203,10 @@ def machine_text(
         )
     missing = missing_answers(settings, answers, limits_only=limits_only)
     if missing:
-        asked = "; ".join(f'--set "{one.key}={one.example}" ({one.what})' for one in missing)
+        lighter = "" if limits_only else " Limits and time alone need no motors: --limits-only."
         raise OptionError(
             f"{Place(settings.file)} does not give all numbers of the machine",
-            remedy=f"Add: {asked}.",
+            remedy=f"Add: {'; '.join(_asked(missing))}.{lighter}",
         )
     dialect = _DIALECTS.get(settings.firmware, settings.firmware)
     driven = "with limits alone" if limits_only else "with steppers"

@@ -44,7 +44,7 @@ _CHANGES_MOTION = {
     "skew_correction": "moves an axis in proportion to another, once a profile is loaded",
     "dual_carriage": "gives an axis a second carriage",
 }
-_OWN = re.compile(r"\[(?:stepper_[a-z]\d*|manual_stepper \w+|printer)\]")
+_OWN = re.compile(r"\[(?:stepper_[a-z]\d*|manual_stepper \w+|printer|include [^\]]+)\]")
 _LOG = re.compile(r"={3,} Config file ={3,}")
 
 _LEAST_STEPS, _MOST_STEPS = 1e-3, 1e7
@@ -62,7 +62,7 @@ class _File:
 
 
 def is_printer_cfg(lines: Sequence[str]) -> bool:
-    """Return whether lines hold a section of Klipper's configuration with motors or kinematics."""
+    """Return whether lines hold a section of Klipper with motors or kinematics, or an include."""
     return any(_OWN.match(line) for line in lines)
 
 

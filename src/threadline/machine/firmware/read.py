@@ -51,12 +51,18 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
             told = read is read_marlin and firmware == "reprapfirmware"
             settings = (read_config_g if told else read)(lines, str(path))
             if not settings.axes:
+                absent = "".join(f"; {note}" for note in settings.notes if "[include" in note)
                 raise MachineError(
-                    f"the settings contain no axis ({settings.firmware})",
+                    f"the settings contain no axis ({settings.firmware}){absent}",
                     place=Place(str(path)),
-                    remedy="Give the complete list of the firmware.",
+                    remedy="Put the included files beside this one."
+                    if absent
+                    else "Give the complete list of the firmware.",
                 )
             _assume(settings)
+            # An include may name Z first; people, tables and first examples begin with X.
+            order = sorted(settings.axes, key=lambda axis: f"XYZ{axis}".index(axis))
+            settings.axes = {axis: settings.axes[axis] for axis in order}
             return settings
     eeprom = next((at for at, line in enumerate(lines, 1) if "EPR:" in line), 0)
     if eeprom:

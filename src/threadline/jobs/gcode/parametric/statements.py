@@ -77,7 +77,7 @@ def code_of(text: str, flavour: Flavour, file: str, line: int) -> Code:
         text, _, comment = text.partition(";")
         text = _LOOSE.sub("", text)
     elif ";" in text or "(" in text or ")" in text:
-        text, comment = without_comments(text, file, line)
+        text, comment = without_comments(text, file, line, one_block=True)
     return Code(_BLANKS.sub("", text).lower(), comment)
 
 

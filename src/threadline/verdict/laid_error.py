@@ -1,0 +1,101 @@
+"""The error of the laid fibre: its distance to the designed fibre, on the mandrel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.compiled import njit
+from threadline.commands.plan import Plan
+from threadline.verdict.replayed import Wound, WoundJob, programmed_fibre, wound_job
+from threadline.winding.replay import Fibre
+from threadline.winding.surface import Surface
+
+_NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
+_LOST_M = 0.1  # the same after a part that is not known
+
+
+@njit(nogil=True)
+def off_design(points: FloatArray, design: FloatArray, state: FloatArray) -> FloatArray:
+    """Return (n,) distances of points to the designed fibre; NaN where one of them is not known.
+
+    Both are (n, 4), place and laid length in m, and NaN for a place that is not known; lengths do
+    not fall. ``state`` is updated: how much more the design had laid at the point before, and how
+    far beside that length the design is searched.
+    """
+    found = np.full(len(points), np.nan)
+    last = len(design) - 2
+    for i in range(len(points)):
+        if np.isnan(points[i, 0]):
+            state[1] = _LOST_M
+            continue
+        length = points[i, 3] + state[0]
+        low = max(np.searchsorted(design[:, 3], length - state[1]) - 1, 0)
+        high = min(np.searchsorted(design[:, 3], length + state[1]), last)
+        best, near, at = np.inf, -1, 0.0
+        for k in range(low, high + 1):
+            if np.isnan(design[k, 0]) or np.isnan(design[k + 1, 0]):
+                continue
+            span, along = 0.0, 0.0
+            for j in range(3):
+                d = design[k + 1, j] - design[k, j]
+                span += d * d
+                along += d * (points[i, j] - design[k, j])
+            share = min(max(along / span, 0.0), 1.0) if span > 0.0 else 0.0
+            away = 0.0
+            for j in range(3):
+                d = points[i, j] - design[k, j] - share * (design[k + 1, j] - design[k, j])
+                away += d * d
+            if away < best:
+                best, near, at = away, k, share
+        # Before or behind a part of the design that is not known, it has no place beside the point.
+        before = near > 0 and at == 0.0 and np.isnan(design[near - 1, 0])
+        behind = 0 <= near < last and at == 1.0 and np.isnan(design[near + 2, 0])
+        if before or behind:
+            near = -1
+        if near < 0:
+            state[1] = _LOST_M
+            continue
+        found[i] = np.sqrt(best)
+        state[0] = design[near, 3] + at * (design[near + 1, 3] - design[near, 3]) - points[i, 3]
+        state[1] = _NEAR_M
+    return found
+
+
+def _points(surface: Surface, fibre: Fibre) -> FloatArray:
+    """Return (n, 4) places in the mandrel's frame and laid lengths; NaN for unknown places."""
+    u = np.where(fibre.known, fibre.u, 0.0)
+    x, r = (values[:, 0] for values in surface.at(u))
+    places = np.column_stack([x, r * np.cos(fibre.angle), r * np.sin(fibre.angle), fibre.length_m])
+    places[~fibre.known, :3] = np.nan
+    return places
+
+
+class Apart:
+    """Distance between the laid fibre and the fibre of the program."""
+
+    def __init__(self, plan: Plan, jobs: Sequence[WoundJob]) -> None:
+        job = wound_job(plan)
+        assert job is not None
+        rows = [np.empty((0, 4))]
+        for samples in programmed_fibre(plan, job):
+            fibre = samples.fibres[0]
+            points = _points(job.surface, fibre)
+            # Of a part that is not known one row stays: no chord leads across it.
+            known = np.concatenate([[True], np.isfinite(points[:, 0])])
+            kept = (known[1:] | known[:-1]) & np.isfinite(fibre.length_m)
+            rows.append(points[kept])
+        self._design = np.vstack(rows)
+        self._design[:, 3] = np.maximum.accumulate(self._design[:, 3])
+        self._surfaces = [job.surface for job in jobs]
+        self._state = [np.array([0.0, _LOST_M]) for _ in jobs]
+
+    def __call__(self, samples: Wound, run: int) -> FloatArray:
+        """Return (n,) distances, m, of the samples of a run; NaN where one place is not known."""
+        fibre = samples.fibres[run]
+        if len(self._design) < 2:
+            return np.full(len(fibre), np.nan)
+        points = _points(self._surfaces[run], fibre)
+        return np.asarray(off_design(points, self._design, self._state[run]))

@@ -1,0 +1,183 @@
+"""Why the fibre of a program is never known, and the radius of a mandrel that would fit it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.machine.tool import Tool
+from threadline.winding.laying import KNOWN_AFTER, LAID, LIFTED
+from threadline.winding.replay import Fibre, Replay
+from threadline.winding.surface import Surface
+
+_MOST = 4000  # positions of the eye with which radii are tried
+_TRIED, _FINER, _ROUNDS = 15, 5, 3
+_OFF_M = 5e-4  # between the eye and the largest mandrel that is tried
+_ALL = 0.99  # of the fibre within the friction
+_NO_FRICTION_LIMIT = 1e9
+_NEARLY = 0.25, 3.0  # bands by which a pattern is nearly closed
+_TURNED = 1e-3  # rad; less is no turn
+
+
+class Witness:
+    """What a program does about its mandrel, for the reason why its fibre is never known."""
+
+    def __init__(self, surface: Surface) -> None:
+        self._surface = surface
+        u = np.linspace(0.0, surface.length_m, 2001)
+        self._x, self._r = (values[:, 0] for values in surface.at(u))
+        self._turn = np.array([np.inf, -np.inf])
+        self._along = np.array([np.inf, -np.inf])
+        self._room_m, self._inside, self._beside, self._count = np.inf, 0, 0, 0
+        self._in_a_row, self._longest, self._last = 0.0, 0.0, np.nan
+        self._free_m = np.inf
+        self._length_m = 0.0
+        self.eyes: list[FloatArray] = []
+
+    @property
+    def room_m(self) -> float:
+        """Least distance outwards between mandrel and eye, negative inside; infinite if beside."""
+        return self._room_m
+
+    def take(self, eyes: FloatArray, fibre: Fibre) -> None:
+        """Take the next (n, 6) coordinates of the eye, and the fibre there."""
+        if not len(eyes):
+            return
+        before = eyes[0, 0] if np.isnan(self._last) else self._last
+        turns = np.diff(eyes[:, 0], prepend=before) != 0.0
+        self._last = float(eyes[-1, 0])
+        if sum(map(len, self.eyes)) < _MOST:
+            self.eyes.append(eyes[turns][:_MOST])
+        # Only while it turns: the eye may come from anywhere.
+        eyes = eyes[turns]
+        for ends, column in ((self._turn, eyes[:, 0]), (self._along, eyes[:, 1])):
+            ends[0] = min(ends[0], float(column.min(initial=np.inf)))
+            ends[1] = max(ends[1], float(column.max(initial=-np.inf)))
+        above = (eyes[:, 1] >= self._x[0]) & (eyes[:, 1] <= self._x[-1])
+        room = np.hypot(eyes[:, 2], eyes[:, 3]) - np.interp(eyes[:, 1], self._x, self._r)
+        self._count += len(eyes)
+        self._beside += int((~above).sum())
+        self._inside += int((room[above] < 0.0).sum())
+        self._room_m = min(self._room_m, float(room[above].min(initial=np.inf)))
+        laid = fibre.state == LAID
+        length = np.where(laid, fibre.length_m, np.nan)
+        steps = np.diff(length, prepend=self._length_m if laid[0] else np.nan)
+        shares = np.where(np.isfinite(steps), steps / np.maximum(fibre.free_m, 1e-9), np.nan)
+        self._length_m = float(fibre.length_m[-1]) if laid[-1] else self._length_m
+        # Sums that begin anew where nothing is laid.
+        broken = np.isnan(shares)
+        sums = np.cumsum(np.where(broken, 0.0, shares))
+        start = np.maximum.accumulate(np.where(broken, sums, -self._in_a_row))
+        self._longest = max(self._longest, float((sums - start).max()))
+        self._in_a_row = float(sums[-1] - start[-1])
+        self._free_m = min(self._free_m, float(np.nanmin(fibre.free_m, initial=np.inf)))
+
+    def reason(self) -> str:
+        """Return in words why the fibre is never known."""
+        if not self._turn[1] - self._turn[0] > _TURNED:
+            return "the mandrel never turns, so that nothing is laid"
+        if self._beside == self._count:
+            low, high = 1e3 * self._along
+            return (
+                f"the eye stays beside the mandrel, at {low:.4g} to {high:.4g} mm from its left "
+                f"end, and the mandrel is {1e3 * self._x[-1]:.4g} mm long: is [mandrel] at right?"
+            )
+        if self._inside:
+            widest = 1e3 * (float(self._r.max()) + self._room_m)
+            return (
+                f"the eye is up to {-1e3 * self._room_m:.3g} mm inside the mandrel; a mandrel of "
+                f"{widest:.4g} mm at its widest would fit at most"
+            )
+        return (
+            f"laid are at most {self._longest:.1f} free lengths in a row, needed are "
+            f"{KNOWN_AFTER:g}, and the free length is {1e3 * self._free_m:.3g} mm or more: wind on "
+            "longer, or say where the fibre is tied"
+        )
+
+    def fit(self, tool: Tool, friction: float, tied: float | None) -> str:
+        """Return in words which radius of the mandrel would fit the program; else nothing."""
+        if not self.eyes or not self._turn[1] - self._turn[0] > _TURNED:
+            return ""
+        eyes = np.vstack(self.eyes)[:_MOST]
+        found = fitting_radius(self._surface, tool, eyes, friction, tied, self._room_m)
+        if found is None:
+            return ""
+        widest = 1e3 * (float(self._r.max()) + found)
+        size = "smaller" if found < 0.0 else "larger"
+        return (
+            f"the program would fit a mandrel with a radius {abs(1e3 * found):.2g} mm {size}, "
+            f"{widest:.4g} mm at its widest"
+        )
+
+
+def fitting_radius(
+    surface: Surface, tool: Tool, eyes: FloatArray, friction: float, tied: float | None,
+    room_m: float,
+) -> float | None:  # fmt: skip
+    """Return by how much a mandrel's radius would have to be larger to fit a program, m.
+
+    Radii are tried; the best is where the fibre is steered least. None if the mandrel itself fits
+    as well, or none fits within the friction.
+
+    Parameters
+    ----------
+    eyes
+        (n, 6) coordinates of the eye from the mandrel's left end.
+    room_m
+        Least distance outwards between mandrel and eye, m.
+    """
+
+    def steered(by: float) -> tuple[float, float]:
+        """Return the mean steering of a mandrel, and the share of fibre that keeps its place."""
+        replay = Replay(surface.grown(by), tool, _NO_FRICTION_LIMIT, tied)
+        fibre = replay.feed(eyes)
+        weight = np.abs(np.diff(fibre.length_m, prepend=np.nan))
+        steer = np.abs(fibre.steer)
+        judged = np.isfinite(steer) & np.isfinite(weight) & fibre.known
+        if not judged.any():
+            return np.inf, 0.0
+        bad = float(np.where(fibre.state == LIFTED, weight, 0.0)[np.isfinite(weight)].sum())
+        weight, steer = weight[judged], np.minimum(steer[judged], 1.0)
+        whole = float(weight.sum()) + bad
+        mean = (float(weight @ steer) + bad) / whole
+        return mean, float(weight[steer <= friction].sum()) / whole
+
+    low = -0.8 * surface.least_radius_m
+    high = min(room_m, float(surface.r[:, 0].max())) - _OFF_M
+    if not low < high:
+        return None
+    tried = np.linspace(low, high, _TRIED)
+    best, mean, share = 0.0, *steered(0.0)
+    now = mean
+    for _ in range(_ROUNDS):
+        for by in tried.tolist():
+            found, kept = steered(by)
+            if found < mean:
+                best, mean, share = by, found, kept
+        step = float(tried[1] - tried[0])
+        near = np.linspace(best - step, best + step, _FINER + 2)[1:-1]
+        tried = near[(near > low) & (near < high)]
+        if len(tried) < 2:
+            break
+    if share < _ALL or mean > 0.5 * now or best == 0.0:
+        return None
+    return best
+
+
+def turn_error(off: float, whole: float, bands: float) -> str:
+    """Return in words which error of the turn leaves a pattern nearly closed.
+
+    Parameters
+    ----------
+    off, whole
+        Angle by which the next circuit would lie beside the first, and of all circuits, rad.
+    bands
+        The same in widths of the band.
+    """
+    if not _NEARLY[0] < bands < _NEARLY[1]:
+        return ""
+    size = "far" if off * whole > 0.0 else "little"
+    return (
+        f": a one-sided overlap or gap, as of a mandrel that turns {abs(off / whole):.2%} too "
+        f"{size}, by its steps per degree or by slip on its shaft"
+    )

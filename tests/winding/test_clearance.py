@@ -1,0 +1,235 @@
+"""Clearance against triangle meshes in space, and the growth of the mandrel by closed forms."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from tests.winding import programs
+from threadline.base.arrays import FloatArray
+from threadline.machine import load_machine
+from threadline.machine.quantity import Quantity, parse_machine_quantity
+from threadline.machine.tool import Arm, Tool
+from threadline.winding.clearance import Clearance
+from threadline.winding.product import Product, product_of_text, product_text
+from threadline.winding.replay import Fibre, Replay
+
+VESSEL = Path(__file__).parents[2] / "examples" / "vessel.wind.toml"
+BODIES = (
+    '[[boss]]\nat = "-12 mm"\nlength = "20 mm"\nradius = "26 mm"\n'
+    '[[pin]]\nat = "45 mm"\nradius = "58 mm"\ndiameter = "4 mm"\n'
+)
+EYE = load_machine("lathe-winder").tool
+assert EYE is not None
+
+
+def _mm(value: float) -> Quantity:
+    return parse_machine_quantity(f"{value} mm exact, assumed: a test", ("m",))
+
+
+def _tool(body: float, arm: tuple[float, float] | None = None) -> Tool:
+    assert EYE is not None
+    return Tool(
+        kind="eye", radius=EYE.radius, turn=EYE.turn, along=EYE.along, across=EYE.across,
+        body=_mm(body), arm=None if arm is None else Arm(radius=_mm(arm[0]), length=_mm(arm[1])),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def product(tmp_path_factory: pytest.TempPathFactory) -> Product:
+    """Return the vessel of the examples with a boss and a ring of pins."""
+    file = tmp_path_factory.mktemp("p") / "p.wind.toml"
+    file.write_text(VESSEL.read_text() + BODIES)
+    return product_of_text(product_text(file))
+
+
+def _turned(outline: FloatArray, around: int = 180) -> FloatArray:
+    """Return (n, 3, 3) triangles of a closed outline, (m, 2), turned about the axis."""
+    rows = [outline[:1]]
+    for a, b in itertools.pairwise(outline):
+        count = max(int(np.hypot(*(b - a)) / 1.5e-3), 1)
+        rows.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
+    line = np.vstack(rows)
+    angle = np.linspace(0.0, 2.0 * np.pi, around + 1)
+    x = np.repeat(line[:, :1], around + 1, 1)
+    grid = np.stack([x, line[:, 1:] * np.cos(angle), line[:, 1:] * np.sin(angle)], -1)
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    return np.concatenate([np.stack(t, 2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))])
+
+
+def _off_triangles(point: FloatArray, triangles: FloatArray) -> float:
+    """Return the distance of a point to the nearest of (n, 3, 3) triangles."""
+    best = np.inf
+    for k in range(3):
+        a, b = triangles[:, k], triangles[:, (k + 1) % 3]
+        edge = b - a
+        square = np.maximum((edge**2).sum(1), 1e-30)
+        share = np.clip(((point - a) * edge).sum(1) / square, 0.0, 1.0)
+        best = min(best, float(np.linalg.norm(point - a - share[:, None] * edge, axis=1).min()))
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    normal = np.cross(b - a, c - a)
+    size = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+    normal = normal / size[:, None]
+    height = ((point - a) * normal).sum(1)
+    foot = point - height[:, None] * normal
+    within = size > 1e-15
+    for k in range(3):
+        p, q = triangles[:, k], triangles[:, (k + 1) % 3]
+        within &= (np.cross(q - p, foot - p) * normal).sum(1) >= 0.0
+    return min(best, float(np.abs(height[within]).min())) if within.any() else best
+
+
+def _off_mesh(points: FloatArray, triangles: FloatArray, tree: cKDTree) -> float:
+    """Return the least distance of points to a mesh of triangles of about 1.5 mm."""
+    found = tree.query(points, k=1)[0]
+    best = np.inf
+    for at in np.argsort(found)[:8]:
+        near = np.asarray(tree.query(points[at], k=800)[1])
+        best = min(best, _off_triangles(points[at], triangles[near]))
+    return best
+
+
+@pytest.fixture(scope="module")
+def mesh(product: Product) -> tuple[FloatArray, cKDTree]:
+    """Return the triangles of mandrel, boss and pins, and a tree of their middles."""
+    x, r = (v[:, 0] for v in product.surface.at(np.linspace(0.0, product.surface.length_m, 801)))
+    outlines = [np.vstack([[x[0], 0.0], np.column_stack([x, r]), [x[-1], 0.0]])]
+    for begin, end, radius in ((-0.012, 0.008, 0.026), (0.043, 0.047, 0.058)):
+        outlines.append(np.array([[begin, 0.0], [begin, radius], [end, radius], [end, 0.0]]))
+    triangles = np.concatenate([_turned(outline) for outline in outlines])
+    return triangles, cKDTree(triangles.mean(1))
+
+
+def test_eye_and_arm_are_as_far_as_from_a_mesh(
+    product: Product, mesh: tuple[FloatArray, cKDTree]
+) -> None:
+    """Bar of 0.05 mm; the mesh of 1.5 mm and 2 degrees is off by at most 9 um."""
+    triangles, tree = mesh
+    chance = np.random.default_rng(2)
+    for arm in (None, (3.0, 40.0)):
+        tool, tested = _tool(4.0, arm), 0
+        while tested < 6:
+            eye = np.zeros(6)
+            eye[1:4] = chance.uniform([-0.03, -0.06, -0.1], [0.17, 0.11, 0.1])
+            eye[4:] = chance.uniform(-1.0, 1.0, 2)
+            # Yaw turns across to against along.
+            across = np.array([-np.sin(eye[4]), np.cos(eye[4]), 0.0])
+            reach = 0.0 if arm is None else 0.04
+            points = eye[1:4] + np.linspace(0.0, reach, 400)[:, None] * across
+            inside = product.surface.place_of(points[:, 0])
+            r = product.surface.at(inside)[1][:, 0]
+            away = np.hypot(points[:, 1], points[:, 2])
+            if (away < np.maximum(r, 0.058) + 1e-3).any():
+                continue  # the mesh knows no inside
+            tested += 1
+            wanted = 0.2
+            found = wanted - Clearance(product.surface, product.rings, tool, wanted).feed(eye[None])
+            whole = _off_mesh(points, triangles, tree)
+            body = _off_mesh(points[:1], triangles, tree) - 4e-3
+            expected = body if arm is None else min(body, whole - 3e-3)
+            assert found[0] == pytest.approx(expected, abs=5e-5)
+
+
+def test_the_free_fibre_is_as_deep_in_a_boss_as_by_points_on_it(product: Product) -> None:
+    """A fibre from the left dome to an eye beside the boss, at 20 000 points of it."""
+    surface, tool = product.surface, _tool(1.0)
+    eyes = np.zeros((120, 6))
+    eyes[:, 0] = -0.05 * np.arange(120)
+    eyes[:, 1] = np.linspace(0.06, -0.06, 120)
+    eyes[:, 2] = 0.07
+    fibre = Replay(surface, tool, 10.0, 0.06).feed(eyes)
+    boss = Clearance(surface, product.rings[:1], tool, 0.0)
+    found = boss.feed(eyes, fibre)
+    deepest = 0.0
+    for at in np.flatnonzero(fibre.known):
+        x, r = (float(v[0, 0]) for v in surface.at(fibre.u[at : at + 1]))
+        angle = fibre.angle[at] + eyes[at, 0]
+        start = np.array([x, r * np.cos(angle), r * np.sin(angle)])
+        line = start + np.linspace(0.0, 1.0, 20_000)[:, None] * (eyes[at, 1:4] - start)
+        depth = np.minimum(
+            np.minimum(line[:, 0] + 0.012, 0.008 - line[:, 0]),
+            0.026 - np.hypot(line[:, 1], line[:, 2]),
+        )
+        deepest = max(deepest, float(depth.max()))
+    assert deepest > 1e-4
+    assert found.max() == pytest.approx(deepest, abs=1e-5)
+    assert boss.words(int(boss.pair[found.argmax()])) == "the free fibre and the boss at -12 mm"
+
+
+def _helix(layers: int) -> tuple[Product, Tool, FloatArray, Fibre]:
+    product = product_of_text(
+        '{"part": [{"kind": "cylinder", "radius": "50 mm", "length": "200 mm"}], "band": {"width":'
+        ' "5 mm", "thickness": "0.4 mm"}, "friction": {"value": "0.3"}}'
+    )
+    tool = _tool(1.0)
+    share = np.linspace(0.0, 1.0, 4000)
+    there = np.concatenate([share if k % 2 == 0 else 1.0 - share for k in range(layers)])
+    eyes = np.zeros((len(there), 6))
+    eyes[:, 1], eyes[:, 2] = 0.02 + 0.16 * there, 0.06
+    eyes[:, 0] = -2.0 * np.pi * 32.0 * np.arange(len(there)) / 4000.0  # a pitch of the width
+    return product, tool, eyes, Replay(product.surface, tool, 1.0, 0.02).feed(eyes)
+
+
+def test_layers_grow_by_their_thickness_and_come_near_the_eye() -> None:
+    """Bands side by side: each layer is one thickness, and the eye has so much less room.
+
+    The eye that winds the fifth layer has four below it, and some of the fifth beside it.
+    """
+    product, tool, eyes, fibre = _helix(5)
+    assert product.thickness is not None
+    near = Clearance(product.surface, (), tool, 0.009, product.width.si * product.thickness, 5e-3)
+    found = near.feed(eyes, fibre)
+    middle = near.thickness_m[(near._x > 0.05) & (near._x < 0.15)]
+    np.testing.assert_allclose(middle, 5 * 0.4e-3, rtol=0.03)
+    # 10 mm from the bare mandrel, less the eye's 1 mm and the 9 mm wanted, less the layers.
+    assert 0.97 * 4 * 0.4e-3 < found.max() < 5 * 0.4e-3
+    cut = Clearance(product.surface, (), tool, 0.009, product.width.si * product.thickness, 5e-3)
+    replay = Replay(product.surface, tool, 1.0, 0.02)
+    parts = [cut.feed(part, replay.feed(part)) for part in np.split(eyes, [1, 700, 5_001])]
+    np.testing.assert_allclose(np.concatenate(parts), found, atol=1e-15)
+    bare = Clearance(product.surface, (), tool, 0.0089)
+    assert bare.feed(eyes, fibre).max() == 0.0
+
+
+def test_a_bead_is_in_the_way_of_a_free_fibre_that_comes_back() -> None:
+    """Twelve turns in one place make a bead of 5 mm; the fibre that crosses it runs into it."""
+    product, tool, _, _ = _helix(1)
+    turns = np.linspace(0.0, 25.0, 5001)
+    eyes = np.zeros((len(turns), 6))
+    eyes[:, 0], eyes[:, 2] = -2.0 * np.pi * turns, 0.06
+    eyes[:, 1] = np.interp(turns, [0.0, 12.0, 22.0, 25.0], [0.1, 0.1, 0.03, 0.17])
+    fibre = Replay(product.surface, tool, 1.0, 0.1).feed(eyes)
+    pile = Clearance(product.surface, (), tool, 0.0, 5e-3 * 0.4e-3, 5e-3)
+    found = pile.feed(eyes, fibre)
+    at = int(found.argmax())
+    # The bead is 5 mm wide, so that nowhere in it is further than 2.5 mm from its flanks.
+    assert 3e-4 < found[at] < 2.5e-3
+    assert pile.words(int(pile.pair[at])) == "the free fibre and the layers wound before"
+    # It is found while the fibre comes from the left of the bead, not before.
+    assert turns[at] > 22.0 and float(product.surface.at(fibre.u[at : at + 1])[0][0, 0]) > 0.085
+    without = Clearance(product.surface, (), tool, 0.0)
+    assert without.feed(eyes, fibre).max() == 0.0
+
+
+def test_a_sound_vessel_is_clear_of_its_own_polar_layers() -> None:
+    """44 circuits pile up 2 mm at the poles, and no fibre of them is in its own way."""
+    vessel = product_of_text(product_text(VESSEL))
+    circuit = programs.eyes(vessel.surface, programs.geodesic(vessel.surface)[1])
+    turn = circuit[-1, 0] - circuit[0, 0]
+    eyes = np.zeros((programs.CIRCUITS * (len(circuit) - 1), 6))
+    eyes[:, :3] = np.vstack(
+        [circuit[:-1] + np.array([k * turn, 0.0, 0.0]) for k in range(programs.CIRCUITS)]
+    )
+    eyes[:, 1] -= programs.AT_M
+    assert EYE is not None and vessel.thickness is not None and vessel.clearance is not None
+    fibre = Replay(vessel.surface, EYE, 0.2, vessel.tied).feed(eyes)
+    near = Clearance(
+        vessel.surface, (), EYE, vessel.clearance, vessel.width.si * vessel.thickness,
+        vessel.width.si,
+    )  # fmt: skip
+    assert near.feed(eyes, fibre).max() == 0.0
+    assert near.thickness_m.max() > 1e-3
