@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from threadline.machine.numbers import with_numbers
 from threadline.machine.parts import DcMotor
 from threadline.machine.quantity import Quantity
 from threadline.machine.vary import corners
-from threadline.motion.laws import Law, law
+from threadline.motion.laws import LAWS, Law, law
 from threadline.motion.shaping import FlexibleMode, Shaper, convolve, design, vibration_of
 from threadline.motion.shaping.law_residual import lasting_windows_s
 from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
@@ -434,27 +434,47 @@ def still_s(motion: Law, hertz: float) -> float:
     return float(np.max(windows)) / hertz
 
 
-def frame_windows(hertz: str, factor: str = "1") -> dict[str, float]:
-    """Windows of 16.5 mm on a mode of damping ratio 0.02: at most 0.05 mm left over +-10 % of it.
+def frame_demand(hertz: str, factor: str = "1") -> Demand:
+    """16.5 mm on a mode of damping ratio 0.02, at most 0.05 mm left over +-10 % of it.
 
-    At ``factor`` times the peak acceleration of modified sine in 120 ms. A law that is not made for
-    the mode takes the window from which on every longer one will do.
+    At ``factor`` times the peak acceleration of modified sine in 120 ms.
     """
-    mode, move_m = float(hertz), 0.0165
+    move_m = 0.0165
     acceleration = float(factor) * law("modified-sine").acceleration * move_m / 0.12**2
-    demand = Demand(
-        mode=FlexibleMode(mode, 0.02), band=0.1, move_m=move_m, residual_m=5e-5,
+    return Demand(
+        mode=FlexibleMode(float(hertz), 0.02), band=0.1, move_m=move_m, residual_m=5e-5,
         acceleration_m_s2=acceleration, jerk_m_s3=usual_jerk_m_s3(move_m, acceleration),
     )  # fmt: skip
-    found = {
+
+
+def ordinary_windows(demand: Demand, names: Iterable[str]) -> dict[str, float]:
+    """Return the window of each law from which on every longer one meets the demand."""
+    limit, move_m = demand.acceleration_m_s2, demand.move_m
+    return {
         name: max(
-            still_s(law(name), mode), float(np.sqrt(law(name).acceleration * move_m / acceleration))
+            still_s(law(name), demand.mode.frequency_hz),
+            float(np.sqrt(law(name).acceleration * move_m / limit)),
         )
-        for name in ("trapezoid", "double-parabola", "simple-harmonic", "modified-sine")
+        for name in names
     }
+
+
+def frame_windows(hertz: str, factor: str = "1") -> dict[str, float]:
+    """Windows of ``frame_demand`` with ordinary laws, and with the law made for the mode."""
+    demand = frame_demand(hertz, factor)
+    ordinary = ("trapezoid", "double-parabola", "simple-harmonic", "modified-sine")
+    found = ordinary_windows(demand, ordinary)
     made = made_law(demand)
     found |= {"made": made.window_s, "free_levels": made.free_levels_s, "rigid": demand.rigid_s}
     return found | {"speed": found["modified-sine"] / made.window_s}
+
+
+def frame_best(hertz: str) -> dict[str, float]:
+    """Windows of ``frame_demand`` with every law by name, and the made law's gain on the best."""
+    demand = frame_demand(hertz)
+    found = ordinary_windows(demand, LAWS)
+    best = min(found.values())
+    return found | {"best": best, "speed": best / made_law(demand).window_s}
 
 
 NAMES: dict[str, Callable[..., Any]] = {
@@ -462,7 +482,7 @@ NAMES: dict[str, Callable[..., Any]] = {
     for f in (
         winder_step, winder_reversal, winder_proportional, winder_one_set, stitcher_overshoot,
         stitcher_proportional, stitcher_corners, stitcher_two_stitches, placer_model,
-        placer_left, placer_beam, frame_windows,
+        placer_left, placer_beam, frame_windows, frame_best,
     )
 }  # fmt: skip
 

@@ -242,3 +242,29 @@ def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
 def test_what_is_no_pes_is_refused_by_its_byte(content: bytes, said: str) -> None:
     with pytest.raises(JobError, match=said):
         read_pes(content, Place("a.pes"))
+
+
+# --- DST that says two things ---------------------------------------------------------------------
+
+
+def test_a_dst_whose_records_reach_elsewhere_than_its_header_says_is_warned_of(
+    tmp_path: Path, examples: Path
+) -> None:
+    """One bit in a record moves all the stitches behind it."""
+    content = bytearray((examples / "rosette.dst").read_bytes())
+    file = tmp_path / "a.dst"
+    file.write_bytes(content)
+    assert read_records(file).warnings == ()
+    content[512 + 3 * 40] ^= 0x04  # 9 units of X
+    file.write_bytes(content)
+    (warning,) = read_records(file).warnings
+    assert "reaches X -17.5 to 17.5" in warning and "may be damaged" in warning
+
+
+def test_bytes_behind_the_end_of_a_dst_are_told(tmp_path: Path, examples: Path) -> None:
+    content = (examples / "rosette.dst").read_bytes()
+    file = tmp_path / "a.dst"
+    file.write_bytes(content + b"\x1a" * 30)  # as tapes are filled up
+    assert read_records(file).warnings == ()
+    file.write_bytes(content + b"hello")
+    assert "5 bytes behind the mark of its end" in read_records(file).warnings[0]

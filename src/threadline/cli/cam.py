@@ -203,6 +203,8 @@ def _content(study: CamStudy, written: Path | None) -> dict[str, Any]:
         "end_rad": study.rise.end_rad,
         "start_found": study.rise.start_found,
         "end_found": study.rise.end_found,
+        "start_within_rad": study.rise.start_within_rad,
+        "end_within_rad": study.rise.end_within_rad,
         "fairing": str(study.chosen),
         "fairings": {
             str(each.fairing): {

@@ -12,6 +12,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.motion.laws import Law
 from threadline.motion.laws.cam_study import CamStudy, Faired, Fairing, second_differences
+from threadline.motion.laws.measured_rise import CONFIDENCE
 from threadline.motion.shaping import FlexibleMode, residual_m
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
@@ -197,7 +198,8 @@ def write_cam(study: CamStudy, tables: Sequence[Table], folder: Path) -> Path:
             figures={"rows": rows_figure(study), "law": law_figure(study)},
             captions={
                 "rows": "Distances as measured and faired, what fairing moved, and second "
-                "differences before and after. Triangles: outliers, kept. Upright: the rise.",
+                "differences before and after. Triangles: outliers, kept. Upright: the rise, "
+                f"grey: the intervals of its ends at {100 * CONFIDENCE:g} %.",
                 "law": "The law of the chosen fairing, light the clamped cubic spline through the "
                 "rows as they were measured, which may leave the picture.",
             },
@@ -246,6 +248,9 @@ def rows_figure(study: CamStudy) -> Figure:
     for panel in (top, middle, bottom):
         for end in (study.rise.start_rad, study.rise.end_rad):
             panel.axvline(np.degrees(end), color="0.3", linewidth=0.9)
+        for around in (study.rise.start_within_rad, study.rise.end_within_rad):
+            if around is not None:
+                panel.axvspan(*np.degrees(around).tolist(), color="0.5", alpha=0.15, linewidth=0)
         panel.legend(loc="best")
     return figure
 

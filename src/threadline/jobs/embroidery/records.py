@@ -30,6 +30,8 @@ UNIT_M = 1e-4
 MAX_BYTES = 64 * 1024 * 1024
 _DST_HEADER, _DST_RECORD = 512, 3
 _DST_FILL = b"\x1a"
+_DST_PADDING = b"\x00\x1a "
+_SIGNS = (1, -1, 1, -1)
 _DST_FIELD = re.compile(rb"(ST|[+-][XY]|A[XY]):([+-]? *\d+)[\r\n]")
 
 
@@ -163,16 +165,22 @@ def _not_of_its_format(suffix: str, why: str, place: Place) -> JobError:
 
 
 def _check_dst(content: bytes, place: Place) -> tuple[str, ...]:
-    """Refuse a DST file that is cut off; return a warning about one that lacks its end mark alone.
+    """Refuse a DST file that is cut off; return warnings about one that may be damaged.
 
     The end mark alone is missing if number, extents and last position of the records are those of
-    the header.
+    the header. Of a file with its end mark only the extents are compared with the header: programs
+    count the records and give the last position in their own ways.
     """
     records = content[_DST_HEADER:]
     count = len(records) // _DST_RECORD
     marks = np.frombuffer(records[: count * _DST_RECORD], dtype=np.uint8)
-    if (marks[2::_DST_RECORD] & 0xF3 == 0xF3).any():
-        return ()
+    ends = np.flatnonzero(marks[2::_DST_RECORD] & 0xF3 == 0xF3)
+    if len(ends):
+        behind = len(records[(int(ends[0]) + 1) * _DST_RECORD :].strip(_DST_PADDING))
+        return (
+            *([f"{place}: {behind} bytes behind the mark of its end are left out"] * (behind > 0)),
+            *_other_extents(content, place),
+        )
     if records[count * _DST_RECORD :] in {b"", _DST_FILL} and _is_whole_dst(content, count):
         return (
             f"{place}: the mark of its end is missing; number, extents and end of its {count} "
@@ -185,21 +193,52 @@ def _check_dst(content: bytes, place: Place) -> tuple[str, ...]:
     )
 
 
+def _other_extents(content: bytes, place: Place) -> tuple[str, ...]:
+    """Return a warning if the records of a DST file reach elsewhere than its header says."""
+    told = _dst_header(content)
+    said = [told.get(key, 0) for key in ("+X", "-X", "+Y", "-Y")]
+    if not any(said):
+        return ()
+    found = _extents(np.array(_decoded(content, ".dst", Place(""))[0], dtype=np.float64))
+    if found[:2] == said[:2] and sorted(found[2:]) == sorted(said[2:]):
+        return ()
+    header, reached = (
+        "X {1:g} to {0:g} and Y {3:g} to {2:g}".format(
+            *(n / 10 * s + 0.0 for n, s in zip(of, _SIGNS, strict=True))
+        )
+        for of in (said, found)
+    )
+    return (
+        f"{place}: its header says that the design reaches {header} mm; its records reach "
+        f"{reached} mm: one of them may be damaged",
+    )
+
+
+def _dst_header(content: bytes) -> dict[str, int]:
+    return {
+        key.decode("ascii"): int(value.replace(b" ", b""))
+        for key, value in _DST_FIELD.findall(content[:_DST_HEADER])
+    }
+
+
+def _extents(table: FloatArray) -> list[float]:
+    """Return how far (n, 3) records reach to +X, -X, +Y (down) and -Y from the start."""
+    x, y = table[:, 0], table[:, 1]
+    return [max(0.0, float(v)) for v in (x.max(), -x.min(), y.max(), -y.min())]
+
+
 def _is_whole_dst(content: bytes, count: int) -> bool:
     """Return whether the header of a DST file without end mark is that of its records.
 
     Programs count the thread changes and the end mark as records, or do not, and have Y up or down.
     A program that writes another last position leaves the frame where it began.
     """
-    told = {
-        key.decode("ascii"): int(value.replace(b" ", b""))
-        for key, value in _DST_FIELD.findall(content[:_DST_HEADER])
-    }
+    told = _dst_header(content)
     if not count or set(told) != {"ST", "+X", "-X", "+Y", "-Y", "AX", "AY"}:
         return False
     table = np.array(_decoded(content, ".dst", Place(""))[0], dtype=np.float64)
     x, y = table[:, 0], table[:, 1]
-    right, left, *along_y = (max(0.0, float(v)) for v in (x.max(), -x.min(), y.max(), -y.min()))
+    right, left, *along_y = _extents(table)
     change = int((table[:, 2].astype(np.int64) & 0xFF == Act.COLOUR).sum())
     return (
         told["ST"] in {count, count + 1, count - change}

@@ -147,8 +147,8 @@ def study_cam(
     Raises
     ------
     OptionError
-        If a number is not positive, the noise cannot be estimated, there is no rise, or the law
-        of the chosen fairing cannot be made.
+        If a number is not positive, the noise cannot be estimated, there is no rise or no row
+        within it, or the law of the chosen fairing cannot be made.
     """
     for what, value in (("noise", noise_m), ("epsilon", epsilon_m), ("passes", most_passes)):
         if value is not None and not 0.0 < value < np.inf:
@@ -167,6 +167,13 @@ def study_cam(
     rise = rise_of(alpha, h, noise, cam.follower, own, start_rad, end_rad)
     t = (alpha - rise.start_rad) / (rise.end_rad - rise.start_rad)
     inside = (t >= -1e-12) & (t <= 1.0 + 1e-12)
+    if not inside.any():
+        raise OptionError(
+            f"cam: no row lies within the rise, {np.degrees(rise.start_rad):.4g} to "
+            f"{np.degrees(rise.end_rad):.4g} deg",
+            place=Place(cam.file),
+            remedy="Measure rows between the two dwells.",
+        )
     smooth_ends = (rise.start_found or start_rad is not None, rise.end_found or end_rad is not None)
     smoother = Smoother(t, own, smooth_ends)
     weight = smoother.weight_for(cam.follower)

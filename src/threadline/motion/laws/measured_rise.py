@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError, Place
 from threadline.motion.laws.cam import MeasuredCam
-from threadline.motion.laws.fairing import Smoother
+from threadline.motion.laws.catalogue import LAWS
+from threadline.motion.laws.law import Law
 
 _ORDER = 4  # of the differences: for a smooth rise at a hundred rows they are far below its noise
 _NEAR = 1.8  # five rows spanning more than this times the median have a gap and give no noise
@@ -18,8 +23,17 @@ _FEWEST = 8
 _FEW = 20  # rows: with so few, no median is taken
 _FALL, _RISE = 7.0, 6.0  # times the noise
 _DWELL = 3  # least number of rows of a dwell
-_STIFF = 1e-9  # weight of the jerk per row: stiff enough that the ends matter more than the noise
-_TRIED = 0.03  # first step of the search for an end, as a share of the rise's length
+CONFIDENCE = 0.9  # of the intervals of start and end
+_TAIL = 0.025  # on either side: the real shape is none of those that are tried
+_FREE = 0.5  # least share of the shapes without a name in an interval
+_POWERS = (1, 2, 3, 4)  # of the time near an end, to which the velocity is proportional
+_DEGREES = (0, 6)  # of the polynomials between the ends
+_BACK = 0.02  # of the greatest velocity: a shape that goes back by more is none
+_DOUBT = 1e3
+_LOOKS = 4  # for outliers, which lose their weight
+_MOST_ROWS = 400  # more are averaged in runs
+
+Within = tuple[float, float] | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +47,8 @@ class Rise:
     start_found, end_found
         Whether the end was found from a dwell beside it. Otherwise it was given, or it is the end
         of the table.
+    start_within_rad, end_within_rad
+        Interval of each end at ``CONFIDENCE``; None unless the end was found.
     said
         A sentence about the start and one about the end: where it is, and how it was found.
     """
@@ -41,6 +57,8 @@ class Rise:
     end_rad: float
     start_found: bool
     end_found: bool
+    start_within_rad: Within
+    end_within_rad: Within
     said: tuple[str, ...]
 
 
@@ -134,9 +152,10 @@ def rise_of(
 
     A dwell is a run of at least three rows, at an end of the table, that are equal within the
     noise. Beside a dwell the rise is too flat for its end to be visible in the rows. Both ends are
-    therefore fitted: the stiff monotone rise with velocity and acceleration 0 at these ends comes
-    nearest to all rows. Without a dwell the table begins or ends within the rise; then the end of
-    the table is taken, and ``said`` reports it.
+    therefore fitted, together with the shape of the rise, to all rows: each of the laws by name,
+    and rises of free shape that leave their ends with the second to the fifth power of the time.
+    Every shape counts as much as it is probable for the rows. Without a dwell the table begins or
+    ends within the rise; then the end of the table is taken, and ``said`` reports it.
 
     Parameters
     ----------
@@ -164,17 +183,18 @@ def rise_of(
             f"table, {np.degrees(alpha_rad[0]):g} to {np.degrees(alpha_rad[-1]):g} deg"
         )
     free = (early and start_rad is None, late and end_rad is None)
-    start, end = _nearest(alpha_rad, follower, follower_noise, (start, end), free)
+    (start, end), within = _ends(alpha_rad, follower, follower_noise, (start, end), free)
     said = []
-    for which, given, found, at in (
-        ("starts", start_rad, early, start),
-        ("ends", end_rad, late, end),
+    for which, given, at, around in (
+        ("starts", start_rad, start, within[0]),
+        ("ends", end_rad, end, within[1]),
     ):
         how = (
             "as given"
             if given is not None
-            else "where a stiff rise between the dwells comes nearest to the rows"
-            if found
+            else f"{np.degrees(around[0]):.5g} to {np.degrees(around[1]):.5g} deg at "
+            f"{100 * CONFIDENCE:g} %, from the shapes of rise that explain the rows"
+            if around is not None
             else "at the end of the table, where it still moves: no dwell of "
             f"{_DWELL} rows shows the true end"
             if which == "ends"
@@ -184,50 +204,215 @@ def rise_of(
         said.append(f"the rise {which} at {np.degrees(at):.4g} deg, {how}")
     return Rise(
         start_rad=start, end_rad=end, start_found=early and start_rad is None,
-        end_found=late and end_rad is None, said=tuple(said),
+        end_found=late and end_rad is None, start_within_rad=within[0], end_within_rad=within[1],
+        said=tuple(said),
     )  # fmt: skip
 
 
-def _nearest(
+def _ends(
     alpha: FloatArray,
     follower: FloatArray,
     noise: FloatArray,
     ends: tuple[float, float],
     free: tuple[bool, bool],
-) -> tuple[float, float]:
-    """Return the ends with which a stiff rise fits the rows best; ends that are not free stay."""
-    from scipy.optimize import minimize
+) -> tuple[tuple[float, float], tuple[Within, Within]]:
+    """Return the ends of the rise and an interval for each; ends that are not free stay.
 
+    Each shape of rise (:func:`_shapes`) is fitted to the rows together with its ends. Its weight is
+    the probability of the rows under it, with the integral over ends and coefficients by Laplace's
+    method: MacKay, "Bayesian interpolation", Neural Computation 4 (1992). The ends are the medians
+    of the weighted sum of the shapes' normal distributions, the intervals its quantiles, where the
+    shapes without a name count for at least a half: a law by name may explain the rows by chance.
+    """
     if not any(free):
-        return ends
+        return ends, (None, None)
+    rows = np.arange(len(alpha))
+    runs = np.array_split(rows, min(len(rows), _MOST_ROWS))
+    x, y = (np.array([each[run].mean() for run in runs]) for each in (alpha, follower))
+    deviation = np.array([noise[run].mean() / np.sqrt(len(run)) for run in runs])
     which = np.flatnonzero(free)
-    scale = _TRIED * (ends[1] - ends[0])
+    for _ in range(_LOOKS):
+        fits = [_fitted(shape, x, y, deviation, ends, which) for shape in _shapes()]
+        rising = [fit for fit in fits if fit.rises]
+        if not rising:
+            raise OptionError(
+                "cam: no rise between two dwells explains the rows",
+                remedy='Say where it is: --start "7.5 deg" --end "127.5 deg".',
+            )
+        nearest = min(rising, key=lambda fit: float(fit.rest @ fit.rest))
+        doubted = np.abs(nearest.rest)
+        usual = max(1.0, 1.4826 * float(np.median(doubted)))
+        outlying = (doubted > _OUTLYING * usual) & (deviation < _DOUBT * np.median(deviation))
+        if not outlying.any() or outlying.sum() > len(x) // 10:
+            break
+        deviation = np.where(outlying, 10.0 * _DOUBT * deviation, deviation)
+    # Rows that no shape explains within the noise: the noise is larger than said.
+    scale = max(1.0, float(nearest.rest @ nearest.rest) / max(len(x) - 4, 1))
+    likely = np.array([fit.likely - 0.5 * fit.squares / scale for fit in fits])
+    likely[[not fit.rises for fit in fits]] = -np.inf
+    weight = np.exp(likely - likely.max())
+    # A rise that a law by name explains may still have another shape.
+    doubtful, named = weight / weight.sum(), len(LAWS)
+    free_share = doubtful[named:].sum()
+    if 0.0 < free_share < _FREE:
+        doubtful[:named] *= (1.0 - _FREE) / (1.0 - free_share)
+        doubtful[named:] *= _FREE / free_share
+    both = list(ends)
+    within: list[Within] = [None, None]
+    for k, end in enumerate(which.tolist()):
+        middle = np.array([fit.ends[end] for fit in fits])
+        spread = np.sqrt([scale * fit.covariance[k, k] for fit in fits])
+        (at,) = _quantiles(weight, middle, spread, [0.5])
+        around = _quantiles(doubtful, middle, spread, [_TAIL, 1.0 - _TAIL])
+        low, both[end], high = np.clip([around[0], at, around[1]], alpha[0], alpha[-1]).tolist()
+        within[end] = (low, high)
+    return (both[0], both[1]), (within[0], within[1])
 
-    def placed(moved: FloatArray) -> FloatArray:
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Shape:
+    """A shape of rise: a law by name, or the velocity t^p (1 - t)^q times a polynomial.
+
+    ``centre`` and ``spread`` are the mean and the standard deviation of the time, weighted with the
+    velocity. ``risen`` returns (n, k) rises at (n,) times, one column for each coefficient; with
+    equal coefficients the polynomial is a constant. ``velocity`` (m, k) belongs to them.
+    """
+
+    risen: Callable[[FloatArray], FloatArray]
+    velocity: FloatArray
+    centre: float
+    spread: float
+
+
+@cache
+def _shapes() -> tuple[_Shape, ...]:
+    """Return the shapes of rise that a measured one may have."""
+    t = np.linspace(0.0, 1.0, 201)
+    made: list[Callable[[FloatArray], FloatArray]] = [
+        *(partial(_named, each) for each in LAWS.values()),
+        *(partial(_polynomial, *of) for of in product(_POWERS, _POWERS, _DEGREES)),
+    ]
+    shapes = []
+    middle = 0.5 * (t[1:] + t[:-1])
+    for risen in made:
+        velocity = np.diff(risen(t), axis=0)
+        share = velocity.sum(axis=1) / velocity.sum()
+        centre = float(share @ middle)
+        spread = float(np.sqrt(share @ (middle - centre) ** 2))
+        shapes.append(_Shape(risen=risen, velocity=velocity, centre=centre, spread=spread))
+    return tuple(shapes)
+
+
+def _named(law: Law, t: FloatArray) -> FloatArray:
+    return np.asarray(law(t))[:, None]
+
+
+def _polynomial(p: int, q: int, degree: int, t: FloatArray) -> FloatArray:
+    """Return (n, degree + 1) rises whose velocities are t^p (1 - t)^q times Bernstein polynomials.
+
+    Their sum is a rise from 0 to 1; each is an incomplete beta function.
+    """
+    from scipy.special import beta, betainc, comb
+
+    j = np.arange(degree + 1)
+    size = comb(degree, j) * beta(p + 1 + j, q + 1 + degree - j) / beta(p + 1, q + 1)
+    return np.asarray(size * betainc(p + 1 + j, q + 1 + degree - j, t[:, None]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Fit:
+    """A shape fitted to rows: its ends, their covariance, and how well it explains the rows.
+
+    ``rest`` are the (n,) residuals over the noise, ``squares`` their sum of squares together with
+    the one of the coefficients; ``likely`` is the logarithm of the volume of ends and coefficients.
+    """
+
+    ends: tuple[float, float]
+    covariance: FloatArray
+    rest: FloatArray
+    squares: float
+    likely: float
+    rises: bool
+
+
+def _fitted(
+    shape: _Shape, x: FloatArray, y: FloatArray, noise: FloatArray, ends: tuple[float, float],
+    which: NDArray[np.int_],
+) -> _Fit:  # fmt: skip
+    """Return the fit of a shape to (n,) rows, with the ends ``which`` free.
+
+    Each coefficient is expected at the height of the rise, and off it by as much.
+    """
+    from scipy.optimize import least_squares
+
+    low, high = float(np.median(y[:_DWELL])), float(np.median(y[-_DWELL:]))
+    height, count = max(high - low, float(noise.min())), shape.velocity.shape[1]
+    share = np.diff(np.clip((y - low) / height, 0.0, 1.0))
+    at = 0.5 * (x[1:] + x[:-1])
+    begin, last = ends
+    centre = float(np.clip(share @ at, 0.9 * begin + 0.1 * last, 0.1 * begin + 0.9 * last))
+    length = np.sqrt(max(float(share @ (at - centre) ** 2), (x[1] - x[0]) ** 2)) / shape.spread
+    target = np.concatenate((y / noise, np.ones(count)))
+    coefficients = np.hstack((np.zeros((count, 1)), np.eye(count) / height))
+
+    def placed(free: FloatArray) -> FloatArray:
+        """Return both ends for the free ones, counted in lengths of the rise from its centre."""
         both = np.array(ends)
-        both[which] += scale * moved
-        return np.asarray(np.clip(both, alpha[0], alpha[-1]))
+        both[which] = centre + length * free
+        return both
 
-    def missed(moved: FloatArray) -> float:
-        start, end = placed(moved).tolist()
-        if not end > start:
-            return np.inf
-        smoother = Smoother((alpha - start) / (end - start), noise)
-        weight = _STIFF * len(alpha)
-        found = smoother.solve(follower, weight)
-        rest = smoother.rows @ found - follower / noise
-        jerk = smoother.penalty @ found
-        return float(rest @ rest + weight * (jerk @ jerk))
+    def matrix(free: FloatArray) -> FloatArray:
+        start, end = placed(free).tolist()
+        t = np.clip((x - start) / (end - start), 0.0, 1.0)
+        rows = np.hstack((np.ones((len(x), 1)), shape.risen(t))) / noise[:, None]
+        return np.vstack((rows, coefficients))
 
-    # The search goes inwards from the last rows of the dwells: the rise starts there or later.
-    inwards = np.array([1.0, -1.0])[which]
-    simplex = np.vstack((np.zeros(len(which)), np.diag(inwards)))
-    found = minimize(
-        missed, np.zeros(len(which)), method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.01, "maxfev": 200},
+    def missed(free: FloatArray) -> FloatArray:
+        q, _ = np.linalg.qr(matrix(free))
+        return np.asarray(target - q @ (q.T @ target))
+
+    lowest = np.array([min((x[0] - centre) / length, -0.02), 0.01])[which]
+    highest = np.array([-0.01, max((x[-1] - centre) / length, 0.02)])[which]
+    guess = np.array([-shape.centre, 1.0 - shape.centre])[which]
+    found = least_squares(
+        missed, np.clip(guess, 0.999 * lowest + 0.001 * highest, 0.001 * lowest + 0.999 * highest),
+        bounds=(lowest, highest), x_scale=0.02, xtol=1e-3, ftol=1e-3, max_nfev=15,
+        diff_step=np.full(len(which), 2e-3),
     )  # fmt: skip
+    q, r = np.linalg.qr(matrix(found.x))
+    solved = np.linalg.solve(r, q.T @ target)
+    slopes = np.asarray(found.jac)
+    curvature = slopes.T @ slopes
+    # Beforehand an end may be anywhere in the table, evenly.
+    curvature += 12.0 * (length / (x[-1] - x[0])) ** 2 * np.eye(len(which))
+    covariance = length**2 * np.linalg.inv(curvature)
+    rest = missed(found.x)
+    velocity = shape.velocity @ solved[1:]
     start, end = placed(found.x).tolist()
-    return start, end
+    return _Fit(
+        ends=(start, end), covariance=covariance, rest=rest[: len(x)],
+        squares=float(rest @ rest),
+        likely=float(
+            0.5 * np.linalg.slogdet(covariance)[1]
+            - np.log(np.abs(np.diag(r))).sum() - count * np.log(height)
+        ),
+        rises=bool(velocity.min() >= -_BACK * abs(velocity.max())),
+    )  # fmt: skip
+
+
+def _quantiles(
+    weight: FloatArray, middle: FloatArray, spread: FloatArray, shares: list[float]
+) -> FloatArray:
+    """Return the quantiles at ``shares`` of a weighted sum of normal distributions."""
+    from scipy.special import ndtr
+
+    kept = weight > 1e-6 * weight.max()
+    weight, middle, spread = weight[kept] / weight[kept].sum(), middle[kept], spread[kept]
+    # A narrow distribution among wide ones has samples of its own.
+    steps = np.linspace(-6.0, 6.0, 241)
+    at = np.unique(middle[:, None] + spread[:, None] * steps)
+    below = ndtr((at[:, None] - middle) / spread) @ weight
+    return np.asarray(np.interp(shares, below, at))
 
 
 def _foot(x: FloatArray, y: FloatArray, noise: float) -> tuple[float, bool]:
