@@ -226,14 +226,14 @@ def speeds_figure(plans: Sequence[Plan]) -> Figure:
 
 
 _CAPTIONS = {
-    "design": "The design as it is sewn. The more of the limit a stitch uses, the thicker and the "
-    "darker it is; a cross stands on those out of spec, dotted lines travel with the needle up.",
+    "design": "The design as it is sewn. A stitch is drawn the thicker and the darker, the more of "
+    "the limit it uses; a cross marks a stitch out of spec; along dotted lines the needle is up.",
     "threads": "The design in the colours of its threads, numbered where each begins, with the "
     "length and the time of each.",
-    "moves": "How many moves there are of each length, the longer of both axes; how long the "
-    "frame swings decides how slowly the longest are made.",
-    "pace": "Speed of the shaft at each stitch, and the time until then; dashed, the speed "
-    "from which on down the slowest stitch alone would be still enough.",
+    "moves": "The number of moves of each length, along the axis with the longer way. The longest "
+    "moves need the slowest turns, since the frame swings for longest behind them.",
+    "pace": "The speed of the shaft at each stitch, and the time until then. Dashed: the highest "
+    "speed that leaves the slowest stitch, planned alone, enough time.",
 }
 _DRAWN = ("stitch_residual",)
 _THREADS_HEADER = ["block", "thread", "stitches", "length m", "time s"]
