@@ -31,6 +31,7 @@ NUMERICS = (
     "trajectory",
     "twin",
     "verdict",
+    "winding",
 )
 """Folders of tests whose outcome could hang on rounding in linear algebra."""
 WHOLE = "Prescott"
