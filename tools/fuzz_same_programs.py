@@ -42,10 +42,13 @@ _OF_LINES = ("auto", "linear", "optimal", "parabolic")
 """Interpolations in which a move that is cut in two is the same path."""
 _OF_POINTS = ("cubic", "quintic", "b-spline", "point-to-point", "law:modified-sine")
 """One more point is another path, or one more rest."""
-_OF_THE_CUT = {"auto": ("acceleration", "deceleration", "jerk")}
+_OF_THE_CUT = {
+    "auto": ("acceleration", "deceleration", "jerk"),
+    "linear": ("velocity", "acceleration", "deceleration", "jerk", "path_use"),
+}
 """What the plan of a move that is cut in two may reach: ``auto`` rounds a corner within half of the
-part beside it, so that a shorter part has a sharper curve. ``linear`` gives each part whole ticks,
-which are at least a dozen here: that is within ``_MOVED``."""
+part beside it, so that a shorter part has a sharper curve; ``linear`` gives each part whole ticks,
+and a part of three ticks may be a third slower or faster."""
 
 Key = tuple[str, str, str]
 Told = Mapping[Key, tuple[float | None, str, float | None]]

@@ -49,6 +49,7 @@ def test_what_must_not_matter_changes_no_verdict(kind: str, tmp_path: Path) -> N
     [
         ("1.prg", (1572,)),  # in a block that lifts the fibre and slips
         ("1.prg", tuple(range(1, 3459, 7))),
+        ("1.prg", tuple(range(2, 3459, 2))),  # where the fibre is given out fastest
         ("follows.seam.toml", (1500,)),  # between a stop of the head and the end of its contour
         ("follows.seam.toml", tuple(range(1, 2113, 50))),
     ],

@@ -183,7 +183,7 @@ def _slack(samples: Wound, run: int) -> FloatArray:
 
 
 def _paid_out(samples: Wound, run: int) -> FloatArray:
-    fibre, step_s = samples.fibres[run], np.diff(samples.time_s, prepend=np.nan)
+    fibre, step_s = samples.fibres[run], np.diff(samples.time_s, prepend=samples.before_s)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(fibre.known, np.abs(fibre.used_m) / step_s, np.nan)
 

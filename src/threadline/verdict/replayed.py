@@ -116,13 +116,17 @@ def wound_job(plan: Plan, number: int | None = None) -> WoundJob | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wound:
-    """Consecutive samples of parallel runs with their replayed fibres."""
+    """Consecutive samples of parallel runs with their replayed fibres.
+
+    ``before_s`` is the time of the sample before them, NaN if there is none.
+    """
 
     time_s: FloatArray
     operation: IntArray | None
     actual: FloatArray
     fibres: Sequence[Fibre]
     eyes: Sequence[FloatArray]
+    before_s: float = np.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,6 +172,7 @@ class SharedReplays:
         self._found: Wound | None = None
         self._waiting: _Samples | None = None
         self._rest: Wound | None = None
+        self._before_s = np.nan
 
     def samples(self, block: Block) -> Wound:
         """Return the samples of a block; replayed once."""
@@ -201,7 +206,10 @@ class SharedReplays:
         for eyes, replay in zip(read.eyes, self._replays, strict=True):
             assert replay is not None
             fibres.append(replay.feed(eyes, read.operation, behind))
-        return Wound(read.time_s, read.operation, read.actual, fibres, read.eyes)
+        found = Wound(read.time_s, read.operation, read.actual, fibres, read.eyes, self._before_s)
+        if len(read.time_s):
+            self._before_s = float(read.time_s[-1])
+        return found
 
 
 _LATEST = local()
