@@ -30,6 +30,7 @@ from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import REPEATED, open_job, plan_job, prove
 from threadline.report.lines import stitch_rows
+from threadline.report.stitched import threads_figure
 from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")
@@ -375,3 +376,21 @@ def test_a_stitch_between_two_units_is_named_by_its_own_line(examples: Path) -> 
     with pytest.raises(PlanError, match=said) as caught:
         stitch(replace(job, operations=Stream.of(runs)), MACHINE, SINE, 5e-5, None)
     assert "rosette.dst:5:" in str(caught.value)
+
+
+def test_a_thread_change_behind_the_last_stitch_sews_nothing(tmp_path: Path) -> None:
+    """The frame travels on, as in files that end where they began; the picture has one thread."""
+    pattern = pystitch.EmbPattern()
+    for x, y in ((0, 0), (30, 0), (30, 30)):
+        pattern.add_stitch_absolute(pystitch.STITCH, x, y)
+    pattern.add_command(pystitch.COLOR_CHANGE)
+    pattern.add_stitch_absolute(pystitch.JUMP, 60, 60)
+    pattern.end()
+    file = tmp_path / "a.exp"
+    pystitch.write(pattern, str(file))
+    options = replace(Options(), feed=parse_feed("60 stitch/min"))
+    plan = plan_job(read_job(file, MACHINE), MACHINE, options)
+    assert plan.stitched.turns.block.max() == 2
+    assert [one.block for one in plan.stitched.sewn] == [1]
+    (drawn,) = threads_figure(plan).axes[0].collections
+    assert len(drawn.get_segments()) == plan.stitched.frame_moves.sum()

@@ -512,12 +512,17 @@ class Stitched:
 
     @property
     def sewn(self) -> list[Sewn]:
-        """Stitches, length and time of each thread, in the order of the design."""
+        """Stitches, length and time of each thread, in the order of the design.
+
+        A thread change behind the last stitch begins a block that sews nothing: it is left out.
+        """
         threads = self.job.threads
         found = []
         for block in np.unique(self.turns.block).tolist():
             own = self.turns.block == block
             holes = self.places_m[own & (self.turns.stitch > 0)]
+            if not len(holes):
+                continue
             found.append(
                 Sewn(
                     block=block,

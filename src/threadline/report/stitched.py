@@ -34,6 +34,7 @@ from threadline.verdict import closing, closing_of_all, verdict_rows
 from threadline.verdict.stitch_run import StitchRun
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from threadline.search import Comparison
@@ -92,11 +93,7 @@ def design_figure(proof: Proof, recording: Recording) -> Figure:
         [], [], color=_OUT, linewidth=_THICK, marker="x", markersize=4, markeredgecolor="black",
         markeredgewidth=0.8, label=f"over it: {int(over.sum())}",
     )  # fmt: skip
-    panel.set_aspect("equal", adjustable="datalim")
-    panel.autoscale_view()
-    panel.set_xlabel("X mm")
-    panel.set_ylabel("Y mm")
-    figure.legend(loc="outside lower center", ncols=2)
+    _finish(figure, panel)
     return figure
 
 
@@ -135,12 +132,17 @@ def threads_figure(plan: Plan) -> Figure:
             str(one.block), first, fontsize=7, ha="center", va="center",
             bbox={"boxstyle": "circle,pad=0.15", "fc": "white", "ec": "black", "lw": 0.5},
         )  # fmt: skip
+    _finish(figure, panel)
+    return figure
+
+
+def _finish(figure: Figure, panel: Axes) -> None:
+    """Label a drawing of the cloth, at one scale on both axes."""
     panel.set_aspect("equal", adjustable="datalim")
     panel.autoscale_view()
     panel.set_xlabel("X mm")
     panel.set_ylabel("Y mm")
     figure.legend(loc="outside lower center", ncols=2)
-    return figure
 
 
 def _shade(share: float) -> tuple[float, float, float]:

@@ -154,8 +154,7 @@ class Replay:
         chain = np.vstack([before, eyes])
         self._last = chain[-1:] if len(chain) else None
         own = np.arange(count) if group is None else group
-        ended = -1 - abs(int(own[-1])) if behind is None and count else behind or 0
-        groups = np.append(own, ended)
+        groups = np.append(own, own[-1:] - 1 if behind is None else [behind])
         laid = Laid(
             state=np.full(count, WAITING, dtype=np.int64),
             place=np.full((count, 10), np.nan),
