@@ -280,6 +280,11 @@ def check_answers(settings: Settings, answers: Answers) -> None:
             raise OptionError(f"--set {key}={text!r} must be greater than 0")
 
 
+def names_dynamics(answers: Answers) -> bool:
+    """Return whether an answer concerns motors or masses."""
+    return any(key.partition(".")[0] in _OF_DYNAMICS for key in answers.given)
+
+
 def _refuse_dynamics(answers: Answers) -> None:
     for key in answers.given:
         if key.partition(".")[0] in _OF_DYNAMICS:
