@@ -85,7 +85,7 @@ def parse_answers(texts: Sequence[str]) -> Answers:
 
 
 _FULL_STEPS = 200
-_DIALECTS = {"klipper": "marlin", "reprapfirmware": "marlin"}
+_DIALECTS = {"reprapfirmware": "marlin"}
 _PLANNERS = {
     "grbl": "grbl", "fluidnc": "grbl", "marlin": "marlin", "klipper": "klipper",
     "reprapfirmware": "reprapfirmware", "linuxcnc": "linuxcnc",
