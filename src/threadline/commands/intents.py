@@ -272,6 +272,9 @@ class Scheduled:
     single
         The schedule of one cycle, for the program of a PLC, if this one has a first and a further
         cycle.
+    creeping
+        How each cylinder creeps to a late end switch: ``opening_m`` and ``every_s`` of an opening,
+        and the ringing ``rings_m`` of one; two half a period apart cancel.
     """
 
     job: Job
@@ -284,6 +287,7 @@ class Scheduled:
     shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
     again_tick: int = 0
     single: Scheduled | None = None
+    creeping: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def one_cycle(self) -> Scheduled:
@@ -319,10 +323,11 @@ class Scheduled:
         return "switched"
 
     def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:
-        """Return the shaping of each cylinder if a shaper was requested, else nothing."""
+        """Return how cylinders creep, and their shaping if a shaper was requested."""
+        creep = {"creep": self.creeping} if self.creeping else {}
         if "shaper" not in options:
-            return {}
-        return {"shaping": {axis: one.as_json() for axis, one in self.shaping.items()}}
+            return creep
+        return creep | {"shaping": {axis: one.as_json() for axis, one in self.shaping.items()}}
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
         """Return the line of each operation, 0 for an operation without one."""

@@ -336,6 +336,7 @@ def about_switching(proof: Proof) -> list[str]:
     """Return the lines below the verdict: production, and the shaper of each cylinder."""
     produced = production(proof)
     rows = [["Production", produced]] if produced else []
+    rows += creep_rows(proof.plan)
     rows += [[f"Cylinder {axis}", words] for axis, words in shaping_rows(proof.plan)]
     return [f"{name}:".ljust(22) + words for name, words in rows]
 
@@ -349,6 +350,16 @@ def production(proof: Proof) -> str:
         f"{steady['pieces_per_hour']:.0f} pieces an hour, a cycle of {steady['cycle_s']:.4g} s "
         "behind the first"
     )
+
+
+def creep_rows(plan: Plan) -> list[list[str]]:
+    """Return rows of how cylinders creep to end switches that are late; none without."""
+    told = [
+        f"{axis} creeps, {one['opening_m'] * 1e3:.2g} mm each {one['every_s']:.3g} s"
+        + (f", ringing {one['rings_m'] * 1e3:.2g} mm at most" if one["rings_m"] else "")
+        for axis, one in plan.scheduled.creeping.items()
+    ]
+    return [["Late switches", "; ".join(told)]] if told else []
 
 
 def shaping_rows(plan: Plan) -> list[list[str]]:

@@ -26,6 +26,7 @@ from threadline.machine.pneumatics import TIMES
 from threadline.twin.switching_cylinder import Cylinders, cylinders_of
 from threadline.twin.switching_run import (
     CALMING,
+    CREEP_NUMBERS,
     NEVER,
     PER_CYLINDER,
     PHASE,
@@ -181,15 +182,27 @@ def orders_of(
 
     axes = list(machine.cylinders)
     most = max(len(flows_of(cylinder)) for cylinder in machine.cylinders.values())
-    flowing = np.zeros((len(commands.ticks) + 1, len(axes), most))
+    waits = [event for event in commands.events if event.kind == "wait"]
+    states = states_of(commands.levels, openings(waits, commands))
+    flowing = np.zeros((len(states), len(axes), most))
     for column, (axis, cylinder) in enumerate(machine.cylinders.items()):
         for place, (valve, flow, sign) in enumerate(flows_of(cylinder)):
             sense = "forward" if sign > 0.0 else "back"
             own = cylinder.way(sign > 0.0).flows[flow].si
             size = sign * number(f"cylinders.{axis}.{sense}.flows.{flow}", own)
             columns = [commands.outputs.index(valve), commands.outputs.index(flow)]
-            flowing[1:, column, place] = size * commands.levels[:, columns].all(axis=1)
-    waits = [event for event in commands.events if event.kind == "wait"]
+            flowing[:, column, place] = size * states[:, columns].all(axis=1)
+    creeps = {creep.tick: creep for creep in commands.creeps}
+    longest = int(_MAX_STALL_S / float(commands.clock.period_s) + 1e-9)
+    numbers = np.zeros((len(waits), CREEP_NUMBERS), dtype=np.int64)
+    for index, wait in enumerate(waits):
+        one = creeps.get(wait.tick)
+        numbers[index] = (
+            (0, 0, 0, 0, longest)
+            if one is None
+            else (one.first, one.every, one.opens, one.rest, one.most)
+        )
+    begin_creeps = len(commands.ticks) + 1
     names = list(machine.contacts)
     closes, at, above = [], [], []
     for name, contact in machine.contacts.items():
@@ -207,17 +220,19 @@ def orders_of(
 
     return Orders(
         ticks=np.array(commands.ticks, dtype=np.int64),
-        level=flowing.sum(axis=2),
-        flowing=flowing,
+        level=flowing[:begin_creeps].sum(axis=2),
+        flowing=flowing[:begin_creeps],
         wait_tick=whole([event.tick for event in waits]),
         wait_contact=whole([names.index(event.name) for event in waits]),
         wait_value=whole([bool(event.value) for event in waits]),
         wait_given=whole([event.name in given for event in waits]),
+        wait_creep=numbers,
+        creep_level=flowing[begin_creeps:].sum(axis=2),
+        creep_flowing=flowing[begin_creeps:],
         contact_cylinder=whole(closes),
         contact_at=np.array(at, dtype=np.float64),
         contact_above=whole(above),
         duration=commands.duration_ticks,
-        most_stalled=int(_MAX_STALL_S / float(period_s) + 1e-9),
         after=max(1, round(options.after_s / float(period_s))),
         break_s=NEVER if options.break_s is None else options.break_s,
         period_s=float(period_s),
@@ -241,6 +256,7 @@ def _read(
     """Yield the blocks of one run."""
     bank, motion, progress = cylinders.bank(variant), cylinders.at_rest(variant), begin(orders)
     waits = [event for event in commands.events if event.kind == "wait"]
+    states = states_of(commands.levels, openings(waits, commands))
     contacts = [c.name for c in channels if c.kind is ChannelKind.INPUT]
     for name, value in (options.inputs or {}).items():
         if name in contacts:
@@ -256,7 +272,7 @@ def _read(
         yield run_block(
             channels,
             (out[:count], rows[:count], over[:ended]),
-            (commands.outputs, commands.levels, commands.operation, waits),
+            (commands.outputs, states, commands.operation, waits),
             first,
         )
         first += count
@@ -275,16 +291,15 @@ def run_block(
     ran
         The filled parts of its ``out``, ``rows`` and ``over``.
     told
-        Outputs, their (R, outputs) levels, (R,) operations, and the waits.
+        Outputs, their (R + 1 + W, outputs) ``states_of``, (R,) operations, and the waits.
     first
         Index of the first sample.
     """
-    (out, rows, over), (outputs, levels, operations, waits) = ran, told
-    # Before the first row all outputs are off, and the operation is 0.
-    states = np.vstack((np.zeros((1, len(outputs))), levels))
+    (out, rows, over), (outputs, states, operations, waits) = ran, told
+    # Before the first row the operation is 0.
     operation = np.concatenate(([0], operations)).astype(np.float64)
     measured = dict(zip((c.name for c in channels), out.T.copy(), strict=False))
-    on = states[rows[:, 0] + 1].T.copy()
+    on = states[rows[:, 0] + 1].T.astype(np.float64)
     return RecordingBlock(
         first_tick={channels[0].clock.name: first},
         samples={
@@ -305,11 +320,26 @@ def run_block(
     )
 
 
-def stall_of(wait: Event) -> str:
+def openings(waits: Sequence[Event], commands: SwitchSchedule) -> IntArray:
+    """Return the (W, outputs) state of the outputs during an opening in each wait."""
+    creeps = {creep.tick: creep.levels for creep in commands.creeps}
+    none = (0,) * len(commands.outputs)
+    levels = [creeps.get(wait.tick, none) for wait in waits]
+    return np.array(levels, dtype=np.int64).reshape(len(levels), len(none))
+
+
+def states_of(levels: IntArray, opened: IntArray) -> IntArray:
+    """Return all states of the outputs: all off, those of the rows, those of ``openings``."""
+    return np.vstack((np.zeros_like(levels, shape=(1, levels.shape[1])), levels, opened))
+
+
+def stall_of(wait: Event, commands: SwitchSchedule) -> str:
     """Return the reason why a schedule ended at a wait."""
+    creep = commands.creep_at(wait.tick)
+    most_s = _MAX_STALL_S if creep is None else creep.most * float(commands.clock.period_s)
     return (
         f"the input {wait.name!r} did not become {'on' if wait.value else 'off'} within "
-        f"{_MAX_STALL_S:g} s"
+        f"{most_s:g} s"
     )
 
 
@@ -318,7 +348,8 @@ def _refuse_stall(commands: SwitchSchedule, plc: IntArray) -> None:
         return
     wait = [event for event in commands.events if event.kind == "wait"][plc[WAIT]]
     raise RecordingError(
-        stall_of(wait), remedy="Let an end switch close before the very end of the stroke."
+        stall_of(wait, commands),
+        remedy="Let an end switch close before the very end of the stroke.",
     )
 
 

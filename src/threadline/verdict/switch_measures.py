@@ -281,11 +281,10 @@ def switching_order(run: SwitchRun, _options: Mapping[str, float]) -> list[Findi
         return [Finding(value=0.0)]
     at = len(run.row_s)
     operation = int(run.commands.operation[at])
-    time_s = float(run.time_s[run.changes[at]]) if at < len(run.changes) else run.time_s[-1]
     return [
         Finding(
             value=(total - at) / total,
-            time_s=float(time_s),
+            time_s=run.left_s,
             operation=operation,
             note=f"{at} of {total} switchings follow the schedule",
         )
