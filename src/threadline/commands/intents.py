@@ -57,7 +57,7 @@ class Intent(Protocol):
     def planned_with(self, options: Mapping[str, str]) -> str:
         """Return words for the planning method."""
 
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+    def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:
         """Return the entries that this kind of work adds to the JSON of a verdict."""
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
@@ -156,7 +156,7 @@ class Motion:
         name = self.interpolation(options)
         return name if self.of_loads is None else f"{name}, feed-forward"
 
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+    def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
         """Return times of the motion and the feed-forward of each axis, if the loads follow."""
         if self.of_loads is None:
             return {}
@@ -322,7 +322,7 @@ class Scheduled:
         """Return words for the planning method."""
         return "switched"
 
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+    def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:
         """Return how cylinders creep, and their shaping if a shaper was requested."""
         creep = {"creep": self.creeping} if self.creeping else {}
         if "shaper" not in options:
@@ -493,7 +493,7 @@ class Stitched:
             return f"{self.law.name}, {speed} to {fastest:.4g} stitches a minute"
         return f"{self.law.name}, {speed} stitches a minute"
 
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+    def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
         """Return the entries about stitches for the JSON of a verdict."""
         sewn = self.turns.stitch > 0
         return {

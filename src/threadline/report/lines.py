@@ -250,13 +250,13 @@ def about_stitched(proof: Proof) -> list[str]:
 def stitch_rows(plan: Plan) -> list[list[str]]:
     """Return rows of two texts on the stitches of a plan: a name and its value."""
     stitched = plan.stitched
-    told = stitched.told(plan.options)["stitches"]
+    entries = stitched.json_entries(plan.options)["stitches"]
     rows = [
         [
             "Stitches",
-            f"{told['count']}, with {told['frame_moves']} moves of the frame, the longest "
-            f"{told['longest_move_m'] * 1e3:.4g} mm on an axis; {told['turns']} turns, "
-            f"{told['steps']:.4g} steps",
+            f"{entries['count']}, with {entries['frame_moves']} moves of the frame, the longest "
+            f"{entries['longest_move_m'] * 1e3:.4g} mm on an axis; {entries['turns']} turns, "
+            f"{entries['steps']:.4g} steps",
         ],
         ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
         [

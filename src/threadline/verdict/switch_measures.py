@@ -371,6 +371,6 @@ def over_level(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
             at = int(np.argmax(level))
             beyond = float(level[at]) - 1.0
             # Flow controls are set to so many digits; their sum is 1 within them.
-            if beyond > way.level_tolerance + (worst.value or 0.0):
+            if beyond > max(way.level_tolerance, worst.value or 0.0):
                 worst = Finding(value=beyond, time_s=float(run.time_s[at]), note=axis)
     return [worst]

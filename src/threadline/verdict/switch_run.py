@@ -29,7 +29,7 @@ from threadline.files import (
     SwitchSchedule,
 )
 from threadline.verdict.coverage import Coverage, Lack
-from threadline.verdict.finding import Found
+from threadline.verdict.finding import RunFindings
 from threadline.verdict.measure import Running, RunReading
 from threadline.verdict.samples import Block
 
@@ -249,7 +249,7 @@ class SwitchRun:
     def leave(self) -> None:
         """Do nothing: the run is read as a whole."""
 
-    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:  # noqa: ARG002
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[RunFindings]]:  # noqa: ARG002
         """Return the findings of each measure in the whole run."""
         found = [list(one.measure.finish()) for one in running]
         why = self.ends_too_early(self.time_s, self.end_s) if self.followed else ""

@@ -85,9 +85,10 @@ class Modal:
         axes = enumerate(program.reading.names)
         self._lengths = [index for index, name in axes if name in _LENGTHS]
         self._inverse_time = False
-        self._feed: Feed | None = None
         self._passes: tuple[int, ...] = ()
         self._feeds = KeptFeeds(program.rule)
+        first = self._dialect.first_feed_m_s
+        self._feed: Feed | None = None if first is None else self._feed_of(first)
         self._letters = program.reading.names
         self._waiting: list[ToolEvent] = []  # for the next move
         self._length = ""  # G43 in force
@@ -223,6 +224,15 @@ class Modal:
             )
         if grammar.feed_first and block.motion in (1, 2, 3):
             self._check_feed(block)
+        if grammar.plain_arcs and block.motion in (2, 3):
+            radius = any(letter == "R" for letter, _ in block.curve)
+            if radius or self._relative:
+                raise self._error(
+                    block.line,
+                    f"{self._dialect.name} takes no arc "
+                    + ("with R" if radius else "while G91 is in force"),
+                    "Give its centre by I and J." if radius else "Write G90 before it.",
+                )
         if block.motion in (2, 3) and not (
             block.axes or (block.curve and not grammar.arc_ends) or self._dialect.one_command
         ):
