@@ -197,3 +197,22 @@ def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
     assert verdict.tolerances is not None and verdict.tolerances.share is None
     # What the others come to is told all the same.
     assert verdict.result("residual_vibration").measured is not None
+
+
+def test_scans_jitter_from_run_to_run_and_not_in_the_nominal_one() -> None:
+    plan = plan_of(f"{OWN}+jitter")
+    kind, even = kind_of(plan.machine), plan_of(OWN)
+
+    def switched(recording: Recording) -> list[int]:
+        outputs = [recording.samples(name)[1] for name in plan.machine.outputs]
+        return [int(at) for one in outputs for at in np.flatnonzero(np.diff(one))]
+
+    nominal, day, other = (
+        switched(run) for run in kind.days(plan.commands, plan.machine, 3, np.random.default_rng(3))
+    )
+    assert nominal == switched(kind.simulate(even.commands, even.machine))
+    assert nominal != day != other
+    assert max(abs(a - b) for a, b in zip(nominal, day, strict=True)) <= 2 + 2  # ms, twice a fifth
+    parts = np.zeros((2, len(uncertain(plan.machine))))
+    one, two = kind.others(plan.commands, plan.machine, parts, np.random.default_rng(3))
+    assert switched(one) != switched(two) != nominal

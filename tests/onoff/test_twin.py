@@ -313,3 +313,22 @@ def test_moves_before_a_named_step_are_judged(tmp_path: Path, step: str) -> None
     verdict = prove(file, machine, load_spec(None, machine), Options()).verdict
     ends = [r for r in verdict.results if r.name == "end_position_error" and r.axis == "X"]
     assert ends and all(r.measured is not None for r in ends)
+
+
+def test_a_scan_that_comes_late_switches_late() -> None:
+    """The piston covers its speed times the real time between two scans; the next draw differs."""
+    machine = plain(load_machine("letter-placer+jitter"), "0.2")
+    rows = [(3, ("x_right", "x_right_a1", "x_right_a2")), (33, ())]
+    orders = schedule(machine, Fraction(1, 100), rows, 60)
+    x, covered = machine.cylinders["X"], set[float]()
+    for seed in range(4):
+        run = simulate_switching(orders, machine, SwitchOptions(scans=seed, after_s=2.0))
+        late_s = np.random.default_rng(seed).integers(-2, 3, 4093)[[3, 33]] * 1e-3
+        at = np.flatnonzero(np.diff(run.samples("x_right")[1])) + 1
+        assert at * 1e-3 == pytest.approx([0.03 + late_s[0], 0.33 + late_s[1]], abs=1e-9)
+        wanted_m = x.speed.si * (0.3 + late_s[1] - late_s[0])
+        assert run.samples("X.load")[1][-1] == pytest.approx(wanted_m, abs=2e-5)
+        covered.add(round(wanted_m, 9))
+    assert len(covered) > 1
+    even = simulate_switching(orders, machine, SwitchOptions(after_s=2.0))
+    assert even.samples("X.load")[1][-1] == pytest.approx(0.3 * x.speed.si, abs=2e-5)

@@ -248,7 +248,8 @@ _CAPTIONS = {
     "the time of its own place, or when its input comes; grey places wait for an input, and one "
     "that does not come in time is a fault. The places of homing bring every cylinder back from "
     "wherever it stands. Below a place that waits for an end switch stands the place to which the "
-    "token goes and from which it returns while a cylinder creeps, with what it opens. The program's own times count on from the last input "
+    "token goes and from which it returns while a cylinder creeps, with what it opens. "
+    "The program's own times count on from the last input "
     "that was waited for, and add these up. The dashed line is what every place has: a broken "
     "beam, a missing enable, a late scan or a contact that cannot be believed return the token to "
     "place 0, everything off.",

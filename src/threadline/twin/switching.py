@@ -46,6 +46,8 @@ SAMPLE_S = Fraction(1, 1000)
 _MAX_STALL_S = 60.0
 _SAMPLES = 1 << 13
 """Samples in a block of a recording; more only if a single scan has more."""
+_SCANS_DRAWN = 4093
+"""Scans whose lateness is drawn; then it repeats."""
 _AT_ONCE = 128
 """Number of variants whose tables are in memory at the same time."""
 
@@ -64,11 +66,15 @@ class SwitchOptions:
     inputs
         Values of the contacts that no cylinder closes, by name. A contact without a value is true,
         and a wait sets it to the expected value.
+    scans
+        Seed of the instants at which scans begin, within the jitter of the machine file. None:
+        every scan begins in time.
     """
 
     after_s: float = 1.0
     break_s: float | None = None
     inputs: Mapping[str, bool] | None = None
+    scans: int | None = None
 
 
 def simulate_switching(
@@ -214,6 +220,7 @@ def orders_of(
     given = options.inputs or {}
     period_s = commands.clock.period_s
     units = units or times_of(machine, period_s, values)
+    late = _late_scans(machine, options.scans, units.scan)
 
     def whole(numbers: list[int] | list[bool]) -> IntArray:
         return np.array(numbers, dtype=np.int64).reshape(len(numbers))
@@ -239,10 +246,21 @@ def orders_of(
         step_s=float(SAMPLE_S),
         scan=units.scan,
         sample=units.sample,
+        late=late,
+        room=(units.scan + int(np.ptp(late))) // units.sample + 2,
         opened=units.opened,
         shut=units.shut,
         share=units.share,
     )
+
+
+def _late_scans(machine: Machine, seed: int | None, scan: int) -> IntArray:
+    """Return by how much scans begin late in units of the machine, even within the jitter."""
+    assert machine.plc is not None
+    if seed is None or machine.plc.jitter is None:
+        return np.zeros(1, dtype=np.int64)
+    most = int(machine.plc.jitter.si * scan)
+    return np.random.default_rng(seed).integers(-most, most + 1, _SCANS_DRAWN)
 
 
 def _read(
@@ -261,7 +279,7 @@ def _read(
     for name, value in (options.inputs or {}).items():
         if name in contacts:
             progress.free[contacts.index(name)] = value
-    room = max(_SAMPLES, orders.scan // orders.sample + 2)
+    room = max(_SAMPLES, orders.room)
     columns = PER_CYLINDER * len(orders.share) + len(orders.contact_cylinder)
     out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
     over = np.empty((len(waits), 2), dtype=np.int64)

@@ -149,6 +149,9 @@ class Orders(NamedTuple):
         Instant at which the light grid is broken, period of a scan, and period of a sample, s.
     scan, sample
         Periods of scan and sample in units of the machine.
+    late, room
+        (J,) by how much each scan begins late, or early if negative, in those units, again and
+        again; and the largest number of samples in a scan.
     opened, shut
         (C, F) time from a command to the change of the flow when a flow control or its valve opens,
         and when it closes, with the dead time of the cylinder; in units of the cylinder.
@@ -176,6 +179,8 @@ class Orders(NamedTuple):
     step_s: float
     scan: int
     sample: int
+    late: IntArray
+    room: int
     opened: IntArray
     shut: IntArray
     share: IntArray
@@ -409,7 +414,7 @@ def _run(
         Scan before which the function returns in any case.
     """
     plc = progress.plc
-    most = orders.scan // orders.sample + 2
+    most, period = orders.room, len(orders.late)
     filled, ended_waits = 0 * most, 0
     while plc[PHASE] <= CALMING and filled + most <= len(out) and plc[SCAN] < until:
         if plc[PHASE] == RUNNING and plc[TICK] >= orders.duration:
@@ -417,16 +422,18 @@ def _run(
         done = switch(orders, progress, bank, motion)
         if plc[PHASE] == STALLED:
             break
-        start = plc[SCAN] * orders.scan
+        even = plc[SCAN] * orders.scan
+        # The first scan begins in time: nothing happens before.
+        start = even + (orders.late[plc[SCAN] % period] if plc[SCAN] else 0)
         if done >= 0:
             over[ended_waits, 0], over[ended_waits, 1] = done, start // orders.sample
             ended_waits += 1
         for c in range(len(orders.share)):
             send(c, start, orders, progress)
-        now, stop = start, start + orders.scan
+        now, stop = start, even + orders.scan + orders.late[(plc[SCAN] + 1) % period]
         while now < stop:
             if now == plc[SAMPLE] * orders.sample:
-                time_s = plc[SCAN] * orders.period_s + (now - start) / orders.sample * orders.step_s
+                time_s = plc[SCAN] * orders.period_s + (now - even) / orders.sample * orders.step_s
                 sample(filled, time_s, out, rows, orders, progress, bank, motion)
                 filled += 1
                 plc[SAMPLE] += 1

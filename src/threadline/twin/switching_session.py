@@ -240,8 +240,7 @@ class SwitchingSession:
 
     def _run(self, until: int) -> RecordingBlock:
         orders, progress = self._orders, self._progress
-        most = orders.scan // orders.sample + 2
-        room = most * (until - int(progress.plc[SCAN]) + 1)
+        room = orders.room * (until - int(progress.plc[SCAN]) + 1)
         columns = 4 * len(orders.share) + len(orders.contact_cylinder)
         out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
         over = np.empty((len(self._waits) + 1, 2), dtype=np.int64)
