@@ -42,7 +42,7 @@ Suspects = list[FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class WorstCase:
     """A verdict over the tolerances, and the worst machine.
 
     Parameters
@@ -69,7 +69,7 @@ def over_tolerances(
     runs_of: RunsOf,
     progress: Progress | None = None,
     suspects: Suspects | None = None,
-) -> Found:
+) -> WorstCase:
     """Judge the worst machine within the tolerances that a search finds, and drawn machines.
 
     Machines are judged in one run each, the worst of them in as many as the machine of the file.
@@ -132,7 +132,7 @@ def _found(
     runs_of: RunsOf,
     count: int,
     suspects: Suspects | None,
-) -> Found:
+) -> WorstCase:
     at = search.worst()
     parts, found = search.parts[at], search.found
     shares, names = shares_of(found.taken(np.array([at])))
@@ -163,7 +163,7 @@ def _found(
     whole = replace(verdict, results=tuple(results), machines=count, tolerances=told)
     if of_worst is not None:
         whole = worst_of(whole, [(_OF_WORST, _numbered(of_worst, verdict.runs))], None)
-    return Found(verdict=whole, worst=worst, judged=judged)
+    return WorstCase(verdict=whole, worst=worst, judged=judged)
 
 
 def _closest(verdict: Verdict | None) -> tuple[str, float | None]:
