@@ -7,13 +7,24 @@ from threadline.face import Answer, FastestResult, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
+from threadline.face import wind as wind
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
 from threadline.verdict import Spec
 
 __version__: str
-__all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
+__all__ = [
+    "compare",
+    "compile",
+    "fastest",
+    "judge",
+    "load_machine",
+    "prove",
+    "retime",
+    "shaper",
+    "wind",
+]
 
 def compare(
     job: PathLike,

@@ -171,7 +171,7 @@ class Printer:
     def get_printer(self): return self
     def load_object(self, config, name): return self.objects[name]
     def lookup_object(self, name, default=None): return self.objects.get(name, default)
-    def getfloat(self, name, default, above): return 0.2
+    def getfloat(self, name, default, above): return 0.05
     def get_start_args(self): return {}
     def get_reactor(self): return self
     def mutex(self): return None
@@ -181,17 +181,14 @@ class Printer:
     def get_position(self): return list(self.at)
     def get_axes(self): return self.homed
     def move(self, new, speed):
-        length = math.dist(new[:3], self.at[:3])
-        self.at = list(new)
-        print("L", self.line, *new[:3], length, speed * 60.0)
+        self.length += math.dist(new[:3], self.at[:3])
+        self.at, self.speed = list(new), speed * 60.0
     def dwell(self, command):
         print("D", self.line, command.get_float("P", 0.0, minval=0.0) / 1000.0)
     def home(self, command):
         named = [k for k, axis in enumerate("XYZ") if command.get(axis, None) is not None]
         self.homed = named or [0, 1, 2]
-        before = list(self.at)
-        for k in self.homed: self.at[k] = 0.0
-        print("L", self.line, *self.at[:3], math.dist(before[:3], self.at[:3]), 0.0)
+        self.move([0.0 if k in self.homed else at for k, at in enumerate(self.at)], 0.0)
         self.send_event("homing:home_rails_end", self, [])
     def told(self, text):
         if text.startswith(("!!", "// Unknown")): print("E", self.line)
@@ -203,7 +200,10 @@ for text in sys.stdin.read().splitlines():
         printer = Printer()
     else:
         printer.line += 1
+        printer.length = 0.0
         printer.gcode._process_commands([text])
+        if printer.length:
+            print("L", printer.line, *printer.at[:3], printer.length, printer.speed)
 """
 _AVR = """
 #include <stdbool.h>

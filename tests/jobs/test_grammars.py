@@ -291,6 +291,7 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
         ("G20", "G20 is the inch, which klipper refuses"),
         ("G4 S1", "S1 is no word of klipper's G4"),
         ("G2 X15 R5", "klipper takes no arc with R"),
+        ("G2 I0", "klipper takes no arc without a centre"),
         ("G91\nG2 X10 I5 J0", "klipper takes no arc while G91 is in force"),
         ("G90 G1 X5", r"the first command of a line alone \(G90\), and not G1"),
         ("G1 X9 (see Y20)", "for '\\(' in it"),

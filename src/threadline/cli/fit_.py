@@ -49,7 +49,7 @@ def fit_numbers(
 
     Exit status: 0 when every number was fitted, 2 wrong input.
 
-    Example: threadline fit sweep.csv -m stitcher --axis X --numbers
+    Example: threadline fit examples/stitcher-x-sweep.csv -m stitcher --axis X --numbers
     links.x_belt.stiffness,bodies.x_head.inertia,bodies.x_head.damping,drives.x.delay -o mine.toml
     """
     chosen = load_machine(machine)

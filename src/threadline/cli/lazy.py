@@ -52,6 +52,7 @@ COMMANDS = {
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
     "size": LazyCommand("size", "Size a machine from what its product asks for."),
+    "wind": LazyCommand("wind", "Tell the patterns, lengths and thickness of a winding."),
     "machines": LazyCommand("machines", "List the machines of the library, or print one."),
     "guide": LazyCommand("guide_", "Write the guide to a machine: axes, wiring, calibration."),
     "law": LazyCommand("law", "Show a motion law, rank laws on a mode, make one for it."),

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from threadline.errors import OptionError
+from threadline.base.reading import read_text
+from threadline.errors import OptionError, RecordingError
+from threadline.files.formats import read_recording
 from threadline.identify.fitted import Data
+from threadline.identify.of_recordings import recording_data
 from threadline.identify.of_responses import ResponseData
-from threadline.identify.read_response import read_response
+from threadline.identify.read_response import MAX_BYTES, read_response, rows_of
 from threadline.machine import load_machine
+
+_RECORDINGS = (".npz", ".mcap", ".plt")
 
 
 def open_data(text: str, machine: str, axis: str = "") -> Data:
@@ -37,5 +42,14 @@ def open_data(text: str, machine: str, axis: str = "") -> Data:
             raise OptionError(
                 f"{text[:60]!r} names no file", remedy="Write it like +unloaded:motor.csv."
             )
-    chosen = load_machine(machine + overlay)
-    return ResponseData(machine=chosen, measured=read_response(Path(file)), axis=axis)
+    chosen, path = load_machine(machine + overlay), Path(file)
+    if path.suffix.lower() in _RECORDINGS or _is_trace(path):
+        return recording_data(read_recording(path), chosen, path, axis)
+    return ResponseData(machine=chosen, measured=read_response(path), axis=axis)
+
+
+def _is_trace(path: Path) -> bool:
+    """Return whether a table begins with a column of time: a recording, not a response."""
+    _, rows = rows_of(read_text(path, MAX_BYTES, RecordingError, "measured data", "utf-8-sig"))
+    _, header = next(rows, (1, []))
+    return any(cell.strip('" ').lower().startswith("time") for cell in header)

@@ -178,12 +178,13 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="product", group=Group.PLAN, kinds=(TICKS,),
-        verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "panel"}),
+        verbs=tuple(verb for verb in PLANNERS if verb != "compile"),
         help="Product of a winder (NAME.wind.toml, or a file of FiberPath or CADFIL): where its "
         "fibre lies is judged as well.",
         helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
-        attribute="product", parse=product_text, doors=(Door.LINE, Door.PYTHON),
+        attribute="product", parse=product_text,
         recorded=FileForm(key="product", write=_same, read=product_text),
+        label="Product", placeholder="none",
     ),
     Option(
         name="offset", group=Group.PLAN, unit="m or rad", verbs=PLANNERS, kinds=(TICKS,),

@@ -18,6 +18,7 @@ from threadline.jobs.operations import Job, Source, begins_circuit
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.pipeline import Proof
 from threadline.verdict import Status, is_assumed
+from threadline.verdict.causes import causes_of
 from threadline.verdict.rendering import continuous
 
 if TYPE_CHECKING:
@@ -165,8 +166,21 @@ def about_motion(proof: Proof) -> list[str]:
         *motion_lines(plan),
         *count_circuits(plan).lines(),
         *([] if added is None else [_points_line(added)]),
+        *_gap_lines(proof),
         *_instead_lines(proof),
     ]
+
+
+_OF_GAPS = ("planned_coverage_gap", "coverage_gap")
+
+
+def _gap_lines(proof: Proof) -> list[str]:
+    """Return which factors a gap between bands points to; nothing where there is none."""
+    results = proof.verdict.results
+    if not any(one.name in _OF_GAPS and one.status is Status.FAILED for one in results):
+        return []
+    causes = causes_of(proof.plan)
+    return [] if causes is None else causes.lines()
 
 
 def _instead_lines(proof: Proof) -> Iterator[str]:

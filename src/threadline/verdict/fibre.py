@@ -294,11 +294,19 @@ class Closing:
             operation = none if samples.operation is None else samples.operation
             self._circuits[run].append(np.column_stack([angle, fibre.winding[at], operation[at]]))
 
+    def circuits(self, run: int) -> FloatArray:
+        """Return (n, 3) angle, angle with the meridian and operation where each circuit begins."""
+        return np.vstack([np.empty((0, 3)), *self._circuits[run]])
+
+    def radius_m(self, run: int) -> float:
+        """Return the radius of the mandrel where circuits begin."""
+        return self._radius_m[run]
+
     def found(self) -> RunFindings:
         """Return the distance of each run across the bands, at the last circuit."""
         values, operations, notes = [], [], []
-        for run, circuits in enumerate(self._circuits):
-            rows = np.vstack([np.empty((0, 3)), *circuits])
+        for run in range(len(self._circuits)):
+            rows = self.circuits(run)
             if len(rows) < 2:
                 values.append(np.nan)
                 operations.append(-1)

@@ -226,12 +226,13 @@ class Modal:
             self._check_feed(block)
         if grammar.plain_arcs and block.motion in (2, 3):
             radius = any(letter == "R" for letter, _ in block.curve)
-            if radius or self._relative:
+            if self._relative or radius or not any(value for _, value in block.curve):
+                what = "with R" if radius else "without a centre"
                 raise self._error(
                     block.line,
                     f"{self._dialect.name} takes no arc "
-                    + ("with R" if radius else "while G91 is in force"),
-                    "Give its centre by I and J." if radius else "Write G90 before it.",
+                    + ("while G91 is in force" if self._relative else what),
+                    "Write G90 before it." if self._relative else "Give its centre by I and J.",
                 )
         if block.motion in (2, 3) and not (
             block.axes or (block.curve and not grammar.arc_ends) or self._dialect.one_command
