@@ -119,16 +119,19 @@ from threadline.face import shaper as shaper
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
+from threadline.search.learned_job import LearnedJob, LearnedRuns
 from threadline.verdict import Spec
 
 __version__: str
-__all__ = [{names}]
+__all__ = [
+    {names},
+]
 '''
 
 
 def stub() -> str:
     """Return the types of the package's functions, with every option by name."""
-    names = ", ".join(f'"{name}"' for name in face.__all__)
+    names = ",\n    ".join(f'"{name}"' for name in face.__all__)
     verbs = [getattr(face, name) for name in face.__all__ if hasattr(getattr(face, name), "words")]
     return _STUB_HEAD.format(names=names) + "\n" + "".join(map(_declared, verbs))
 
