@@ -16,6 +16,7 @@ __all__ = [
     "prove",
     "retime",
     "shaper",
+    "wind",
 ]
 
 

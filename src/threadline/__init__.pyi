@@ -7,6 +7,7 @@ from threadline.face import Answer, FastestResult, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
+from threadline.face import wind as wind
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
@@ -24,6 +25,7 @@ __all__ = [
     "prove",
     "retime",
     "shaper",
+    "wind",
 ]
 
 def compare(

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from threadline.commands.plan import Plan
     from threadline.files import Recording
     from threadline.files.formats import Written
+    from threadline.jobs.winding.laid import Laid
     from threadline.motion.shaping import Shaper
     from threadline.proof.pipeline import Proof
     from threadline.proof.recorded import Judged
@@ -253,6 +254,7 @@ __all__ = [
     "prove",
     "retime",
     "shaper",
+    "wind",
 ]
 
 
@@ -301,7 +303,7 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     from threadline.proof.pipeline import with_shaping
 
     asked = Words.of("prove", Door.PYTHON, words)
-    trials, chosen, options = asked.trials(), asked.machine(machine), asked.options()
+    trials, chosen, options = asked.trials(), asked.machine(machine), asked.options(job)
     spec = with_shaping(asked.spec(chosen), chosen, options)
     return Proved(prove_job(Path(job), chosen, spec, options, None, trials, asked.actual()))
 
@@ -388,7 +390,7 @@ def compare(
 
     asked = Words.of("compare", Door.PYTHON, words)
     trials, named = asked.trials(), asked.machine(machine)
-    planned = asked.each_options(interpolations, feeds, shapers)
+    planned = asked.each_options(job, interpolations, feeds, shapers)
     chosen = with_radii_of(named, planned[0])
     return compare_job(
         open_job(Path(job), chosen, planned[0]),
@@ -545,3 +547,23 @@ def shaper(text: str) -> Shaper | dict[str, Shaper]:
     from threadline.motion.shaping import parse_shaper
 
     return parse_shaper(text)
+
+
+@checked
+def wind(job: PathLike) -> tuple[Laid, ...]:
+    """Return the layers of a winding, each with its patterns, its circuit and its thickness.
+
+    Parameters
+    ----------
+    job
+        Product file with layers, ``NAME.wind.toml``.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read, or a layer cannot be wound.
+    """
+    from threadline.jobs.winding.laid import design
+    from threadline.jobs.winding.layers import read_layers
+
+    return design(read_layers(Path(job)))

@@ -151,8 +151,9 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
     """Ten numbers of its owner and the answer to $$: the project's own command is in spec."""
     dump, folder = tmp_path / "settings.txt", tmp_path / "mine"
     dump.write_text(SETTINGS)
-    asked = [text.partition("=")[0] for text in OWNER[1:]]
-    code, _, err = run(capsys, "new", "grbl", folder, "--from", dump, "--set", OWNER[0])
+    asked = [text.partition("=")[0] for text in OWNER[2:]]
+    words = "new", "grbl", folder, "--from", dump, "--set", OWNER[0], "--set", OWNER[1]
+    code, _, err = run(capsys, *words)
     assert code == 2 and not folder.exists()
     assert all(f'--set "{name}=' in err for name in asked), "a question was cut out"
     given = [word for text in OWNER for word in ("--set", text)]

@@ -108,7 +108,8 @@ def new(
         typer.Option(
             "--limits-only",
             help="For a controller's machine: take only its limits, without motors and masses. "
-            "Jobs are then proven for limits and time, not for placement.",
+            "Jobs are then proven for limits and time, not for placement. So it is, too, where "
+            "--set names no motor and no mass.",
         ),
     ] = False,
     json: JsonOption = False,
@@ -122,7 +123,6 @@ def new(
     Example: threadline new winder my-winder
 
     With the limits of a grbl's settings: threadline new grbl my-router --from settings.txt
-    --limits-only
 
     With motors and masses: threadline new grbl my-winder --from settings.txt --set rotary=A
     --set "torque=1.26 N m"

@@ -179,7 +179,7 @@ def run(
     check_continued(store, execution.continue_, execution.at, confirmed=confirmed)
     keep_inputs(recording, job, chosen.file, *words.files(), proof_file)
     check_outputs(file=recording)
-    options = words.options()
+    options = words.options(job)
     asked = with_shaping(words.spec(chosen), chosen, options)
     check_machine(chosen)
     if proof_file is not None:

@@ -18,6 +18,7 @@ from threadline.base.writing import together
 from threadline.commands.intents import Scheduled
 from threadline.commands.plc_net import Names, PetriNet
 from threadline.commands.plc_sequence import (
+    CREEP_NAMES,
     FAULTS,
     Block,
     PlcProgram,
@@ -65,8 +66,8 @@ _PANEL_OUTPUTS = {
 }
 _INTERNAL = (
     "origin", "elapsed", "late", "allowed", "start_before", "home_before", "acknowledge_before",
-    "cycle_timer", "scan_timer", "cause", "culprit", "ending", "sequence", *HAND_NAMES,
-    *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
+    "cycle_timer", "scan_timer", "cause", "culprit", "ending", "sequence",
+    *CREEP_NAMES, *HAND_NAMES, *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
 )  # fmt: skip
 _ONCE = ("start", "acknowledge", "home")
 
@@ -199,6 +200,11 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
         "Times t_... count from the input that came last, or from the start of the run.",
         "It is no safety function: what protects people has to cut the air without it.",
         *(f"{axis}: {_shaped(scheduled, axis)}" for axis in scheduled.machine.cylinders),
+        *(
+            f"{axis} creeps to a late end switch: {1e3 * one['opening_m']:.2g} mm each "
+            f"{one['every_s']:.3g} s, until it is there or its time limit is over."
+            for axis, one in scheduled.creeping.items()
+        ),
     )
 
 
@@ -255,6 +261,11 @@ def _state(words: Words, sequence: Sequence) -> Iterator[Variable]:
         yield Variable(name=name, type="BOOL", initial="TRUE")
     for name in words.fresh.values():
         yield Variable(name=name, type="BOOL", initial="FALSE")
+    if sequence.creeps:
+        for name, note in zip(
+            CREEP_NAMES, ("of the next opening", "of its end", "of its rest"), strict=True
+        ):
+            yield Variable(name=name, type="TIME", initial="T#0ms", note=note)
     for one in sequence.guarded:
         yield Variable(name=one.expect, type="INT", initial="0")
         yield Variable(name=one.early, type="TIME", initial="T#0ms")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 
-from threadline.commands.plc_sequence import FAULTS, Guarded, Sequence, Variable
+from threadline.commands.plc_sequence import CREEP_NAMES, FAULTS, Guarded, Sequence, Variable
 from threadline.commands.plc_watch import NamedPlace, reads, switches_of
 from threadline.machine import Machine
 
@@ -142,11 +142,13 @@ def body_lines(sequence: Sequence, words: Words, machine: Machine) -> Iterator[s
     yield "(* The transitions, in order: several may fire in one scan. *)"
     step = None
     for run in (sequence.cycle, sequence.homing):
-        for named, then in zip(run, (*run[1:], None), strict=True):
+        steady = [named for named in run if not named.place.opens]
+        opened = {run[i - 1].name: named for i, named in enumerate(run) if named.place.opens}
+        for named, then in zip(steady, (*steady[1:], None), strict=True):
             if named.place.step != step:
                 step = named.place.step
                 yield f"(* Step {step} *)"
-            yield from _transition(named, then, words, sequence)
+            yield from _transition(named, then, words, sequence, opened.get(named.name))
     yield ""
     yield from _steps(sequence)
     yield from _interlocks(words, sequence)
@@ -206,7 +208,7 @@ def _buttons(words: Words, sequence: Sequence) -> Iterator[str]:
         (words.start, "start_before", sequence.cycle, f"{ready} AND homed"),
     ):
         yield f"IF {button} AND NOT {before} AND {condition} THEN"
-        yield from (f"  {line}" for line in _begin(run[0].name, words))
+        yield from (f"  {line}" for line in _begin(run[0].name, words, sequence.creeps))
         yield "  finished := FALSE;"
         yield "  ending := FALSE;"
         if run is sequence.homing:
@@ -219,12 +221,12 @@ def _buttons(words: Words, sequence: Sequence) -> Iterator[str]:
     yield ""
 
 
-def _begin(first: str, words: Words) -> Iterator[str]:
+def _begin(first: str, words: Words, creeps: bool) -> Iterator[str]:
     yield f"place := {first};"
     yield "origin := T#0ms;"
     yield f"cycle_timer(IN := FALSE, {_LONGEST});"
-    for fresh in words.fresh.values():
-        yield f"{fresh} := FALSE;"
+    yield from (f"{name} := T#0ms;" for name in CREEP_NAMES if creeps)
+    yield from (f"{fresh} := FALSE;" for fresh in words.fresh.values())
 
 
 def _clock(words: Words, sequence: Sequence) -> Iterator[str]:
@@ -316,7 +318,11 @@ def _stop(sequence: Sequence) -> Iterator[str]:
 
 
 def _transition(
-    named: NamedPlace, then: NamedPlace | None, words: Words, sequence: Sequence
+    named: NamedPlace,
+    then: NamedPlace | None,
+    words: Words,
+    sequence: Sequence,
+    opened: NamedPlace | None,
 ) -> Iterator[str]:
     place = named.place
     leave = [f"place := {then.name};"] if then else list(_end(named, words, sequence))
@@ -328,13 +334,31 @@ def _transition(
     word = words.inputs[place.wait[0]]
     fresh = "" if named.name in sequence.still_held else words.fresh.get(place.wait)
     awaited = word if place.wait[1] else f"NOT {word}"
+    calm = ""
+    if opened:
+        calm = " AND (elapsed >= creep_calm)"
+        yield f"(* Short openings until {word} is there, and a rest after the last one. *)"
+        yield f"IF (place = {opened.name}) AND (elapsed >= creep_shut) THEN"
+        yield f"  place := {named.name};"
+        yield "END_IF;"
     yield f"IF place = {named.name} THEN"
-    yield f"  IF {awaited}{f' AND {fresh}' if fresh else ''} THEN"
+    yield f"  IF {awaited}{f' AND {fresh}' if fresh else ''}{calm} THEN"
     if fresh:
         yield f"    {fresh} := FALSE;"
     yield "    origin := cycle_timer.ET;"
     yield f"    elapsed := T#{words.early_ms}ms;"
+    yield from (f"    {name} := T#0ms;" for name in CREEP_NAMES if opened)
     yield from (f"    {line}" for line in leave)
+    if opened:
+        first, every, rest = named.creeps
+        yield f"  ELSIF {awaited} THEN"
+        yield f"    place := {named.name};"
+        yield f"  ELSIF (elapsed >= {first}) AND (elapsed >= creep_due)"
+        yield f"    AND (elapsed < {named.due}) THEN"
+        yield f"    place := {opened.name};"
+        yield f"    creep_due := cycle_timer.ET - origin + {every};"
+        yield f"    creep_shut := cycle_timer.ET - origin + {opened.due};"
+        yield f"    creep_calm := creep_shut + {rest};"
     yield f"  ELSIF elapsed >= {named.due} THEN"
     if fresh:
         yield "    cause := f_missing;"
@@ -356,7 +380,7 @@ def _end(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
         return
     yield "count := count + 1;"
     yield "IF continuous AND NOT ending THEN"
-    yield from (f"  {line}" for line in _begin(sequence.again, words))
+    yield from (f"  {line}" for line in _begin(sequence.again, words, sequence.creeps))
     yield "ELSE"
     yield f"  place := {sequence.idle};"
     yield "  finished := TRUE;"
