@@ -11,6 +11,7 @@ __all__ = [
     "compile",
     "fastest",
     "judge",
+    "learn",
     "load_machine",
     "prove",
     "retime",

@@ -40,6 +40,7 @@ COMMANDS = {
     "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
     "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
     "yield": LazyCommand("yield_", "Say how many machines within the tolerances are in spec."),
+    "learn": LazyCommand("learn", "Repeat a job and let its references learn from every run."),
     "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
     "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
     "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
