@@ -308,20 +308,17 @@ def test_a_pattern_closes_after_its_number_of_circuits(
 
 
 @pytest.mark.parametrize(
-    ("start", "step", "said"),
+    ("start", "step", "times", "said"),
     [
-        ("Y 60;\nX 20;\nX 100;", "X -1", "the mandrel never turns, so that nothing is laid"),
-        ("Y 40;\nX 20;", "A 30 X 3", "up to 10 mm inside the mandrel; a mandrel of 40 mm at its w"),
-        (
-            "Y 60;\nX -400;",
-            "A 30 X 3",
-            " to -340 mm from its left end, and the mandrel is 200 mm long",
-        ),
-        ("Y 240;\nX 20;", "A 30 X 3", "free lengths in a row, needed are 5, and the free length"),
+        ("Y 60;\nX 20;\nX 100;", "X -1", 20, "the mandrel never turns, so that nothing is laid"),
+        ("Y 40;\nX 20;", "A 30 X 3", 20, "10 mm inside the mandrel; a mandrel of 40 mm at its w"),
+        ("Y 60;\nX -400;", "A 30 X 3", 20, "end, and the mandrel is 200 mm long"),
+        ("Y 40;\nX 20;", "A 1200 X 30", 1, "up to 10 mm inside the mandrel"),
+        ("Y 240;\nX 20;", "A 30 X 3", 20, "lengths in a row, needed are 5, and the free length"),
     ],
 )
 def test_a_program_that_lays_nothing_says_why(
-    tmp_path: Path, machine: Machine, start: str, step: str, said: str
+    tmp_path: Path, machine: Machine, start: str, step: str, times: int, said: str
 ) -> None:
     """One reason, at one criterion; the others only say that the fibre is never known."""
     product = tmp_path / "c.wind.toml"
@@ -329,7 +326,7 @@ def test_a_program_that_lays_nothing_says_why(
         '[[part]]\nkind = "cylinder"\nradius = "50 mm"\nlength = "200 mm"\n'
         '[band]\nwidth = "5 mm"\n[friction]\nvalue = "0.3"\n'
     )
-    steps = "\n".join([f"{step};"] * 20)
+    steps = "\n".join([f"{step};"] * times)
     text = f"%\nO 998;\nG01 F 1200;\nG91;\n{start}\n{steps}\nM30;\n%\n"
     file = tmp_path / "p.prg"
     file.write_text(text)
