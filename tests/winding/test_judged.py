@@ -182,7 +182,7 @@ def test_the_pattern_closes_and_missing_circuits_leave_a_gap(
 
 
 def test_a_run_is_judged_like_its_plan(
-    tmp_path: Path, machine: Machine, circuit: FloatArray
+    tmp_path: Path, machine: Machine, circuit: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One circuit on the simulated machine: every measure has a value; a product stays recorded."""
     plan = _plan(tmp_path, machine, programs.program(circuit, 1))
@@ -200,11 +200,16 @@ def test_a_run_is_judged_like_its_plan(
     assert laid is not None and laid < 5e-4
     assert results["free_length"].measured == pytest.approx(programs.FREE_M, rel=0.03)
     assert not proof.verdict.passed  # one circuit leaves gaps
+    monkeypatch.setattr("threadline.report.traces.MAX_SAMPLES", 5000)
     page = write_report(Studied(proof=proof), tmp_path / "report")
     names = {file.name for file in page.parent.iterdir()}
     assert {"report-winding-map.svg", "report-winding-along.svg", "report-winding-map.glb"} <= names
     # The page names the product and does not quote it.
-    assert "vessel.wind.toml, sha256" in page.read_text() and "isotensoid" not in page.read_text()
+    text = page.read_text()
+    assert "vessel.wind.toml, sha256" in text and "isotensoid" not in text
+    # Every sample is drawn on the mandrel, though curves over time are thinned.
+    assert "samples those at an extreme" in text
+    assert "samples those" not in text.split("The unrolled mandrel: the darker")[1][:500]
 
 
 def test_a_machine_without_an_eye_takes_no_product(tmp_path: Path) -> None:
