@@ -20,6 +20,7 @@ from threadline.base.option_defaults import DEFAULT_INTERPOLATION
 from threadline.base.wording import plain
 from threadline.errors import OptionError
 from threadline.files.recording import columns_of
+from threadline.identify.verbs import fit, measure
 from threadline.machine import Machine
 from threadline.motion.timing.retime import retime
 from threadline.proof.asked import (
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from threadline.proof.pipeline import Proof
     from threadline.proof.recorded import Judged
     from threadline.search import Certainty, Comparison, Mismatch
+    from threadline.search.learned_job import LearnedJob, LearnedRuns
 
 
 PathLike = str | Path
@@ -247,8 +249,11 @@ __all__ = [
     "compare",
     "compile",
     "fastest",
+    "fit",
     "judge",
+    "learn",
     "load_machine",
+    "measure",
     "prove",
     "retime",
     "shaper",
@@ -478,6 +483,56 @@ def compile(
     check_target(target, chosen, options)
     plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
     return write(plan, target, out, slower=slower)
+
+
+@with_options
+@checked
+def learn(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    repeats: int = 5,
+    gain: float | str = 0.9,
+    low_pass: str | None = None,
+    measured: str = "head",
+    runs: Sequence[PathLike] = (),
+    **words: Word,
+) -> LearnedJob | LearnedRuns:
+    """Repeat a job and let its references learn from the error of every run.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    repeats
+        How often the simulated machine repeats the job, 1 to 100.
+    gain
+        Share of the error that is corrected after each run.
+    low_pass
+        Frequency above which errors are not learned, ``"20 Hz"``.
+    measured
+        Where the error is measured: at the ``"head"`` or at the encoder of the ``"motor"``.
+    runs
+        Recordings of runs to learn from instead, the first one first; the answer is the next table.
+    **words
+        The options of ``threadline learn``. ``table=`` of ``prove`` plays what ``.write`` wrote.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.files.formats import read_recording
+    from threadline.search.learned_job import learned_from, learned_on_twins, rules_of
+
+    asked = Words.of("learn", Door.PYTHON, words)
+    if measured not in ("head", "motor"):
+        raise OptionError(f"unknown measured {measured!r}", remedy='Give "head" or "motor".')
+    rules = rules_of(gain, low_pass, "motor" if measured == "motor" else "head")
+    if not runs:
+        return learned_on_twins(asked, Path(job), machine, rules, repeats)
+    recorded = {str(file): read_recording(file) for file in runs}
+    return learned_from(asked, Path(job), machine, rules, recorded)
 
 
 @checked

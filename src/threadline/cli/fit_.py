@@ -21,7 +21,8 @@ def fit_numbers(
         list[str],
         typer.Argument(
             help="Measured data: a response (.csv) or a recording. +OVERLAY:FILE was measured with "
-            "an overlay of the machine, such as +unloaded:motor.csv."
+            "an overlay of the machine, such as +unloaded:motor.csv; response:FILE is the response "
+            "of a measured sweep in place of its raw run."
         ),
     ],
     machine: Annotated[

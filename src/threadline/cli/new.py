@@ -52,6 +52,8 @@ class Project:
     prove: str
 
 
+_WINDER = "-winder"
+"""May follow the name of a firmware: the machine is the same, a winder has a rotary axis."""
 PROJECTS = {
     "winder": Project("lathe-winder", "reversal.prg -m machine.toml"),
     "stepper": Project("stepper-winder", "reversal.prg -m machine.toml"),
@@ -129,6 +131,8 @@ def new(
     --set "torque=1.26 N m"
     """
     given = list(answers or [])
+    if kind is not None and kind.removesuffix(_WINDER) in KINDS:
+        kind = kind.removesuffix(_WINDER)
     if kind is None or folder is None:
         if json or not somebody_at_the_keys():
             raise OptionError(

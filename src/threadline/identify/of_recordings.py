@@ -85,8 +85,12 @@ class RecordingData:
 
     @property
     def step(self) -> float:
-        """Relative step of a derivative: large where counts make the model rough."""
-        return 1e-3 if self.by_volts else 0.03
+        """Relative step of a derivative: large where counts or levels make the model rough.
+
+        A body breaks away at the level of the volts that first exceeds its stiction.
+        """
+        sticks = any(body.friction is not None for body in self.machine.bodies.values())
+        return 1e-3 if self.by_volts and not sticks else 0.03
 
     @property
     def floor(self) -> FloatArray:
