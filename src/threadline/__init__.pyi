@@ -132,6 +132,7 @@ def fastest(
     margin: str = "0 %",
     low: str | None = None,
     high: str | None = None,
+    learned: int | None = None,
     mismatch: bool = False,
     within: str | None = None,
 ) -> FastestResult: ...

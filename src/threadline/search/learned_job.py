@@ -24,6 +24,7 @@ from threadline.proof.options import Options, options_from
 from threadline.proof.pipeline import check_machine, open_job, plan_job, with_shaping
 from threadline.proof.recorded import refuse_other_files
 from threadline.search.learn import (
+    MOST_REPEATS,
     Learned,
     Learner,
     Repeat,
@@ -37,8 +38,6 @@ from threadline.search.learn import (
 )
 from threadline.units import parse_number
 from threadline.verdict import Judge, Spec, verdict_json
-
-MOST_REPEATS = 100
 
 
 def check_table_file(file: Path) -> None:
