@@ -49,6 +49,9 @@ COMMANDS = {
     "report": LazyCommand("report_", "Judge the recording of a run again, and write a report."),
     "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
     "animate": LazyCommand("animate", "Show a job on the machine: a page, a gif or a film."),
+    "measure": LazyCommand(
+        "measure_", "Move one axis of MACHINE so that a fit can tell its numbers, and record it."
+    ),
     "fit": LazyCommand("fit_", "Fit numbers of MACHINE to measured data, with their certainty."),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),

@@ -191,12 +191,13 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="product", group=Group.PLAN, kinds=(TICKS,),
-        verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "panel"}),
+        verbs=tuple(verb for verb in PLANNERS if verb != "compile"),
         help="Product of a winder (NAME.wind.toml, or a file of FiberPath or CADFIL): where its "
         "fibre lies is judged as well.",
         helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
-        attribute="product", parse=product_text, doors=(Door.LINE, Door.PYTHON),
+        attribute="product", parse=product_text,
         recorded=FileForm(key="product", write=_same, read=product_text),
+        label="Product", placeholder="none",
     ),
     Option(
         name="offset", group=Group.PLAN, unit="m or rad", verbs=PLANNERS, kinds=(TICKS,),
@@ -303,7 +304,8 @@ TABLE: tuple[Option, ...] = (
         help="With --feed-forward: keep the loads from ringing for all masses and stiffnesses "
         'within this share of their tolerances: "100 %". --smoothing is then the time in which '
         "the speed may change, by default four turns of a seam's needle. On an embroidery frame: "
-        "every needle enters within the tolerance for all of them.",
+        "every needle enters within the tolerance for all of them; by default for 5 % of the "
+        "tolerances, about as well as a mode is measured.",
         helps={
             "fastest": "One plan for all machines with loads and springs at the ends of this share "
             'of their tolerances, each judged in one run: "100 %"; and what that costs. With '

@@ -10,14 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.files import ChannelKind
 from threadline.proof.pipeline import Proof
 from threadline.report.document import Table
 from threadline.report.solid import wound_glb
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, WORST
 from threadline.verdict.causes import Causes, causes_of
 from threadline.verdict.fibre import middle_of
-from threadline.verdict.replayed import Wound, WoundJob, least_friction, planned_fibre, wound_job
+from threadline.verdict.replayed import (
+    WoundJob,
+    least_friction,
+    planned_fibre,
+    recorded_fibre,
+    wound_job,
+)
 from threadline.verdict.types import Status
 from threadline.winding.raster import Raster
 
@@ -32,7 +37,6 @@ _SHOWN = (1, 5)  # circuits after which the pattern is drawn, besides all
 _MOST_OF_IT = 0.85  # share of the mandrel whose bands have different shades
 _MOST_DRAWN = 4000  # points of the centre line of the last fibre
 _OF_FIBRE = ("slip_tendency", "bridging", "lifting", "laid_error", "coverage_gap")
-_LOADS = (ChannelKind.TOOL, ChannelKind.LOAD)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +128,7 @@ def winding_caption(name: str) -> str:
 
 def _laid(proof: Proof, job: WoundJob) -> _Laid:
     """Return the fibre of the recorded run, else of the planned motion."""
-    found = _of_run(proof, job)
+    found = recorded_fibre(proof.recording, job)
     parts = list(planned_fibre(proof.plan, job)) if found is None else [found]
 
     def joined(columns: Sequence[FloatArray]) -> FloatArray:
@@ -141,32 +145,6 @@ def _laid(proof: Proof, job: WoundJob) -> _Laid:
         operation=np.concatenate(operations) if operations else np.empty(0, dtype=np.int64),
         of_run=found is not None,
     )
-
-
-def _of_run(proof: Proof, job: WoundJob) -> Wound | None:
-    """Return the replay of the drawn recording; None without a position of every axis."""
-    recording = proof.recording
-    operation = recording.find(ChannelKind.OPERATION)
-    channels = [
-        next((c for kind in _LOADS if (c := recording.find(kind, axis)) is not None), None)
-        for axis in job.axes
-    ]
-    if operation is None or any(channel is None for channel in channels):
-        return None
-    names = [channel.name for channel in channels if channel is not None]
-    rows = [
-        [block.samples[name] for name in (operation.name, *names) if name in block.samples]
-        for block in recording.blocks
-    ]
-    if any(len(row) != 1 + len(names) or len({part.shape for part in row}) > 1 for row in rows):
-        return None
-    columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
-    if not columns or columns[0].ndim != 1:
-        return None
-    of = columns[0].astype(np.int64)
-    eyes = job.eyes(np.column_stack(columns[1:]))
-    fibre = job.replay().feed(eyes, of)
-    return Wound(np.full(len(of), np.nan), of, np.column_stack(columns[1:]), [fibre], [eyes])
 
 
 def _circuits(job: WoundJob, laid: _Laid) -> list[int]:

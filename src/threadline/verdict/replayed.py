@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
-from threadline.files import Recording
+from threadline.files import ChannelKind, Recording
 from threadline.machine.tool import Tool
 from threadline.verdict.samples import Block, Setting
 from threadline.winding.product import Product, Ring, product_of_text
@@ -300,6 +300,35 @@ def programmed_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
         eyes = job.eyes(points)
         times = np.full(len(points), np.nan)
         yield Wound(times, operation, points, [replay.feed(eyes, operation)], [eyes])
+
+
+_LOADS = (ChannelKind.TOOL, ChannelKind.LOAD)
+
+
+def recorded_fibre(recording: Recording, job: WoundJob) -> Wound | None:
+    """Return the replay of a recording of one run; None without a position of every axis."""
+    operation = recording.find(ChannelKind.OPERATION)
+    channels = [
+        next((c for kind in _LOADS if (c := recording.find(kind, axis)) is not None), None)
+        for axis in job.axes
+    ]
+    if operation is None or any(channel is None for channel in channels):
+        return None
+    names = [channel.name for channel in channels if channel is not None]
+    rows, times = [], []
+    for block in recording.blocks:
+        row = [block.samples[name] for name in (operation.name, *names) if name in block.samples]
+        if len(row) != 1 + len(names) or len({part.shape for part in row}) > 1:
+            return None
+        rows.append(row)
+        ticks = block.first_tick[operation.clock.name] + operation.stride * np.arange(len(row[0]))
+        times.append(float(operation.clock.period_s) * ticks)
+    columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
+    if not columns or columns[0].ndim != 1:
+        return None
+    of, places = columns[0].astype(np.int64), np.column_stack(columns[1:])
+    eyes = job.eyes(places)
+    return Wound(np.concatenate(times), of, places, [job.replay().feed(eyes, of)], [eyes])
 
 
 def planned_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.base.reading import read_text
+from threadline.base.reading import read_text, within_folder
 from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
@@ -149,7 +149,7 @@ def product_text(given: str | Path) -> str:
     text = str(given)
     if text.startswith("{"):
         return product_of_text(text).text
-    path = Path(text)
+    path = within_folder(Path(text))
     if path.suffix.lower() in ENDINGS:
         content = foreign_product(path)
         ProductReader(text, "").product(content)
