@@ -4,16 +4,33 @@ from collections.abc import Sequence
 from typing import Literal
 
 from threadline.face import Answer, FastestResult, PathLike, Proved
+from threadline.face import fit as fit
 from threadline.face import load_machine as load_machine
+from threadline.face import measure as measure
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
+from threadline.face import wind as wind
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
+from threadline.search.learned_job import LearnedJob, LearnedRuns
 from threadline.verdict import Spec
 
 __version__: str
-__all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
+__all__ = [
+    "compare",
+    "compile",
+    "fastest",
+    "fit",
+    "judge",
+    "learn",
+    "load_machine",
+    "measure",
+    "prove",
+    "retime",
+    "shaper",
+    "wind",
+]
 
 def compare(
     job: PathLike,
@@ -80,6 +97,7 @@ def compile(
     outside: str | None = None,
     reserve: str | None = None,
     narrow: str | None = None,
+    table: str | None = None,
 ) -> list[Written]: ...
 def fastest(
     job: PathLike,
@@ -114,6 +132,7 @@ def fastest(
     margin: str = "0 %",
     low: str | None = None,
     high: str | None = None,
+    learned: int | None = None,
     mismatch: bool = False,
     within: str | None = None,
 ) -> FastestResult: ...
@@ -148,7 +167,45 @@ def judge(
     outside: str | None = None,
     reserve: str | None = None,
     narrow: str | None = None,
+    table: str | None = None,
 ) -> Answer: ...
+def learn(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    repeats: int = 5,
+    gain: float | str = 0.9,
+    low_pass: str | None = None,
+    measured: str = "head",
+    runs: Sequence[PathLike] = (),
+    spec: PathLike | Spec | None = None,
+    par: PathLike | None = None,
+    actual: PathLike | Machine | None = None,
+    interpolation: str = "default",
+    law: str | None = None,
+    feed: str | None = None,
+    dialect: str | None = None,
+    feed_mode: str | None = None,
+    axes: str | None = None,
+    radius: str | None = None,
+    product: str | None = None,
+    offset: str | None = None,
+    needle: str | None = None,
+    long_stitches: str | None = None,
+    tolerance: str = "0.1 mm",
+    limits: str = "100 %",
+    shaper: str | None = None,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
+    robust: str | None = None,
+    contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
+    table: str | None = None,
+    level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
+    ends: str | None = None,
+) -> LearnedJob | LearnedRuns: ...
 def prove(
     job: PathLike,
     machine: PathLike | Machine,
@@ -179,6 +236,7 @@ def prove(
     outside: str | None = None,
     reserve: str | None = None,
     narrow: str | None = None,
+    table: str | None = None,
     level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
     repeats: int | None = None,
     yield_: str | None = None,

@@ -47,7 +47,9 @@ def problem(machine, names, parts):
         return np.concatenate([one.residuals(values) for one in parts], axis=1)
 
     sources = np.concatenate([one.sources + k for k, one in enumerate(parts)])
-    return Problem(names=names, residuals=residuals, source=sources)
+    return Problem(
+        names=names, residuals=residuals, source=sources, floor=np.full(len(sources), 1e-9)
+    )
 
 
 def bound(names, parts, machine):

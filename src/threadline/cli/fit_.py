@@ -21,7 +21,8 @@ def fit_numbers(
         list[str],
         typer.Argument(
             help="Measured data: a response (.csv) or a recording. +OVERLAY:FILE was measured with "
-            "an overlay of the machine, such as +unloaded:motor.csv."
+            "an overlay of the machine, such as +unloaded:motor.csv; response:FILE is the response "
+            "of a measured sweep in place of its raw run."
         ),
     ],
     machine: Annotated[
@@ -49,7 +50,7 @@ def fit_numbers(
 
     Exit status: 0 when every number was fitted, 2 wrong input.
 
-    Example: threadline fit sweep.csv -m stitcher --axis X --numbers
+    Example: threadline fit examples/stitcher-x-sweep.csv -m stitcher --axis X --numbers
     links.x_belt.stiffness,bodies.x_head.inertia,bodies.x_head.damping,drives.x.delay -o mine.toml
     """
     chosen = load_machine(machine)

@@ -52,6 +52,8 @@ class Project:
     prove: str
 
 
+_WINDER = "-winder"
+"""May follow the name of a firmware: the machine is the same, a winder has a rotary axis."""
 PROJECTS = {
     "winder": Project("lathe-winder", "reversal.prg -m machine.toml"),
     "stepper": Project("stepper-winder", "reversal.prg -m machine.toml"),
@@ -62,6 +64,7 @@ PROJECTS = {
         "letter-placer", "cycle.toml -m machine.toml+whole-scans+own-damping --shaper zv"
     ),
     "embroidery": Project("schiffli-frame", "rosette.dst -m machine.toml"),
+    "winding": Project("lathe-winder", "vessel.wind.toml -m machine.toml --nominal"),
 }
 
 
@@ -128,6 +131,8 @@ def new(
     --set "torque=1.26 N m"
     """
     given = list(answers or [])
+    if kind is not None and kind.removesuffix(_WINDER) in KINDS:
+        kind = kind.removesuffix(_WINDER)
     if kind is None or folder is None:
         if json or not somebody_at_the_keys():
             raise OptionError(

@@ -91,7 +91,7 @@ def prove(
     for output in (recording, proof_file, worst):
         keep_inputs(output, job, chosen.file, *words.files(), sign)
         check_outputs(file=output, folder=report, worst=worst)
-    options = words.options()
+    options = words.options(job)
     asked = with_shaping(words.spec(chosen), chosen, options)
     with progress_bar(not json) as progress:
         proof = prove_job(job, chosen, asked, options, progress, trials, words.actual())

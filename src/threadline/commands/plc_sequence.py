@@ -237,6 +237,44 @@ class Sequence:
             yield Variable(name=jog.name, type="INT", initial=str(code), note=jog.note)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Words:
+    """Names in the program, and some of its times.
+
+    Parameters
+    ----------
+    inputs, outputs
+        Names in the program, by name in the machine file.
+    grids, enables
+        Inputs that must all be true while the machine moves.
+    start, acknowledge, home
+        Inputs whose rising edges count.
+    fresh
+        By input and value: variable that is true if the input had its other value since it last
+        counted.
+    watchdog_ms
+        A longer time from scan to scan is a fault.
+    early_ms
+        A transition fires in the scan nearest to its time, up to half a scan early.
+    air_ms, dwell_ms
+        Work by hand: time for the air pressure to build up, and rest of the valves between two
+        jogs.
+    """
+
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    grids: tuple[str, ...]
+    enables: tuple[str, ...]
+    start: str
+    acknowledge: str
+    home: str
+    fresh: Mapping[tuple[str, bool], str]
+    watchdog_ms: int
+    early_ms: int
+    air_ms: int
+    dwell_ms: int
+
+
 def sequence_of(
     scheduled: Scheduled, names: Names, inputs: Mapping[str, str], outputs: Mapping[str, str]
 ) -> Sequence:

@@ -65,6 +65,8 @@ class TickTable(Locked):
         Re-iterable blocks of rows, consecutive from tick 0.
     job_sha256, machine_sha256
         Hashes of the job and machine of the table.
+    began_sha256
+        Hash of the rows of the planned table from which this one was learned; empty for a plan.
     """
 
     clock: Clock
@@ -74,6 +76,7 @@ class TickTable(Locked):
     blocks: Stream[TickBlock]
     job_sha256: str
     machine_sha256: str
+    began_sha256: str = ""
 
     def __post_init__(self) -> None:
         scale = read_only(self.counts_per_unit, "counts_per_unit", ndim=1)

@@ -27,12 +27,13 @@ START_FACTOR = 3.0
 """Factor by which a first guess may be wrong: starts are drawn within it, both ways."""
 FARTHEST_FACTOR = 20.0
 """Largest factor between a first guess and the fitted number."""
-_STARTS = 48
+_STARTS, _SIMULATED_STARTS = 48, 12  # a simulated run costs a hundred times a response
 _REFINED = 3
 _HUBER = 2.0  # in deviations of the noise; 98 % as efficient as least squares for normal noise
 _ROUNDS = 3
 _OUTLIER = 4.0
-_SMALLEST = 1e-9  # residuals of exact data are rounding
+_ROUGH = 0.01  # step of a derivative from which residuals are rough
+_WIDEST, _FINEST = 0.08, 0.002
 UNKNOWN = 0.5
 """Deviation of a logarithm from which a combination counts as unknown."""
 
@@ -49,14 +50,20 @@ class Problem:
         See ``Residuals``; unweighted, so that a residual has the unit of its source.
     source
         (m,) index of the source of each residual.
+    floor
+        (m,) least deviation of the noise of each residual: the rounding of its source.
     step
         Relative step of the derivatives.
+    robust
+        Whether values far off may not pull the fit; False where residuals are mostly of the model.
     """
 
     names: tuple[str, ...]
     residuals: Residuals
     source: IntArray
+    floor: FloatArray
     step: float = 1e-5
+    robust: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,14 +111,14 @@ class Estimate:
         return self.covariance / np.outer(deviation, deviation)
 
 
-def estimate(problem: Problem, starts: int = _STARTS) -> Estimate:
+def estimate(problem: Problem, starts: int | None = None) -> Estimate:
     """Fit the numbers of a problem.
 
     Parameters
     ----------
     starts
         Number of starts tried beside the first guess, within ``START_FACTOR``; the best are
-        refined.
+        refined. By default 48, and 12 for recordings.
 
     Raises
     ------
@@ -119,24 +126,26 @@ def estimate(problem: Problem, starts: int = _STARTS) -> Estimate:
         If there are more numbers than residuals, a number ends at the end of its range, or no start
         gives a finite residual.
     """
-    count = len(problem.names)
     _check_count(problem)
-    begin = _starts(problem, starts)
+    usual = _STARTS if problem.robust else _SIMULATED_STARTS
+    begin = _starts(problem, usual if starts is None else starts)
     # Scaled by the smallest misfit of any start: sources have different units.
-    noise = _noise(problem.residuals(begin[-1][None])[0], problem.source, count)
+    noise = _noise(problem, problem.residuals(begin[-1][None])[0])
     best, cost = begin[0], np.inf
     for start in begin:
-        found, reached = _refined(problem, start, noise, "soft_l1")
+        found, reached = _refined(problem, start, noise, final=False)
         if reached < cost:
             best, cost = found, reached
     for _ in range(_ROUNDS):
         residual = problem.residuals(best[None])[0]
-        new = _noise(residual, problem.source, count)
+        new = _noise(problem, residual)
         settled = np.allclose(new, noise, rtol=0.01)
         noise = new
-        best, _ = _refined(problem, best, noise, "huber")
+        best, _ = _refined(problem, best, noise, final=True)
         if settled:
             break
+    if problem.step >= _ROUGH:
+        best = _polished(problem, best)
     _check_range(problem, best)
     return _judged(problem, best)
 
@@ -184,11 +193,19 @@ def _starts(problem: Problem, count: int) -> list[FloatArray]:
 
 
 def _refined(
-    problem: Problem, start: FloatArray, noise: FloatArray, loss: Literal["huber", "soft_l1"]
+    problem: Problem,
+    start: FloatArray,
+    noise: FloatArray,
+    *,
+    final: bool,
 ) -> tuple[FloatArray, float]:
     from scipy.optimize import least_squares
 
     edge = np.log(FARTHEST_FACTOR)
+    tolerance = 1e-8 if final else 1e-3
+    loss: Literal["huber", "soft_l1", "linear"] = "linear"
+    if problem.robust:
+        loss = "huber" if final else "soft_l1"
 
     def residual(x: FloatArray) -> FloatArray:
         return np.asarray(np.nan_to_num(problem.residuals(x[None])[0] / noise, nan=1e6))
@@ -203,12 +220,32 @@ def _refined(
         bounds=(-edge, edge),
         loss=loss,
         f_scale=_HUBER if loss == "huber" else 1.0,
-        xtol=1e-8 if loss == "huber" else 1e-3,
-        ftol=1e-8 if loss == "huber" else 1e-3,
+        xtol=tolerance,
+        ftol=tolerance,
         gtol=1e-8,
         max_nfev=200,
     )
     return np.asarray(found.x), float(found.cost)
+
+
+def _polished(problem: Problem, at: FloatArray) -> FloatArray:
+    """Return the best numbers that a compass search finds where rounding misleads derivatives.
+
+    Every number is tried at both ends of a step, all at once; where none is better the step is
+    halved (Kolda, Lewis and Torczon, "Optimization by direct search", SIAM Review 45, 2003).
+    """
+    noise = _noise(problem, problem.residuals(at[None])[0])
+    axes = np.concatenate((np.eye(len(at)), -np.eye(len(at))))
+    step = _WIDEST
+    while step > _FINEST:
+        tried = np.concatenate((at[None], at + step * axes))
+        squares = np.mean((problem.residuals(tried) / noise) ** 2, axis=1)
+        best = int(np.nanargmin(squares))
+        if best == 0:
+            step /= 2.0
+        else:
+            at = tried[best]
+    return at
 
 
 def jacobian(problem: Problem, at: FloatArray) -> FloatArray:
@@ -219,25 +256,26 @@ def jacobian(problem: Problem, at: FloatArray) -> FloatArray:
     return np.asarray((values[:count] - values[count:]).T / (2.0 * problem.step))
 
 
-def _noise(residual: FloatArray, source: IntArray, numbers: int) -> FloatArray:
+def _noise(problem: Problem, residual: FloatArray) -> FloatArray:
     """Return the (m,) deviations of the noise: of each source the scaled median of its residuals.
 
     A fit of p numbers makes m residuals smaller by ``sqrt(1 - p/m)``.
     """
     noise = np.empty(len(residual))
-    shrunk = np.sqrt(1.0 - numbers / len(residual))
-    for one in np.unique(source):
-        own = source == one
+    shrunk = np.sqrt(1.0 - len(problem.names) / len(residual))
+    for one in np.unique(problem.source):
+        own = problem.source == one
         size = np.abs(residual[own])
-        spread = 1.4826 * float(np.median(size))
+        least = float(np.median(problem.floor[own]))
+        if not problem.robust:
+            noise[own] = max(float(np.sqrt(np.mean(size**2))) / shrunk, least)
+            continue
+        spread = max(1.4826 * float(np.median(size)), least)
         # Huber's proposal 2: efficient for normal noise, and bounded for outliers.
         for _ in range(30):
-            if spread <= 0.0:
-                spread = float(np.sqrt(np.mean(size**2)))
-                break
             clipped = np.minimum(size / spread, _HUBER)
             spread *= float(np.sqrt(np.mean(clipped**2) / _CLIPPED_VARIANCE))
-        noise[own] = max(spread / shrunk, _SMALLEST)
+        noise[own] = max(spread / shrunk, least)
     return noise
 
 
@@ -255,7 +293,7 @@ _CLIPPED_VARIANCE = _clipped_variance(_HUBER)
 def _judged(problem: Problem, at: FloatArray) -> Estimate:
     """Return the estimate at the fitted numbers, with its covariance."""
     residual = problem.residuals(at[None])[0]
-    noise = _noise(residual, problem.source, len(at))
+    noise = _noise(problem, residual)
     J = jacobian(problem, at) / noise[:, None]
     share = residual / noise
     inside = np.abs(share) <= _HUBER
@@ -263,10 +301,17 @@ def _judged(problem: Problem, at: FloatArray) -> Estimate:
     psi = np.clip(share, -_HUBER, _HUBER)
     wider = np.sum(psi**2) / max(len(share) - len(at), 1) / np.mean(inside) ** 2
     inverse = np.linalg.pinv(J.T @ J, hermitian=True)
+    covariance = inverse * max(wider, 1.0 / np.mean(inside))
+    if not problem.robust:
+        # Rounding may be the same at every sample: an axis that moves a whole number of counts each
+        # tick, or rests. Its largest effect is added as if it were one more deviation.
+        shift = np.abs(inverse @ J.T) @ (problem.floor / noise)
+        grown = np.sqrt(1.0 + shift**2 / np.maximum(np.diag(covariance), 1e-300))
+        covariance = covariance * np.outer(grown, grown)
     return Estimate(
         names=problem.names,
         log_factor=at,
-        covariance=inverse * max(wider, 1.0 / np.mean(inside)),
+        covariance=covariance,
         least_deviation=np.sqrt(np.diag(inverse)),
         jacobian=J,
         residual=residual,
@@ -298,7 +343,7 @@ def profile(problem: Problem, found: Estimate, number: int) -> tuple[float, floa
 
         held = replace(problem, names=tuple(found.names[k] for k in free), residuals=at)
         if free:
-            best, _ = _refined(held, here[free], found.noise, "huber")
+            best, _ = _refined(held, here[free], found.noise, final=True)
         else:
             best = here[free]
         squares = _squares(at(best[None])[0] / found.noise)

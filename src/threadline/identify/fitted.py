@@ -45,8 +45,16 @@ class Data(Protocol):
         """Relative step of a number at which residuals change smoothly."""
 
     @property
+    def robust(self) -> bool:
+        """Whether values far off may not pull the fit."""
+
+    @property
     def sources(self) -> IntArray:
         """(m,) source of each residual, counted from 0."""
+
+    @property
+    def floor(self) -> FloatArray:
+        """(m,) least deviation of the noise of each residual: the rounding of its source."""
 
     @property
     def normalised(self) -> bool:
@@ -133,7 +141,9 @@ class Fit:
         ]
 
 
-def fit(machine: Machine, data: Sequence[Data], names: Sequence[str]) -> Fit:
+def fit(
+    machine: Machine, data: Sequence[Data], names: Sequence[str], *, starts: int | None = None
+) -> Fit:
     """Fit numbers of a machine to data.
 
     The fit starts at the machine's numbers, and within a factor of 3 around them.
@@ -144,6 +154,8 @@ def fit(machine: Machine, data: Sequence[Data], names: Sequence[str]) -> Fit:
         At least one.
     names
         Dotted names of the numbers, such as ``"links.x_belt.stiffness"``.
+    starts
+        See ``estimate``.
 
     Raises
     ------
@@ -153,14 +165,15 @@ def fit(machine: Machine, data: Sequence[Data], names: Sequence[str]) -> Fit:
     """
     start = _first_guesses(machine, data, names)
     problem = _problem(data, names, start)
-    found = estimate(problem)
+    found = estimate(problem, starts)
     _refuse_unknown(machine, data, found, start)
     values = start * np.exp(found.log_factor)
     worst = np.argsort(-found.deviation)[:_PROFILED].tolist()
     numbers = []
     for k, name in enumerate(names):
         spread = _SURE * found.deviation[k]
-        ends = profile(problem, found, k) if k in worst else None
+        # Rounding makes recordings rough in the numbers, and a profile would follow the roughness.
+        ends = profile(problem, found, k) if k in worst and problem.robust else None
         numbers.append(
             FittedNumber(
                 name=name,
@@ -246,7 +259,9 @@ def _problem(data: Sequence[Data], names: Sequence[str], start: FloatArray) -> P
         names=tuple(names),
         residuals=residuals,
         source=np.concatenate(sources),
+        floor=np.concatenate([one.floor for one in data]),
         step=max(one.step for one in data),
+        robust=all(one.robust for one in data),
     )
 
 

@@ -24,6 +24,7 @@ from threadline.identify.measured_response import (
 from threadline.machine import Machine
 
 _UNLIKELY = 4.0  # deviations
+_ROUNDING = 1e-9
 _SURE = 0.9999  # coherence above which a point weighs no more
 
 
@@ -78,6 +79,16 @@ class ResponseData:
     def step(self) -> float:
         """Relative step of a derivative."""
         return 1e-5
+
+    @property
+    def floor(self) -> FloatArray:
+        """(size,) least noise: the rounding of a table with nine digits."""
+        return np.full(self.size, _ROUNDING)
+
+    @property
+    def robust(self) -> bool:
+        """Points of a response may be wild."""
+        return True
 
     @property
     def normalised(self) -> bool:

@@ -24,7 +24,7 @@ from threadline.twin.stitching import simulate_stitching
 from threadline.twin.stitching_run import driven_of
 from threadline.verdict import Spec
 
-DEFAULT_ROBUST = 0.0
+DEFAULT_ROBUST = 0.05
 """Share of the tolerances of loads and springs that a plan covers."""
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from threadline.base.arrays import FloatArray
 from threadline.base.option_defaults import USUAL
 from threadline.commands.feedforward import followed_by_loads, followed_by_motors
+from threadline.commands.learned import learned_commands
 from threadline.commands.plan import Following, Motion, Plan
 from threadline.commands.write import TABLES, TICK_TARGETS, Target, WrittenPlan, table_writer
 from threadline.dynamics.values import Values
@@ -251,10 +252,13 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         needle_follows=job.needle_follows,
         of_averages=warnings,
     )
+    commands = followed.commands
+    if options.table is not None:
+        commands = learned_commands(commands, options.table)
     return Plan(
         job=job,
         machine=machine,
-        commands=followed.commands,
+        commands=commands,
         intent=motion,
         options=describe(job, machine, options),
     )
