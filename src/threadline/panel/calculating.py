@@ -211,7 +211,8 @@ def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:
 
 
 def _share(_what: str, share: float) -> None:
-    _print({"share": round(share, 3)})
+    if share:  # a stage without a share does not begin anew
+        _print({"share": round(share, 3)})
 
 
 def _print(content: Mapping[str, Any]) -> None:
