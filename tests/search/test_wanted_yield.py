@@ -22,7 +22,7 @@ from threadline.proof import pipeline
 from threadline.proof.asked import trials_of
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, prove_plan, yielding
-from threadline.search.design import Found, Wanted, design
+from threadline.search.design import ProvedDesign, Wanted, design
 from threadline.search.design_evaluate import Evaluator, Tried
 from threadline.search.influence import cheapest_set
 from threadline.search.machine_yield import MachineYield
@@ -217,7 +217,7 @@ def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
     kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, *held))
     machine = replace(two_parameters(stitcher, (1.0, 8.0)), tolerances=kept)
 
-    def drawn_by_hand(found: Found) -> tuple[float, float]:
+    def drawn_by_hand(found: ProvedDesign) -> tuple[float, float]:
         plan = plan_job(read_job(file, found.machine), found.machine, Options())
         return MachineYield(plan, found.spec).drawn(200, 7).interval
 
