@@ -11,6 +11,7 @@ import pytest
 
 from tests.winding import programs
 from threadline.base.arrays import FloatArray
+from threadline.cli.prove import product_line
 from threadline.commands.plan import Plan
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import options_of
@@ -81,6 +82,11 @@ def test_numbers_of_the_product_vary_beside_those_of_the_machine(
         "mandrel.radius_error = -0.1 mm, mandrel.at = 100.5 mm, band.width = 5.7 mm, "
         "friction.value = 0.25"
     )
+    assert product_line("band.width = 5.7 mm").splitlines() == [
+        "",
+        "Its product, as numbers for the file of --product: band.width = 5.7 mm",
+    ]
+    assert not product_line("")
 
 
 def _gaps(turn: float, circuits: int, width_m: float) -> FloatArray:

@@ -134,7 +134,7 @@ def prove(
             say(f"Proof: {proof_file}")
         if worst is not None:
             say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
-            say(f"  {again(job, machine, words, worst)}{_beside(worst_product(proof))}")
+            say(f"  {again(job, machine, words, worst)}{product_line(worst_product(proof))}")
     raise typer.Exit(0 if proof.verdict.passed else 1)
 
 
@@ -167,7 +167,8 @@ def worst_product(proof: Proof) -> str:
     return product_words(product, proof.worst.product)
 
 
-def _beside(product: str) -> str:
+def product_line(product: str) -> str:
+    """Return the line that tells the product of the worst machine; empty without one."""
     return f"\nIts product, as numbers for the file of --product: {product}" if product else ""
 
 
