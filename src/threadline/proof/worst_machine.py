@@ -29,6 +29,7 @@ from threadline.machine.variants import (
     numbers_at,
     one_at_a_time,
 )
+from threadline.machine.vary import Days, on_days
 from threadline.proof.judge_runs import AloneJudge, RunsJudge
 from threadline.proof.kinds import kind_of
 from threadline.twin import fastest_rates
@@ -108,6 +109,15 @@ class WithinTolerances:
         if self._many is None:
             return self._alone.judged(parts, done)
         return self._many.judged(numbers_at(self.plan.machine, parts), done=done)
+
+    def in_days(self, parts: FloatArray, days: Days) -> EachRun:
+        """Return the results of (k, n) parts, each on every one of ``days``, machine by machine.
+
+        Only where machines are simulated together.
+        """
+        assert self._many is not None
+        numbers = on_days(self.plan.machine, numbers_at(self.plan.machine, parts), days)
+        return self._many.judged(numbers, np.tile(days.phases, (len(parts), 1)))
 
     def why_not(self, parts: FloatArray) -> str:
         """Return why a machine at (n,) parts has no result; empty if it has one."""
