@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from threadline.dynamics.responses import read_response
 from threadline.errors import InputError
 from threadline.files.formats import read_recording, read_table
 from threadline.files.formats.common import atomic_file
+from threadline.identify.read_response import read_response
 from threadline.jobs import FORMATS, read_job
 from threadline.jobs.embroidery import records
 from threadline.jobs.seam import STITCHING_KEYS

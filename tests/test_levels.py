@@ -177,6 +177,7 @@ class Rugged:
     def __init__(self, plan: Plan, seed: int) -> None:
         self.plan, self.numbers = plan, uncertain(plan.machine)
         self.ends = np.ones(len(self.numbers))
+        self.singles = np.kron(np.eye(len(self.numbers)), [[-1.0], [1.0]])
         random = np.random.default_rng(seed)
         self._alone, self._pairs = random.normal(size=12), np.triu(random.normal(size=(12, 12)), 1)
 

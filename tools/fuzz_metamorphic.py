@@ -1,9 +1,10 @@
 """Changes that must not matter to a verdict, and changes that must.
 
-Three classes. ``same-recording``: a run with noise below any resolution, cut into other blocks,
+Four classes. ``same-recording``: a run with noise below any resolution, cut into other blocks,
 with channels permuted or renamed, at twice the rate, written to a file and read again.
 ``same-program``: comments, inches, other words for the same moves, a move split in two, a dwell of
 0 where the machine rests, a mirrored or a shifted path, axes renamed and in another order.
+``same-winding``: the same for a fibre on its mandrel, with eye, chuck and pins beside it.
 ``same-machine``: other units, tables and keys in another order. The changed one must be judged as
 the one before, value by value; and a limit a thousandth below what was measured must fail, while
 one a thousandth above it must pass.
@@ -38,6 +39,7 @@ from tools.fuzz_same_programs import (
     same_verdicts,
     told_verdict,
 )
+from tools.fuzz_same_windings import check_winding
 
 from threadline.errors import Place, ThreadlineError
 from threadline.files import ChannelKind, Recording, RecordingBlock, Stream
@@ -46,9 +48,9 @@ from threadline.files.formats.common import in_si
 from threadline.machine import load_machine
 from threadline.machine.load import library_file
 from threadline.proof.pipeline import prove
-from threadline.verdict import Judge, Spec, Status, load_spec
+from threadline.verdict import Criterion, Judge, Spec, Status, load_spec
 
-CLASSES = ("same-recording", "same-program", "same-machine")
+CLASSES = ("same-recording", "same-program", "same-winding", "same-machine")
 RUNS = 8
 _POOL, _FEW = 6, 2  # recordings of each machine: one as it ran, the others with a fault
 _NOISE = (-300.0, -12.0)
@@ -56,6 +58,8 @@ _NOISE = (-300.0, -12.0)
 _BITS = (ChannelKind.INPUT, ChannelKind.OUTPUT, ChannelKind.OPERATION)
 _NAMELESS = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD, ChannelKind.FRAME)
 """Channels that are known by kind and axis, whatever their name."""
+_SPREADS = 20
+"""One of so many recordings is several, whose spread is judged."""
 _FACTORS = (None, 0.999, 1.001, 0.5, 2.0)
 _HELD = (*_BITS, ChannelKind.VOLTAGE)
 """What stands from one sample to the next: a controller holds its output."""
@@ -105,26 +109,37 @@ def pool() -> tuple[Kept, ...]:
             if k:
                 channels = MAKERS["judge-axes"](random.Random(f"{number}/{k}"), seed)
                 samples = {name: one.chunks[0][1] for name, one in channels.items()}
-                samples = _switched_wrong(random.Random(f"{number}/{k}"), seed, samples)
+                samples = _switched_wrong(random.Random(f"{number}/{k}"), seed, samples, k - 1)
             known = values_of(seed, recording_of(seed, samples), seed.proof.spec)
             found.append(Kept(seed, samples, known))
     return tuple(found)
 
 
-def _switched_wrong(rng: random.Random, seed: Seed, samples: Samples) -> Samples:
-    """Return the samples with valves of an on/off machine late, or open against each other."""
+def _switched_wrong(rng: random.Random, seed: Seed, samples: Samples, way: int) -> Samples:
+    """Return the samples of an on/off machine with one of five faults.
+
+    All valves are late, or open against each other; one is late, or flickers; a piston stops short.
+    """
     if not seed.facts.switched:
         return samples
     outputs = [c.name for c in seed.proof.recording.channels if c.kind is ChannelKind.OUTPUT]
     switching = [name for name in outputs if np.ptp(samples[name]) == 1.0]
-    late = rng.randint(3, 30)
-    if rng.random() < 0.5:
+    late = rng.randint(3, 15)
+    found = {n: samples[n].copy() for n in outputs}
+    one = next(n for n in reversed(switching) if n.endswith("_a2"))
+    open_at = np.flatnonzero(samples[one])
+    if way == 0:
         found = {n: np.concatenate([samples[n][:late], samples[n][:-late]]) for n in switching}
-    else:
-        begin = rng.randrange(len(samples[outputs[0]]) - 300)
-        found = {n: samples[n].copy() for n in outputs}
+    elif way == 1:
+        begin = rng.randrange(len(samples[one]) - 300)
         for values in found.values():
             values[begin : begin + 10 * late] = 1.0
+    elif way in (2, 3):
+        at = int(open_at[0] if way == 2 else np.median(open_at))
+        found[one][at : at + late] = 0.0
+    else:
+        moved = [n for n in samples if n.endswith(".load") and np.ptp(samples[n]) > 0.01]
+        found = {n: np.minimum(samples[n], samples[n].max() - 1e-4 * late) for n in moved}
     return {**samples, **found}
 
 
@@ -253,6 +268,11 @@ def _longest_m(kept: Kept) -> float:
     return longest
 
 
+def _edges(rng: random.Random, count: int) -> tuple[int, ...]:
+    """Return where a recording of so many samples is cut into blocks."""
+    return tuple(sorted(rng.sample(range(1, count), rng.choice((0, 0, 1, 3, 30)))))
+
+
 def check_recording(path: Path) -> None:
     """Judge a recording that was changed, and hold it against the one before.
 
@@ -262,10 +282,13 @@ def check_recording(path: Path) -> None:
         If a value or a status differs.
     """
     rng = random.Random(path.read_bytes())
+    if rng.randrange(_SPREADS) == 0:
+        _check_spread(rng)
+        return
     kept = rng.choice(pool())
     spec, must = spec_about(rng, kept)
     count = len(next(iter(kept.samples.values())))
-    edges = tuple(sorted(rng.sample(range(1, count), rng.choice((0, 0, 1, 3, 30)))))
+    edges = _edges(rng, count)
     whole = rng.randrange(WHOLE) == 0
     twice = not whole and rng.random() < 0.2
     if whole:
@@ -307,6 +330,50 @@ def check_recording(path: Path) -> None:
         assert same.all(), f"{where} is {told} (twice the rate: {twice}, file: {whole})"
         if not turns and (twice, key[0]) != (True, "dac_saturation"):
             assert (failed == must[key]).all(), f"{where} failed {failed.tolist()}: {told}"
+
+
+def _check_spread(rng: random.Random) -> None:
+    """Hold the spread of several runs against one that is known, and their order against another's.
+
+    In one run a load lies beside the others for a while, at an on/off machine to the end.
+    """
+    followed = [k for k in pool() if k.measured.get(("switching_order", "", ""), 0.0) == 0.0]
+    kept = rng.choice([one for one in followed if one.seed.options.product is None])
+    seed, switched = kept.seed, kept.seed.facts.switched
+    if seed.facts.places is not None:
+        return  # an embroiderer is not repeated
+    channels = [c for c in seed.proof.recording.channels if c.name in kept.samples]
+    loads = [c for c in channels if c.kind is ChannelKind.LOAD and c.unit == "m"]
+    if switched:
+        loads = [c for c in loads if np.ptp(kept.samples[c.name]) > 0.01]
+    name, count = rng.choice(loads).name, rng.randint(2, 5)
+    beside = 10.0 ** rng.uniform(-5.0, -2.0) * rng.choice((1.0, -1.0))
+    values = kept.samples[name].copy()
+    begin = rng.randrange(len(values) // (4 if switched else 1))
+    values[begin : len(values) if switched else begin + rng.randint(1, 50)] += beside
+    each = [kept.samples] * (count - 1) + [{**kept.samples, name: values}]
+    rng.shuffle(each)
+    wanted = abs(beside) * (count - 1) / count
+    together = not switched and rng.random() < 0.5
+    length = len(values)
+    if together:
+        once = (ChannelKind.COMMANDED, ChannelKind.OUTPUT, ChannelKind.OPERATION)
+        own = {c.name for c in channels if c.kind in once}
+        side = {n: v if n in own else np.stack([run[n] for run in each], axis=1)
+                for n, v in kept.samples.items()}  # fmt: skip
+        runs = [recording_of(seed, side, _edges(rng, length), count)]
+    else:
+        runs = [recording_of(seed, run, _edges(rng, length)) for run in each]
+    for factor in (None, 0.999, 1.001):
+        limit = None if factor is None else factor * wanted
+        own_one = Criterion(name="repeatability", limit=limit, options={"recordings": count})
+        spec = replace(seed.proof.spec, criteria=(own_one,))
+        with plan_measured_once(seed.proof.plan):
+            result = Judge(seed.proof.plan, spec).verdict(runs).result("repeatability")
+        told = f"{name} beside by {beside} in one of {count}: {result}, wanted {wanted}"
+        assert result.measured is not None, told
+        assert abs(result.measured - wanted) < 1e-6 * wanted + 1e-12, told
+        assert (result.status is Status.FAILED) == (factor == 0.999), told
 
 
 # --- machines ---
@@ -386,8 +453,16 @@ def _check_limit(rng: random.Random) -> None:
 
 def fuzz_metamorphic() -> dict[str, tuple[str, Callable[..., bytes], Callable[[Path], None], int]]:
     """Return the readers of this module for the table of ``fuzz.py``."""
-    checks = zip(CLASSES, (check_recording, check_program, check_machine), strict=True)
-    return {name: ("case.seed", case, partial(_not_refused, check), 7) for name, check in checks}
+    checks = (check_recording, check_program, check_winding, check_machine)
+    return {
+        name: (
+            "case.seed",
+            case if check in (check_recording, check_machine) else _seed_alone,
+            partial(_not_refused, check),
+            1 if check is check_winding else 7,
+        )
+        for name, check in zip(CLASSES, checks, strict=True)
+    }
 
 
 def _not_refused(check: Callable[[Path], None], path: Path) -> None:
@@ -401,4 +476,8 @@ def _not_refused(check: Callable[[Path], None], path: Path) -> None:
 def case(rng: random.Random) -> bytes:
     """Return the seed of a case; the runs are made before the first, and not while it is timed."""
     pool()
+    return _seed_alone(rng)
+
+
+def _seed_alone(rng: random.Random) -> bytes:
     return rng.randbytes(16)

@@ -23,6 +23,7 @@ from threadline.commands.plan import Motion, Plan
 from threadline.files import Stream
 from threadline.jobs.operations import Move, OperationStream
 from threadline.machine import Machine, load_machine
+from threadline.machine.pneumatics import Way
 from threadline.machine.tool import PathLimits
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, prove, with_product
@@ -36,6 +37,7 @@ _FOLDER = Path(tempfile.mkdtemp(prefix="threadline-fuzz-"))  # a job is read aga
 atexit.register(shutil.rmtree, _FOLDER, ignore_errors=True)
 _EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 _BRIDGED, _LIFTED = 110, 60  # blocks of a circuit: over the waist, and less
+_COARSE = 5  # points of a geodesic that are one block
 _SHAPER = "zv:12Hz:0.02"
 _PLACER = "letter-placer+whole-scans+own-damping"
 
@@ -73,9 +75,9 @@ def seeds() -> tuple[Seed, ...]:
 def more_seeds() -> tuple[Seed, ...]:
     """Return runs with the criteria that no other has.
 
-    A fibre over a waist that it bridges, with the eye too near; one that lifts; steps lost on a
-    machine that brakes otherwise than it speeds up, with limits along the path; a needle that
-    follows the head.
+    A fibre over a waist that it bridges, with the eye too near; one that lifts; more than a circuit
+    of a short vessel; steps lost on a machine that brakes otherwise than it speeds up, with limits
+    along the path; a needle that follows the head; cylinders whose valves are open too far.
     """
     winder, stepper = load_machine("lathe-winder"), load_machine("stepper-winder")
     waist = product_text(_EXAMPLES / "vessel-waist.wind.toml").replace("2 mm", "60 mm")
@@ -92,11 +94,43 @@ def more_seeds() -> tuple[Seed, ...]:
         path=PathLimits(acceleration=replace(x.acceleration, si=0.9 * x.acceleration.si)),
     )
     of_fibre = Options(product=waist, shaper=_SHAPER)
+    short, coarse = short_vessel()
+    closing = programs.program(coarse, 1, programs.steps(coarse[: 2 * len(coarse) // 3]))
+    closing = closing.replace("F 1200", "F 9000")
     return (
         *(_seed(f"{k}.prg", text, winder, of_fibre) for k, text in enumerate(wound)),
+        _seed("closes.prg", closing, winder, replace(of_fibre, product=short)),
+        _wide_open(seeds()[2]),
         _seed("follows.seam.toml", short_jobs.FOLLOWED_SEAM, load_machine("stitcher"), Options()),
         _seed("steps.nc", short_jobs.PROGRAM_OF_STEPS, limited, Options(interpolation="optimal")),
     )
+
+
+@cache
+def short_vessel() -> tuple[str, np.ndarray]:
+    """Return a product, and (n, 3) turn, rad, and places of the eye, m, of a circuit on it."""
+    text = product_text(_EXAMPLES / "vessel.wind.toml").replace("96.05 mm", "12 mm")
+    text = text.replace("125 mm", "60 mm")
+    surface = product_of_text(text).surface
+    path = programs.geodesic(surface)[1]
+    rows = np.linspace(0, len(path) - 1, len(path) // _COARSE).astype(int)
+    return text, programs.eyes(surface, path[rows])
+
+
+def _wide_open(seed: Seed) -> Seed:
+    """Return a run of an on/off machine whose flow controls are open by 5 % more."""
+    machine = seed.proof.plan.machine
+    cylinders = {
+        name: replace(one, forward=_opened(one.forward), back=_opened(one.back))
+        for name, one in machine.cylinders.items()
+    }
+    plan = replace(seed.proof.plan, machine=replace(machine, cylinders=cylinders))
+    return replace(seed, proof=replace(seed.proof, plan=plan))
+
+
+def _opened(way: Way) -> Way:
+    flows = {name: replace(flow, si=1.05 * flow.si) for name, flow in way.flows.items()}
+    return replace(way, flows=flows)
 
 
 def _seed(file: str, text: str, machine: Machine, options: Options) -> Seed:

@@ -50,8 +50,10 @@ _OF_THE_CUT = {
 """What the plan of a move that is cut in two may reach: ``auto`` rounds a corner within half of the
 part beside it, so that a shorter part has a sharper curve; ``linear`` gives each part whole ticks,
 and a part of three ticks may be a third slower or faster; ``optimal`` times a path of other pieces,
-and a motion that is as fast (within 0.5 % in three cases) may use less of a limit that does not
-bind."""
+and a motion that is as fast may use less of a limit that does not bind."""
+_AS_LONG = {"auto": 0.005, "optimal": 0.005, "parabolic": 0.03}
+"""Share by which the time of a move that is cut in two may differ. ``linear`` may take one tick
+longer for each cut."""
 
 Key = tuple[str, str, str]
 Told = Mapping[Key, tuple[float | None, str, float | None]]
@@ -126,11 +128,12 @@ class Twin:
         found["time"] = np.cumsum(np.concatenate([b.nominal_s + b.dwell_s for b in blocks]))
         return found
 
-    def verdict(self, options: Options) -> Told:
-        """Return the verdict on it, with the axes of before."""
+    def verdict(self, options: Options) -> tuple[Told, float]:
+        """Return the verdict on it, with the axes of before, and its time, s."""
         proof = prove(self.file, self.machine, load_spec(None, self.machine), options)
         told = told_verdict(proof)
-        return {(name, self.names.get(axis, ""), step): v for (name, axis, step), v in told.items()}
+        own = {(name, self.names.get(axis, ""), step): v for (name, axis, step), v in told.items()}
+        return own, float(proof.plan.duration_s)
 
 
 def _renamed(rng: random.Random, machine: Machine) -> tuple[Machine, dict[str, str]]:
@@ -178,9 +181,24 @@ def check_program(path: Path) -> None:
         kinds = _OF_LINES if style.split or rng.random() < 0.7 else _OF_POINTS
         options = Options(dialect=dialect, interpolation=rng.choice(kinds))
         by = "" if rng.random() < 0.5 else f"{axes['X']}={rng.randint(-20, 20)} mm"
-        verdicts = one.verdict(options), two.verdict(replace(options, offset=by or None))
+        (verdict, before_s), (other, after_s) = (
+            one.verdict(options), two.verdict(replace(options, offset=by or None))
+        )  # fmt: skip
         sums = style.split or style.inches or style.absolute  # rounded elsewhere at half a count
         moved = bool(by or mirrored or sums)
         free = _OF_THE_CUT.get(options.interpolation, ()) if style.split else ()
         how = f"{options.interpolation}, shifted {by!r}"
-        same_verdicts(*verdicts, f"{how}, {told}", moved, free)
+        same_verdicts(verdict, other, f"{how}, {told}", moved, free)
+        cuts = len(moves) if style.split else 0
+        _as_long(before_s, after_s, options.interpolation, cuts, f"{how}, {told}")
+
+
+def _as_long(before_s: float, after_s: float, kind: str, cuts: int, said: str) -> None:
+    """Refuse a time that differs by more than so many moves that are cut in two explain."""
+    tick_s = float(winder().tick_clock.period_s)
+    share = _AS_LONG.get(kind, 0.0) if cuts else 0.0
+    room_s = (cuts * tick_s if kind == "linear" else 0.0) + share * before_s
+    off_s = after_s - before_s
+    assert abs(off_s) <= room_s + SAME * before_s, (
+        f"takes {after_s} s, and took {before_s} s: {said}"
+    )

@@ -116,19 +116,22 @@ from threadline.face import Answer, FastestResult, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
+from threadline.face import wind as wind
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
+from threadline.search.learned_job import LearnedJob, LearnedRuns
 from threadline.verdict import Spec
 
 __version__: str
-__all__ = [{names}]
+__all__ = [
+{names}]
 '''
 
 
 def stub() -> str:
     """Return the types of the package's functions, with every option by name."""
-    names = ", ".join(f'"{name}"' for name in face.__all__)
+    names = "".join(f'    "{name}",\n' for name in face.__all__)
     verbs = [getattr(face, name) for name in face.__all__ if hasattr(getattr(face, name), "words")]
     return _STUB_HEAD.format(names=names) + "\n" + "".join(map(_declared, verbs))
 

@@ -55,6 +55,11 @@ OF_REPORTS = {
         "prove examples/letter-cycle.toml -m letter-placer --shaper um-zv",
         "report-residual.png",
     ),
+    "learning.png": (
+        "learn examples/stitcher-even.seam.toml -m stitcher --feed-forward --robust '0 %' "
+        "--needle '65 stitch/s' --ends '100 %'",
+        "learning-learning.png",
+    ),
     "report-design.png": (
         "prove examples/rosette.dst -m schiffli-frame",
         "report-design.png",

@@ -6,7 +6,18 @@ from importlib import import_module
 
 __version__ = "0.1.0"
 
-__all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
+__all__ = [
+    "compare",
+    "compile",
+    "fastest",
+    "judge",
+    "learn",
+    "load_machine",
+    "prove",
+    "retime",
+    "shaper",
+    "wind",
+]
 
 
 def __getattr__(name: str) -> object:

@@ -7,13 +7,26 @@ from threadline.face import Answer, FastestResult, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
+from threadline.face import wind as wind
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
+from threadline.search.learned_job import LearnedJob, LearnedRuns
 from threadline.verdict import Spec
 
 __version__: str
-__all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
+__all__ = [
+    "compare",
+    "compile",
+    "fastest",
+    "judge",
+    "learn",
+    "load_machine",
+    "prove",
+    "retime",
+    "shaper",
+    "wind",
+]
 
 def compare(
     job: PathLike,
@@ -80,6 +93,7 @@ def compile(
     outside: str | None = None,
     reserve: str | None = None,
     narrow: str | None = None,
+    table: str | None = None,
 ) -> list[Written]: ...
 def fastest(
     job: PathLike,
@@ -148,7 +162,45 @@ def judge(
     outside: str | None = None,
     reserve: str | None = None,
     narrow: str | None = None,
+    table: str | None = None,
 ) -> Answer: ...
+def learn(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    repeats: int = 5,
+    gain: float | str = 0.9,
+    low_pass: str | None = None,
+    measured: str = "head",
+    runs: Sequence[PathLike] = (),
+    spec: PathLike | Spec | None = None,
+    par: PathLike | None = None,
+    actual: PathLike | Machine | None = None,
+    interpolation: str = "default",
+    law: str | None = None,
+    feed: str | None = None,
+    dialect: str | None = None,
+    feed_mode: str | None = None,
+    axes: str | None = None,
+    radius: str | None = None,
+    product: str | None = None,
+    offset: str | None = None,
+    needle: str | None = None,
+    long_stitches: str | None = None,
+    tolerance: str = "0.1 mm",
+    limits: str = "100 %",
+    shaper: str | None = None,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
+    robust: str | None = None,
+    contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
+    table: str | None = None,
+    level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
+    ends: str | None = None,
+) -> LearnedJob | LearnedRuns: ...
 def prove(
     job: PathLike,
     machine: PathLike | Machine,
@@ -179,6 +231,7 @@ def prove(
     outside: str | None = None,
     reserve: str | None = None,
     narrow: str | None = None,
+    table: str | None = None,
     level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
     repeats: int | None = None,
     yield_: str | None = None,

@@ -37,10 +37,12 @@ if TYPE_CHECKING:
     from threadline.commands.plan import Plan
     from threadline.files import Recording
     from threadline.files.formats import Written
+    from threadline.jobs.winding.laid import Laid
     from threadline.motion.shaping import Shaper
     from threadline.proof.pipeline import Proof
     from threadline.proof.recorded import Judged
     from threadline.search import Certainty, Comparison, Mismatch
+    from threadline.search.learned_job import LearnedJob, LearnedRuns
 
 
 PathLike = str | Path
@@ -242,7 +244,18 @@ class FastestResult:
         return self._asked(**{**self.best_options, **words})
 
 
-__all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
+__all__ = [
+    "compare",
+    "compile",
+    "fastest",
+    "judge",
+    "learn",
+    "load_machine",
+    "prove",
+    "retime",
+    "shaper",
+    "wind",
+]
 
 
 @checked
@@ -290,7 +303,7 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     from threadline.proof.pipeline import with_shaping
 
     asked = Words.of("prove", Door.PYTHON, words)
-    trials, chosen, options = asked.trials(), asked.machine(machine), asked.options()
+    trials, chosen, options = asked.trials(), asked.machine(machine), asked.options(job)
     spec = with_shaping(asked.spec(chosen), chosen, options)
     return Proved(prove_job(Path(job), chosen, spec, options, None, trials, asked.actual()))
 
@@ -377,7 +390,7 @@ def compare(
 
     asked = Words.of("compare", Door.PYTHON, words)
     trials, named = asked.trials(), asked.machine(machine)
-    planned = asked.each_options(interpolations, feeds, shapers)
+    planned = asked.each_options(job, interpolations, feeds, shapers)
     chosen = with_radii_of(named, planned[0])
     return compare_job(
         open_job(Path(job), chosen, planned[0]),
@@ -469,6 +482,56 @@ def compile(
     return write(plan, target, out, slower=slower)
 
 
+@with_options
+@checked
+def learn(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    repeats: int = 5,
+    gain: float | str = 0.9,
+    low_pass: str | None = None,
+    measured: str = "head",
+    runs: Sequence[PathLike] = (),
+    **words: Word,
+) -> LearnedJob | LearnedRuns:
+    """Repeat a job and let its references learn from the error of every run.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    repeats
+        How often the simulated machine repeats the job, 1 to 100.
+    gain
+        Share of the error that is corrected after each run.
+    low_pass
+        Frequency above which errors are not learned, ``"20 Hz"``.
+    measured
+        Where the error is measured: at the ``"head"`` or at the encoder of the ``"motor"``.
+    runs
+        Recordings of runs to learn from instead, the first one first; the answer is the next table.
+    **words
+        The options of ``threadline learn``. ``table=`` of ``prove`` plays what ``.write`` wrote.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.files.formats import read_recording
+    from threadline.search.learned_job import learned_from, learned_on_twins, rules_of
+
+    asked = Words.of("learn", Door.PYTHON, words)
+    if measured not in ("head", "motor"):
+        raise OptionError(f"unknown measured {measured!r}", remedy='Give "head" or "motor".')
+    rules = rules_of(gain, low_pass, "motor" if measured == "motor" else "head")
+    if not runs:
+        return learned_on_twins(asked, Path(job), machine, rules, repeats)
+    recorded = {str(file): read_recording(file) for file in runs}
+    return learned_from(asked, Path(job), machine, rules, recorded)
+
+
 @checked
 def shaper(text: str) -> Shaper | dict[str, Shaper]:
     """Return the shaper that ``text`` describes, or one per axis where it names axes.
@@ -484,3 +547,23 @@ def shaper(text: str) -> Shaper | dict[str, Shaper]:
     from threadline.motion.shaping import parse_shaper
 
     return parse_shaper(text)
+
+
+@checked
+def wind(job: PathLike) -> tuple[Laid, ...]:
+    """Return the layers of a winding, each with its patterns, its circuit and its thickness.
+
+    Parameters
+    ----------
+    job
+        Product file with layers, ``NAME.wind.toml``.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read, or a layer cannot be wound.
+    """
+    from threadline.jobs.winding.laid import design
+    from threadline.jobs.winding.layers import read_layers
+
+    return design(read_layers(Path(job)))

@@ -110,6 +110,26 @@ def test_the_commands_of_the_project_run(
     assert (folder / "faster.gcode").read_text().startswith(begins)
 
 
+def test_settings_without_a_motor_make_a_machine_of_limits_and_say_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first command makes a machine; one value of a motor, and all others are asked for."""
+    dump = tmp_path / "printer.cfg"
+    dump.write_text(KLIPPER)
+    asked = "new", "klipper", tmp_path / "alone", "--from", dump, "--limits-only", "--json"
+    code, out, err = run(capsys, *asked)
+    assert (code, err) == (0, "")
+    assert not any("motor" in note for note in json.loads(out)["notes"])
+    code, out, err = run(capsys, "new", "klipper", tmp_path / "mine", "--from", dump, "--json")
+    assert (code, err) == (0, "")
+    assert "No motor and no mass was given" in json.loads(out)["notes"][-1]
+    for name in ("machine.toml", "spec.toml"):
+        assert (tmp_path / "mine" / name).read_text() == (tmp_path / "alone" / name).read_text()
+    words = "new", "klipper", tmp_path / "full", "--from", dump, "--set", "torque=1.26 N m"
+    code, _, err = run(capsys, *words)
+    assert code == 2 and "inductance" in err and not (tmp_path / "full").exists()
+
+
 def test_answers_about_motors_are_refused_beside_limits_only(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

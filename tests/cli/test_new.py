@@ -151,8 +151,9 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
     """Ten numbers of its owner and the answer to $$: the project's own command is in spec."""
     dump, folder = tmp_path / "settings.txt", tmp_path / "mine"
     dump.write_text(SETTINGS)
-    asked = [text.partition("=")[0] for text in OWNER[1:]]
-    code, _, err = run(capsys, "new", "grbl", folder, "--from", dump, "--set", OWNER[0])
+    asked = [text.partition("=")[0] for text in OWNER[2:]]
+    words = "new", "grbl", folder, "--from", dump, "--set", OWNER[0], "--set", OWNER[1]
+    code, _, err = run(capsys, *words)
     assert code == 2 and not folder.exists()
     assert all(f'--set "{name}=' in err for name in asked), "a question was cut out"
     given = [word for text in OWNER for word in ("--set", text)]
@@ -274,13 +275,29 @@ def test_without_a_terminal_nothing_is_asked(
 
 @pytest.mark.parametrize(
     ("old", "now"),
-    [("grbl-winder", "grbl"), ("reprapfirmware-winder", "rrf"), ("marlyn", "marlin")],
+    [("reprapfirmware-winder", "rrf"), ("marlyn", "marlin")],
 )
 def test_the_kind_that_was_meant_is_named(
     old: str, now: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, _, err = run(capsys, "new", old, tmp_path / "mine")
     assert code == 2 and f"Did you mean '{now}'?" in err
+
+
+def test_a_winder_on_a_firmware_is_named_after_both(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dump = tmp_path / "mine.txt"
+    letters = "".join(f"$10{k}=80\n$11{k}=5000\n$12{k}=200\n$13{k}=300\n" for k in range(3))
+    dump.write_text(f"$11=0.010\n{letters}")
+    said = []
+    for kind in ("grbl", "grbl-winder"):
+        words = ["new", kind, tmp_path / kind, "--from", dump, "--limits-only"]
+        assert run(capsys, *words)[0] == 0
+        said.append((tmp_path / kind / "machine.toml").read_text())
+    assert said[0] == said[1]
+    code, _, err = run(capsys, "new", "grbl-winder", tmp_path / "other")
+    assert code == 2 and "a grbl machine is made from the settings of its controller" in err
 
 
 @pytest.mark.parametrize("named", ["plotter", "Laser", "router"])

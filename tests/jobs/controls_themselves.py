@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -88,6 +89,20 @@ def build_marlin(source: Path, folder: Path) -> Path:
     return folder / "marlin"
 
 
+def klippy_folder() -> Path | None:
+    """Return the folder ``klippy`` of the checkout that ``THREADLINE_KLIPPER`` names, or None."""
+    named = os.environ.get("THREADLINE_KLIPPER")
+    return Path(named) / "klippy" if named else None
+
+
+def build_klipper(source: Path, folder: Path) -> Path:
+    """Write a program that reads lines by Klipper's own modules; return the program."""
+    program = folder / "klipper"
+    program.write_text(f"#!{sys.executable}\nKLIPPY = {str(source)!r}\n{_KLIPPER_MAIN}")
+    program.chmod(0o755)
+    return program
+
+
 def run(program: Path, programs: Sequence[Sequence[str]]) -> list[Told]:
     """Return what a control makes of each program, begun anew for each."""
     text = "".join(f"{_NEW}\n" + "\n".join(lines) + "\n" for lines in programs)
@@ -133,6 +148,63 @@ def _told(text: str) -> Told:
     return Told(lines, dwells, refused)
 
 
+_KLIPPER_MAIN = r"""
+# Lines go through gcode.py, gcode_move.py and gcode_arcs.py as they are. The tool head beneath them
+# notes its moves; G4 and G28 are here as toolhead.py and homing.py have them, homed at zero.
+import logging, math, sys
+logging.disable(logging.CRITICAL)
+sys.path[:0] = [KLIPPY, KLIPPY + "/extras"]
+import gcode, gcode_arcs, gcode_move
+
+class Printer:
+    def __init__(self):
+        self.events, self.objects, self.at, self.line = {}, {}, [0.0] * 4, 0
+        self.command_error = self.config_error = gcode.CommandError
+        self.objects["gcode"] = self.gcode = gcode.GCodeDispatch(self)
+        self.objects["toolhead"] = self
+        self.move_of = self.objects["gcode_move"] = gcode_move.GCodeMove(self)
+        gcode_arcs.ArcSupport(self)
+        self.gcode.register_command("G4", self.dwell)
+        self.gcode.register_command("G28", self.home)
+        self.send_event("klippy:ready")
+        self.gcode.register_output_handler(self.told)
+    def get_printer(self): return self
+    def load_object(self, config, name): return self.objects[name]
+    def lookup_object(self, name, default=None): return self.objects.get(name, default)
+    def getfloat(self, name, default, above): return 0.05
+    def get_start_args(self): return {}
+    def get_reactor(self): return self
+    def mutex(self): return None
+    def register_event_handler(self, name, call): self.events.setdefault(name, []).append(call)
+    def send_event(self, name, *given):
+        for call in self.events.get(name, []): call(*given)
+    def get_position(self): return list(self.at)
+    def get_axes(self): return self.homed
+    def move(self, new, speed):
+        self.length += math.dist(new[:3], self.at[:3])
+        self.at, self.speed = list(new), speed * 60.0
+    def dwell(self, command):
+        print("D", self.line, command.get_float("P", 0.0, minval=0.0) / 1000.0)
+    def home(self, command):
+        named = [k for k, axis in enumerate("XYZ") if command.get(axis, None) is not None]
+        self.homed = named or [0, 1, 2]
+        self.move([0.0 if k in self.homed else at for k, at in enumerate(self.at)], 0.0)
+        self.send_event("homing:home_rails_end", self, [])
+    def told(self, text):
+        if text.startswith(("!!", "// Unknown")): print("E", self.line)
+
+printer = None
+for text in sys.stdin.read().splitlines():
+    if text == "@new":
+        print(text)
+        printer = Printer()
+    else:
+        printer.line += 1
+        printer.length = 0.0
+        printer.gcode._process_commands([text])
+        if printer.length:
+            print("L", printer.line, *printer.at[:3], printer.length, printer.speed)
+"""
 _AVR = """
 #include <stdbool.h>
 #include <stdint.h>

@@ -62,11 +62,16 @@ def random_blocks(seed: int, loose: float = 0.35) -> list[str]:
     return [*lines, "G90 G1 X3 Y4 F100"]
 
 
-def random_commands(seed: int, loose: float = 0.35) -> list[str]:
-    """Return the lines of a program for a firmware that runs one command of a line."""
+def random_commands(seed: int, loose: float = 0.35, *, klipper: bool = False) -> list[str]:
+    """Return the lines of a program for a firmware that runs one command of a line.
+
+    For ``klipper`` more lines have small letters, I and J, and numbers in front.
+    """
     rng = random.Random(seed)
     n = lambda: rng.choice(_NUMBERS)  # noqa: E731
     lines = ["G21", "G90", "G1 X1 F600"]
+    if klipper and rng.random() < 0.3:
+        lines[2] = "G1 X1"
     for _ in range(rng.randint(1, 6)):
         x = rng.choice((2, 5, 8, 10, 20))
         if rng.random() < loose:
@@ -78,7 +83,8 @@ def random_commands(seed: int, loose: float = 0.35) -> list[str]:
                     f"G0{axes}",
                     f"G1{axes}",
                     f"G1{axes} F{rng.choice((60, 500, 1200))}",
-                    f"G{rng.choice((2, 3))} X{x} Y{n()} R{rng.choice((30, -30, 14.5))}",
+                    f"G{rng.choice((2, 3))} "
+                    + (f"I{n()} J2" if klipper else f"X{x} Y{n()} R{rng.choice((30, -30, 14.5))}"),
                     f"G{rng.choice((2, 3))} I{n()} J{n()}{rng.choice(('', ' Z3', ' P2', ' K1'))}",
                     f"G4 P{rng.choice(('0', '.5', '2', '150.9'))}",
                     f"G4 S{rng.choice(('0', '.5', '2'))} P7",
@@ -88,6 +94,8 @@ def random_commands(seed: int, loose: float = 0.35) -> list[str]:
                     rng.choice(("G90 G1 X5", "M3 S9", "M84", "M106 S9", "M117 G1 X5", "G21 F50")),
                 )
             )
+        if klipper and rng.random() < 0.9:
+            line = line.replace("G4 S", "G4 P").replace(" P7", "")
         odd = rng.random()
         if odd < 0.02:
             line = line.replace(" ", "\t", 1)
@@ -99,6 +107,8 @@ def random_commands(seed: int, loose: float = 0.35) -> list[str]:
             line = f"N{rng.choice((1, 1, 2))} {line}"
         elif odd < 0.1:
             line = line.replace("G", "G+")
+        elif klipper and odd < 0.2:
+            line = rng.choice((line.lower(), f"n7 {line}", f"{line}*{rng.randint(0, 99)}"))
         lines.append(line)
     lines = [f"{one}*{_checksum(one)}" if one.startswith("N1 ") else one for one in lines]
     return [*lines, "G90", "G1 X3 Y4 F100"]

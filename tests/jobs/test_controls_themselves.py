@@ -150,6 +150,31 @@ def test_marlin_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine) -> Non
     assert same > len(programs) // 3
 
 
+def test_klipper_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine) -> None:
+    """Moves, feeds and dwells by its own ``gcode.py``; what it answers with an error is refused."""
+    source = themselves.klippy_folder()
+    if source is None:
+        pytest.skip(f"{NO_FIRMWARE}THREADLINE_KLIPPER names a checkout of Klipper")
+    programs = [random_commands(seed, 0.1, klipper=True) for seed in range(LONG)]
+    same = 0
+    for lines, theirs in zip(
+        programs, themselves.run(themselves.build_klipper(source, tmp_path), programs), strict=True
+    ):
+        mine = ours(tmp_path, xyz, lines, "klipper")
+        if mine is None:
+            continue
+        moves = [
+            line for line in lines if line.strip().upper().startswith(("G0", "G1", "G2", "G3"))
+        ]
+        assert not theirs.refused or lines[theirs.refused - 1] not in moves, lines
+        assert_same_moves(mine, theirs, feeds=not any("G28" in line.upper() for line in lines))
+        waits = [one for one in theirs.dwells_s if one]
+        assert [one for one in mine.dwells_s if one] == pytest.approx(waits)
+        same += 1
+    print(f"{same} of {len(programs)} programs make the same moves; the others are refused")
+    assert same > len(programs) // 6  # R of arcs, S of G4 and what is no command are refused
+
+
 def end_of_rs274(output: str) -> Point:
     """Return where the canonical commands of LinuxCNC's interpreter end, from the first zero."""
     plane, scale = "XY", 1.0

@@ -12,7 +12,8 @@ from threadline.units import parse_exact_time_s, parse_quantity
 
 CASES = {"part-program": 300, "units": 300, "par": 100, "radii": 150, "program-winder": 150}
 JUDGED = (
-    "judge-channels", "judge-blocks", "judge-axes", "same-recording", "same-program", "same-machine"
+    "judge-channels", "judge-blocks", "judge-axes",
+    "same-recording", "same-program", "same-winding", "same-machine",
 )  # fmt: skip
 """Classes of which tests/verdict has cases."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -11,7 +12,7 @@ from tests.jobs.made_machines import made_machine
 from tests.jobs.random_blocks import random_blocks, random_commands
 
 from threadline.errors import InputError, JobError
-from threadline.jobs import Dwell, Stop
+from threadline.jobs import Dwell, Move, Stop
 from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.machine import Machine
 
@@ -23,7 +24,7 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return made_machine(tmp_path_factory.mktemp("xyza"), "XYZ", "A")
 
 
-@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc", "marlin"])
+@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc", "marlin", "klipper"])
 def test_a_block_behind_a_semicolon_is_a_comment_for_controls(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
@@ -275,6 +276,49 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
         read(tmp_path, xyza, "G1 X1. F60\nG4 P1 X2.\nM30\n", "fanuc")
 
 
+# --- Klipper ---
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("PRINT_START BED=60", "PRINT_START runs a macro"),
+        ("_home", "_HOME runs a macro"),
+        ("set_velocity_limit ACCEL=500", "SET_VELOCITY_LIMIT sets the limits"),
+        ("RESTORE_GCODE_STATE NAME=a", "takes back the zero and the feed"),
+        ("M204 S500", "M204 is what sets the acceleration anew"),
+        ("M220 S50", "M220 is a share of every feed"),
+        ("G20", "G20 is the inch, which klipper refuses"),
+        ("G4 S1", "S1 is no word of klipper's G4"),
+        ("G2 X15 R5", "klipper takes no arc with R"),
+        ("G2 I0", "klipper takes no arc without a centre"),
+        ("G91\nG2 X10 I5 J0", "klipper takes no arc while G91 is in force"),
+        ("G90 G1 X5", r"the first command of a line alone \(G90\), and not G1"),
+        ("G1 X9 (see Y20)", "for '\\(' in it"),
+        ("G1 XY9", "for 'XY' in it"),
+        ("G+1 X9", "cannot read 'G\\+1 X9' as a command"),
+        ("X9", "cannot read 'X9' as a command"),
+    ],
+)
+def test_what_klipper_runs_otherwise_is_refused(
+    tmp_path: Path, xyza: Machine, line: str, said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        moves(read(tmp_path, xyza, f"G1 X5 F600\n{line}\nG1 X1\n", "klipper"))
+
+
+def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(
+    tmp_path: Path, xyza: Machine
+) -> None:
+    """Its ``gcode.py``; before the first F the feed is the 25 mm/s of ``gcode_move.py``."""
+    text = "g1 x5\nn9 G0 X6*1\nN3 g1 X7 f600 ; (Y9\nG4 P150.9\nm117 G1 X99\nG28 y\nG1 X8\n"
+    job = read(tmp_path, xyza, text, "klipper")
+    assert [p[0] for p in millimetres(job)] == [5, 6, 7, 7, 8]
+    feeds = [move.feed.value for move in job if isinstance(move, Move) and move.feed]
+    assert feeds[:3] == pytest.approx([0.025, 0.025, 0.01])
+    assert [d.duration_s for d in job if isinstance(d, Dwell)] == [pytest.approx(0.1509)]
+
+
 # --- FluidNC --------------------------------------------------------------------------------------
 
 
@@ -303,14 +347,16 @@ def test_linuxcnc_reads_the_position_of_the_program(tmp_path: Path, xyza: Machin
 # --- the compiled reader --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc", "marlin"])
+@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc", "marlin", "klipper"])
 def test_the_compiled_reader_has_the_same_grammar(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
     """Of random lines, odd ones among them: the same operations, or the same error."""
     taken = 0
     for seed in range(60):
-        made = random_commands if dialect == "marlin" else random_blocks
+        made = {
+            "marlin": random_commands, "klipper": partial(random_commands, klipper=True),
+        }.get(dialect, random_blocks)  # fmt: skip
         text = "\n".join([*made(seed, 0.1), *(["M2"] if dialect == "linuxcnc" else [])])
 
         def outcome(plain: bool, text: str = text) -> list[object]:

@@ -169,7 +169,10 @@ def test_a_broken_beam_is_no_cycle(shaped: Proof) -> None:
 
 @pytest.mark.parametrize("name", ["switching_dwell", "valve_conflict", "over_level"])
 def test_limits_of_the_valves_are_judged(shaped: Proof, name: str) -> None:
-    """A valve that opens for 10 ms, opposite valves together, both levels with a third one."""
+    """A valve that opens for 10 ms, opposite valves together, both levels with a third one.
+
+    X is too far open as well, by less than its tolerance less than Z.
+    """
     assert shaped.verdict.result(name).status is Status.PASSED
 
     def change(samples: dict[str, Any]) -> None:
@@ -180,13 +183,16 @@ def test_limits_of_the_valves_are_judged(shaped: Proof, name: str) -> None:
             samples["x_left"][moving[100:300]] = 1.0
         else:
             samples["z_down_a2"][samples["z_down"] > 0] = 1.0
+            samples["x_right_a2"][samples["x_right"] > 0] = 1.0
 
     machine = shaped.plan.machine
     if name == "over_level":  # flows that sum to more than 1
-        way = machine.cylinders["Z"].forward
-        flow = replace(way.flows["z_down_a2"], si=0.6)
-        more = replace(way, flows={**way.flows, "z_down_a2": flow})
-        cylinders = {**machine.cylinders, "Z": replace(machine.cylinders["Z"], forward=more)}
+        cylinders = {**machine.cylinders}
+        for axis, second, level in (("X", "x_right_a2", 0.597), ("Z", "z_down_a2", 0.6)):
+            way = cylinders[axis].forward
+            flow = replace(way.flows[second], si=level)
+            more = replace(way, flows={**way.flows, second: flow})
+            cylinders[axis] = replace(cylinders[axis], forward=more)
         machine = replace(machine, cylinders=cylinders)
     scheduled = replace(shaped.plan.scheduled, machine=machine)
     plan = replace(shaped.plan, machine=scheduled.machine, intent=scheduled)

@@ -154,11 +154,16 @@ def test_what_means_nothing_to_it_is_refused(capsys: pytest.CaptureFixture[str])
 
 
 def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A slow piston stops short of a switch that stands farther out: that is no error of input."""
+    """A slow piston stops short of a switch that stands farther out: that is no error of input.
+
+    It creeps to it unless the list forbids that.
+    """
     machine = load_machine("letter-placer")
-    plan = plan_job(read_job(CYCLE, machine), machine, Options())
+    file = tmp_path / "list.toml"
+    file.write_text(CYCLE.read_text().replace('wait = "x_is_r', 'creep = false\nwait = "x_is_r'))
+    plan = plan_job(read_job(file, machine), machine, Options())
     names = [one.numbers[0] for one in uncertain(machine)]
     parts = np.zeros((3, len(names)))
     parts[0, names.index("contacts.x_is_right.at")] = -1.0
@@ -192,3 +197,22 @@ def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
     assert verdict.tolerances is not None and verdict.tolerances.share is None
     # What the others come to is told all the same.
     assert verdict.result("residual_vibration").measured is not None
+
+
+def test_scans_jitter_from_run_to_run_and_not_in_the_nominal_one() -> None:
+    plan = plan_of(f"{OWN}+jitter")
+    kind, even = kind_of(plan.machine), plan_of(OWN)
+
+    def switched(recording: Recording) -> list[int]:
+        outputs = [recording.samples(name)[1] for name in plan.machine.outputs]
+        return [int(at) for one in outputs for at in np.flatnonzero(np.diff(one))]
+
+    nominal, day, other = (
+        switched(run) for run in kind.days(plan.commands, plan.machine, 3, np.random.default_rng(3))
+    )
+    assert nominal == switched(kind.simulate(even.commands, even.machine))
+    assert nominal != day != other
+    assert max(abs(a - b) for a, b in zip(nominal, day, strict=True)) <= 2 + 2  # ms, twice a fifth
+    parts = np.zeros((2, len(uncertain(plan.machine))))
+    one, two = kind.others(plan.commands, plan.machine, parts, np.random.default_rng(3))
+    assert switched(one) != switched(two) != nominal

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from threadline.commands.intents import Scheduled, ScheduledMove
+from threadline.commands.plc_net import petri_net
 from threadline.commands.plc_watch import home_places
 from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
@@ -110,8 +111,9 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
 
     The net's own times count on from the last input: on the way down 10 ms behind the wait, then
     the impulses of the shaper, 0.172 s or 180 ms on the scan, so that the first level lasts 170 ms.
-    Every page has place 0, and the way back to it beside each of its rows. Behind the 49 places of
+    Every page has place 0, and the way back to it beside each of its rows. Behind the 55 places of
     the cycle come the five of the way home: air, then each cylinder on its way and pressed there.
+    Six places of the cycle, by which a cylinder creeps, stand below the place that waits.
     """
     machine = load_machine(TRIMMED)
     scheduled = compile_schedule(
@@ -127,7 +129,15 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
         assert min(t.get_fontsize() for t in figure.axes[0].texts) >= 7.0
     texts = [t.get_text() for panel in panels for t in panel.texts]
     numbers = [int(t) for t in texts if t.isdigit()]
-    assert sorted(numbers) == [0, 0, 0, *range(1, 55)]
+    opens = [place for place in petri_net(scheduled).places if place.opens]
+    assert len(opens) == 6
+    beside = {place.number for place in opens}
+    assert sorted(numbers) == [0, 0, 0, *(n for n in range(1, 61) if n not in beside)]
+    for place in opens:
+        (below,) = [t for t in texts if f"creeps by {place.number}:" in t.split("\n")]
+        assert below.split("\n")[-2:] == [
+            name for name in place.on if name.startswith(("x_", "z_"))
+        ]
     events = [e for e in scheduled.commands.events if e.kind == "wait"]
     waits = {
         f"{e.name}\n(at most {late:g} s)"
@@ -139,14 +149,14 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
     dashed = [n for panel in panels for n in panel.lines if n.get_linestyle() == "--"]
     assert len(dashed) >= 14
     assert sum("main_air" in t.split("\n") for t in texts) == 54  # it opens first and stays open
-    home = home_places(scheduled, 49, 10)
-    assert [place.number for place in home] == [50, 51, 52, 53, 54]
+    home = home_places(scheduled, 55, 10)
+    assert [place.number for place in home] == [56, 57, 58, 59, 60]
     home_ms = sum(place.due_ms for place in home if place.wait is None)
     own_ms = sum(int(t.removesuffix(" ms")) for t in texts if t.endswith(" ms"))
     scans = scheduled.commands.duration_ticks - len(events)
     assert own_ms - home_ms == pytest.approx(10 * scans, abs=10 * len(events))
     assert "170 ms" in texts
-    assert "every output off; home leads to 50, and then start to 1" in texts
+    assert "every output off; home leads to 56, and then start to 1" in texts
     assert sum(t.startswith("back to 0") for t in texts) == 2
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
-from threadline.dynamics.responses import read_response
 from threadline.errors import RecordingError
+from threadline.identify.read_response import read_response
 
 from . import reference as ref
 

@@ -7,8 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tools.second_search import left, second
 
 from threadline.commands.schedule_moves import AT_ONCE
+from threadline.motion.shaping.onoff.flow_levels import FlowMove
+from threadline.motion.shaping.onoff.flow_search import shortest_flow_command
+from threadline.motion.shaping.onoff.switched import Valves
 from threadline.search.move_commands import gapped, left_ringing, stepped, time_optimal_s
 
 SCAN_S = 0.01
@@ -106,3 +110,22 @@ def test_every_tenth_scan_of_a_quick_controller_is_looked_at() -> None:
     fine = gapped(470, 20, TURN**0.1, 0.1, 100, AT_ONCE, step=10)
     assert [tuple(10 * t for t in c.ticks) for c in coarse] == [c.ticks for c in fine]
     assert coarse
+
+
+def test_a_second_search_finds_nothing_shorter() -> None:
+    """An integer program of its own: what is a scan shorter is impossible, not only not found."""
+    turns = np.exp(np.array([-0.3 + 48.0j, -0.3 + 57.0j, -0.3 + 66.0j]) * SCAN_S)
+    move = FlowMove(
+        on_scans=14.0,
+        valves=Valves(flows=(0.63, 0.37)),
+        dwell_scans=2,
+        turns=turns,
+        most=np.full(3, 0.25),
+    )
+    ours = shortest_flow_command(move, 10, 40)
+    assert ours is not None
+    assert second(move, ours.scans - 1, 60.0)[0] == "impossible"
+    what, levels = second(move, ours.scans, 60.0)
+    assert what == "found"
+    assert left(move, levels) <= 1.0
+    assert sum(levels) == pytest.approx(14.0, abs=0.2)

@@ -18,11 +18,12 @@ from threadline.files import tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.variants import drawn, uncertain, variant
+from threadline.machine.vary import REPEAT_SEED
 from threadline.proof import pipeline
 from threadline.proof.asked import trials_of
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, prove_plan, yielding
-from threadline.search.design import Found, Wanted, design
+from threadline.search.design import ProvedDesign, Wanted, design
 from threadline.search.design_evaluate import Evaluator, Tried
 from threadline.search.influence import cheapest_set
 from threadline.search.machine_yield import MachineYield
@@ -46,7 +47,7 @@ def test_rejects_are_the_machines_that_fail_alone(asked: tuple[Plan, Spec]) -> N
     plan, spec = asked
     trials = replace(yielding(0.5), repeats=20, machines=12)
     proof = prove_plan(plan, spec, trials=trials)
-    random = np.random.default_rng(pipeline.REPEAT_SEED)
+    random = np.random.default_rng(REPEAT_SEED)
     random.uniform(size=(19, 2 + len(plan.axes)))  # what the 20 runs drew before
     phases = random.uniform(0.0, 1.0, (12, len(plan.axes)))
     failed = 0
@@ -217,7 +218,7 @@ def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
     kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, *held))
     machine = replace(two_parameters(stitcher, (1.0, 8.0)), tolerances=kept)
 
-    def drawn_by_hand(found: Found) -> tuple[float, float]:
+    def drawn_by_hand(found: ProvedDesign) -> tuple[float, float]:
         plan = plan_job(read_job(file, found.machine), found.machine, Options())
         return MachineYield(plan, found.spec).drawn(200, 7).interval
 

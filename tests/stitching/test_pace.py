@@ -146,8 +146,10 @@ def test_a_plan_for_the_limit_is_in_spec_on_any_day(machine: str, examples: Path
     moves, turns = stitched.turns.moves, stitched.turns.turn_s
     most, usual = (of(moves, turns) for of in (stitched.pace.most_swings_m, stitched.pace.swings_m))
     assert (most > 1.05 * usual)[usual > 0.5e-4].any()
-    assert stitched.pace.most_swings_m(moves, turns).max() == pytest.approx(1e-4, rel=0.03)
-    assert proof.verdict.result("stitch_residual", "X").measured > 0.9e-4
+    # Planned for a twentieth of the tolerances, too: the limit is used at their ends.
+    assert stitched.pace.robust_share == 0.05
+    assert stitched.pace.robust_swings_m(moves, turns).max() == pytest.approx(1e-4, rel=0.03)
+    assert proof.verdict.result("stitch_residual", "X").measured > 0.85e-4
 
 
 def test_a_law_made_for_the_mode_is_sewn_at_its_own_speed(examples: Path) -> None:

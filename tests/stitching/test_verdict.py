@@ -141,7 +141,8 @@ def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:
         # Between two blocks the frame travels: a turn without a stitch.
         assert np.isclose(ways, sewn, atol=1e-6).sum() >= len(sewn) - 1
     used = max(float(row["window_use"]) for row in rows)
-    assert 0.3 < used <= verdict.result("window_use").measured  # that of a travel
+    # The largest of all may be that of a travel; the table has five digits.
+    assert 0.3 < used <= verdict.result("window_use").measured * (1.0 + 1e-5)
     slow = [row for row in rows if float(row["alone it can at [stitch/min]"]) < 60.0]
     # Swings that cancel let them be sooner than alone, and still slower than the usual stitch.
     speeds = [float(row["speed [stitch/min]"]) for row in rows]

@@ -21,7 +21,7 @@ from threadline.verdict import each_run, judge
 
 VALUE_OF = modal.value_of
 JUDGE = sys.modules[judge.__module__]
-CASES = {"same-recording": 60, "same-program": 60, "same-machine": 40}
+CASES = {"same-recording": 60, "same-program": 60, "same-winding": 12, "same-machine": 40}
 
 
 def run(kind: str, folder: Path, count: int) -> list[str]:

@@ -54,6 +54,12 @@ def reading_within(folder: Path) -> Iterator[None]:
         _WITHIN.reset(mark)
 
 
+def within_folder(path: Path) -> Path:
+    """Return a relative path as one in the folder of ``reading_within``; unchanged elsewhere."""
+    folder = _WITHIN.get()
+    return path if folder is None or path.is_absolute() else folder / path
+
+
 def _refuse_outside(path: Path, folder: Path) -> None:
     real = Path(os.path.realpath(folder))
     named = Path(os.path.normpath(path.absolute()))  # links are not followed

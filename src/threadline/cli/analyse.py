@@ -13,10 +13,10 @@ from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, say
 from threadline.dynamics.lead import LeadDesign, design_lead
 from threadline.dynamics.loop import axis_loop
-from threadline.dynamics.responses import read_response
 from threadline.dynamics.suspicions import suspicions
 from threadline.dynamics.without_loop import Analysis, analyse_moving
 from threadline.errors import OptionError
+from threadline.identify.read_response import read_response
 from threadline.machine import Machine, load_machine
 from threadline.machine.controllers import LeadFilter
 from threadline.machine.numbers import with_numbers

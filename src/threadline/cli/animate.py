@@ -42,7 +42,7 @@ def animate(
     keep_inputs(out, job, chosen.file, *words.files())
     needs_of(out)
     check_outputs(file=out)
-    options = words.options()
+    options = words.options(job)
     asked = with_shaping(words.spec(chosen), chosen, options)
     with progress_bar() as progress:
         proof = prove_job(job, chosen, asked, options, progress, NOMINAL, words.actual())

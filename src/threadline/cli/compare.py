@@ -84,7 +84,7 @@ def compare(
     if shaper is not None and "shaper" not in shown:
         shown.append("shaper")
     feeds = [] if feed is None else _listed(feed, "--feed")
-    planned = words.each_options(names, feeds, shapers)
+    planned = words.each_options(job, names, feeds, shapers)
     chosen = with_radii_of(named, planned[0])
     read = open_job(job, chosen, planned[0])
     warn(chosen, read, own_feed=any(one.own_feeds for one in planned))

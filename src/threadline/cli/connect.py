@@ -57,9 +57,7 @@ def connect(
         staged.write(found.text.encode("utf-8"))
     settings = settings_of(found.kind, file)
     rows = read_rows(settings)
-    command = (
-        f"threadline new {found.kind} my-machine --from {shlex.quote(str(file))} --limits-only"
-    )
+    command = f"threadline new {found.kind} my-machine --from {shlex.quote(str(file))}"
     if json:
         keys = ("setting", "value", "from")
         print_json(

@@ -106,7 +106,7 @@ def design(
             remedy="Leave one of them out.",
         )
     # The search tries each smoothing width; the rest of the plan stays the same.
-    options = words.options(feed_forward=False, smoothing=None, robust=None)
+    options = words.options(job, feed_forward=False, smoothing=None, robust=None)
     if words.text("robust") is not None:
         options = replace(options, robust_share=words.options(smoothing=None).robust_share)
     with progress_bar(not json) as progress:

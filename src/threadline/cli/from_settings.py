@@ -20,6 +20,7 @@ from threadline.machine.firmware import (
     SettingValue,
     machine_text,
     missing_answers,
+    names_dynamics,
     number_or_nan,
     parse_answers,
     read_settings,
@@ -53,6 +54,12 @@ _PLANNER_UNITS = {
     "junction_deviation": "mm", "acceleration": "mm/s^2", "velocity": "mm/s", "least_speed": "mm/s",
     "square_corner_velocity": "mm/s", "short_time": "ms", "tolerance": "mm", "cam_tolerance": "mm",
 }  # fmt: skip
+
+_ALONE = (
+    "No motor and no mass was given, so jobs are proven for limits and time, not for placement. "
+    'For placement, make the machine again with --set "torque=1.26 N m": the command asks for the '
+    "other values."
+)
 
 Row = tuple[str, str, str]
 """A setting, its value, and its source."""
@@ -127,7 +134,8 @@ def settings_files(
     answers
         Values that the settings lack, ``"mass=1.2 kg"`` each.
     limits_only
-        Whether to make a machine with limits only, without motors and masses.
+        Whether to make a machine with limits only, without motors and masses. Without any answer
+        about motors and masses the machine is such a machine, too, and a note says so.
 
     Raises
     ------
@@ -138,6 +146,8 @@ def settings_files(
     """
     settings = settings_of(kind, source)
     said = parse_answers(answers)
+    unasked = not limits_only and not names_dynamics(said)
+    limits_only |= unasked
     text = machine_text(settings, said, kind, limits_only=limits_only)
     _check(text, settings)
     for unheeded in settings.unheeded:
@@ -161,7 +171,8 @@ def settings_files(
     if not limits_only:
         rows += [(key, text, "assumed") for key, text in DEFAULTS.items() if key not in said.given]
     form = settings.form or settings.firmware
-    return FromSettings(contents, form, rows, settings.notes, settings.unheeded)
+    notes = [*settings.notes, *([_ALONE] if unasked else [])]
+    return FromSettings(contents, form, rows, notes, settings.unheeded)
 
 
 def read_rows(settings: Settings) -> list[Row]:

@@ -52,6 +52,8 @@ class Project:
     prove: str
 
 
+_WINDER = "-winder"
+"""May follow the name of a firmware: the machine is the same, a winder has a rotary axis."""
 PROJECTS = {
     "winder": Project("lathe-winder", "reversal.prg -m machine.toml"),
     "stepper": Project("stepper-winder", "reversal.prg -m machine.toml"),
@@ -108,7 +110,8 @@ def new(
         typer.Option(
             "--limits-only",
             help="For a controller's machine: take only its limits, without motors and masses. "
-            "Jobs are then proven for limits and time, not for placement.",
+            "Jobs are then proven for limits and time, not for placement. So it is, too, where "
+            "--set names no motor and no mass.",
         ),
     ] = False,
     json: JsonOption = False,
@@ -122,12 +125,13 @@ def new(
     Example: threadline new winder my-winder
 
     With the limits of a grbl's settings: threadline new grbl my-router --from settings.txt
-    --limits-only
 
     With motors and masses: threadline new grbl my-winder --from settings.txt --set rotary=A
     --set "torque=1.26 N m"
     """
     given = list(answers or [])
+    if kind is not None and kind.removesuffix(_WINDER) in KINDS:
+        kind = kind.removesuffix(_WINDER)
     if kind is None or folder is None:
         if json or not somebody_at_the_keys():
             raise OptionError(

@@ -91,7 +91,7 @@ def prove(
     for output in (recording, proof_file, worst):
         keep_inputs(output, job, chosen.file, *words.files(), sign)
         check_outputs(file=output, folder=report, worst=worst)
-    options = words.options()
+    options = words.options(job)
     asked = with_shaping(words.spec(chosen), chosen, options)
     with progress_bar(not json) as progress:
         proof = prove_job(job, chosen, asked, options, progress, trials, words.actual())
@@ -114,9 +114,7 @@ def prove(
 
                 progress("drawing the report", 0.0)
                 written = write_report(studied(proof), report)
-                if proof.worst is not None:
-                    worst = worst or report / "worst.toml"
-                    write_worst(proof, report / "worst.toml")
+                worst = write_worst_beside(proof, report, worst)
     tell(warnings_of(proof))
     if json:
         content = verdict_json(proof.verdict, proof.plan)
@@ -125,7 +123,8 @@ def prove(
         if proof_file is not None:
             content["proof"] = str(proof_file)
         if worst is not None:
-            content["worst"] = {"file": str(worst), "command": again(job, machine, words, worst)}
+            told = {"command": again(job, machine, words, worst), "product": worst_product(proof)}
+            content["worst"] = {"file": str(worst), **told}
         print_json(content)
     else:
         show_proof(proof)
@@ -135,7 +134,7 @@ def prove(
             say(f"Proof: {proof_file}")
         if worst is not None:
             say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
-            say(f"  {again(job, machine, words, worst)}")
+            say(f"  {again(job, machine, words, worst)}{_beside(worst_product(proof))}")
     raise typer.Exit(0 if proof.verdict.passed else 1)
 
 
@@ -148,6 +147,28 @@ def write_worst(proof: Proof, file: Path) -> None:
     text = worst_toml(machine, proof.worst, file.parent, "prove --tolerances")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(text, encoding="utf-8")
+
+
+def write_worst_beside(proof: Proof, report: Path, worst: Path | None) -> Path | None:
+    """Write the machine file of the worst machine into a report; return the file to name."""
+    if proof.worst is None:
+        return worst
+    write_worst(proof, report / "worst.toml")
+    return worst or report / "worst.toml"
+
+
+def worst_product(proof: Proof) -> str:
+    """Return in words the product of the worst machine found; empty for the product as it is."""
+    from threadline.verdict.replayed import product_of, product_words
+
+    product = product_of(proof.plan)
+    if product is None or proof.worst is None:
+        return ""
+    return product_words(product, proof.worst.product)
+
+
+def _beside(product: str) -> str:
+    return f"\nIts product, as numbers for the file of --product: {product}" if product else ""
 
 
 def again(job: Path, machine: str, words: Words, worst: Path) -> str:

@@ -170,13 +170,16 @@ def run(
     inject, proof_file = execution.inject, execution.proof_file
     secret = key_of("--key", execution.key, proof_file)
     fault = None if inject is None else parse_fault(inject, chosen)
-    over = link_of(execution.link, chosen, execution.speed, fault, approach=execution.approach)
+    over = link_of(
+        execution.link, chosen, execution.speed, fault,
+        approach=execution.approach, actual=words.actual(),
+    )  # fmt: skip
     store, confirmed = execution.store, execution.confirmed
     check_folder(store)
     check_continued(store, execution.continue_, execution.at, confirmed=confirmed)
     keep_inputs(recording, job, chosen.file, *words.files(), proof_file)
     check_outputs(file=recording)
-    options = words.options()
+    options = words.options(job)
     asked = with_shaping(words.spec(chosen), chosen, options)
     check_machine(chosen)
     if proof_file is not None:
@@ -200,6 +203,7 @@ def run(
         at_rest, spoiled = _holds_at_rest(plan, asked, leaves_m)
         told = {
             "link": execution.link,
+            **({} if (twin := words.text("actual")) is None else {"simulated": twin}),
             **({"label": over.label} if over.label else {}),
             **({"override": execution.override} if execution.override else {}),
         }

@@ -223,7 +223,7 @@ def _planned(question: Question, machine: Machine) -> tuple[MachineYield, Spec]:
             f"the parts are of job {str(question.job)!r}, and it is not here",
             remedy="Merge in the folder in which the parts were made, or in a copy of it.",
         )
-    options = question.words.options()
+    options = question.words.options(question.job)
     check_machine(machine)
     plan = plan_job(open_job(question.job, machine, options), machine, options)
     asked = with_product(question.words.spec(machine), machine, options)

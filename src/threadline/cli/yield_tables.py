@@ -12,7 +12,8 @@ from threadline.base.arrays import FloatArray
 from threadline.base.progress import Progress
 from threadline.cli.output import print_table, say
 from threadline.machine.numbers import number_at
-from threadline.proof.worst_machine import Done, shares_of
+from threadline.proof.judge_runs import Done
+from threadline.proof.worst_machine import shares_of
 from threadline.search.influence import MACHINES, CheapestSet, Influence, influence, judgements
 from threadline.search.machine_yield import MachineYield
 
@@ -26,13 +27,13 @@ def counted(progress: Progress, what: str, total: int | None = None) -> Done:
 
     A search has no known total: it reports how many machines it has tried.
     """
-    through = 0
+    through = 0.0
 
-    def done(count: int) -> None:
+    def done(count: float) -> None:
         nonlocal through
         through += count
         if total is None:
-            progress(f"{what}, {through} tried", 0.0)
+            progress(f"{what}, {through:.0f} tried", 0.0)
         else:
             progress(what, min(through / total, 1.0))
 

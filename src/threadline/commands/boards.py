@@ -94,7 +94,6 @@ BOARDS: Mapping[str, Board] = {
         longest=255,
         pause=("P", 1000),
         planner="klipper",
-        dialect="marlin",
         stops=False,
         head=_shaper_lines("klipper_section"),
     ),

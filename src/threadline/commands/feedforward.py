@@ -28,7 +28,7 @@ from threadline.motion.timing import (
 from threadline.motion.timing.averaged import DEGREE, Averages
 
 if TYPE_CHECKING:
-    from threadline.commands.short_table import ToldEnds
+    from threadline.commands.short_table import InverseEnds
     from threadline.dynamics.preview import AxisPreview, Demand
     from threadline.motion.shaping import Shaper
 
@@ -271,11 +271,11 @@ class _References:
     def __init__(self, trajectory: Trajectory, machine: Machine, model: Values | None) -> None:
         self._trajectory = trajectory
         self._machine = machine
-        from threadline.commands.short_table import ToldEnds
+        from threadline.commands.short_table import InverseEnds
         from threadline.dynamics.preview import AxisPreview
 
         self.previews = [AxisPreview(machine, axis, model) for axis in trajectory.axes]
-        self.told = [ToldEnds() for _ in trajectory.axes]
+        self.told = [InverseEnds() for _ in trajectory.axes]
 
     def blocks(self) -> Iterator[TrajectoryBlock]:
         clock = self._machine.tick_clock
@@ -307,7 +307,7 @@ class _References:
 class _Column:
     """References of one axis, computed at the controller's ticks and interpolated at due times."""
 
-    def __init__(self, column: int, preview: AxisPreview, ends: ToldEnds) -> None:
+    def __init__(self, column: int, preview: AxisPreview, ends: InverseEnds) -> None:
         self._column, self._preview, self._ends = column, preview, ends
         self._next = self._next_early = 0  # ticks of the controller
         self._time_s: FloatArray = np.empty(0)

@@ -57,7 +57,7 @@ class Intent(Protocol):
     def planned_with(self, options: Mapping[str, str]) -> str:
         """Return words for the planning method."""
 
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+    def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:
         """Return the entries that this kind of work adds to the JSON of a verdict."""
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
@@ -156,7 +156,7 @@ class Motion:
         name = self.interpolation(options)
         return name if self.of_loads is None else f"{name}, feed-forward"
 
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+    def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
         """Return times of the motion and the feed-forward of each axis, if the loads follow."""
         if self.of_loads is None:
             return {}
@@ -272,6 +272,9 @@ class Scheduled:
     single
         The schedule of one cycle, for the program of a PLC, if this one has a first and a further
         cycle.
+    creeping
+        How each cylinder creeps to a late end switch: ``opening_m`` and ``every_s`` of an opening,
+        and the ringing ``rings_m`` of one; two half a period apart cancel.
     """
 
     job: Job
@@ -284,6 +287,7 @@ class Scheduled:
     shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
     again_tick: int = 0
     single: Scheduled | None = None
+    creeping: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def one_cycle(self) -> Scheduled:
@@ -318,11 +322,12 @@ class Scheduled:
         """Return words for the planning method."""
         return "switched"
 
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
-        """Return the shaping of each cylinder if a shaper was requested, else nothing."""
+    def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:
+        """Return how cylinders creep, and their shaping if a shaper was requested."""
+        creep = {"creep": self.creeping} if self.creeping else {}
         if "shaper" not in options:
-            return {}
-        return {"shaping": {axis: one.as_json() for axis, one in self.shaping.items()}}
+            return creep
+        return creep | {"shaping": {axis: one.as_json() for axis, one in self.shaping.items()}}
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
         """Return the line of each operation, 0 for an operation without one."""
@@ -488,7 +493,7 @@ class Stitched:
             return f"{self.law.name}, {speed} to {fastest:.4g} stitches a minute"
         return f"{self.law.name}, {speed} stitches a minute"
 
-    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+    def json_entries(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
         """Return the entries about stitches for the JSON of a verdict."""
         sewn = self.turns.stitch > 0
         return {

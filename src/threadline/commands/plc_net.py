@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from threadline.commands.intents import Scheduled
 from threadline.errors import PlanError
+from threadline.files import Creep
 
 _WORDS = """
 abs absolute_time acos action add and any any_bit any_date any_derived any_elementary any_int
@@ -84,9 +85,15 @@ class NetPlace:
     on
         Outputs that are on.
     due_ms
-        Time since the origin at which the token leaves; for a waiting place, the timeout.
+        Time since the origin at which the token leaves; for a waiting place, the timeout; for an
+        opening, its length.
     wait
         Awaited input and its value; the time of the input is the next origin.
+    creep
+        How a cylinder creeps in a waiting place; its tick is that of the wait.
+    opens
+        Whether the place is an opening of the creep of the place before it, to which the token then
+        returns; it has the same wait.
     begin_tick, origin_tick
         Scans of the schedule at which the token arrives and at which its time count begins.
     """
@@ -98,6 +105,8 @@ class NetPlace:
     wait: tuple[str, bool] | None = None
     begin_tick: int = 0
     origin_tick: int = 0
+    creep: Creep | None = None
+    opens: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +145,7 @@ def petri_net(scheduled: Scheduled) -> PetriNet:
         )
     scan_ms = int(period_ms)
     timeouts = iter(scheduled.wait_timeouts_s)
+    creeps = {creep.tick: creep for creep in commands.creeps}
     # Rows of a tick take effect before a wait at the same tick begins.
     marks: list[tuple[int, int, str, object]] = [
         (int(tick), 1, "row", tuple(int(v) for v in row))
@@ -145,7 +155,8 @@ def petri_net(scheduled: Scheduled) -> PetriNet:
         if event.kind == "tool":
             marks.append((event.tick, 0, "step", event.name))
         elif event.kind == "wait":
-            marks.append((event.tick, 2, "wait", (event.name, bool(event.value), next(timeouts))))
+            wait = event.name, bool(event.value), next(timeouts), creeps.get(event.tick)
+            marks.append((event.tick, 2, "wait", wait))
     marks.sort(key=lambda mark: mark[:2])
     walk = _Walk(commands.outputs, scan_ms)
     for tick, _, kind, payload in marks:
@@ -194,15 +205,23 @@ class _Walk:
             self._add(self._ms(tick), None)
         self.pending = False
 
-    def _wait(self, tick: int, name: str, value: bool, timeout_s: float) -> None:
+    def _wait(
+        self, tick: int, name: str, value: bool, timeout_s: float, creep: Creep | None
+    ) -> None:
         self.arrival = tick
         scans = math.ceil(1000.0 * timeout_s / self.scan_ms - 1e-9)
-        self._add(self._ms(tick) + scans * self.scan_ms, (name, value))
+        due_ms = self._ms(tick) + scans * self.scan_ms
+        self._add(due_ms, (name, value), creep)
+        if creep is not None:
+            on = tuple(n for n, v in zip(self.outputs, creep.levels, strict=True) if v)
+            opened = replace(self.places[-1], number=len(self.places) + 1, on=on)
+            opens_ms = creep.opens * self.scan_ms
+            self.places.append(replace(opened, due_ms=opens_ms, creep=None, opens=True))
         # The token arrives in the next place immediately; the rows come at the next scan.
         self.origin = self.arrival = tick
         self.pending = True
 
-    def _add(self, due_ms: int, wait: tuple[str, bool] | None) -> None:
+    def _add(self, due_ms: int, wait: tuple[str, bool] | None, creep: Creep | None = None) -> None:
         self.places.append(
             NetPlace(
                 number=len(self.places) + 1,
@@ -212,6 +231,7 @@ class _Walk:
                 wait=wait,
                 begin_tick=self.arrival,
                 origin_tick=self.origin,
+                creep=creep,
             )
         )
 

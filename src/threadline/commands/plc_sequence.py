@@ -105,6 +105,10 @@ FAULTS = {
 """Reasons for a stop, by the name of their constant. The order gives the numbers."""
 
 
+CREEP_NAMES = ("creep_due", "creep_shut", "creep_calm")
+"""Times since the origin: of the next opening, of its end, and of the rest after the last one."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Guarded:
     """Variables and constants of a program for one cylinder.
@@ -172,6 +176,25 @@ class Sequence:
     air: tuple[str, ...]
     again: str
 
+    def _creep_times(self, named: NamedPlace) -> Iterator[tuple[str, int, str]]:
+        """Yield name, milliseconds and note of the three constants of a creep."""
+        place, creep = named.place, named.place.creep
+        if creep is None or place.wait is None:
+            return
+        wait_scans = place.begin_tick - place.origin_tick
+        for name, scans, note in zip(
+            named.creeps,
+            (wait_scans + creep.first, creep.every, creep.rest),
+            ("not before", "from opening to opening", "from an opening to its rest"),
+            strict=True,
+        ):
+            yield name, scans * self.net.scan_ms, f"{place.step}: creeps to {place.wait[0]}, {note}"
+
+    @property
+    def creeps(self) -> bool:
+        """Whether a cylinder creeps in some place."""
+        return any(named.place.opens for named in self.cycle)
+
     @property
     def places(self) -> tuple[NamedPlace, ...]:
         """All places, in the order of their numbers."""
@@ -187,7 +210,9 @@ class Sequence:
         for named in self.places:
             due = f"T#{named.place.due_ms}ms"
             yield Variable(name=named.due, type="TIME", initial=due, note=named.note)
-            for axis, (early, gone) in named.bounds.items():
+            for name, ms, note in self._creep_times(named):
+                yield Variable(name=name, type="TIME", initial=f"T#{ms}ms", note=note)
+            for axis, (early, gone) in () if named.place.opens else named.bounds.items():
                 watch = named.watch[axis]
                 for name, ms, what in (
                     (early, watch.early_ms, f"{axis} cannot be there before"),
@@ -210,6 +235,44 @@ class Sequence:
                 yield Variable(name=name, type="INT", initial=str(code), note=way)
         for code, jog in enumerate(self.jogs, start=1):
             yield Variable(name=jog.name, type="INT", initial=str(code), note=jog.note)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Words:
+    """Names in the program, and some of its times.
+
+    Parameters
+    ----------
+    inputs, outputs
+        Names in the program, by name in the machine file.
+    grids, enables
+        Inputs that must all be true while the machine moves.
+    start, acknowledge, home
+        Inputs whose rising edges count.
+    fresh
+        By input and value: variable that is true if the input had its other value since it last
+        counted.
+    watchdog_ms
+        A longer time from scan to scan is a fault.
+    early_ms
+        A transition fires in the scan nearest to its time, up to half a scan early.
+    air_ms, dwell_ms
+        Work by hand: time for the air pressure to build up, and rest of the valves between two
+        jogs.
+    """
+
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    grids: tuple[str, ...]
+    enables: tuple[str, ...]
+    start: str
+    acknowledge: str
+    home: str
+    fresh: Mapping[tuple[str, bool], str]
+    watchdog_ms: int
+    early_ms: int
+    air_ms: int
+    dwell_ms: int
 
 
 def sequence_of(
@@ -271,7 +334,7 @@ def _named(
     inputs: Mapping[str, str],
     outputs: Mapping[str, str],
 ) -> tuple[NamedPlace, ...]:
-    found = []
+    found: list[NamedPlace] = []
     count: dict[str, int] = {}
     since, last, part = "the run began", "", 1
     for place, watch in zip(places, watched, strict=True):
@@ -282,24 +345,29 @@ def _named(
         part = part + 1 if what == last else 1
         last = what
         note = f"{what}{f', part {part}' if part > 1 else ''}, since {since}"
+        if place.opens:
+            note = what
         if place.wait is not None:
             since = f"{inputs[place.wait[0]]} was {'on' if place.wait[1] else 'off'}"
+        number = f"{step}_{count[step]}"
         which = {
             axis: (
-                names.give(f"t_{axis.lower()}_early_{step}_{count[step]}"),
-                names.give(f"t_{axis.lower()}_gone_{step}_{count[step]}"),
+                names.give(f"t_{axis.lower()}_early_{number}"),
+                names.give(f"t_{axis.lower()}_gone_{number}"),
             )
             for axis, one in watch.items()
-            if not one.stands
+            if not one.stands and not place.opens
         }
+        creeping = ("creep", "every", "calm") if place.creep is not None else ()
         found.append(
             NamedPlace(
                 place=place,
                 name=name,
-                due=names.give(f"t_{step}_{count[step]}"),
+                due=names.give(f"t_{number}"),
                 note=note,
                 watch=watch,
-                bounds=which,
+                bounds=found[-1].bounds if place.opens else which,
+                creeps=tuple(names.give(f"t_{what}_{number}") for what in creeping),
             )
         )
     return tuple(found)
@@ -309,6 +377,8 @@ def _what(
     place: NetPlace, scheduled: Scheduled, inputs: Mapping[str, str], outputs: Mapping[str, str]
 ) -> str:
     """Return words for what happens in a place until its due time."""
+    if place.opens and place.wait is not None:
+        return f"an opening by which it creeps to {inputs[place.wait[0]]}"
     if place.wait is not None:
         return f"{inputs[place.wait[0]]} must be {'on' if place.wait[1] else 'off'} by then"
     machine, tick = scheduled.machine, place.begin_tick

@@ -75,6 +75,9 @@ class NamedPlace:
         Words for what happens until the due time.
     watch
         Expected way of each cylinder, as far as known.
+    creeps
+        Constants of a place with a creep: time since the origin before its first opening, from
+        opening to opening, and from the end of one to the rest of the cylinder.
     bounds
         Two constants for each travelling cylinder: before the first time its far end is not
         believed, after the second time its near end must be off.
@@ -86,6 +89,7 @@ class NamedPlace:
     note: str
     watch: Mapping[str, Watch]
     bounds: Mapping[str, tuple[str, str]]
+    creeps: tuple[str, ...] = ()
 
 
 def switches_of(machine: Machine, axis: str) -> dict[str, Contact]:
@@ -108,6 +112,9 @@ def watches(scheduled: Scheduled, net: PetriNet) -> list[dict[str, Watch]]:
     found: list[dict[str, Watch]] = []
     for number, place in enumerate(net.places):
         before = found[-1] if found else {}
+        if place.opens:
+            found.append(before)
+            continue
         if scheduled.homings:
             ways = {a: _moves_since(scheduled, a, place.begin_tick) for a in scheduled.axes}
         now = {

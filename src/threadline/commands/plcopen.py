@@ -20,7 +20,7 @@ from threadline.base.wording import plain, st_comment
 from threadline.base.writing import together
 from threadline.commands.intents import Scheduled
 from threadline.commands.plc_sequence import FAULTS, Block, PlcProgram, Pou, Variable
-from threadline.commands.structured_text import plc_program, size_warnings
+from threadline.commands.structured_text import plc_program, sized
 from threadline.files.formats.common import Written, atomic_file, written
 
 _TYPES = {
@@ -177,7 +177,7 @@ def write_scl(scheduled: Scheduled, path: Path) -> list[Written]:
         ):
             with atomic_file(file) as stream:
                 stream.write(content.encode("ascii"))
-        return [written(path, size_warnings(scheduled, program)), *map(written, beside)]
+        return [sized(scheduled, program, path), *map(written, beside)]
 
 
 NAMESPACE = "http://www.plcopen.org/xml/tc6_0201"
@@ -283,4 +283,4 @@ def write_plcopen(scheduled: Scheduled, path: Path) -> list[Written]:
     """Write the PLCopen XML project to ``path``."""
     with atomic_file(path) as stream:
         stream.write(plcopen_xml(scheduled))
-    return [written(path, size_warnings(scheduled, plc_program(scheduled)))]
+    return [sized(scheduled, plc_program(scheduled), path)]

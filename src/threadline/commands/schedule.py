@@ -22,6 +22,7 @@ from threadline.commands.schedule_moves import (
     move_levels,
     open_flows,
     shortest_ticks,
+    slowest,
     table_of,
     valves_of,
     written_levels,
@@ -31,11 +32,13 @@ from threadline.commands.schedule_options import (
     check_interlocks,
     check_timeout,
     check_wait,
+    reads_on,
     shaping_at,
     tell_distance,
 )
-from threadline.errors import BudgetError, Place, PlanError
-from threadline.files import Clock, Event, SwitchSchedule
+from threadline.dynamics.pneumatic import opening_ringing_m, step_ringing
+from threadline.errors import BudgetError, MachineError, Place, PlanError
+from threadline.files import Clock, Creep, Event, SwitchSchedule
 from threadline.jobs.moves import REST, STEP_EVENT, repeated
 from threadline.jobs.operations import (
     Dwell,
@@ -50,6 +53,8 @@ from threadline.jobs.operations import (
 from threadline.machine import Machine
 
 _SAME_M = 1e-9
+_SEEN_LAGS = 2.0
+"""Lags after which 86 % of the way of an opening are covered."""
 
 
 def compile_schedule(
@@ -123,6 +128,71 @@ def _check_again(job: Job, single: Scheduled) -> None:
             )
 
 
+def creep_of(
+    machine: Machine, move: ScheduledMove, tick: int, most: int, state: Mapping[str, int]
+) -> Creep | None:
+    """Return how a cylinder creeps to the end switch behind ``move`` in a wait at ``tick``.
+
+    It begins when the slowest valves and the longest lag of the file have brought it to rest. Each
+    opening is the shortest of the smallest level. From one to the next most of its way is covered,
+    so that the switch is read in time, and half a period of the frame passes, or three, five ...:
+    two of them cancel, and one rings at most. None: the switch is a fault before the first is over.
+
+    Parameters
+    ----------
+    most
+        Scans of waiting after which the missing switch is a fault.
+    state
+        Outputs that are on beside the cylinder's.
+    """
+    assert machine.plc is not None
+    scan_s = float(machine.clock(machine.plc.clock).period_s)
+
+    def scans(time_s: float) -> int:
+        return max(1, math.ceil(time_s / scan_s - 1e-9))
+
+    cylinder = machine.cylinders[move.axis]
+    way, rest_s = cylinder.way(move.forward), cylinder.longest_rest_s(move.forward)
+    opens = scans(way.least_hold_s(machine.plc))
+    first = max(move.last_tick + scans(rest_s) - tick, 0)
+    if first + opens >= most:
+        return None
+    every_s = way.closes_s + cylinder.delay.si + _SEEN_LAGS * cylinder.lag.si
+    try:
+        half_s = math.pi / step_ringing(machine, move.axis).pole.imag
+        every_s = half_s * (2 * math.ceil((every_s / half_s - 1.0) / 2.0) + 1)
+    except MachineError:
+        pass  # a frame that does not ring
+    on = dict(state) | dict.fromkeys((way.valve, *slowest(way)[1]), 1)
+    return Creep(
+        tick=tick,
+        first=first,
+        every=max(round(every_s / scan_s), 2 * opens),
+        opens=opens,
+        rest=scans(rest_s),
+        most=most,
+        levels=tuple(int(on[name]) for name in machine.outputs),
+    )
+
+
+def _creep_told(machine: Machine, move: ScheduledMove, creep: Creep) -> dict[str, float]:
+    """Return what an opening covers, when the next one comes, and how much one rings."""
+    assert machine.plc is not None
+    scan_s = float(machine.clock(machine.plc.clock).period_s)
+    cylinder = machine.cylinders[move.axis]
+    way = cylinder.way(move.forward)
+    open_s, level = creep.opens * scan_s + way.closes_s - way.opens_s, slowest(way)[0]
+    try:
+        rings_m = opening_ringing_m(machine, move.axis, level, open_s)
+    except MachineError:
+        rings_m = 0.0
+    return {
+        "opening_m": level * cylinder.speed.si * open_s,
+        "every_s": creep.every * scan_s,
+        "rings_m": rings_m,
+    }
+
+
 @dataclass(slots=True)
 class _Builder:
     """State of one pass through the job, during ``compile_schedule`` only."""
@@ -141,6 +211,9 @@ class _Builder:
     state: dict[str, int] = field(default_factory=dict)
     position: dict[str, float] = field(default_factory=dict)
     on_its_way: set[str] = field(default_factory=set)
+    unconfirmed: dict[str, ScheduledMove] = field(default_factory=dict)
+    creeps: list[Creep] = field(default_factory=list)
+    creeping: dict[str, dict[str, float]] = field(default_factory=dict)
     again_tick: int = 0
 
     def __post_init__(self) -> None:
@@ -182,6 +255,8 @@ class _Builder:
                 self.warnings += check_wait(self.machine, self.position, name, bool(value), source)
                 if self.machine.contacts[name].cylinder is not None:
                     self.on_its_way.discard(str(self.machine.contacts[name].cylinder))
+                if operation.creep and value:
+                    self._creep(name, timeout, source)
                 self.events.append(
                     Event(tick=self.tick, kind="wait", operation=index, name=name, value=value)
                 )
@@ -246,9 +321,30 @@ class _Builder:
             self.position[axis] = 0.0
             self._check_interlocks([axis], before, source)
             self.on_its_way.discard(axis)
+            self.unconfirmed.pop(axis, None)
             self.homings.append(
                 Homing(operation=index, axis=axis, first_tick=first, last_tick=self.tick)
             )
+
+    def _creep(self, name: str, timeout_s: float, source: Source) -> None:
+        """Let a cylinder creep to the end switch ``name`` that its last move leads to.
+
+        Only the first wait behind the move does so, and only where interlocks let it move.
+        """
+        contact = self.machine.contacts[name]
+        move = self.unconfirmed.get(str(contact.cylinder))
+        if move is None or reads_on(contact, move.begin_m):
+            return
+        del self.unconfirmed[move.axis]
+        try:
+            self._check_interlocks([move.axis], self.position, source)
+        except PlanError:
+            return
+        creep = creep_of(self.machine, move, self.tick, self._ticks(timeout_s), self.state)
+        if creep is not None:
+            self.creeps.append(creep)
+            told = _creep_told(self.machine, move, creep)
+            self.creeping.setdefault(move.axis, told)
 
     def _check_interlocks(
         self, moving: list[str], before: Mapping[str, float], source: Source
@@ -274,18 +370,18 @@ class _Builder:
                 state = dict.fromkeys(state, 0)
             self._set(self.tick + tick, state, index)
         last = self.tick + levels.ticks[-1]
-        self.moves.append(
-            ScheduledMove(
-                operation=index,
-                step=self.step,
-                axis=axis,
-                begin_m=self.position[axis] - distance,
-                end_m=self.position[axis],
-                first_tick=self.tick,
-                last_tick=last,
-                levels=levels,
-            )
+        move = ScheduledMove(
+            operation=index,
+            step=self.step,
+            axis=axis,
+            begin_m=self.position[axis] - distance,
+            end_m=self.position[axis],
+            first_tick=self.tick,
+            last_tick=last,
+            levels=levels,
         )
+        self.moves.append(move)
+        self.unconfirmed[axis] = move
         period_s = float(self.clock.period_s)
         tell_distance(self.warnings, levels, axis, period_s, source, written="levels" in how)
         return last + self._ticks(float(how.get(REST, cylinder.rest_s(distance > 0))))
@@ -346,6 +442,7 @@ class _Builder:
             job_sha256=self.job.sha256,
             machine_sha256=self.machine.sha256,
             events=tuple(self.events),
+            creeps=tuple(self.creeps),
         )
         return Scheduled(
             job=self.job,
@@ -357,4 +454,5 @@ class _Builder:
             warnings=tuple(self.warnings),
             shaping=self.shaping,
             again_tick=self.again_tick,
+            creeping=self.creeping,
         )

@@ -49,7 +49,7 @@ class ShortTable:
         )
 
 
-class ToldEnds:
+class InverseEnds:
     """The inverse output of an axis at the ticks next to both ends of its motion."""
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ def short_table(
     machine: Machine,
     trajectory: Trajectory,
     previews: Sequence[AxisPreview],
-    told: Sequence[ToldEnds],
+    told: Sequence[InverseEnds],
     planned_s: float,
     within_m: float,
 ) -> ShortTable | None:

@@ -56,10 +56,10 @@ def write_steps(stitched: Stitched, path: Path) -> list[Written]:
     """
     commands = stitched.commands
     stem = path.with_suffix("") if path.suffix else path
-    told = _told(stitched)
+    left_m = _amplitudes_left_m(stitched)
     content = {
         ".tables.bin": _tables_bytes(commands),
-        ".tables.csv": _tables_text(commands, told),
+        ".tables.csv": _tables_text(commands, left_m),
         ".stitches.bin": _stitches_bytes(commands),
         ".stitches.csv": _stitches_text(commands),
         ".events.csv": _events_text(stitched),
@@ -70,7 +70,7 @@ def write_steps(stitched: Stitched, path: Path) -> list[Written]:
         with atomic_file(beside) as file:
             for part in parts:
                 file.write(part)
-        facts = table_facts(commands, told) if ending == ".tables.csv" else ()
+        facts = table_facts(commands, left_m) if ending == ".tables.csv" else ()
         files.append(replace(written(beside), facts=facts))
     with atomic_file(path) as file:
         file.write(json.dumps(_manifest(stitched, files), indent=1, sort_keys=True).encode())
@@ -287,7 +287,7 @@ def _manifest(stitched: Stitched, files: Iterable[Written]) -> dict[str, Any]:
     }
 
 
-def _told(stitched: Stitched) -> FloatArray:
+def _amplitudes_left_m(stitched: Stitched) -> FloatArray:
     """Return the (tables, A) amplitudes that each table's steps leave in the slowest mode, m."""
     commands, pace = stitched.commands, stitched.pace
     period_s = commands.clock.period_s

@@ -15,7 +15,7 @@ import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.commands.stitch_search import WIDER, Found, Speeds, Swings, fastest_turns
+from threadline.commands.stitch_search import WIDER, FastestTurns, Speeds, Swings, fastest_turns
 from threadline.dynamics.without_loop import analyse_position_drive
 from threadline.machine import Machine
 from threadline.machine.shaft import Shaft, Tables
@@ -241,7 +241,7 @@ class Pace:
         )
         speeds, asked_m = self._speeds(moves, shortest_s), self.tolerance_m
         swings = self._swings(speeds)
-        best: tuple[float, Found] | None = None
+        best: tuple[float, FastestTurns] | None = None
         asked = (ways_m, moves.needle, shortest_s)
         for _ in range(_ROUNDS):
             found = fastest_turns(speeds, swings, asked, asked_m, self.share)

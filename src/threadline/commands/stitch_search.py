@@ -128,7 +128,7 @@ class Swings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class FastestTurns:
     """The found turns.
 
     Parameters
@@ -153,7 +153,7 @@ def fastest_turns(
     tolerance_m: float,
     share: float,
     width: int = WIDTH,
-) -> Found:
+) -> FastestTurns:
     """Return the fastest turns that the search finds.
 
     Parameters
@@ -183,7 +183,7 @@ def fastest_turns(
         swings.fresh, kept, swings.late, swings.axis, swings.last, swings.named,
         tolerance_m, width,
     )  # fmt: skip
-    return Found(turn_s=speeds.turn_s[index], missed=missed, bound_s=bound_s)
+    return FastestTurns(turn_s=speeds.turn_s[index], missed=missed, bound_s=bound_s)
 
 
 def _allowed(

@@ -9,32 +9,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from threadline import __version__
 from threadline.base.wording import st_comment
-from threadline.base.writing import together
+from threadline.base.writing import content_of, together
 from threadline.commands.intents import Scheduled
 from threadline.commands.plc_net import Names, PetriNet
 from threadline.commands.plc_sequence import (
+    CREEP_NAMES,
     FAULTS,
     Block,
     PlcProgram,
     Pou,
     Sequence,
     Variable,
+    Words,
     sequence_of,
 )
 from threadline.commands.plc_watch import air_ms
 from threadline.commands.schedule_moves import shaping_words
-from threadline.commands.structured_text_body import (
-    HAND_NAMES,
-    Words,
-    body_lines,
-    hand_constants,
-    hand_state,
-)
+from threadline.commands.structured_text_body import body_lines, branches_in_scan
+from threadline.commands.structured_text_panel import HAND_NAMES, hand_constants, hand_state
 from threadline.errors import PlanError
 from threadline.files.formats.common import Written, atomic_file, written
 from threadline.machine import Machine
@@ -65,8 +62,8 @@ _PANEL_OUTPUTS = {
 }
 _INTERNAL = (
     "origin", "elapsed", "late", "allowed", "start_before", "home_before", "acknowledge_before",
-    "cycle_timer", "scan_timer", "cause", "culprit", "ending", "sequence", *HAND_NAMES,
-    *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
+    "cycle_timer", "scan_timer", "cause", "culprit", "ending", "sequence",
+    *CREEP_NAMES, *HAND_NAMES, *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
 )  # fmt: skip
 _ONCE = ("start", "acknowledge", "home")
 
@@ -141,27 +138,29 @@ _BRANCH_US = 2.0
 """Time of a branch with its comparisons on a small controller, us; a fast one needs a tenth."""
 _LARGE = 0.25
 """Share of the scan that the branches may take before the program is called large."""
+_LARGE_KB = 1000.0
 
 
-def branches_of(program: PlcProgram) -> int:
-    """Return the number of branches; the controller comes to nearly all of them in every scan."""
-    lines = (line.lstrip() for line in program.block.body)
-    return sum(line.startswith(("IF ", "ELSIF ")) for line in lines)
+def sized(scheduled: Scheduled, program: PlcProgram, path: Path) -> Written:
+    """Return the written file with its size and the time of a scan, and a warning if that is long.
 
-
-def size_warnings(scheduled: Scheduled, program: PlcProgram) -> tuple[str, ...]:
-    """Return the warnings of ``scheduled``, with one more if the program is large for its scan."""
-    branches, scan_ms = branches_of(program), program.interval_ms
+    Of a long list most branches stand in groups that a controller passes over.
+    """
+    branches, scan_ms = branches_in_scan(program.block.body), program.interval_ms
     takes_ms = 1e-3 * _BRANCH_US * branches
-    if takes_ms <= _LARGE * scan_ms:
-        return scheduled.warnings
-    return (
-        *scheduled.warnings,
-        f"the program is large: {branches} branches in every scan take about {takes_ms:.3g} ms at "
-        f"{_BRANCH_US:g} us each, and the scan is {scan_ms} ms; more than "
+    told = f"{branches} branches in a scan take about {takes_ms:.3g} ms of {scan_ms} ms"
+    kilobytes = content_of(path).stat().st_size / 1000.0
+    fact = f"{told} at {_BRANCH_US:g} us each; {kilobytes:.0f} kB of text"
+    large = (
+        f"the program is large: {told} at {_BRANCH_US:g} us each; more than "
         f"{_LARGE * 100.0:g} % of it is much for a small PLC. Measure its scan time, take a faster "
         "PLC or a longer scan, or divide the list",
+        f"the program is large: {kilobytes:.0f} kB of text; a small PLC holds some hundred. Divide "
+        "the list, or take a larger PLC",
     )
+    over = (takes_ms > _LARGE * scan_ms, kilobytes > _LARGE_KB)
+    warned = (text for text, applies in zip(large, over, strict=True) if applies)
+    return replace(written(path, (*scheduled.warnings, *warned)), facts=(fact,))
 
 
 def _of_kind(machine: Machine, kind: str) -> list[str]:
@@ -199,6 +198,11 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
         "Times t_... count from the input that came last, or from the start of the run.",
         "It is no safety function: what protects people has to cut the air without it.",
         *(f"{axis}: {_shaped(scheduled, axis)}" for axis in scheduled.machine.cylinders),
+        *(
+            f"{axis} creeps to a late end switch: {1e3 * one['opening_m']:.2g} mm each "
+            f"{one['every_s']:.3g} s, until it is there or its time limit is over."
+            for axis, one in scheduled.creeping.items()
+        ),
     )
 
 
@@ -255,6 +259,11 @@ def _state(words: Words, sequence: Sequence) -> Iterator[Variable]:
         yield Variable(name=name, type="BOOL", initial="TRUE")
     for name in words.fresh.values():
         yield Variable(name=name, type="BOOL", initial="FALSE")
+    if sequence.creeps:
+        for name, note in zip(
+            CREEP_NAMES, ("of the next opening", "of its end", "of its rest"), strict=True
+        ):
+            yield Variable(name=name, type="TIME", initial="T#0ms", note=note)
     for one in sequence.guarded:
         yield Variable(name=one.expect, type="INT", initial="0")
         yield Variable(name=one.early, type="TIME", initial="T#0ms")
@@ -357,8 +366,7 @@ def write_structured_text(scheduled: Scheduled, path: Path) -> list[Written]:
         for file, content in ((path, text.units), (beside, text.configuration)):
             with atomic_file(file) as stream:
                 stream.write(content.encode("ascii"))
-        warned = size_warnings(scheduled, plc_program(scheduled))
-        return [written(path, warned), written(beside)]
+        return [sized(scheduled, plc_program(scheduled), path), written(beside)]
 
 
 def write_openplc(scheduled: Scheduled, path: Path) -> list[Written]:
@@ -366,4 +374,4 @@ def write_openplc(scheduled: Scheduled, path: Path) -> list[Written]:
     text = structured_text(scheduled, OPENPLC)
     with atomic_file(path) as stream:
         stream.write(f"{text.units}\n{text.configuration}".encode("ascii"))
-    return [written(path, size_warnings(scheduled, plc_program(scheduled)))]
+    return [sized(scheduled, plc_program(scheduled), path)]

@@ -1,132 +1,14 @@
-"""The body of a sequence's function block in structured text, with work by hand and panel texts.
-
-A jog input held while work by hand begins, or while a fault is acknowledged, is not a fresh press.
-A jog that has stopped, at its end or because a needed switch went off, stays stopped until the next
-press.
-"""
+"""The body of a sequence's function block in structured text."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from itertools import groupby
 
-from threadline.commands.plc_sequence import FAULTS, Guarded, Sequence, Variable
+from threadline.commands.plc_sequence import CREEP_NAMES, Guarded, Sequence, Words
 from threadline.commands.plc_watch import NamedPlace, reads, switches_of
+from threadline.commands.structured_text_panel import hand_lines, panel_texts, plain_text
 from threadline.machine import Machine
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Words:
-    """Names in the program, and some of its times.
-
-    Parameters
-    ----------
-    inputs, outputs
-        Names in the program, by name in the machine file.
-    grids, enables
-        Inputs that must all be true while the machine moves.
-    start, acknowledge, home
-        Inputs whose rising edges count.
-    fresh
-        By input and value: variable that is true if the input had its other value since it last
-        counted.
-    watchdog_ms
-        A longer time from scan to scan is a fault.
-    early_ms
-        A transition fires in the scan nearest to its time, up to half a scan early.
-    air_ms, dwell_ms
-        Work by hand: time for the air pressure to build up, and rest of the valves between two
-        jogs.
-    """
-
-    inputs: Mapping[str, str]
-    outputs: Mapping[str, str]
-    grids: tuple[str, ...]
-    enables: tuple[str, ...]
-    start: str
-    acknowledge: str
-    home: str
-    fresh: Mapping[tuple[str, bool], str]
-    watchdog_ms: int
-    early_ms: int
-    air_ms: int
-    dwell_ms: int
-
-
-HAND_NAMES = (
-    "jogging", "hand_before", "hand_ready", "jog_before", "jog_asked", "jog_runs", "hand_timer",
-    "rest_timer", "t_hand_air", "t_hand_rest",
-)  # fmt: skip
-
-
-def hand_constants(words: Words) -> Iterator[Variable]:
-    """Yield the two times for work by hand."""
-    for name, ms, note in (
-        ("t_hand_air", words.air_ms, "by hand: the air is up"),
-        ("t_hand_rest", words.dwell_ms, "by hand: the valves rest between two things"),
-    ):
-        yield Variable(name=name, type="TIME", initial=f"T#{ms}ms", note=note)
-
-
-def hand_state() -> Iterator[Variable]:
-    """Yield the variables that the lines of ``hand_lines`` keep from scan to scan."""
-    for name in ("jogging", "hand_before", "hand_ready", "jog_runs"):
-        yield Variable(name=name, type="BOOL", initial="FALSE")
-    for name in ("jog_before", "jog_asked"):
-        yield Variable(name=name, type="INT", initial="0")
-    for name in ("hand_timer", "rest_timer"):
-        yield Variable(name=name, type="TON", derived=True)
-
-
-def hand_lines(sequence: Sequence, words: Words) -> Iterator[str]:
-    """Yield the part of the body for work by hand."""
-    yield "(* By hand: one thing at a time, slowly, where the cycle would do it. A change of jog *)"
-    yield "(* asks for it; what is held when the work by hand begins asks for nothing. *)"
-    yield f"jogging := manual AND allowed AND NOT fault AND (place = {sequence.idle});"
-    yield "IF NOT jogging OR NOT hand_before THEN"
-    yield "  jog_asked := 0;"
-    yield "  jog_runs := FALSE;"
-    yield "ELSIF jog <> jog_before THEN"
-    yield "  jog_asked := jog;"
-    yield "  jog_runs := FALSE;"
-    yield "END_IF;"
-    yield "jog_before := jog;"
-    yield "hand_before := jogging;"
-    yield "(* First the air is up; then the valves rest between two things as long as they must. *)"
-    yield "hand_timer(IN := jogging, PT := t_hand_air);"
-    yield "rest_timer(IN := NOT jog_runs, PT := t_hand_rest);"
-    yield "hand_ready := hand_timer.Q AND (jog_runs OR rest_timer.Q);"
-    yield "jog_runs := FALSE;"
-    yield "IF jogging THEN"
-    yield "  homed := FALSE;"
-    yield "  step_text := 'by hand';"
-    for name in sequence.air:
-        yield f"  {words.outputs[name]} := TRUE;"
-    yield "END_IF;"
-    for jog in sequence.jogs:
-        needs = [_reads(contact, words) for contact in jog.needs]
-        where = [" AND ".join(_reads(c, words) for c in one) for one in jog.where]
-        if where:
-            needs.append(f"({' OR '.join(f'({one})' for one in where)})")
-        yield f"IF hand_ready AND (jog_asked = {jog.name}) THEN"
-        on = [f"{words.outputs[name]} := TRUE;" for name in jog.on] + ["jog_runs := TRUE;"]
-        if needs:
-            yield f"  IF {' AND '.join(needs)} THEN"
-            yield from (f"    {line}" for line in on)
-            yield "  ELSE"
-            yield "    jog_asked := 0;"
-            yield "  END_IF;"
-        else:
-            yield from (f"  {line}" for line in on)
-        yield "END_IF;"
-    yield ""
-
-
-def _reads(contact: tuple[str, bool], words: Words) -> str:
-    name, value = contact
-    return words.inputs[name] if value else f"NOT {words.inputs[name]}"
-
 
 _LONGEST = "PT := T#24h"
 
@@ -140,20 +22,15 @@ def body_lines(sequence: Sequence, words: Words, machine: Machine) -> Iterator[s
     yield from _plausible(words, sequence, machine)
     yield from _stop(sequence)
     yield "(* The transitions, in order: several may fire in one scan. *)"
-    step = None
     for run in (sequence.cycle, sequence.homing):
-        for named, then in zip(run, (*run[1:], None), strict=True):
-            if named.place.step != step:
-                step = named.place.step
-                yield f"(* Step {step} *)"
-            yield from _transition(named, then, words, sequence)
+        yield from _in_groups(_transitions(run, words, sequence))
     yield ""
     yield from _steps(sequence)
     yield from _interlocks(words, sequence)
     yield from _stop(sequence)
     yield from _outputs(words, sequence)
     yield from hand_lines(sequence, words)
-    yield from _texts(sequence, words, machine)
+    yield from panel_texts(sequence, words, machine)
     yield f"busy := place <> {sequence.idle};"
 
 
@@ -206,7 +83,7 @@ def _buttons(words: Words, sequence: Sequence) -> Iterator[str]:
         (words.start, "start_before", sequence.cycle, f"{ready} AND homed"),
     ):
         yield f"IF {button} AND NOT {before} AND {condition} THEN"
-        yield from (f"  {line}" for line in _begin(run[0].name, words))
+        yield from (f"  {line}" for line in _begin(run[0].name, words, sequence.creeps))
         yield "  finished := FALSE;"
         yield "  ending := FALSE;"
         if run is sequence.homing:
@@ -219,12 +96,12 @@ def _buttons(words: Words, sequence: Sequence) -> Iterator[str]:
     yield ""
 
 
-def _begin(first: str, words: Words) -> Iterator[str]:
+def _begin(first: str, words: Words, creeps: bool) -> Iterator[str]:
     yield f"place := {first};"
     yield "origin := T#0ms;"
     yield f"cycle_timer(IN := FALSE, {_LONGEST});"
-    for fresh in words.fresh.values():
-        yield f"{fresh} := FALSE;"
+    yield from (f"{name} := T#0ms;" for name in CREEP_NAMES if creeps)
+    yield from (f"{fresh} := FALSE;" for fresh in words.fresh.values())
 
 
 def _clock(words: Words, sequence: Sequence) -> Iterator[str]:
@@ -315,8 +192,63 @@ def _stop(sequence: Sequence) -> Iterator[str]:
     yield ""
 
 
+_Part = tuple[NamedPlace, NamedPlace, list[str]]
+"""First and last of consecutive places, and the lines that act in these places alone."""
+_GROUP = 48  # places; a list of fewer than twice as many has no groups
+
+
+def _in_groups(parts: Iterator[_Part]) -> Iterator[str]:
+    """Yield the lines of all parts; of many, a group is passed over unless its place is on.
+
+    A controller would otherwise compare the place with every place of a long list in every scan.
+    """
+    every = list(parts)
+    if len(every) < 2 * _GROUP:
+        yield from (line for *_, lines in every for line in lines)
+        return
+    for begin in range(0, len(every), _GROUP):
+        group = every[begin : begin + _GROUP]
+        yield f"IF {_within(group[0][0], group[-1][1])} THEN"
+        yield from (f"  {line}" for *_, lines in group for line in lines)
+        yield "END_IF;"
+
+
+def branches_in_scan(body: tuple[str, ...]) -> int:
+    """Return the number of branches to which a controller comes in a scan at most.
+
+    It enters a group of the outputs and two of the transitions, where one passes to the next.
+    """
+    outside, inside, largest, group = 0, 0, 0, False
+    for line in body:
+        group = group or line.startswith("IF (place >= ")
+        branches = line.lstrip().startswith(("IF ", "ELSIF "))
+        if group and line.startswith(" "):
+            inside += branches
+        else:
+            outside += branches
+        if line == "END_IF;":
+            largest, inside, group = max(largest, inside), 0, False
+    return outside + 3 * largest
+
+
+def _transitions(run: tuple[NamedPlace, ...], words: Words, sequence: Sequence) -> Iterator[_Part]:
+    """Yield the transitions out of each place, with the places by which cylinders creep."""
+    steady = [named for named in run if not named.place.opens]
+    opened = {run[i - 1].name: named for i, named in enumerate(run) if named.place.opens}
+    step = None
+    for named, then in zip(steady, (*steady[1:], None), strict=True):
+        told = [] if named.place.step == step else [f"(* Step {named.place.step} *)"]
+        step, beside = named.place.step, opened.get(named.name)
+        lines = [*told, *_transition(named, then, words, sequence, beside)]
+        yield named, beside or named, lines
+
+
 def _transition(
-    named: NamedPlace, then: NamedPlace | None, words: Words, sequence: Sequence
+    named: NamedPlace,
+    then: NamedPlace | None,
+    words: Words,
+    sequence: Sequence,
+    opened: NamedPlace | None,
 ) -> Iterator[str]:
     place = named.place
     leave = [f"place := {then.name};"] if then else list(_end(named, words, sequence))
@@ -328,13 +260,31 @@ def _transition(
     word = words.inputs[place.wait[0]]
     fresh = "" if named.name in sequence.still_held else words.fresh.get(place.wait)
     awaited = word if place.wait[1] else f"NOT {word}"
+    calm = ""
+    if opened:
+        calm = " AND (elapsed >= creep_calm)"
+        yield f"(* Short openings until {word} is there, and a rest after the last one. *)"
+        yield f"IF (place = {opened.name}) AND (elapsed >= creep_shut) THEN"
+        yield f"  place := {named.name};"
+        yield "END_IF;"
     yield f"IF place = {named.name} THEN"
-    yield f"  IF {awaited}{f' AND {fresh}' if fresh else ''} THEN"
+    yield f"  IF {awaited}{f' AND {fresh}' if fresh else ''}{calm} THEN"
     if fresh:
         yield f"    {fresh} := FALSE;"
     yield "    origin := cycle_timer.ET;"
     yield f"    elapsed := T#{words.early_ms}ms;"
+    yield from (f"    {name} := T#0ms;" for name in CREEP_NAMES if opened)
     yield from (f"    {line}" for line in leave)
+    if opened:
+        first, every, rest = named.creeps
+        yield f"  ELSIF {awaited} THEN"
+        yield f"    place := {named.name};"
+        yield f"  ELSIF (elapsed >= {first}) AND (elapsed >= creep_due)"
+        yield f"    AND (elapsed < {named.due}) THEN"
+        yield f"    place := {opened.name};"
+        yield f"    creep_due := cycle_timer.ET - origin + {every};"
+        yield f"    creep_shut := cycle_timer.ET - origin + {opened.due};"
+        yield f"    creep_calm := creep_shut + {rest};"
     yield f"  ELSIF elapsed >= {named.due} THEN"
     if fresh:
         yield "    cause := f_missing;"
@@ -356,7 +306,7 @@ def _end(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
         return
     yield "count := count + 1;"
     yield "IF continuous AND NOT ending THEN"
-    yield from (f"  {line}" for line in _begin(sequence.again, words))
+    yield from (f"  {line}" for line in _begin(sequence.again, words, sequence.creeps))
     yield "ELSE"
     yield f"  place := {sequence.idle};"
     yield "  finished := TRUE;"
@@ -367,7 +317,7 @@ def _steps(sequence: Sequence) -> Iterator[str]:
     yield "step_text := 'idle';"
     for first, last in _runs(sequence.places, lambda named: named.place.step):
         yield f"IF {_within(first, last)} THEN"
-        yield f"  step_text := '{_plain(first.place.step)}';"
+        yield f"  step_text := '{plain_text(first.place.step)}';"
         yield "END_IF;"
     yield ""
 
@@ -412,63 +362,24 @@ def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
         yield f"{one.expect} := {one.unknown};"
         yield f"{one.early} := T#0ms;"
         yield f"{one.gone} := T#0ms;"
-    for named in sequence.places:
-        yield f"IF place = {named.name} THEN"
-        for name in named.place.on:
-            yield f"  {words.outputs[name]} := TRUE;"
-        for one in sequence.guarded:
-            watch = named.watch.get(one.axis)
-            if watch is None:
-                continue
-            known = one.known[round(watch.begin_m, 9), round(watch.end_m, 9)]
-            yield f"  {one.expect} := {known};"
-            if not watch.stands:
-                early, gone = named.bounds[one.axis]
-                yield f"  {one.early} := {early};"
-                yield f"  {one.gone} := {gone};"
-        yield "END_IF;"
-    yield ""
-
-
-def _texts(sequence: Sequence, words: Words, machine: Machine) -> Iterator[str]:
-    yield "(* Words for a panel. *)"
-    for name, text in FAULTS.items():
-        yield f"IF fault_code = {name} THEN"
-        yield f"  fault_text := '{text}';"
-        yield "END_IF;"
-    yield "contact_text := '';"
-    yield "contact_address := '';"
-    for contact, name in sequence.contacts.items():
-        yield f"IF fault_contact = {name} THEN"
-        yield f"  contact_text := '{_plain(contact)}';"
-        yield f"  contact_address := '{machine.contacts[contact].address}';"
-        yield "END_IF;"
-    yield ""
-    yield "(* Why nothing happens, and what is asked for next. *)"
-    yield "hint_text := '';"
-    yield f"IF place = {sequence.idle} THEN"
-    hints = (
-        *((f"NOT {name}", "the light grid is broken") for name in words.grids),
-        *((f"NOT {name}", "the enable is missing") for name in words.enables),
-        ("fault", "acknowledge first"),
-        ("manual AND NOT hand_timer.Q", "the air is coming up"),
-        ("jog_runs", ""),
-        ("manual AND (jog_asked <> 0) AND NOT hand_ready", "the valves rest"),
-        ("manual AND (jog <> 0)", "not here, at its end, or held too long: let go of it"),
-        ("manual", "choose a jog"),
-        ("NOT homed", "home first"),
+    yield from _in_groups(
+        (named, named, list(_outputs_of(named, words, sequence))) for named in sequence.places
     )
-    for number, (condition, text) in enumerate(hints):
-        yield f"  {'ELSIF' if number else 'IF'} {condition} THEN"
-        yield f"    hint_text := '{text}';"
-    yield "  ELSE"
-    yield "    hint_text := 'ready to start';"
-    yield "  END_IF;"
-    yield "END_IF;"
     yield ""
 
 
-def _plain(text: str) -> str:
-    """Return text as characters that a string literal of every PLC takes."""
-    kept = (c if c.isascii() and (c.isalnum() or c in " _-.,") else " " for c in text[:60])
-    return "".join(kept).strip()
+def _outputs_of(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
+    yield f"IF place = {named.name} THEN"
+    for name in named.place.on:
+        yield f"  {words.outputs[name]} := TRUE;"
+    for one in sequence.guarded:
+        watch = named.watch.get(one.axis)
+        if watch is None:
+            continue
+        known = one.known[round(watch.begin_m, 9), round(watch.end_m, 9)]
+        yield f"  {one.expect} := {known};"
+        if not watch.stands:
+            early, gone = named.bounds[one.axis]
+            yield f"  {one.early} := {early};"
+            yield f"  {one.gone} := {gone};"
+    yield "END_IF;"

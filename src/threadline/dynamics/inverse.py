@@ -281,11 +281,14 @@ class CornerResponse:
     ----------
     load
         (k,) velocity of the load / intended velocity.
+    sensor
+        (k,) reading of the controller's sensor / its reading on the machine of the references.
     current_s_a_m
         (k,) current of the motor / intended velocity, A s/m or A s/rad; None without a coil.
     """
 
     load: NDArray[np.complex128]
+    sensor: NDArray[np.complex128]
     current_s_a_m: NDArray[np.complex128] | None
 
 
@@ -299,32 +302,46 @@ def corner_responses(
     omega_rad_s
         (k,) frequencies above 0.
     """
-    believed, _ = _closed(axis_loop(machine, axis), omega_rad_s)
+    believed = closed_responses(machine, axis, omega_rad_s)
     found = []
     for corner in corners:
-        load, current = _closed(axis_loop(corner, axis), omega_rad_s)
+        own = closed_responses(corner, axis, omega_rad_s)
+        load, current = own.load / believed.load, own.current_s_a_m
         found.append(
             CornerResponse(
-                load=load / believed,
-                current_s_a_m=None if current is None else current * (load / believed),
+                load=load,
+                sensor=own.sensor / believed.sensor,
+                current_s_a_m=None if current is None else current * load,
             )
         )
     return found
 
 
-def _closed(
-    loop: Loop, omega: FloatArray
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128] | None]:
-    """Return the closed loop from reference to load, and the current / the load's velocity."""
+def closed_responses(machine: Machine, axis: str, omega_rad_s: FloatArray) -> CornerResponse:
+    """Return the responses of the closed loop of an axis to its reference, at the filter's ticks.
+
+    Parameters
+    ----------
+    omega_rad_s
+        (k,) frequencies above 0.
+
+    Returns
+    -------
+    CornerResponse
+        Load in m or rad, and sensor in counts, / reference in counts; current / velocity of the
+        load.
+    """
+    loop, omega = axis_loop(machine, axis), omega_rad_s
     plant = loop.plant
     coil = [k for k, name in enumerate(plant.states) if name.endswith(".i")]
     rows = [f"{loop.axis}.load", loop.sensors[loop.index]]
     seen = plant.select([plant.inputs[loop.index]], rows)
     sampled = sample(seen, loop.period_s).response(omega)[:, :, 0]
     D = loop.filters[loop.index].sampled_response(omega)
-    closed = sampled[:, 0] * D / (1.0 + sampled[:, 1] * D)
+    load = sampled[:, 0] * D / (1.0 + sampled[:, 1] * D)
+    sensor = sampled[:, 1] * D / (1.0 + sampled[:, 1] * D)
     if len(coil) != 1:
-        return closed, None
+        return CornerResponse(load=load, sensor=sensor, current_s_a_m=None)
     state = np.zeros((1, len(plant.A)))
     state[0, coil[0]] = 1.0
     with_coil = replace(
@@ -333,4 +350,5 @@ def _closed(
         D=np.zeros((2, 1)),
         outputs=(rows[0], plant.states[coil[0]]),
     ).response(omega)[:, :, 0]
-    return closed, with_coil[:, 1] / (1j * omega * with_coil[:, 0])
+    current = with_coil[:, 1] / (1j * omega * with_coil[:, 0])
+    return CornerResponse(load=load, sensor=sensor, current_s_a_m=current)

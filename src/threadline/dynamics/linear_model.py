@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.base.arrays import FloatArray
+from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.dynamics import elements as el
 from threadline.dynamics.network import Group, PiecewiseLinear, connected_groups, piecewise_linear
 from threadline.dynamics.sampled import StateSpace
@@ -15,13 +15,76 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 
 
-def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateSpace, ...]:
-    """Return the linear model of every connected piece of the network.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ModelVariants:
+    """The linear models of one connected piece, for every variant of its numbers, SI throughout.
 
-    Limits and friction are omitted, play is closed and a preloaded belt is tight, as for small
-    motions about a working point. Inputs are the drives, ``"drives.x"``, in volts of the
-    controller; outputs are ``"sensors.x"`` in counts and, per axis, ``"X.measured"``, ``"X.load"``
-    and ``"X.frame"`` in m or rad. ``delay_s`` holds the dead time of each drive.
+    Parameters
+    ----------
+    A, B, C
+        (variants, n, n), (variants, n, inputs) and (variants, outputs, n).
+    delay_s
+        (variants, inputs) dead time of each input, s.
+    states, inputs, outputs
+        Names, in the order of the rows and columns.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    delay_s: FloatArray
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def one(self, variant: int) -> StateSpace:
+        """Return the model of one variant."""
+        return StateSpace(
+            A=self.A[variant],
+            B=self.B[variant],
+            C=self.C[variant],
+            D=np.zeros((len(self.outputs), len(self.inputs))),
+            delay_s=self.delay_s[variant],
+            states=self.states,
+            inputs=self.inputs,
+            outputs=self.outputs,
+        )
+
+    def response(self, drive: str, output: str, omega_rad_s: FloatArray) -> ComplexArray:
+        """Return the (variants, k) response from one input to one output, dead time exact.
+
+        Parameters
+        ----------
+        drive, output
+            Names of the input and the output.
+        omega_rad_s
+            (k,) frequencies; none may be a pole on the imaginary axis.
+
+        Raises
+        ------
+        ValueError
+            If there is no such input or output.
+        """
+        column, row = self.inputs.index(drive), self.outputs.index(output)
+        s = 1j * np.asarray(omega_rad_s, dtype=np.float64)
+        resolvent = s[:, None, None] * np.eye(len(self.states)) - self.A[:, None]
+        force = np.broadcast_to(self.B[:, None, :, column, None], (*resolvent.shape[:3], 1))
+        state = np.linalg.solve(resolvent, force)[..., 0]
+        value = np.einsum("vn,vkn->vk", self.C[:, row], state)
+        return np.asarray(value * np.exp(-s * self.delay_s[:, column, None]), dtype=np.complex128)
+
+
+def linear_variants(
+    machine: Machine, values: Values | None = None, *, drive: str = ""
+) -> tuple[ModelVariants, ...]:
+    """Return the linear models of every connected piece of the network, all variants at once.
+
+    Inputs, outputs and what is omitted are the same as in ``linear_model``.
+
+    Parameters
+    ----------
+    drive
+        Only the piece with this motor; all pieces where it is empty.
 
     Raises
     ------
@@ -32,41 +95,55 @@ def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateS
     # A piece with position-commanded drives has no input in volts: see ``prescribed``.
     return tuple(
         _linear(machine, piece, used)
-        for piece in piecewise_linear(machine, used)
+        for piece in piecewise_linear(machine, used, drive=drive)
         if not piece.group.sources
     )
 
 
-def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> StateSpace:
+def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateSpace, ...]:
+    """Return the linear model of every connected piece of the network, of the first variant.
+
+    Limits and friction are omitted, play is closed and a preloaded belt is tight, as for small
+    motions about a working point. Inputs are the drives, ``"drives.x"``, in volts of the
+    controller; outputs are ``"sensors.x"`` in counts or V and, per axis, ``"X.measured"``,
+    ``"X.load"`` and ``"X.frame"`` in m or rad. ``delay_s`` holds the dead time of each drive.
+
+    Raises
+    ------
+    MachineError
+        If a combination of parts has no equations.
+    """
+    return tuple(variants.one(0) for variants in linear_variants(machine, values))
+
+
+def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> ModelVariants:
     group, n = piece.group, len(piece.states)
-    full = el.working_rates(piece.base, piece.elements)[0]
+    full = el.working_rates(piece.base, piece.elements)
     rows, names = [], []
     for index, sensor in enumerate(group.sensors):
-        rows.append(piece.sensor_rows[0, index, :n])
+        rows.append(piece.sensor_rows[:, index, :n])
         names.append(f"sensors.{sensor}")
     for index, axis in enumerate(group.axes):
         sensor = machine.controller_of(axis).sensor
-        counts = piece.sensor_rows[0, group.sensors.index(sensor), :n]
-        rows += [counts / machine.axes[axis].counts.si, piece.load_rows[0, index, :n]]
+        counts = piece.sensor_rows[:, group.sensors.index(sensor), :n]
+        rows += [counts / machine.axes[axis].counts.si, piece.load_rows[:, index, :n]]
         names += [f"{axis}.measured", f"{axis}.load"]
         if piece.has_frame[index]:
-            rows.append(piece.frame_rows[0, index, :n])
+            rows.append(piece.frame_rows[:, index, :n])
             names.append(f"{axis}.frame")
     if not rows:
         raise MachineError(
             f"bodies.{group.bodies[0]}: no drive, sensor or axis is connected with it",
             remedy="Remove it, or connect it by a link.",
         )
-    delays = [
-        float(np.atleast_1d(values.at(f"drives.{d}.delay", machine.motors[d].delay))[0])
-        for d in group.drives
-    ]
-    return StateSpace(
-        A=full[:, :n],
-        B=full[:, n : n + len(group.drives)] * piece.input_gain[0],
-        C=np.array(rows),
-        D=np.zeros((len(rows), len(group.drives))),
-        delay_s=np.array(delays),
+    delays = np.zeros((piece.variants, len(group.drives)))
+    for index, drive in enumerate(group.drives):
+        delays[:, index] = values.at(f"drives.{drive}.delay", machine.motors[drive].delay)
+    return ModelVariants(
+        A=full[:, :, :n],
+        B=full[:, :, n : n + len(group.drives)] * piece.input_gain[:, None, :],
+        C=np.stack(rows, axis=1),
+        delay_s=delays,
         states=piece.states,
         inputs=tuple(f"drives.{d}" for d in group.drives),
         outputs=tuple(names),

@@ -163,7 +163,11 @@ class PiecewiseLinear:
 
 
 def piecewise_linear(
-    machine: Machine, values: Values | None = None, start_si: FloatArray | None = None
+    machine: Machine,
+    values: Values | None = None,
+    start_si: FloatArray | None = None,
+    *,
+    drive: str = "",
 ) -> tuple[PiecewiseLinear, ...]:
     """Return the equations of every connected piece of ``machine``.
 
@@ -174,6 +178,8 @@ def piecewise_linear(
     start_si
          (axes,) position of each axis at the start, m or rad, for the distances to limit switches;
         None for 0.
+    drive
+        Only the piece with this motor; all pieces where it is empty.
 
     Raises
     ------
@@ -183,7 +189,9 @@ def piecewise_linear(
     used = Values.of(machine) if values is None else values
     start = np.zeros(len(machine.axes)) if start_si is None else start_si
     return tuple(
-        _Builder(machine, used, group, start).build() for group in connected_groups(machine)
+        _Builder(machine, used, group, start).build()
+        for group in connected_groups(machine)
+        if not drive or drive in group.drives
     )
 
 

@@ -287,6 +287,20 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
     )
 
 
+def opening_ringing_m(machine: Machine, axis: str, level: float, open_s: float) -> float:
+    """Return the amplitude of the frame, m, after a flow of ``level`` for ``open_s``.
+
+    It is that of the step and, ``open_s`` later, the opposite step: ``|a (exp(p t) - 1)|``.
+
+    Raises
+    ------
+    MachineError
+        As ``step_ringing``.
+    """
+    step = step_ringing(machine, axis)
+    return float(abs(level * step.amplitude_m * (np.exp(step.pole * open_s) - 1.0)))
+
+
 def flow_mode(machine: Machine, axis: str) -> tuple[float, float]:
     """Return undamped frequency in Hz and damping ratio of the mode excited by the valves.
 

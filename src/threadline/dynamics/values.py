@@ -47,7 +47,7 @@ class Values(Locked):
     def of(cls, machine: Machine, replaced: Mapping[str, FloatArray] | None = None) -> Values:
         """Return ``machine`` with numbers ``replaced``, after checking their paths and lengths."""
         given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
-        known = tuple(_paths(machine)) if given else ()
+        known = number_paths(machine) if given else ()
         for path in given:
             if path not in known:
                 raise OptionError(
@@ -91,6 +91,11 @@ class Values(Locked):
         """Return the variants from ``start`` up to ``stop``."""
         part = {k: v[start:stop] for k, v in self.replaced.items()}
         return Values(self.machine, part, min(stop, self.count) - start)
+
+
+def number_paths(machine: Machine) -> tuple[str, ...]:
+    """Return the dotted names of all numbers that variants of a machine may replace."""
+    return tuple(_paths(machine))
 
 
 def _paths(machine: Machine) -> Iterator[str]:

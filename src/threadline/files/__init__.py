@@ -3,6 +3,7 @@
 from threadline.files.clock import Clock, Event, EventKind, common_period_s
 from threadline.files.commands import (
     Commands,
+    Creep,
     SwitchSchedule,
     TickBlock,
     TickTable,
@@ -26,6 +27,7 @@ __all__ = [
     "ChannelKind",
     "Clock",
     "Commands",
+    "Creep",
     "Event",
     "EventKind",
     "KeptStream",

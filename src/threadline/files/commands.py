@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -65,6 +65,8 @@ class TickTable(Locked):
         Re-iterable blocks of rows, consecutive from tick 0.
     job_sha256, machine_sha256
         Hashes of the job and machine of the table.
+    began_sha256
+        Hash of the rows of the planned table from which this one was learned; empty for a plan.
     """
 
     clock: Clock
@@ -74,6 +76,7 @@ class TickTable(Locked):
     blocks: Stream[TickBlock]
     job_sha256: str
     machine_sha256: str
+    began_sha256: str = ""
 
     def __post_init__(self) -> None:
         scale = read_only(self.counts_per_unit, "counts_per_unit", ndim=1)
@@ -118,6 +121,61 @@ class TickTable(Locked):
         return total
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Creep:
+    """Short openings of a valve while a wait for an end switch lasts: the piston creeps to it.
+
+    The schedule stands still meanwhile. An opening is finished before the switch is read again, and
+    the wait ends when the switch is there and the last opening is over for ``rest`` scans.
+
+    Parameters
+    ----------
+    tick
+        Tick of the wait; no two waits have the same.
+    first, every
+        Scans of waiting before the first opening, and from opening to opening.
+    opens
+        Scans of an opening.
+    rest
+        Scans from the end of the last opening to the rest of the piston.
+    most
+        Scans of waiting after which the missing switch is a fault.
+    levels
+        State of every output during an opening.
+    """
+
+    tick: int
+    first: int
+    every: int
+    opens: int
+    rest: int
+    most: int
+    levels: tuple[int, ...]
+
+    @property
+    def row(self) -> tuple[int, ...]:
+        """All numbers, in their order."""
+        return (
+            self.tick, self.first, self.every, self.opens, self.rest, self.most, *self.levels,
+        )  # fmt: skip
+
+    @classmethod
+    def of_row(cls, row: Sequence[int]) -> Creep:
+        """Return the creep of a ``row``; raises ValueError if its numbers cannot be."""
+        tick, first, every, opens, rest, most, *levels = (int(number) for number in row)
+        if min(tick, first, rest) < 0 or not 0 < opens < every or not set(levels) <= {0, 1}:
+            raise ValueError(f"no creep has the numbers {str(list(row))[:80]}")
+        return cls(
+            tick=tick,
+            first=first,
+            every=every,
+            opens=opens,
+            rest=rest,
+            most=most,
+            levels=tuple(levels),
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SwitchSchedule(Locked):
     """Outputs over time: the commands of an on/off machine.
@@ -140,6 +198,8 @@ class SwitchSchedule(Locked):
         Hashes of the job and machine of the schedule.
     events
         Waits and stops, in order of their ticks.
+    creeps
+        How cylinders creep to their end switches during waits, in order of their ticks.
     """
 
     clock: Clock
@@ -151,6 +211,7 @@ class SwitchSchedule(Locked):
     job_sha256: str
     machine_sha256: str
     events: tuple[Event, ...] = field(default=())
+    creeps: tuple[Creep, ...] = field(default=())
 
     def __post_init__(self) -> None:
         for name, ndim in (("ticks", 1), ("levels", 2), ("operation", 1)):
@@ -170,16 +231,21 @@ class SwitchSchedule(Locked):
             raise ValueError(
                 f"duration_ticks {self.duration_ticks} lies before the last row {self.ticks[-1]}"
             )
+        if any(len(creep.levels) != len(self.outputs) for creep in self.creeps):
+            raise ValueError(f"a creep does not have {len(self.outputs)} levels")
+
+    def creep_at(self, tick: int) -> Creep | None:
+        """Return the creep of the wait at ``tick``; None for a wait without one."""
+        return next((creep for creep in self.creeps if creep.tick == tick), None)
 
     def rows_sha256(self) -> str:
         """Return the hash of the commands.
 
-        It covers the clock's period, the outputs, the duration, every row and every event.
+        It covers the clock's period, the outputs, the duration, every creep, row and event.
         ``docs/files.md`` defines it byte by byte.
         """
-        digest = RowsHash(
-            SWITCHES, self.clock.period_s, self.outputs, np.array([self.duration_ticks])
-        )
+        numbers = [self.duration_ticks, *(n for creep in self.creeps for n in creep.row)]
+        digest = RowsHash(SWITCHES, self.clock.period_s, self.outputs, np.array(numbers))
         digest.add((self.ticks, self.levels, self.operation), self.events)
         return digest.hexdigest()
 

@@ -15,7 +15,7 @@ from threadline.jobs.operations import (
     ToolEvent,
     WaitInput,
 )
-from threadline.jobs.reading import FORMATS, Format, read_job
+from threadline.jobs.reading import FORMATS, Format, own_product, read_job
 
 __all__ = [
     "FORMATS",
@@ -32,6 +32,7 @@ __all__ = [
     "Stop",
     "ToolEvent",
     "WaitInput",
+    "own_product",
     "read_job",
     "read_part_program",
 ]

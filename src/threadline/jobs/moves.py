@@ -42,7 +42,7 @@ OPERATION_KEYS = {
     "valve": ("valve", "on"),
     "vacuum": ("vacuum", "on"),
     "output": ("output", "on"),
-    "wait": ("wait", "is", "timeout"),
+    "wait": ("wait", "is", "timeout", "creep"),
     "home": ("home",),
 }
 """Allowed keys of each kind of operation, by the key that names the kind."""
@@ -238,7 +238,8 @@ class _Reader:
             contacts = [n for n, c in self.machine.contacts.items() if c.kind == "contact"]
             name = self._named(row, index, "wait", contacts, "contact")
             timeout = self._time(row, index, "timeout") if "timeout" in row else DEFAULT_TIMEOUT_S
-            return [WaitInput(name, float(self._flag(row, index, "is", True)), timeout, source)]
+            value, creep = (self._flag(row, index, key, True) for key in ("is", "creep"))
+            return [WaitInput(name, float(value), timeout, source, creep)]
         if verb == "home":
             order = self._order(row["home"], index)
             position.update(dict.fromkeys(order, 0.0))

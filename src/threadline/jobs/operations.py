@@ -252,12 +252,16 @@ class SetOutput:
 
 @dataclass(frozen=True, slots=True)
 class WaitInput:
-    """A wait until the input ``name`` is ``value``; after ``timeout_s`` the wait is a fault."""
+    """A wait until the input ``name`` is ``value``; after ``timeout_s`` the wait is a fault.
+
+    With ``creep`` a cylinder that stopped short of its end switch creeps to it meanwhile.
+    """
 
     name: str
     value: float
     timeout_s: float
     source: Source
+    creep: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -206,6 +206,7 @@ FORMATS: tuple[Format, ...] = (
         "read_seam",
         "STITCHING_KEYS",
     ),
+    Format("winding", (".wind.toml",), "threadline.jobs.winding", "read_winding"),
     Format("move list", (".toml",), "threadline.jobs.moves", "read_moves"),
     Format(
         "embroidery design",
@@ -262,6 +263,22 @@ def read_job(path: str | Path, machine: Machine, **options: Any) -> Job:
         place=Place(str(path)),
         remedy=f"Known: {extensions}.",
     )
+
+
+def own_product(path: str | Path) -> str | None:
+    """Return the text of the product that a winding makes; None for a job of another format.
+
+    Raises
+    ------
+    JobError
+        If the winding cannot be read.
+    """
+    found = next((known for known in FORMATS if known.fits(Path(path))), None)
+    if found is None or found.name != "winding":
+        return None
+    from threadline.jobs.winding import own_product as product_of
+
+    return product_of(Path(path))
 
 
 def _refused(path: Path, known: Format, name: str) -> OptionError:

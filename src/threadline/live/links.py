@@ -30,6 +30,7 @@ from threadline.live.states import Desk, Sink, State
 from threadline.live.supervised import ExecutedLink, moved_in_turn, moved_to_begin
 from threadline.live.wire import Connection
 from threadline.machine import Machine
+from threadline.machine.model import check_dynamics
 from threadline.proof.kinds import kind_of
 
 LINKS = ("sim", SLOWER, "hal:loopback", "hal:plant", "grbl:HOST:PORT", "grbl:/dev/ttyUSB0")
@@ -105,17 +106,23 @@ class SimLink(ExecutedLink):
         Seconds of machine time per second.
     fault
         Injected fault, or None.
+    actual
+        Machine that is simulated under the name of the planned one, as a machine differs from its
+        file; None: the planned one.
     """
 
     label = ""
 
-    def __init__(self, speed: float, fault: SimFault | None) -> None:
+    def __init__(self, speed: float, fault: SimFault | None, actual: Machine | None = None) -> None:
         super().__init__(speed)
-        self._fault = fault
+        self._fault, self._actual = fault, actual
 
     def _connected(self, machine: Machine, start: IntArray) -> AbstractContextManager[Connection]:
         """Return the connection to a separate process."""
-        return sim_link(machine, start, self._speed, self._fault)
+        simulated = machine
+        if self._actual is not None:
+            simulated = replace(self._actual, name=machine.name, sha256=machine.sha256)
+        return sim_link(simulated, start, self._speed, self._fault)
 
     @property
     def after_fault(self) -> str:
@@ -228,9 +235,17 @@ class GrblLink:
 
 
 def link_of(
-    text: str, machine: Machine, speed: float, fault: SimFault | None, *, approach: bool = False
+    text: str,
+    machine: Machine,
+    speed: float,
+    fault: SimFault | None,
+    *,
+    approach: bool = False,
+    actual: Machine | None = None,
 ) -> Link:
     """Return the link with that name; ``approach`` is for a controller with grbl.
+
+    ``actual`` is as ``SimLink`` takes it.
 
     Raises
     ------
@@ -243,15 +258,21 @@ def link_of(
             f"--approach needs a controller with grbl, and --link is {text[:40]!r}",
             remedy="Leave it out: this machine stands where the program begins.",
         )
+    if actual is not None:
+        if name != "sim":
+            raise OptionError(
+                f"--actual is simulated, and --link is {text[:40]!r}", remedy="Leave it out."
+            )
+        check_dynamics("what another machine makes of the plan", machine, actual)
     if text == "sim":
-        return SimLink(speed, fault)
+        return SimLink(speed, fault, actual)
     if text == SLOWER:
         if speed != REAL_TIME:
             raise OptionError(
                 f"--link {SLOWER} goes at real time where it can, and has no --speed {speed:g}",
                 remedy="Leave --speed out, or use --link sim.",
             )
-        return SimLink(IN_STEP, fault)
+        return SimLink(IN_STEP, fault, actual)
     if name not in {"grbl", "hal"} or not address:
         raise OptionError(f"unknown link {text[:40]!r}", remedy=f"Use {', '.join(LINKS)}.")
     if speed != REAL_TIME or fault is not None:

@@ -74,7 +74,7 @@ class ScansAhead:
         self.settle_ticks = max(1, round(_SETTLE_S / period_s))
         self.end = 0
         self.to_rest = False
-        self._rows = self._told_waits = self._reach = 0
+        self._rows = self._told_waits = self._told_creeps = self._reach = 0
         self._place = self._now = 0  # as reported
         self._off: int | None = None
         self._ending = False
@@ -137,6 +137,7 @@ class ScansAhead:
         self._ending = self._reach >= schedule.duration_ticks
         rows = int(np.searchsorted(schedule.ticks, self._reach, side="right"))
         waits = sum(event.tick <= self._reach for event in self._waits)
+        creeps = sum(creep.tick <= self._reach for creep in schedule.creeps)
         sent = slice(self._rows, rows)
         head = {
             "after": self._rows,
@@ -145,13 +146,15 @@ class ScansAhead:
             "off": until,
             "last": self._ending,
             "events": [event_row(event) for event in self._waits[self._told_waits : waits]],
+            "creeps": [list(creep.row) for creep in schedule.creeps[self._told_creeps : creeps]],
         }
         levels = schedule.levels[sent]
         self._check(levels)
         arrays = {
             "ticks": schedule.ticks[sent], "levels": levels, "operation": schedule.operation[sent],
         }  # fmt: skip
-        self._rows, self._told_waits, self.end = rows, waits, until
+        self._rows, self._told_waits, self._told_creeps = rows, waits, creeps
+        self.end = until
         return Message("refill", head, arrays)
 
     def cut(self, tick: int) -> Message:

@@ -30,7 +30,7 @@ from threadline.files import (
 from threadline.files.step_play import CountedBy
 from threadline.live.pace import Pace
 from threadline.live.sim_machine import SimFault, SimMachine
-from threadline.live.wire import Message, event_of
+from threadline.live.wire import Message, creep_of, event_of
 from threadline.machine import Machine
 from threadline.twin import session_of
 from threadline.twin.row_session import RowSession
@@ -255,6 +255,7 @@ class SimScans(SimMachine):
                 [event_of(told) for told in head["events"]],
                 reach=int(head["reach"]),
                 duration=None if head["duration"] is None else int(head["duration"]),
+                creeps=[creep_of(row) for row in head["creeps"]],
             )
         self._last = bool(head["last"])
         self._session.switch_off_at(int(head["off"]))

@@ -22,7 +22,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError
-from threadline.files import Event
+from threadline.files import Creep, Event
 from threadline.files.clock import EventKind
 
 PROTOCOL = 3
@@ -127,6 +127,20 @@ def event_of(told: Any) -> Event:
         return Event(
             tick=int(tick), kind=kind, operation=int(operation), name=str(name), value=float(value)
         )
+    except (TypeError, ValueError) as error:
+        raise _refuse(str(error)[:80]) from error
+
+
+def creep_of(row: Any) -> Creep:
+    """Return the creep with these numbers.
+
+    Raises
+    ------
+    LinkFaultError
+        If no creep has them.
+    """
+    try:
+        return Creep.of_row(row)
     except (TypeError, ValueError) as error:
         raise _refuse(str(error)[:80]) from error
 

@@ -221,7 +221,9 @@ FeedRule = Literal[
     "marlin", "fanuc",
 ]  # fmt: skip
 """Rules for the meaning of an F word; ``threadline.jobs.gcode.feeds`` defines each."""
-DialectName = Literal["winder", "linuxcnc", "grbl", "fluidnc", "marlin", "fanuc", "x-winder"]
+DialectName = Literal[
+    "winder", "linuxcnc", "grbl", "fluidnc", "marlin", "klipper", "fanuc", "x-winder",
+]  # fmt: skip
 """Dialects of part programs; ``threadline.jobs.gcode.dialects`` defines each."""
 
 System = Annotated[str, Field(pattern=r"^G5[4-9]$")]

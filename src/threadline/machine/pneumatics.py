@@ -223,6 +223,9 @@ class Plc:
     """Shortest time between two switchings of one valve."""
     never_over: bool
     """Whether no command may exceed the unshaped level."""
+    jitter: Annotated[Quantity, Units(("",), not_negative=True, most=0.5)] | None = None
+    """Share of a scan by which each scan may begin early or late: 0.2, at most 0.5. Every run but
+    the nominal one has scans of its own. Without it: 0."""
 
 
 def check_addresses(outputs: Mapping[str, Output], contacts: Mapping[str, Contact]) -> None:

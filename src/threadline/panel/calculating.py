@@ -37,8 +37,11 @@ from threadline.proof.proof_file import read_proof, write_proof
 from threadline.proof.recorded import warnings_of
 from threadline.verdict import Spec, closing, load_spec
 from threadline.verdict.rendering import criteria_json
+from threadline.verdict.replayed import least_friction, recorded_fibre, wound_job
 
 _SHOWN = 2000  # points of a plot
+_MOST_PLACES = 20_000  # on the middle of the bands of a winding
+_OUTLINE = 241  # places of the meridian of a mandrel
 _NICE = 10  # the executor comes first
 
 
@@ -73,6 +76,7 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
         "feed": {**told, **words}["feed"],
         "starts": starts,
         "words": words,
+        "wound": wound(proof),
         "proof": read_proof(told["proof_file"]).content["sha256"],
     }
 
@@ -109,6 +113,53 @@ def figures(proof: Proof) -> dict[str, Any]:
         "mandrel": None if (found := mandrel_of(plan.machine)) is None else found.model_dump(),
         "planned": {name: [round(float(p), 7) for p in at] for name, at in planned_at.items()},
     }
+
+
+def wound(proof: Proof) -> dict[str, Any] | None:
+    """Return the mandrel of a proof's product with the fibre of the simulated run, for drawing.
+
+    Of the fibre, at most ``_MOST_PLACES`` places are kept: half a band apart, or further.
+    """
+    job = wound_job(proof.plan)
+    samples = None if job is None else recorded_fibre(proof.recording, job)
+    if job is None or samples is None:
+        return None
+    turn, along = job.tool.turn, job.tool.along
+    assert turn is not None and along is not None  # of every eye
+    surface, fibre = job.surface, samples.fibres[0]
+    u = np.linspace(0.0, surface.length_m, _OUTLINE)
+    known = np.flatnonzero(fibre.known)
+    if not len(known):
+        return None
+    length = np.maximum.accumulate(fibre.length_m[known])
+    step = max(0.5 * job.width_m, float(length[-1] - length[0]) / _MOST_PLACES)
+    fresh = np.diff(known, prepend=-2) > 1
+    kept = np.flatnonzero(fresh | (np.diff(np.floor(length / step), prepend=-1.0) > 0.0))
+    steer = np.nan_to_num(np.abs(fibre.steer[known]))
+    slips = np.maximum.reduceat(steer, kept) > least_friction(job.product)
+    rows = known[kept]
+    x, r = (values[:, 0] for values in surface.at(fibre.u[rows]))
+    outline = surface.at(u)
+    return {
+        "mandrel": {
+            "axis": turn.axis,
+            "along": along.axis,
+            "at": _rounded(outline[0][:, 0] + job.at_m),
+            "radius": _rounded(outline[1][:, 0]),
+        },
+        "width": job.width_m,
+        "times_s": _rounded(samples.time_s[rows]),
+        "along": _rounded(x + job.at_m),
+        "radius": _rounded(r),
+        "angle": _rounded(fibre.angle[rows]),
+        "winding": _rounded(fibre.winding[rows]),
+        "begins": fresh[kept].tolist(),
+        "slips": slips.tolist(),
+    }
+
+
+def _rounded(values: FloatArray) -> list[float]:
+    return [round(float(value), 6) for value in values]
 
 
 def circuits_and_points(job: Job) -> tuple[int | None, int]:

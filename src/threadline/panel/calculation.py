@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import FastAPI, Response
+from fastapi import FastAPI, Query, Response
 from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 
 from threadline.base.importing import import_and_call
@@ -131,6 +132,9 @@ class Calculation:
         The latest calculation, if unchanged since; else None.
     share
         Share done; None while nothing is calculated.
+    wound
+        The mandrel and the fibre of the latest calculation, as ``calculating.wound`` gives them;
+        None without a product.
     """
 
     def __init__(self, machine: Machine, spec_file: Path | None, folder: Path, kept: Path) -> None:
@@ -139,6 +143,7 @@ class Calculation:
         self.proven: Proven | None = None
         self.share: float | None = None
         self.figures: Figures | None = None
+        self.wound: dict[str, Any] | None = None
         self._words: Mapping[str, Any] = {}
         self._starts: list[int] = []
         self._task: asyncio.Task[None] | None = None
@@ -181,7 +186,7 @@ class Calculation:
 
     def forget(self) -> None:
         """Forget the latest calculation: a program was changed."""
-        self.proven, self.figures, self._starts = None, None, []
+        self.proven, self.figures, self._starts, self.wound = None, None, [], None
 
     def to_start(self, proof: str) -> Mapping[str, Any]:
         """Return the request to the owner that runs the proven program.
@@ -238,6 +243,7 @@ class Calculation:
     def _taken(self, found: dict[str, Any], words: Mapping[str, Any]) -> Figures:
         self._starts = found.pop("starts")
         self._words = {**words, **found.pop("words")}
+        self.wound = found.pop("wound")
         self.figures = Figures.model_validate(found)
         self.proven = Proven(
             program=str(words["program"]),
@@ -257,3 +263,32 @@ class Calculation:
         self.cancel()
         if self._task is not None:
             await asyncio.wait([self._task])
+
+
+_OF_FIBRE = ("times_s", "along", "radius", "angle", "winding", "begins", "slips")
+_NOT_WOUND = {404: {"description": "the latest calculation has no product, or there is none"}}
+
+
+def add_winding(
+    app: FastAPI, calculation: Calculation, running_s: Callable[[], float | None]
+) -> None:
+    """Add the request for the fibre of the latest calculation, which is read-only.
+
+    ``running_s`` returns the time of a run of it, None without a run: then the whole fibre is
+    given, else what is laid at that time by the simulated run.
+    """
+
+    @app.get("/api/wound", responses=_NOT_WOUND)  # type: ignore[arg-type]
+    def wound(proof: str = "", after: Annotated[int, Query(ge=0)] = 0) -> Response:
+        found, proven = calculation.wound, calculation.proven
+        if found is None or proven is None:
+            return PlainTextResponse("nothing was calculated with a product\n", 404)
+        now_s, times_s = running_s(), found["times_s"]
+        until = len(times_s) if now_s is None else bisect_right(times_s, now_s)
+        first = after if proof == proven.proof and after <= until else 0
+        fibre = {name: found[name][first:until] for name in _OF_FIBRE}
+        told = {"proof": proven.proof, "first": first, "next": until, "count": len(times_s)}
+        told["running"] = now_s is not None
+        if first == 0:
+            told |= {"mandrel": found["mandrel"], "width": found["width"]}
+        return JSONResponse({**told, "fibre": fibre})

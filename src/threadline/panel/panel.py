@@ -327,6 +327,13 @@ class Panel:
         for client in self._clients.values():
             client.tell(message)
 
+    def proven_run_s(self) -> float | None:
+        """Return the time of a run of the latest calculation, s; None if none is under way."""
+        progress, proven = self._owner.now.get("progress"), self.calculation.proven
+        if progress is None or proven is None or progress.get("ended") is not None:
+            return None
+        return float(progress["time_s"]) if progress["program"] == proven.program else None
+
     def state(self) -> say.State:
         """Return the present state, without a number of its own."""
         now_s, now, control = clock_s(), self._owner.now, self._control

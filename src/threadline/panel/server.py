@@ -22,7 +22,7 @@ from threadline.errors import InputError, OptionError, StoreError
 from threadline.live.guards import clock_s
 from threadline.panel import protocol as say
 from threadline.panel.admission import HEADERS, Admission, AdmittingApp
-from threadline.panel.calculation import MachineGuide, add_guide
+from threadline.panel.calculation import MachineGuide, add_guide, add_winding
 from threadline.panel.control import Client
 from threadline.panel.drawn import TooLongError, add_drawing, whole_body
 from threadline.panel.kept_traces import in_process, kept_runs, temporary, trace_file
@@ -84,6 +84,7 @@ def make_api(
     _add_runs(app, store)
     add_drawing(app)
     add_guide(app, guide)
+    add_winding(app, panel.calculation, panel.proven_run_s)
     _add_schema(app)
     _add_live(app, panel, admission)
     _add_page(app)

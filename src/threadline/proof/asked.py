@@ -18,6 +18,7 @@ from typing import Any, TypeVar, cast
 from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
 from threadline.errors import OptionError, ThreadlineError
+from threadline.jobs import own_product
 from threadline.machine import Machine, load_machine
 from threadline.machine.radii import with_radii
 from threadline.motion.path.interpolations import OPTIMAL
@@ -118,20 +119,29 @@ class Words:
         known = {one.word for door in Door for one in options_for(self.verb, door, [Group.PLAN])}
         return {word: value for word, value in self.given.items() if word in known}
 
-    def options(self, **changed: Word) -> Options:
+    def options(self, job: str | Path | None = None, **changed: Word) -> Options:
         """Return the planning options; ``changed`` replaces words.
+
+        A ``job`` that is a winding is judged on its own product, unless another is given.
 
         Raises
         ------
         OptionError
             If a word cannot be read, or two exclude each other.
         """
-        return options_of(**{**self.planning(), **changed})
+        given = {**self.planning(), **changed}
+        if job is not None and "product" in given and given["product"] is None:
+            given["product"] = own_product(job)
+        return options_of(**given)
 
     def each_options(
-        self, interpolations: Sequence[str], feeds: Sequence[str], shapers: Sequence[str]
+        self,
+        job: str | Path,
+        interpolations: Sequence[str],
+        feeds: Sequence[str],
+        shapers: Sequence[str],
     ) -> list[Options]:
-        """Return planning options for each interpolation, feed and shaper.
+        """Return planning options of a job for each interpolation, feed and shaper.
 
         ``contour`` and its like apply only to ``optimal``, ``robust`` only to the
         default interpolation, and ``mode`` only to a shaper: the other compared plans leave it out.
@@ -154,7 +164,7 @@ class Words:
                 own["robust"] = None
             if shaper in unshaped and not unshaped.issuperset(shapers):
                 own |= {"mode": None, "damping": None}
-            found.append(self.options(**own))
+            found.append(self.options(job, **own))
         return found
 
     def trials(self, ends: str | None = None) -> Trials:

@@ -8,11 +8,12 @@ variant's result is the same to the bit in any part and with any number of threa
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import cpu_count
+from threading import Lock
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, RecordingError
-from threadline.files import ChannelKind, Stream, tick_table
+from threadline.files import ChannelKind, RecordingBlock, Stream, tick_table
 from threadline.machine import Machine
 from threadline.machine.variants import uncertain, variant
 from threadline.proof.kinds import kind_of
@@ -28,6 +29,10 @@ from threadline.proof.kinds.variants import with_machine_hash
 from threadline.twin import fastest_rates, simulate_runs
 from threadline.twin.simulate import DEFAULT_SETTLE_S
 from threadline.verdict import EachRun, Judge, Spec, needed_channels
+from threadline.verdict.replayed import with_products
+
+Done = Callable[[float], None]
+"""Called with the number of judged machines since the call before; a part of one counts, too."""
 
 
 class AloneJudge:
@@ -45,7 +50,12 @@ class AloneJudge:
         self._plan = plan
         self._judge = Judge(plan, spec) if judge is None else judge
 
-    def judged(self, parts: FloatArray, done: Callable[[int], None] | None = None) -> EachRun:
+    def judged(
+        self,
+        parts: FloatArray,
+        done: Done | None = None,
+        products: FloatArray | None = None,
+    ) -> EachRun:
         """Return the results of machines at (k, n) parts of their tolerances.
 
         A machine that cannot be simulated, or that never ends a wait, fails every criterion with a
@@ -55,11 +65,14 @@ class AloneJudge:
         ----------
         done
             Called with 1 after each machine.
+        products
+            (k, 5) parts of the tolerances of each machine's product, as ``with_products``; None for
+            the product as it is.
         """
         found = []
-        for row in parts:
+        for number, row in enumerate(parts):
             try:
-                found.append(self._one(row))
+                found.append(self._one(row, None if products is None else products[number, None]))
             except (MachineError, RecordingError):
                 found.append(self._own.without_answer())
             if done is not None:
@@ -82,12 +95,11 @@ class AloneJudge:
         """Result of the plan's own machine."""
         return self._one(np.zeros(len(uncertain(self._plan.machine))))
 
-    def _one(self, row: FloatArray) -> EachRun:
+    def _one(self, row: FloatArray, product: FloatArray | None = None) -> EachRun:
         plan = self._plan
         machine = variant(plan.machine, row)
-        return self._judge.each(
-            kind_of(machine).simulate(with_machine_hash(plan.commands, machine), machine)
-        )
+        run = kind_of(machine).simulate(with_machine_hash(plan.commands, machine), machine)
+        return self._judge.each(run if product is None else with_products(run, product))
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # parameters of mallopt, malloc.h
@@ -192,7 +204,8 @@ class RunsJudge:
         self,
         variants: Mapping[str, FloatArray],
         phases: FloatArray | None = None,
-        done: Callable[[int], None] | None = None,
+        done: Done | None = None,
+        products: FloatArray | None = None,
     ) -> EachRun:
         """Return the result of every variant.
 
@@ -206,17 +219,28 @@ class RunsJudge:
         phases
             (V, axes) place of each encoder between two counts; 0.5 when None.
         done
-            Called after each part with the number of its variants.
+            Called as a part is read and after it, with the number of its variants since.
+        products
+            (V, 5) parts of the tolerances of each variant's product, as ``with_products``; None for
+            the product as it is.
         """
         values = Values.of(self._machine, variants)
         parts = list(self._parts(values))
-        found: list[EachRun] = []
+        lock = Lock()
+
+        def told(count: float) -> None:
+            if done is not None:
+                with lock:
+                    done(count)
+
+        def part(of: tuple[Values, IntArray]) -> EachRun:
+            some, places = of
+            own = None if phases is None else phases[places]
+            product = None if products is None else products[places]
+            return self._part(some, own, product, told)
+
         with ThreadPoolExecutor(self._threads) as pool:
-            own = [None if phases is None else phases[places] for _, places in parts]
-            for one in pool.map(self._part, [part for part, _ in parts], own):
-                found.append(one)
-                if done is not None:
-                    done(one.runs)
+            found = list(pool.map(part, parts))
         order = np.argsort(np.concatenate([places for _, places in parts]), kind="stable")
         return EachRun.joined(found).taken(order)
 
@@ -237,7 +261,10 @@ class RunsJudge:
             for at in range(0, sharing.count, AT_ONCE):
                 yield sharing.slice(at, at + AT_ONCE), places[at : at + AT_ONCE]
 
-    def _part(self, values: Values, phases: FloatArray | None) -> EachRun:
+    def _part(
+        self, values: Values, phases: FloatArray | None, products: FloatArray | None, told: Done
+    ) -> EachRun:
+        so_far = _SoFar(values.count, self.plan, told)
         try:
             recording = simulate_runs(
                 self._table,
@@ -247,15 +274,60 @@ class RunsJudge:
                 kinds=self._kinds,
                 least_rates=self._rates,
             )
-            return self.judge.each(recording)
+            if products is not None:
+                recording = with_products(recording, products)
+            watched = replace(recording, blocks=_Told(recording.blocks, so_far))
+            whole = self.judge.each(watched)
+            so_far.tell(1.0)
+            return whole
         except MachineError:
             # One variant without an answer ends its whole part: halve the part until it is alone.
             if values.count == 1:
+                so_far.tell(1.0)
                 return self._own.without_answer()
             half = values.count // 2
-            cut = [None, None] if phases is None else [phases[:half], phases[half:]]
-            low = self._part(values.slice(0, half), cut[0])
-            return EachRun.joined([low, self._part(values.slice(half, values.count), cut[1])])
+            so_far.tell(0.0)
+            found = [
+                self._part(
+                    values.slice(rows.start, rows.stop),
+                    None if phases is None else phases[rows],
+                    None if products is None else products[rows],
+                    told,
+                )
+                for rows in (slice(0, half), slice(half, values.count))
+            ]
+            return EachRun.joined(found)
+
+
+class _SoFar:
+    """Tells how many variants of a part were judged since it last told: a share of its motion."""
+
+    def __init__(self, count: int, plan: Plan, told: Done) -> None:
+        self._count, self._plan, self._told, self._share = count, plan, told, 0.0
+
+    def tell(self, share: float) -> None:
+        """Tell that a share of the motion was judged."""
+        self._told(self._count * (share - self._share))
+        self._share = share
+
+    def read(self, block: RecordingBlock) -> None:
+        """Tell that a block was judged; a second reading tells nothing new."""
+        clock = self._plan.commands.clock
+        done_s = float(clock.time_s(block.first_tick.get(clock.name, 0)))
+        self.tell(max(self._share, min(done_s / max(self._plan.duration_s, 1e-9), 1.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Told:
+    """The blocks of a recording, which tell that they were read; they can be read again."""
+
+    blocks: Iterable[RecordingBlock]
+    so_far: _SoFar
+
+    def __iter__(self) -> Iterator[RecordingBlock]:
+        for block in self.blocks:
+            yield block
+            self.so_far.read(block)
 
 
 def _without_delays(machine: Machine, numbers: Mapping[str, FloatArray]) -> Values:

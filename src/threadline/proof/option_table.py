@@ -23,6 +23,8 @@ from threadline.base.option_defaults import (
     OPTIMAL_FEED_FORWARD,
 )
 from threadline.base.wording import nearest
+from threadline.commands.learned import MOST_TEXT as MOST_TABLE_TEXT
+from threadline.commands.learned import table_text
 from threadline.errors import OptionError
 from threadline.machine.radii import written_out
 from threadline.proof.option_form import (
@@ -56,11 +58,12 @@ from threadline.proof.option_words import (
 from threadline.winding.product import product_text
 
 PLANNERS = (
-    "prove", "run", "compile", "compare", "fastest", "yield", "design", "animate", "judge", "panel",
+    "prove", "run", "compile", "compare", "fastest", "yield", "design", "animate", "judge", "learn",
+    "panel",
 )  # fmt: skip
 """The verbs that plan a job; ``panel`` is a calculation on the panel."""
 _TYPED = tuple(verb for verb in PLANNERS if verb != "panel")
-PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile")
+PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile", "learn")
 """The verbs of ``import threadline as tl``."""
 PROGRAMMED = "programmed"
 """Feed written into a recording whose plan keeps the feeds of its job."""
@@ -78,7 +81,7 @@ def _exact(unit: str, factor: float = 1.0) -> Callable[[Any], str | None]:
 
 
 _PROVING = ("prove", "run", "compare", "fastest", "design")
-_OF_VERDICT = (*_PROVING, "panel")
+_OF_VERDICT = (*_PROVING, "learn", "panel")
 _AS_GIVEN = "As with prove; default: the recording's."
 _EACH = (
     "Names, separated by commas; default: linear,b-spline,b-spline-pulled, and firmware,auto "
@@ -89,21 +92,31 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="spec", short="s", group=Group.INPUT, type=Type.SPEC,
         help="Specification file (.toml); default: the machine's own.",
-        verbs=("prove", "run", "compare", "fastest", "yield", "design", "animate", "judge"),
+        verbs=(
+            "prove", "run", "compare", "fastest", "yield", "design", "animate", "judge", "learn",
+        ),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="par", group=Group.INPUT, type=Type.FILE,
         help="FW-CNC.PAR whose settings replace those of the machine file.",
         helps={"judge": "FW-CNC.PAR; default: the one that the recording names."},
-        verbs=("prove", "run", "compile", "compare", "fastest", "yield", "animate", "judge"),
+        verbs=(
+            "prove", "run", "compile", "compare", "fastest", "yield", "animate", "judge", "learn",
+        ),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="actual", group=Group.INPUT, type=Type.MACHINE,
         help="Machine that runs the plan made for --machine: a file or a library name.",
-        helps={"judge": "The machine that ran the plan; default: the recording's."},
-        verbs=("prove", "fastest", "animate", "judge"),
+        helps={
+            "run": "With --link sim: the simulated machine, planned for --machine: a file or a "
+            "library name. It is proved as --machine says.",
+            "judge": "The machine that ran the plan; default: the recording's.",
+            "learn": "Machine that repeats the job, planned for --machine: a file or a library "
+            "name. Default: the same machine.",
+        },
+        verbs=("prove", "run", "fastest", "animate", "judge", "learn"),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
@@ -178,12 +191,13 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="product", group=Group.PLAN, kinds=(TICKS,),
-        verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "panel"}),
+        verbs=tuple(verb for verb in PLANNERS if verb != "compile"),
         help="Product of a winder (NAME.wind.toml, or a file of FiberPath or CADFIL): where its "
         "fibre lies is judged as well.",
         helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
-        attribute="product", parse=product_text, doors=(Door.LINE, Door.PYTHON),
+        attribute="product", parse=product_text,
         recorded=FileForm(key="product", write=_same, read=product_text),
+        label="Product", placeholder="none",
     ),
     Option(
         name="offset", group=Group.PLAN, unit="m or rad", verbs=PLANNERS, kinds=(TICKS,),
@@ -290,7 +304,8 @@ TABLE: tuple[Option, ...] = (
         help="With --feed-forward: keep the loads from ringing for all masses and stiffnesses "
         'within this share of their tolerances: "100 %". --smoothing is then the time in which '
         "the speed may change, by default four turns of a seam's needle. On an embroidery frame: "
-        "every needle enters within the tolerance for all of them.",
+        "every needle enters within the tolerance for all of them; by default for 5 % of the "
+        "tolerances, about as well as a mode is measured.",
         helps={
             "fastest": "One plan for all machines with loads and springs at the ends of this share "
             'of their tolerances, each judged in one run: "100 %"; and what that costs. With '
@@ -348,6 +363,19 @@ TABLE: tuple[Option, ...] = (
         recorded=FileForm(key="narrow", write=narrow_words, read=parse_narrow),
     ),
     Option(
+        name="table", group=Group.PLAN, kinds=(TICKS,),
+        verbs=("prove", "run", "compile", "yield", "animate", "judge", "learn"),
+        help="Play this table, which threadline learn has written, in place of the planned one. It "
+        "belongs to its job, machine file and options of planning.",
+        helps={
+            "judge": "The learned table that was played; default: the recording's.",
+            "learn": "Begin with this learned table instead of the plan's.",
+        },
+        attribute="table", parse=table_text, most_text=MOST_TABLE_TEXT,
+        doors=(Door.LINE, Door.PYTHON),
+        recorded=FileForm(key="table", write=_same, read=table_text),
+    ),
+    Option(
         name="level", group=Group.LEVEL, verbs=(*_OF_VERDICT,),
         help="How far the verdict reaches: nominal is one run; repeated is 20 runs with other "
         "encoder phases, friction and supply; over tolerances adds other machines within the "
@@ -356,7 +384,8 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.PYTHON, Door.PANEL),
     ),
     Option(
-        name="nominal", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
+        name="nominal", group=Group.LEVEL, type=Type.FLAG, verbs=(*_PROVING, "learn"),
+        default=False,
         help="Judge one run of the machine as its file says; the next run may differ.",
         doors=(Door.LINE,),
     ),
@@ -379,10 +408,12 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
-        name="ends", group=Group.LEVEL, verbs=_PROVING,
+        name="ends", group=Group.LEVEL, verbs=(*_PROVING, "learn"),
         help="Also judge the machines with loads and springs at the ends of this share of their "
         'tolerances, one run each: "100 %".',
         helps={
+            "learn": "Learn on each machine with loads and springs at the ends of this share of "
+            'their tolerances, every machine its own table: "100 %".',
             "fastest": "Every plan must also pass on the machines with loads and springs at the "
             'ends of this share of their tolerances, one run each: "100 %"; --robust plans for '
             "them.",

@@ -165,6 +165,8 @@ class Options:
         the amplifiers' own; None: their own.
     narrow
         With ``optimal``: lines of the program, and the tolerance at the end of the move of each, m.
+    table
+        Text of a learned table (``commands.learned``) that replaces the planned one, or None.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
@@ -189,6 +191,7 @@ class Options:
     outside_m: float = 0.0
     reserve: Reserve | None = None
     narrow: Narrow = ()
+    table: str | None = None
 
     def on(self, machine: Machine) -> Options:
         """Return the options with the machine's default interpolation, if none was named.

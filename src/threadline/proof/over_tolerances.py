@@ -15,6 +15,7 @@ from threadline.files import Recording
 from threadline.machine import Machine
 from threadline.machine.variants import drawn, variant
 from threadline.machine.vary import REPEAT_SEED, Days, drawn_days
+from threadline.proof.judge_runs import Done
 from threadline.proof.kinds.variants import UNANSWERED, unanswered
 from threadline.proof.worst_machine import (
     WithinTolerances,
@@ -33,12 +34,16 @@ _DOING = "searching the worst machine"
 _OF_WORST = "the worst machine searched"
 _MOST_SUSPECTS = 8
 
+Judged = tuple[Verdict, tuple[Recording, ...]]
+"""A verdict, and the recordings that were judged."""
+RunsOf = Callable[[Machine, tuple[float, ...]], Judged]
+"""Judges a machine with a product at the given parts of its tolerances."""
 Suspects = list[FloatArray]
 """(n,) parts of machines that were the worst before; the last ones first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class WorstCase:
     """A verdict over the tolerances, and the worst machine.
 
     Parameters
@@ -62,10 +67,10 @@ def over_tolerances(
     spec: Spec,
     verdict: Verdict,
     machines: int,
-    runs_of: Callable[[Machine], tuple[Verdict, tuple[Recording, ...]]],
+    runs_of: RunsOf,
     progress: Progress | None = None,
     suspects: Suspects | None = None,
-) -> Found:
+) -> WorstCase:
     """Judge the worst machine within the tolerances that a search finds, and drawn machines.
 
     Machines are judged in one run each, the worst of them in as many as the machine of the file.
@@ -80,13 +85,13 @@ def over_tolerances(
     machines
         Number of machines to draw.
     runs_of
-        Returns the verdict on another machine, and its recordings.
+        Returns the verdict on another machine with its product, and its recordings.
     suspects
         Machines that are tried first, on several days; the list takes the worst machine. The
         judgement ends at the first machine that is out of specification. None: every machine is
         judged. What passes with suspects passes without.
     """
-    within = WithinTolerances(plan, spec)
+    within = WithinTolerances(plan, spec, with_product=True)
     hasty = suspects is not None
     if suspects:
         first = WorstSearch(within, hasty=True)
@@ -96,24 +101,26 @@ def over_tolerances(
         ):
             return _found(within, first, verdict, runs_of, 0, suspects)
     search = WorstSearch(within, hasty=hasty)
-    search.done = _counted(progress, 2 * len(within.numbers) + search.most + machines)
+    search.done = _counted(progress, len(within.singles) + search.most + machines)
     search.begin()
     count = 0
     at_once = _AT_ONCE_ALONE if hasty and not within.together else machines
     while count < machines and not search.ended:
         index = np.arange(count, min(count + at_once, machines))
-        search.draw(drawn(plan.machine, VARIANT_SEED, index))
+        search.draw(within.with_products(drawn(plan.machine, VARIANT_SEED, index), index))
         count += len(index)
     search.go_on()
     return _found(within, search, verdict, runs_of, count, suspects)
 
 
-def _counted(progress: Progress | None, most: int) -> Callable[[int], None] | None:
+def _counted(progress: Progress | None, most: int) -> Done | None:
     if progress is None:
         return None
-    tried = 0
+    tried = 0.0
 
-    def done(count: int) -> None:
+    progress(_DOING, 0.0)
+
+    def done(count: float) -> None:
         nonlocal tried
         tried += count
         progress(_DOING, min(tried / most, 1.0))
@@ -130,10 +137,10 @@ def _found(
     within: WithinTolerances,
     search: WorstSearch,
     verdict: Verdict,
-    runs_of: Callable[[Machine], tuple[Verdict, tuple[Recording, ...]]],
+    runs_of: RunsOf,
     count: int,
     suspects: Suspects | None,
-) -> Found:
+) -> WorstCase:
     at = search.worst_of_days(_days(within))
     parts, found = search.parts[at], search.found
     shares, names = shares_of(found.taken(np.array([at])))
@@ -141,7 +148,8 @@ def _found(
     if suspects is not None:
         suspects[:] = [parts, *(one for one in suspects if (one != parts).any())][:_MOST_SUSPECTS]
     try:
-        of_worst, judged = runs_of(variant(within.plan.machine, parts))
+        other = variant(within.plan.machine, within.machine_parts(parts))
+        of_worst, judged = runs_of(other, tuple(within.product(parts[None])[0].tolist()))
     except (MachineError, RecordingError):
         of_worst, judged = None, ()
     others = found.taken(np.flatnonzero(np.arange(found.runs) != at))
@@ -163,7 +171,7 @@ def _found(
     whole = replace(verdict, results=tuple(results), machines=count, tolerances=told)
     if of_worst is not None:
         whole = worst_of(whole, [(_OF_WORST, _numbered(of_worst, verdict.runs))], None)
-    return Found(verdict=whole, worst=worst, judged=judged)
+    return WorstCase(verdict=whole, worst=worst, judged=judged)
 
 
 def _closest(verdict: Verdict | None) -> tuple[str, float | None]:

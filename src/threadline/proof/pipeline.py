@@ -30,12 +30,13 @@ from threadline.proof.kinds import KINDS, kind_of, kind_of_commands
 from threadline.proof.kinds.kind import Share, check_loops
 from threadline.proof.kinds.variants import played_by, rejects
 from threadline.proof.options import Options
-from threadline.proof.over_tolerances import VARIANT_SEED, Suspects, over_tolerances
+from threadline.proof.over_tolerances import VARIANT_SEED, Judged, Suspects, over_tolerances
 from threadline.proof.worst_machine import Worst
 from threadline.verdict import Judge, Spec, Status, Verdict
 from threadline.verdict.deviation import measure_motion_deviation
 from threadline.verdict.each_run import worst_of
 from threadline.verdict.rendering import shown
+from threadline.verdict.replayed import of_product
 from threadline.verdict.types import REPEATED_RUNS, Level, level_of
 
 __all__ = [
@@ -88,6 +89,9 @@ class Trials:
     band
         Share of the frequency of every mode: machines with modes all over that band are judged as
         well, in one run each.
+    product
+        Places of the numbers of the product within their tolerances, for every run; empty for the
+        product as it is.
     """
 
     repeats: int = 1
@@ -95,6 +99,7 @@ class Trials:
     wanted_yield: float | None = None
     ends: float | None = None
     band: float | None = None
+    product: tuple[float, ...] = ()
 
     def others(self, machine: Machine) -> dict[Literal["ends", "band"], Others]:
         """Return the machines that must pass besides those that are drawn, by their option.
@@ -391,7 +396,7 @@ def prove_plan(
     machine = plan.machine if actual is None else actual
     origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
     commands = plan.commands if actual is None else played_by(plan.commands, plan.machine, actual)
-    recordings = kind.days(commands, machine, trials.repeats, random)
+    recordings = of_product(kind.days(commands, machine, trials.repeats, random), trials.product)
     if trials.machines:
         check_uncertain(machine)
     share = Share(plan, progress, len(recordings))
@@ -399,14 +404,16 @@ def prove_plan(
     if trials.repeats == REPEATED_RUNS and verdict.near and kind.together(machine):
         more = _runs_within_reach(plan, spec)
         if more > trials.repeats:  # the first of them are the same
-            recordings = kind.days(commands, machine, more, np.random.default_rng(REPEAT_SEED))
+            again = kind.days(commands, machine, more, np.random.default_rng(REPEAT_SEED))
+            recordings = of_product(again, trials.product)
             further = judge.verdict(Share(plan, progress, len(recordings)).of(recordings))
             verdict = _beside_first(further, verdict)
     others: tuple[Recording, ...] = ()
     if trials.machines and trials.wanted_yield is None:
 
-        def runs_of(other: Machine) -> tuple[Verdict, tuple[Recording, ...]]:
-            proof = prove_plan(plan, spec, None, replace(trials, machines=0), other, judge)
+        def runs_of(other: Machine, product: tuple[float, ...]) -> Judged:
+            alone = replace(trials, machines=0, product=product)
+            proof = prove_plan(plan, spec, None, alone, other, judge)
             return proof.verdict, proof.judged
 
         of_machine = replace(plan, machine=machine, commands=commands)

@@ -81,7 +81,7 @@ def judge_files(
         _refuse_other_options(path, recording.origin, origin)
     plan = plan_job(open_job(Path(origin["job"]), chosen, options), chosen, options)
     for path, recording in zip(recordings, read, strict=True):
-        _refuse_other_files(path, recording, plan.job, ran)
+        refuse_other_files(path, recording, plan.job, ran)
     asked = with_shaping(words.spec(chosen), chosen, options)
     verdict = judge(read, plan, asked)
     return Judged(recordings=tuple(read), plan=plan, spec=asked, verdict=verdict)
@@ -140,7 +140,7 @@ def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -
     return found
 
 
-def _refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine) -> None:
+def refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine) -> None:
     """Refuse a job or a machine that is not, to the byte, the one that ran."""
     if recording.job_sha256 and recording.job_sha256 != job.sha256:
         raise OptionError(

@@ -7,15 +7,14 @@ that are planned for the machine of the file.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.base.arrays import FloatArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.wording import toml_string
 from threadline.commands.plan import Plan
 from threadline.dynamics.values import Values
@@ -30,17 +29,15 @@ from threadline.machine.variants import (
     one_at_a_time,
 )
 from threadline.machine.vary import Days, on_days
-from threadline.proof.judge_runs import AloneJudge, RunsJudge
+from threadline.proof.judge_runs import AloneJudge, Done, RunsJudge
 from threadline.proof.kinds import kind_of
 from threadline.twin import fastest_rates
 from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
 from threadline.verdict.rendering import shown
+from threadline.verdict.replayed import NUMBERS, product_at_random, product_of, toleranced
 from threadline.verdict.types import EQUAL_SHARES
 
 _COUNTS = "axes.*.counts"
-
-Done = Callable[[int], None]
-"""Called with the number of judged machines."""
 
 
 class WithinTolerances:
@@ -57,6 +54,9 @@ class WithinTolerances:
         The specification.
     threads
         Number of parts under way at once; None: the number of cores.
+    with_product
+        Whether the numbers of the plan's product vary, too: their parts follow those of the
+        machine.
 
     Raises
     ------
@@ -64,9 +64,13 @@ class WithinTolerances:
         If no number of the machine varies.
     """
 
-    def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
+    def __init__(
+        self, plan: Plan, spec: Spec, *, threads: int | None = None, with_product: bool = False
+    ) -> None:
         self.plan = plan
         self.numbers = check_uncertain(plan.machine)
+        product = product_of(plan) if with_product else None
+        self._wound = toleranced(product) if product is not None else np.zeros(0, dtype=np.int64)
         self._many: RunsJudge | None = None
         if kind_of(plan.machine).together(plan.machine):
             extremes = numbers_at(plan.machine, self._fastest_corner())
@@ -92,7 +96,7 @@ class WithinTolerances:
         }
         rates = fastest_rates(tick_table(self.plan.commands), Values.of(machine, numbers))
         corners = [np.where(rate[0::2] > rate[1::2], -1.0, 1.0) for rate in rates]
-        return np.asarray(np.concatenate([ends, np.stack(corners)]) * self.ends)
+        return np.asarray(np.concatenate([ends, np.stack(corners)]) * self.ends[: ends.shape[1]])
 
     @property
     def together(self) -> bool:
@@ -102,13 +106,39 @@ class WithinTolerances:
     @property
     def ends(self) -> FloatArray:
         """(n,) largest deviation of each number, in parts of its tolerance."""
-        return np.array([number.farthest for number in self.numbers])
+        own = [number.farthest for number in self.numbers]
+        return np.array([*own, *np.ones(len(self._wound))])
+
+    @property
+    def singles(self) -> FloatArray:
+        """(2 n, n) parts: one number at its lower or upper end, all others nominal."""
+        count = len(self.ends)
+        parts = np.zeros((2 * count, count))
+        parts[np.arange(0, 2 * count, 2), np.arange(count)] = -self.ends
+        parts[np.arange(1, 2 * count, 2), np.arange(count)] = self.ends
+        return parts
+
+    def with_products(self, parts: FloatArray, index: IntArray) -> FloatArray:
+        """Return (k, n) parts of drawn machines, beside them the products of the same numbers."""
+        return np.concatenate([parts, product_at_random(index)[:, self._wound]], axis=1)
+
+    def product(self, parts: FloatArray) -> FloatArray:
+        """Return (k, 5) parts of the products of machines at (k, n) ``parts``."""
+        found = np.zeros((len(parts), len(NUMBERS)))
+        found[:, self._wound] = parts[:, len(self.numbers) :]
+        return found
+
+    def machine_parts(self, parts: FloatArray) -> FloatArray:
+        """Return the parts that are of the machine."""
+        return parts[..., : len(self.numbers)]
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
         """Return the results of machines at (k, n) parts of their tolerances."""
+        own = self.machine_parts(parts)
+        products = self.product(parts) if len(self._wound) else None
         if self._many is None:
-            return self._alone.judged(parts, done)
-        return self._many.judged(numbers_at(self.plan.machine, parts), done=done)
+            return self._alone.judged(own, done, products)
+        return self._many.judged(numbers_at(self.plan.machine, own), done=done, products=products)
 
     def in_days(self, parts: FloatArray, days: Days) -> EachRun:
         """Return the results of (k, n) parts, each on every one of ``days``, machine by machine.
@@ -116,12 +146,16 @@ class WithinTolerances:
         Only where machines are simulated together.
         """
         assert self._many is not None
-        numbers = on_days(self.plan.machine, numbers_at(self.plan.machine, parts), days)
-        return self._many.judged(numbers, np.tile(days.phases, (len(parts), 1)))
+        own = numbers_at(self.plan.machine, self.machine_parts(parts))
+        numbers = on_days(self.plan.machine, own, days)
+        products = self.product(parts) if len(self._wound) else None
+        if products is not None:
+            products = np.repeat(products, len(days), axis=0)
+        return self._many.judged(numbers, np.tile(days.phases, (len(parts), 1)), products=products)
 
     def why_not(self, parts: FloatArray) -> str:
         """Return why a machine at (n,) parts has no result; empty if it has one."""
-        return self._alone.why_not(parts)
+        return self._alone.why_not(self.machine_parts(parts))
 
     def worst_at(
         self, parts: FloatArray, share: float, binding: str, *, of_corners: bool = False
@@ -133,18 +167,21 @@ class WithinTolerances:
         share, binding
             Its used share and its criterion where it cannot be simulated alone.
         """
-        alone = self._alone.judged(parts[None])
+        products = self.product(parts[None])
+        own = self.machine_parts(parts)
+        alone = self._alone.judged(own[None], products=products if len(self._wound) else None)
         shares, names = shares_of(alone)
         if np.isfinite(shares[0]):
             share, binding = float(shares[0]), names[0]
         of_runs = [row for row in alone.rows if not row.of_plan]
         answers = any(np.isfinite(row.values[0]) for row in of_runs)
         row = next((row for row in of_runs if row.text == binding), None)
-        moved = numbers_at(self.plan.machine, parts)
-        own = numbers_at(self.plan.machine, np.zeros(len(self.numbers)))
+        moved = numbers_at(self.plan.machine, own)
+        nominal = numbers_at(self.plan.machine, np.zeros(len(self.numbers)))
         return Worst(
             parts=parts,
-            numbers={k: float(v[0]) for k, v in moved.items() if v[0] != own[k][0]},
+            numbers={k: float(v[0]) for k, v in moved.items() if v[0] != nominal[k][0]},
+            product={NUMBERS[k]: float(products[0, k]) for k in self._wound if products[0, k]},
             share=share,
             binding=binding,
             row=row if answers else None,
@@ -172,6 +209,8 @@ class Worst:
         or never ends a wait.
     of_corners
         Whether every corner of the tolerances was tried.
+    product
+        Places of the numbers of its product within their tolerances, -1 to 1, by name.
     """
 
     parts: FloatArray
@@ -180,6 +219,7 @@ class Worst:
     binding: str
     row: CriterionRow | None
     of_corners: bool
+    product: dict[str, float] = field(default_factory=dict)
 
     @property
     def beyond_zero(self) -> bool:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.machine.variants import one_at_a_time
 from threadline.machine.vary import Days
-from threadline.proof.worst_machine import Done, WithinTolerances, row_shares, shares_of
+from threadline.proof.judge_runs import Done
+from threadline.proof.worst_machine import WithinTolerances, row_shares, shares_of
 from threadline.verdict import EachRun
 
 SEARCHED, SEARCHED_ALONE = 1000, 60
@@ -224,8 +224,7 @@ class WorstSearch:
         return [int(row) for row in rows[worst >= _NEAR * worst[0]]]
 
     def _ends(self) -> None:
-        machine, ends = self._within.plan.machine, self._within.ends
-        single = one_at_a_time(machine) * ends
+        ends, single = self._within.ends, self._within.singles
         at = self.tried(np.concatenate([np.zeros((1, len(ends))), single]))
         own, low, high = (_clipped(self._shares[:, k]) for k in (at[:1], at[1::2], at[2::2]))
         effect = np.maximum(np.abs(low - own), np.abs(high - own))

@@ -10,8 +10,9 @@ import numpy as np
 
 from threadline.dynamics.analysis import HERTZ, AxisAnalysis
 from threadline.dynamics.poles import root_locus
-from threadline.dynamics.responses import MeasuredResponse, speed_response
+from threadline.dynamics.responses import speed_response
 from threadline.dynamics.without_loop import Analysis, CylinderAnalysis, PositionDriveAnalysis
+from threadline.identify.measured_response import MeasuredResponse
 from threadline.machine import Machine
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document

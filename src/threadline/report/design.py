@@ -14,7 +14,7 @@ from threadline.machine.numbers import number_at
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
-from threadline.search.design import Candidate, DesignResult, Found
+from threadline.search.design import Candidate, DesignResult, ProvedDesign
 from threadline.verdict import Verdict, closing, percent_used, verdict_rows
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def change_rows(result: DesignResult) -> _Table:
     return ["parameter", "number", "from", "to", "factor", "cost"], rows
 
 
-def gain_rows(found: Found) -> _Table:
+def gain_rows(found: ProvedDesign) -> _Table:
     """Return the settings for the changed machine: filters, acceleration, needle."""
     rows = []
     candidate = found.candidate

@@ -18,6 +18,7 @@ from threadline.jobs.operations import Job, Source, begins_circuit
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.pipeline import Proof
 from threadline.verdict import Status, is_assumed
+from threadline.verdict.causes import causes_of
 from threadline.verdict.rendering import continuous
 
 if TYPE_CHECKING:
@@ -165,8 +166,21 @@ def about_motion(proof: Proof) -> list[str]:
         *motion_lines(plan),
         *count_circuits(plan).lines(),
         *([] if added is None else [_points_line(added)]),
+        *_gap_lines(proof),
         *_instead_lines(proof),
     ]
+
+
+_OF_GAPS = ("planned_coverage_gap", "coverage_gap")
+
+
+def _gap_lines(proof: Proof) -> list[str]:
+    """Return which factors a gap between bands points to; nothing where there is none."""
+    results = proof.verdict.results
+    if not any(one.name in _OF_GAPS and one.status is Status.FAILED for one in results):
+        return []
+    causes = causes_of(proof.plan)
+    return [] if causes is None else causes.lines()
 
 
 def _instead_lines(proof: Proof) -> Iterator[str]:
@@ -250,13 +264,13 @@ def about_stitched(proof: Proof) -> list[str]:
 def stitch_rows(plan: Plan) -> list[list[str]]:
     """Return rows of two texts on the stitches of a plan: a name and its value."""
     stitched = plan.stitched
-    told = stitched.told(plan.options)["stitches"]
+    entries = stitched.json_entries(plan.options)["stitches"]
     rows = [
         [
             "Stitches",
-            f"{told['count']}, with {told['frame_moves']} moves of the frame, the longest "
-            f"{told['longest_move_m'] * 1e3:.4g} mm on an axis; {told['turns']} turns, "
-            f"{told['steps']:.4g} steps",
+            f"{entries['count']}, with {entries['frame_moves']} moves of the frame, the longest "
+            f"{entries['longest_move_m'] * 1e3:.4g} mm on an axis; {entries['turns']} turns, "
+            f"{entries['steps']:.4g} steps",
         ],
         ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
         [
@@ -336,6 +350,7 @@ def about_switching(proof: Proof) -> list[str]:
     """Return the lines below the verdict: production, and the shaper of each cylinder."""
     produced = production(proof)
     rows = [["Production", produced]] if produced else []
+    rows += creep_rows(proof.plan)
     rows += [[f"Cylinder {axis}", words] for axis, words in shaping_rows(proof.plan)]
     return [f"{name}:".ljust(22) + words for name, words in rows]
 
@@ -349,6 +364,16 @@ def production(proof: Proof) -> str:
         f"{steady['pieces_per_hour']:.0f} pieces an hour, a cycle of {steady['cycle_s']:.4g} s "
         "behind the first"
     )
+
+
+def creep_rows(plan: Plan) -> list[list[str]]:
+    """Return rows of how cylinders creep to end switches that are late; none without."""
+    told = [
+        f"{axis} creeps, {one['opening_m'] * 1e3:.2g} mm each {one['every_s']:.3g} s"
+        + (f", ringing {one['rings_m'] * 1e3:.2g} mm at most" if one["rings_m"] else "")
+        for axis, one in plan.scheduled.creeping.items()
+    ]
+    return [["Late switches", "; ".join(told)]] if told else []
 
 
 def shaping_rows(plan: Plan) -> list[list[str]]:

@@ -54,7 +54,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
         seam = seam_figure(proof, sewn_run.recording)
         if seam is not None:
             figures = {"seam": seam, **figures}
-        wound, beside = winding_figures(proof)
+        wound, beside, of_bands = winding_figures(proof)
         figures = {**wound, **figures}
         thinned = "" if traces.stride == 1 else thinned_words(traces.stride)
         thinned += traces.run.words(proof)
@@ -66,6 +66,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
             warnings=grouped(warnings_of(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
+                *of_bands,
                 *changes(proof.verdict),
                 Table(
                     title="The job",

@@ -25,7 +25,7 @@ from threadline.report.document import (
     origin_facts,
     run_facts,
 )
-from threadline.report.lines import production, shaping_rows
+from threadline.report.lines import creep_rows, production, shaping_rows
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.report.switching_figures import (
@@ -91,11 +91,23 @@ _BREAK = "#B00000"
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """A place and the condition of its transition; ``then`` is the target of a way back."""
+    """A place and the condition of its transition; ``then`` is the target of a way back.
+
+    ``opened`` is the place by which a cylinder creeps to the switch that the place waits for.
+    """
 
     place: NetPlace
     label: str
     then: str = ""
+    opened: NetPlace | None = None
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The outputs that are on, and what is opened beside them by creeping."""
+        if self.opened is None:
+            return self.place.on
+        beside = [name for name in self.opened.on if name not in self.place.on]
+        return (*self.place.on, f"creeps by {self.opened.number}:", *beside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +125,7 @@ class _Row:
     @property
     def below(self) -> float:
         """Height of the outputs below its places."""
-        return _OUTPUTS + _LINE * max(len(bar.place.on) for bar in self.bars) + _GAP
+        return _OUTPUTS + _LINE * max(len(bar.lines) for bar in self.bars) + _GAP
 
 
 def petri_figures(scheduled: Scheduled) -> list[Figure]:
@@ -153,7 +165,9 @@ def _home(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlace, ...
 def _bars(places: Sequence[NetPlace], then: str) -> list[_Bar]:
     bars, passed_ms = list[_Bar](), 0
     for place in places:
-        if place.wait is None:
+        if place.opens:
+            bars[-1] = replace(bars[-1], opened=place)
+        elif place.wait is None:
             bars.append(_Bar(place, f"{place.due_ms - passed_ms} ms"))
             passed_ms = place.due_ms
         else:
@@ -189,7 +203,7 @@ def _page(rows: Sequence[_Row], begins: str) -> Figure:
                        fontsize=_SMALL)  # fmt: skip
             if bar.then:
                 panel.text(column + 0.85, at, bar.then, va="center", fontsize=_SMALL)
-            panel.text(column, at - _OUTPUTS, "\n".join(place.on), ha="center", va="top",
+            panel.text(column, at - _OUTPUTS, "\n".join(bar.lines), ha="center", va="top",
                        fontsize=_SMALL)  # fmt: skip
         _arc(panel, [(-0.16, at), (-0.55, at)])
         last, at = at, at - row.below
@@ -233,7 +247,9 @@ _CAPTIONS = {
     "numbered as in its text, below them the outputs that are on. A bar lets the token pass after "
     "the time of its own place, or when its input comes; grey places wait for an input, and one "
     "that does not come in time is a fault. The places of homing bring every cylinder back from "
-    "wherever it stands. The program's own times count on from the last input "
+    "wherever it stands. Below a place that waits for an end switch stands the place to which the "
+    "token goes and from which it returns while a cylinder creeps, with what it opens. "
+    "The program's own times count on from the last input "
     "that was waited for, and add these up. The dashed line is what every place has: a broken "
     "beam, a missing enable, a late scan or a contact that cannot be believed return the token to "
     "place 0, everything off.",
@@ -352,6 +368,7 @@ def _facts(proof: Proof) -> list[tuple[str, str]]:
         *run_facts(proof.recording),
         ("scan", f"{float(plan.commands.clock.period_s) * 1e3:g} ms"),
         ("schedule", f"{plan.duration_s:g} s, {len(plan.scheduled.commands.ticks)} switchings"),
+        *((name.lower(), words) for name, words in creep_rows(plan)),
         *((f"cylinder {axis}", words) for axis, words in shaping_rows(plan)),
         *options_facts(plan.options, plan.machine, OF_AXES),
     ]

@@ -10,12 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.files import ChannelKind
 from threadline.proof.pipeline import Proof
+from threadline.report.document import Table
 from threadline.report.solid import wound_glb
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, WORST
+from threadline.verdict.causes import Causes, causes_of
 from threadline.verdict.fibre import middle_of
-from threadline.verdict.replayed import Wound, WoundJob, least_friction, planned_fibre, wound_job
+from threadline.verdict.replayed import (
+    WoundJob,
+    least_friction,
+    planned_fibre,
+    recorded_fibre,
+    wound_job,
+)
 from threadline.verdict.types import Status
 from threadline.winding.raster import Raster
 
@@ -30,7 +37,6 @@ _SHOWN = (1, 5)  # circuits after which the pattern is drawn, besides all
 _MOST_OF_IT = 0.85  # share of the mandrel whose bands have different shades
 _MOST_DRAWN = 4000  # points of the centre line of the last fibre
 _OF_FIBRE = ("slip_tendency", "bridging", "lifting", "laid_error", "coverage_gap")
-_LOADS = (ChannelKind.TOOL, ChannelKind.LOAD)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,14 +52,14 @@ class _Laid:
     of_run: bool
 
 
-def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes]]:
-    """Return the figures of a proof with a product, and files beside them; none without one."""
+def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes], list[Table]]:
+    """Return the figures of a proof with a product, files beside them, tables; none without one."""
     job = wound_job(proof.plan)
     if job is None:
-        return {}, {}
+        return {}, {}, []
     laid = _laid(proof, job)
     if not (laid.known > 0.0).any():
-        return {}, {}
+        return {}, {}, []
     surface = job.surface
     ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
     raster = Raster(surface, job.width_m, float(ends[0]), float(ends[1]))
@@ -73,6 +79,13 @@ def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes]]:
     if len(circuits) > 1:
         numbers = [n for n in _SHOWN if n < len(circuits)]
         figures["winding-pattern"] = _pattern(job, raster, shown, [*numbers, len(circuits)])
+    causes = causes_of(proof.plan)
+    tables = []
+    if causes is not None:
+        figures["winding-causes"] = _causes(causes)
+        header = ("factor", "change", "mean gap", "largest gap", "ends", "explains the largest gap")
+        title = "What a gap between bands points to"
+        tables = [Table(title=title, header=header, rows=causes.rows(), note=causes.words())]
     fibre = np.column_stack([laid.u, laid.angle, laid.winding])
     fibre[laid.known == 0.0] = np.nan
     # The steering of a block stands at its end.
@@ -81,7 +94,7 @@ def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes]]:
     of_row = np.concatenate([[0], np.cumsum(ends_of)[:-1]])
     slips = steer[of_row] > least_friction(job.product)
     name = f"{proof.plan.job.name} on {job.product.name}"
-    return figures, {"winding-map.glb": wound_glb(surface, job.width_m, fibre, slips, name)}
+    return figures, {"winding-map.glb": wound_glb(surface, job.width_m, fibre, slips, name)}, tables
 
 
 def winding_caption(name: str) -> str:
@@ -91,6 +104,14 @@ def winding_caption(name: str) -> str:
             "The pattern as it grows: the unrolled mandrel after the first circuits and after all. "
             "A circuit begins where the fibre crosses the middle of the widest place from left to "
             "right."
+        )
+    if name == "winding-causes":
+        return (
+            "Above: the gaps between neighbouring bands at the widest place, in their order round "
+            "the mandrel; negative is overlap. Below: what one factor at a time does to the "
+            "winding. The same change of all gaps points to the band, the radius or the number of "
+            "circuits; one gap that grows from circuit to circuit to the steps per degree or to "
+            "slip; ends that move to one side to the zero."
         )
     if name == "winding-map":
         return (
@@ -107,7 +128,7 @@ def winding_caption(name: str) -> str:
 
 def _laid(proof: Proof, job: WoundJob) -> _Laid:
     """Return the fibre of the recorded run, else of the planned motion."""
-    found = _of_run(proof, job)
+    found = recorded_fibre(proof.recording, job)
     parts = list(planned_fibre(proof.plan, job)) if found is None else [found]
 
     def joined(columns: Sequence[FloatArray]) -> FloatArray:
@@ -124,32 +145,6 @@ def _laid(proof: Proof, job: WoundJob) -> _Laid:
         operation=np.concatenate(operations) if operations else np.empty(0, dtype=np.int64),
         of_run=found is not None,
     )
-
-
-def _of_run(proof: Proof, job: WoundJob) -> Wound | None:
-    """Return the replay of the drawn recording; None without a position of every axis."""
-    recording = proof.recording
-    operation = recording.find(ChannelKind.OPERATION)
-    channels = [
-        next((c for kind in _LOADS if (c := recording.find(kind, axis)) is not None), None)
-        for axis in job.axes
-    ]
-    if operation is None or any(channel is None for channel in channels):
-        return None
-    names = [channel.name for channel in channels if channel is not None]
-    rows = [
-        [block.samples[name] for name in (operation.name, *names) if name in block.samples]
-        for block in recording.blocks
-    ]
-    if any(len(row) != 1 + len(names) or len({part.shape for part in row}) > 1 for row in rows):
-        return None
-    columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
-    if not columns or columns[0].ndim != 1:
-        return None
-    of = columns[0].astype(np.int64)
-    eyes = job.eyes(np.column_stack(columns[1:]))
-    fibre = job.replay().feed(eyes, of)
-    return Wound(np.full(len(of), np.nan), of, np.column_stack(columns[1:]), [fibre], [eyes])
 
 
 def _circuits(job: WoundJob, laid: _Laid) -> list[int]:
@@ -245,6 +240,37 @@ def _mark(proof: Proof, job: WoundJob, laid: _Laid, panel: Axes) -> None:
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         )
         marked = True
+
+
+def _causes(causes: Causes) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 5.2))
+    upper, lower = figure.subplots(2, 1, height_ratios=(1.0, 1.6))
+    gaps = 1e3 * causes.laid.gaps_m
+    upper.step(np.arange(len(gaps)), gaps, where="mid", **ACTUAL)
+    upper.axhline(0.0, color="0.5", linewidth=0.8)
+    upper.set_xlabel("number of the gap round the mandrel")
+    upper.set_ylabel("gap, mm")
+    upper.set_title("Gaps between neighbouring bands, as programmed")
+    rows = np.arange(len(causes.causes))[::-1]
+    columns = (
+        ("all gaps", [one.mean_m for one in causes.causes], "0.15"),
+        ("the largest gap", [one.largest_m for one in causes.causes], "0.5"),
+        ("the left end", [one.left_m for one in causes.causes], "0.75"),
+        ("the right end", [one.right_m for one in causes.causes], "0.9"),
+    )
+    for number, (label, values, shade) in enumerate(columns):
+        lower.barh(
+            rows + 0.3 - 0.2 * number, 1e3 * np.array(values), height=0.18, label=label,
+            color=shade, edgecolor="0.2", linewidth=0.5,
+        )  # fmt: skip
+    lower.set_yticks(rows, [f"{one.name}\n{one.shown()}" for one in causes.causes])
+    lower.axvline(0.0, color="0.5", linewidth=0.8)
+    lower.set_xlabel("change, mm")
+    lower.set_title("What one factor at a time changes")
+    lower.legend(loc="best")
+    return figure
 
 
 def _along(job: WoundJob, laid: _Laid, raster: Raster) -> Figure:

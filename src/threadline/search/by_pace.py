@@ -47,8 +47,8 @@ from threadline.search.mismatch import (
     NEEDLE,
     OVERRIDE,
     SHAFT,
+    BestPace,
     Certainty,
-    Found,
     Mismatch,
     Searched,
     near_best,
@@ -221,7 +221,7 @@ def _feed(asked: Question) -> Answer:
     )  # fmt: skip
 
 
-def _feed_again(asked: Question, answer: Answer) -> Callable[[Question], Found]:
+def _feed_again(asked: Question, answer: Answer) -> Callable[[Question], BestPace]:
     found: FastestJob = answer.of
     about = near_best(asked, answer.best, search_range(asked.job, asked.machine, found.by)[1])
     options = replace(asked.options, limit_share=found.best.share)
@@ -251,7 +251,7 @@ def _needle(asked: Question) -> Answer:
 _UNKNOWN_HZ = 100.0
 
 
-def _needle_again(asked: Question, answer: Answer) -> Callable[[Question], Found]:
+def _needle_again(asked: Question, answer: Answer) -> Callable[[Question], BestPace]:
     about = near_best(asked, answer.best, _UNKNOWN_HZ)
     return lambda one: speeds(fastest_needle(replace(one, low=about.low, high=about.high), COARSE))
 
@@ -273,7 +273,7 @@ def _shaft(asked: Question) -> Answer:
     )  # fmt: skip
 
 
-def _shaft_again(asked: Question, answer: Answer) -> Callable[[Question], Found]:
+def _shaft_again(asked: Question, answer: Answer) -> Callable[[Question], BestPace]:
     about = near_best(asked, answer.of.constant.best, speed_range_hz(asked.machine)[1])
     return lambda one: speeds(constant_speeds(replace(one, low=about.low, high=about.high), COARSE))
 
@@ -290,8 +290,8 @@ def _switchings(asked: Question) -> Answer:
     )  # fmt: skip
 
 
-def _switchings_again(_asked: Question, _answer: Answer) -> Callable[[Question], Found]:
-    def again(one: Question) -> Found:
+def _switchings_again(_asked: Question, _answer: Answer) -> Callable[[Question], BestPace]:
+    def again(one: Question) -> BestPace:
         found = fastest_cycle(one)
         return found.cycle_s, _alone(found.cycle_s), found.limited_by
 
@@ -302,7 +302,7 @@ def _alone(cycle_s: float | None) -> tuple[Interval, ...]:
     return () if cycle_s is None else (Interval(low=cycle_s, high=cycle_s),)
 
 
-def speeds(found: Fastest) -> Found:
+def speeds(found: Fastest) -> BestPace:
     """Return the result of a pace search in the form of a search on another machine."""
     return found.best, found.intervals, found.limited_by
 
@@ -320,7 +320,7 @@ class Search:
     """
 
     find: Callable[[Question], Answer]
-    again: Callable[[Question, Answer], Callable[[Question], Found]]
+    again: Callable[[Question, Answer], Callable[[Question], BestPace]]
 
 
 SEARCHES: Mapping[str, Search] = {

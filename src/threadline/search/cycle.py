@@ -102,7 +102,7 @@ def fastest_cycle(asked: Question) -> FastestCycle:
             proof=base,
             unshaped=unshaped,
             base=base,
-            moves=forecast.told(None),
+            moves=forecast.move_choices(None),
             limited_by=RANGE,
             tried=1,
         )
@@ -136,7 +136,7 @@ def fastest_cycle(asked: Question) -> FastestCycle:
             proof=closest[1],
             unshaped=unshaped,
             base=base,
-            moves=forecast.told(closest[2]),
+            moves=forecast.move_choices(closest[2]),
             limited_by=_failing(closest[1]),
             tried=tried,
         )
@@ -145,7 +145,7 @@ def fastest_cycle(asked: Question) -> FastestCycle:
         proof=best[1],
         unshaped=unshaped,
         base=base,
-        moves=forecast.told(best[2]),
+        moves=forecast.move_choices(best[2]),
         limited_by=limited_by,
         tried=tried,
     )

@@ -316,7 +316,7 @@ class CycleForecast:
         levels = replace(move.levels, ticks=command.ticks, levels=command.levels, realised=None)
         return levels_text(levels, self._scan_s)
 
-    def told(self, cycle: Cycle | None) -> tuple[MoveChoice, ...]:
+    def move_choices(self, cycle: Cycle | None) -> tuple[MoveChoice, ...]:
         """Return every move with its chosen command and wait; without a cycle, as unshaped."""
         lines = self._base.lines_of(self._job, {m.operation for m in self._base.moves})
         optimal: dict[tuple[str, bool, int], float] = {}

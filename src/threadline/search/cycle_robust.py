@@ -224,7 +224,7 @@ def robust_cycle(asked: Question, band: float) -> RobustCycle:
         job=job,
         proof=proof,
         over=over_band(proof.plan, spec, machines),
-        moves=search.told(chosen),
+        moves=search.robust_moves(chosen),
         frequencies_hz=search.frequencies_hz,
         tried=tried,
     )
@@ -442,7 +442,7 @@ class _Search:
         levels = replace(move.levels, ticks=command.ticks, levels=command.levels, realised=None)
         return levels_text(levels, self._scan_s)
 
-    def told(self, chosen: Sequence[FlowCommand]) -> tuple[RobustMove, ...]:
+    def robust_moves(self, chosen: Sequence[FlowCommand]) -> tuple[RobustMove, ...]:
         """Return every move with its command and durations to compare."""
         lines = self._base.lines_of(self._job, {m.operation for m in self._base.moves})
         return tuple(

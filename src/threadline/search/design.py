@@ -76,7 +76,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class ProvedDesign:
     """A design that was proved by the whole pipeline.
 
     Parameters
@@ -140,7 +140,7 @@ class DesignResult:
     machine: Machine
     job: Job
     space: Space
-    found: Found | None
+    found: ProvedDesign | None
     pareto: tuple[Candidate, ...]
     known: Mapping[str, Candidate]
     as_built: Candidate
@@ -323,7 +323,7 @@ def _candidate(space: Space, evaluator: Evaluator, tried: Tried, index: int) -> 
     )
 
 
-def _point(space: Space, found: Found) -> FloatArray:
+def _point(space: Space, found: ProvedDesign) -> FloatArray:
     candidate = found.candidate
     settings = []
     if candidate.crossover_hz is not None and candidate.phase_margin_deg is not None:
@@ -339,7 +339,7 @@ def _level(space: Space, candidate: Candidate) -> int:
 
 def _proved(
     space: Space, evaluator: Evaluator, tried: Tried, spec: Spec, trials: Trials, corners: bool
-) -> tuple[Found | None, tuple[str, ...]]:
+) -> tuple[ProvedDesign | None, tuple[str, ...]]:
     """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
     refused: list[str] = []
     order = _cheapest_first(space, tried)
@@ -390,7 +390,7 @@ def _prove(
     spec: Spec,
     trials: Trials,
     corners: bool,
-) -> Found:
+) -> ProvedDesign:
     """Prove one candidate by the whole pipeline, and its corners where they are asked for.
 
     Raises
@@ -414,7 +414,7 @@ def _prove(
             at_corners = _at_corners(space, plan, redesigned, asked, point)
     except MachineError as error:
         raise PlanError(error.message) from error
-    return Found(
+    return ProvedDesign(
         candidate=candidate,
         machine=redesigned,
         spec=asked,

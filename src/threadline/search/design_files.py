@@ -12,7 +12,7 @@ from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at, number_tables
 from threadline.machine.quantity import Quantity
-from threadline.search.design import DesignResult, Found
+from threadline.search.design import DesignResult, ProvedDesign
 from threadline.verdict import Spec
 from threadline.verdict.registry import MEASURES
 
@@ -24,7 +24,7 @@ def spec_file(machine_file: Path) -> Path:
     return machine_file.with_suffix(_SPEC_SUFFIX)
 
 
-def write_design(result: DesignResult, found: Found, file: Path) -> list[Path]:
+def write_design(result: DesignResult, found: ProvedDesign, file: Path) -> list[Path]:
     """Write the machine file, and beside it the specification with the needle delay.
 
     Parameters
@@ -48,7 +48,7 @@ def write_design(result: DesignResult, found: Found, file: Path) -> list[Path]:
     return list(texts)
 
 
-def machine_toml(result: DesignResult, found: Found, folder: Path) -> str:
+def machine_toml(result: DesignResult, found: ProvedDesign, folder: Path) -> str:
     """Return the machine file of a design, based on the redesigned machine."""
     machine = result.machine
     texts = {

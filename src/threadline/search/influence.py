@@ -11,6 +11,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.machine.variants import FARTHEST, drawn
+from threadline.proof.judge_runs import Done
 from threadline.proof.worst_machine import shares_of
 from threadline.search.machine_yield import MachineYield
 from threadline.verdict.each_run import clopper_pearson
@@ -151,7 +152,7 @@ def cheapest_set(
     seed: int,
     *,
     machines: int = MACHINES,
-    done: Callable[[int], None] | None = None,
+    done: Done | None = None,
 ) -> CheapestSet:
     """Return halved tolerances that reach a yield, with few halvings.
 

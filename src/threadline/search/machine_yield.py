@@ -11,7 +11,8 @@ from threadline.commands.plan import Plan
 from threadline.errors import OptionError
 from threadline.machine.model import check_dynamics
 from threadline.machine.variants import MOST_CORNERS, Uncertain, corners, drawn
-from threadline.proof.worst_machine import Done, WithinTolerances, Worst, shares_of
+from threadline.proof.judge_runs import Done
+from threadline.proof.worst_machine import WithinTolerances, Worst, shares_of
 from threadline.proof.worst_search import WorstSearch
 from threadline.search.yield_state import YieldState
 from threadline.verdict import CriterionRow, EachRun, Spec

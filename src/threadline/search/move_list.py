@@ -217,11 +217,12 @@ def _operation_lines(
         case SetOutput(name=name, value=value):
             verb = {"soft-start": "valve", "vacuum": "vacuum"}.get(machine.outputs[name].kind)
             return [f"{verb or 'output'} = {_quoted(name)}", f"on = {str(bool(value)).lower()}"]
-        case WaitInput(name=name, value=value, timeout_s=timeout):
+        case WaitInput(name=name, value=value, timeout_s=timeout, creep=creep):
             return [
                 f"wait = {_quoted(name)}",
                 f"is = {str(bool(value)).lower()}",
                 f"timeout = {_text(timeout, 's', 1.0, 's')}",
+                *([] if creep else ["creep = false"]),
             ]
         case Home(axes=order):
             position.update(dict.fromkeys(order, 0.0))

@@ -174,7 +174,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     trials = words.trials(ends=robust if share and words.text("ends") is None else None)
     named, margin = words.machine(machine), parse_margin(words.text("margin") or "0 %")
     planned = _planned_for(words, named)
-    options = words.options(robust=planned)
+    options = words.options(file, robust=planned)
     chosen = with_radii_of(named, options)
     options = options.on(chosen)
     job = open_job(file, chosen, options)

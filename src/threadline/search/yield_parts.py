@@ -21,7 +21,7 @@ from threadline.base.reading import refuse_special
 from threadline.base.writing import staged_file
 from threadline.errors import OptionError, RecordingError
 from threadline.machine.variants import drawn
-from threadline.proof.worst_machine import Done
+from threadline.proof.judge_runs import Done
 from threadline.search.machine_yield import AT_ONCE, MachineYield, Yield
 from threadline.search.yield_state import (
     MOST_LINE,

@@ -26,6 +26,7 @@ from threadline.machine.pneumatics import TIMES
 from threadline.twin.switching_cylinder import Cylinders, cylinders_of
 from threadline.twin.switching_run import (
     CALMING,
+    CREEP_NUMBERS,
     NEVER,
     PER_CYLINDER,
     PHASE,
@@ -45,6 +46,8 @@ SAMPLE_S = Fraction(1, 1000)
 _MAX_STALL_S = 60.0
 _SAMPLES = 1 << 13
 """Samples in a block of a recording; more only if a single scan has more."""
+_SCANS_DRAWN = 4093
+"""Scans whose lateness is drawn; then it repeats."""
 _AT_ONCE = 128
 """Number of variants whose tables are in memory at the same time."""
 
@@ -63,11 +66,15 @@ class SwitchOptions:
     inputs
         Values of the contacts that no cylinder closes, by name. A contact without a value is true,
         and a wait sets it to the expected value.
+    scans
+        Seed of the instants at which scans begin, within the jitter of the machine file. None:
+        every scan begins in time.
     """
 
     after_s: float = 1.0
     break_s: float | None = None
     inputs: Mapping[str, bool] | None = None
+    scans: int | None = None
 
 
 def simulate_switching(
@@ -181,15 +188,27 @@ def orders_of(
 
     axes = list(machine.cylinders)
     most = max(len(flows_of(cylinder)) for cylinder in machine.cylinders.values())
-    flowing = np.zeros((len(commands.ticks) + 1, len(axes), most))
+    waits = [event for event in commands.events if event.kind == "wait"]
+    states = states_of(commands.levels, openings(waits, commands))
+    flowing = np.zeros((len(states), len(axes), most))
     for column, (axis, cylinder) in enumerate(machine.cylinders.items()):
         for place, (valve, flow, sign) in enumerate(flows_of(cylinder)):
             sense = "forward" if sign > 0.0 else "back"
             own = cylinder.way(sign > 0.0).flows[flow].si
             size = sign * number(f"cylinders.{axis}.{sense}.flows.{flow}", own)
             columns = [commands.outputs.index(valve), commands.outputs.index(flow)]
-            flowing[1:, column, place] = size * commands.levels[:, columns].all(axis=1)
-    waits = [event for event in commands.events if event.kind == "wait"]
+            flowing[:, column, place] = size * states[:, columns].all(axis=1)
+    creeps = {creep.tick: creep for creep in commands.creeps}
+    longest = int(_MAX_STALL_S / float(commands.clock.period_s) + 1e-9)
+    numbers = np.zeros((len(waits), CREEP_NUMBERS), dtype=np.int64)
+    for index, wait in enumerate(waits):
+        one = creeps.get(wait.tick)
+        numbers[index] = (
+            (0, 0, 0, 0, longest)
+            if one is None
+            else (one.first, one.every, one.opens, one.rest, one.most)
+        )
+    begin_creeps = len(commands.ticks) + 1
     names = list(machine.contacts)
     closes, at, above = [], [], []
     for name, contact in machine.contacts.items():
@@ -201,33 +220,47 @@ def orders_of(
     given = options.inputs or {}
     period_s = commands.clock.period_s
     units = units or times_of(machine, period_s, values)
+    late = _late_scans(machine, options.scans, units.scan)
 
     def whole(numbers: list[int] | list[bool]) -> IntArray:
         return np.array(numbers, dtype=np.int64).reshape(len(numbers))
 
     return Orders(
         ticks=np.array(commands.ticks, dtype=np.int64),
-        level=flowing.sum(axis=2),
-        flowing=flowing,
+        level=flowing[:begin_creeps].sum(axis=2),
+        flowing=flowing[:begin_creeps],
         wait_tick=whole([event.tick for event in waits]),
         wait_contact=whole([names.index(event.name) for event in waits]),
         wait_value=whole([bool(event.value) for event in waits]),
         wait_given=whole([event.name in given for event in waits]),
+        wait_creep=numbers,
+        creep_level=flowing[begin_creeps:].sum(axis=2),
+        creep_flowing=flowing[begin_creeps:],
         contact_cylinder=whole(closes),
         contact_at=np.array(at, dtype=np.float64),
         contact_above=whole(above),
         duration=commands.duration_ticks,
-        most_stalled=int(_MAX_STALL_S / float(period_s) + 1e-9),
         after=max(1, round(options.after_s / float(period_s))),
         break_s=NEVER if options.break_s is None else options.break_s,
         period_s=float(period_s),
         step_s=float(SAMPLE_S),
         scan=units.scan,
         sample=units.sample,
+        late=late,
+        room=(units.scan + int(np.ptp(late))) // units.sample + 2,
         opened=units.opened,
         shut=units.shut,
         share=units.share,
     )
+
+
+def _late_scans(machine: Machine, seed: int | None, scan: int) -> IntArray:
+    """Return by how much scans begin late in units of the machine, even within the jitter."""
+    assert machine.plc is not None
+    if seed is None or machine.plc.jitter is None:
+        return np.zeros(1, dtype=np.int64)
+    most = int(machine.plc.jitter.si * scan)
+    return np.random.default_rng(seed).integers(-most, most + 1, _SCANS_DRAWN)
 
 
 def _read(
@@ -241,11 +274,12 @@ def _read(
     """Yield the blocks of one run."""
     bank, motion, progress = cylinders.bank(variant), cylinders.at_rest(variant), begin(orders)
     waits = [event for event in commands.events if event.kind == "wait"]
+    states = states_of(commands.levels, openings(waits, commands))
     contacts = [c.name for c in channels if c.kind is ChannelKind.INPUT]
     for name, value in (options.inputs or {}).items():
         if name in contacts:
             progress.free[contacts.index(name)] = value
-    room = max(_SAMPLES, orders.scan // orders.sample + 2)
+    room = max(_SAMPLES, orders.room)
     columns = PER_CYLINDER * len(orders.share) + len(orders.contact_cylinder)
     out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
     over = np.empty((len(waits), 2), dtype=np.int64)
@@ -256,7 +290,7 @@ def _read(
         yield run_block(
             channels,
             (out[:count], rows[:count], over[:ended]),
-            (commands.outputs, commands.levels, commands.operation, waits),
+            (commands.outputs, states, commands.operation, waits),
             first,
         )
         first += count
@@ -275,16 +309,15 @@ def run_block(
     ran
         The filled parts of its ``out``, ``rows`` and ``over``.
     told
-        Outputs, their (R, outputs) levels, (R,) operations, and the waits.
+        Outputs, their (R + 1 + W, outputs) ``states_of``, (R,) operations, and the waits.
     first
         Index of the first sample.
     """
-    (out, rows, over), (outputs, levels, operations, waits) = ran, told
-    # Before the first row all outputs are off, and the operation is 0.
-    states = np.vstack((np.zeros((1, len(outputs))), levels))
+    (out, rows, over), (outputs, states, operations, waits) = ran, told
+    # Before the first row the operation is 0.
     operation = np.concatenate(([0], operations)).astype(np.float64)
     measured = dict(zip((c.name for c in channels), out.T.copy(), strict=False))
-    on = states[rows[:, 0] + 1].T.copy()
+    on = states[rows[:, 0] + 1].T.astype(np.float64)
     return RecordingBlock(
         first_tick={channels[0].clock.name: first},
         samples={
@@ -305,11 +338,26 @@ def run_block(
     )
 
 
-def stall_of(wait: Event) -> str:
+def openings(waits: Sequence[Event], commands: SwitchSchedule) -> IntArray:
+    """Return the (W, outputs) state of the outputs during an opening in each wait."""
+    creeps = {creep.tick: creep.levels for creep in commands.creeps}
+    none = (0,) * len(commands.outputs)
+    levels = [creeps.get(wait.tick, none) for wait in waits]
+    return np.array(levels, dtype=np.int64).reshape(len(levels), len(none))
+
+
+def states_of(levels: IntArray, opened: IntArray) -> IntArray:
+    """Return all states of the outputs: all off, those of the rows, those of ``openings``."""
+    return np.vstack((np.zeros_like(levels, shape=(1, levels.shape[1])), levels, opened))
+
+
+def stall_of(wait: Event, commands: SwitchSchedule) -> str:
     """Return the reason why a schedule ended at a wait."""
+    creep = commands.creep_at(wait.tick)
+    most_s = _MAX_STALL_S if creep is None else creep.most * float(commands.clock.period_s)
     return (
         f"the input {wait.name!r} did not become {'on' if wait.value else 'off'} within "
-        f"{_MAX_STALL_S:g} s"
+        f"{most_s:g} s"
     )
 
 
@@ -318,7 +366,8 @@ def _refuse_stall(commands: SwitchSchedule, plc: IntArray) -> None:
         return
     wait = [event for event in commands.events if event.kind == "wait"][plc[WAIT]]
     raise RecordingError(
-        stall_of(wait), remedy="Let an end switch close before the very end of the stroke."
+        stall_of(wait, commands),
+        remedy="Let an end switch close before the very end of the stroke.",
     )
 
 

@@ -108,7 +108,10 @@ def flows_of(cylinder: Cylinder) -> list[tuple[str, str, float]]:
 
 
 RUNNING, CALMING, DONE, STALLED = 0, 1, 2, 3
-TICK, SCAN, STALL, ROW, WAIT, PHASE, LEFT, SAMPLE, LATER, PLC_STATE = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+TICK, SCAN, STALL, ROW, WAIT, PHASE, LEFT, SAMPLE, LATER = 0, 1, 2, 3, 4, 5, 6, 7, 8
+OPENED, CREPT, PLC_STATE = 9, 10, 11
+"""Whether an opening of a creep is on; scans of waiting before its latest opening, -1 for none."""
+FIRST, EVERY, OPENS, REST, MOST, CREEP_NUMBERS = 0, 1, 2, 3, 4, 5
 PER_CYLINDER = 4
 """Columns of a sample for each cylinder: stroke, stroke that the valves ask for, level, frame."""
 UNBOUNDED = 1 << 62
@@ -132,15 +135,23 @@ class Orders(NamedTuple):
     wait_tick, wait_contact, wait_value, wait_given
         (W,) scan, contact and expected value of each wait, and whether the caller has set the value
         of that contact.
+    wait_creep
+        (W, CREEP_NUMBERS) how a cylinder creeps in each wait, in scans; ``FIRST`` and the following
+        constants are the columns. Without a creep ``OPENS`` is 0.
+    creep_level, creep_flowing
+        (W, C) and (W, C, F) as ``level`` and ``flowing``, during an opening.
     contact_cylinder, contact_at, contact_above
         (M,) cylinder that closes each contact, the stroke at which it does, m, and whether it is
         closed above that stroke or below. Cylinder -1: no cylinder closes it; -2: the light grid.
-    duration, most_stalled, after
-        Length of the schedule, longest wait, and simulated time after the end, in scans.
+    duration, after
+        Length of the schedule, and simulated time after the end, in scans.
     break_s, period_s, step_s
         Instant at which the light grid is broken, period of a scan, and period of a sample, s.
     scan, sample
         Periods of scan and sample in units of the machine.
+    late, room
+        (J,) by how much each scan begins late, or early if negative, in those units, again and
+        again; and the largest number of samples in a scan.
     opened, shut
         (C, F) time from a command to the change of the flow when a flow control or its valve opens,
         and when it closes, with the dead time of the cylinder; in units of the cylinder.
@@ -155,17 +166,21 @@ class Orders(NamedTuple):
     wait_contact: IntArray
     wait_value: IntArray
     wait_given: IntArray
+    wait_creep: IntArray
+    creep_level: FloatArray
+    creep_flowing: FloatArray
     contact_cylinder: IntArray
     contact_at: FloatArray
     contact_above: IntArray
     duration: int
-    most_stalled: int
     after: int
     break_s: float
     period_s: float
     step_s: float
     scan: int
     sample: int
+    late: IntArray
+    room: int
     opened: IntArray
     shut: IntArray
     share: IntArray
@@ -183,8 +198,8 @@ class Progress(NamedTuple):
     asked
         (C,) stroke of each cylinder if it followed its valves without delay, m.
     arrival, coming
-        (C, F (R + 3)) instants and sizes of the level changes on their way to each cylinder, in the
-        order of their instants.
+        (C, Q) instants and sizes of the level changes on their way to each cylinder, in the order
+        of their instants.
     queue
         (C, 2) number of changes that were sent, and number that have arrived.
     told, last
@@ -204,8 +219,12 @@ class Progress(NamedTuple):
 def begin(orders: Orders) -> Progress:
     """Return the progress at the start: nothing switched."""
     (count, most), rows = orders.opened.shape, len(orders.ticks)
+    if orders.wait_creep[:, OPENS].any():
+        # In each scan under way at most one change: openings are on their way for a dead time.
+        late = np.maximum(orders.opened, orders.shut).max(axis=1) // (orders.scan * orders.share)
+        rows += int(late.max()) + 2
     plc = np.zeros(PLC_STATE, dtype=np.int64)
-    plc[ROW] = -1
+    plc[ROW] = plc[CREPT] = -1
     plc[LEFT] = orders.after
     return Progress(
         plc,
@@ -244,12 +263,14 @@ def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> i
     plc = progress.plc
     if plc[PHASE] == CALMING:
         plc[ROW] = -1
+        plc[OPENED] = 0
         return -1
     now_s = plc[SCAN] * orders.period_s
     for m in range(len(orders.contact_cylinder)):
         if orders.contact_cylinder[m] == -2 and not now_s < orders.break_s:
             plc[PHASE] = CALMING
             plc[ROW] = -1
+            plc[OPENED] = 0
             return -1
     while plc[LATER] < len(orders.ticks) and orders.ticks[plc[LATER]] <= plc[TICK]:
         plc[ROW] = plc[LATER]
@@ -262,18 +283,40 @@ def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> i
         if not orders.wait_given[w]:
             # A contact that no cylinder closes takes the expected value when it is waited for.
             progress.free[m] = orders.wait_value[w]
-        if contact(m, now_s, orders, progress, bank, motion) == (orders.wait_value[w] != 0):
+        there = contact(m, now_s, orders, progress, bank, motion) == (orders.wait_value[w] != 0)
+        if creep(w, there, orders, plc):
             over = w
             plc[WAIT] += 1
             held = False
             plc[STALL] = 0
+            plc[CREPT] = -1
+        elif not there and plc[STALL] >= orders.wait_creep[w, MOST]:
+            plc[PHASE] = STALLED
     if held:
         plc[STALL] += 1
-        if plc[STALL] > orders.most_stalled:
-            plc[PHASE] = STALLED
     else:
         plc[TICK] += 1
     return over
+
+
+def _creep(w: int, there: bool, orders: Orders, plc: IntArray) -> bool:
+    """Open and shut the valves in a scan of wait ``w``; return whether the wait is over.
+
+    ``there`` tells whether its input has the expected value.
+    """
+    own = orders.wait_creep[w]
+    if own[OPENS] == 0:
+        return there
+    if plc[OPENED] and plc[STALL] < plc[CREPT] + own[OPENS]:
+        return False  # an opening is finished, whatever the switch says
+    plc[OPENED] = 0
+    if there:
+        return bool(plc[CREPT] < 0 or plc[STALL] >= plc[CREPT] + own[OPENS] + own[REST])
+    next_one = own[FIRST] if plc[CREPT] < 0 else plc[CREPT] + own[EVERY]
+    if next_one <= plc[STALL] < own[MOST]:
+        plc[OPENED] = 1
+        plc[CREPT] = plc[STALL]
+    return False
 
 
 def _move(
@@ -300,15 +343,22 @@ def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:
 
     A flow control that is commanded to close before it has opened does not open.
     """
-    row = progress.plc[ROW] + 1
+    row, creeps, wait = progress.plc[ROW] + 1, progress.plc[OPENED] != 0, progress.plc[WAIT]
     for f in range(orders.opened.shape[1]):
-        wanted, told = orders.flowing[row, c, f], progress.told[c, f]
+        wanted = orders.creep_flowing[wait, c, f] if creeps else orders.flowing[row, c, f]
+        told = progress.told[c, f]
         if wanted == told:
             continue
         later = orders.opened[c, f] if abs(wanted) > abs(told) else orders.shut[c, f]
         at = max(start * orders.share[c] + later, progress.last[c, f])
         progress.told[c, f], progress.last[c, f] = wanted, at
-        place = progress.queue[c, 0]
+        place, came = progress.queue[c, 0], progress.queue[c, 1]
+        if place == progress.arrival.shape[1]:
+            for k in range(place - came):
+                progress.arrival[c, k] = progress.arrival[c, k + came]
+                progress.coming[c, k] = progress.coming[c, k + came]
+            place -= came
+            progress.queue[c, 0], progress.queue[c, 1] = place, 0
         while place > progress.queue[c, 1] and progress.arrival[c, place - 1] > at:
             progress.arrival[c, place] = progress.arrival[c, place - 1]
             progress.coming[c, place] = progress.coming[c, place - 1]
@@ -325,7 +375,7 @@ def _sample(
     for c in range(count):
         out[at, PER_CYLINDER * c] = stroke_of(c, bank, motion)
         out[at, PER_CYLINDER * c + 1] = progress.asked[c]
-        out[at, PER_CYLINDER * c + 2] = orders.level[progress.plc[ROW] + 1, c]
+        out[at, PER_CYLINDER * c + 2] = level_of(c, orders, progress.plc)
         out[at, PER_CYLINDER * c + 3] = frame_of(c, bank, motion)
     for m in range(len(orders.contact_cylinder)):
         place = out[at, PER_CYLINDER * max(orders.contact_cylinder[m], 0)]
@@ -333,6 +383,14 @@ def _sample(
         out[at, PER_CYLINDER * count + m] = 1.0 if shut else 0.0
     # While everything is off, the operation stays that of the last row.
     rows[at, 0], rows[at, 1] = progress.plc[ROW], progress.plc[LATER] - 1
+    if progress.plc[OPENED]:
+        rows[at, 0] = len(orders.ticks) + progress.plc[WAIT]
+
+
+def _level_of(c: int, orders: Orders, plc: IntArray) -> float:
+    opened, row = plc[OPENED] != 0, plc[ROW] + 1
+    level: float = orders.creep_level[plc[WAIT], c] if opened else orders.level[row, c]
+    return level
 
 
 def _run(
@@ -348,15 +406,15 @@ def _run(
     out
         (samples, columns), with room for the samples of at least one scan.
     rows
-        (samples, 2) current row of the schedule, -1 for all outputs off; and the latest row that
-        was reached, -1 before the first.
+        (samples, 2) current row of the schedule, -1 for all outputs off, behind the rows one for
+        the openings of each wait; and the latest row that was reached, -1 before the first.
     over
         (waits, 2) index of each wait that ended, and the sample at which it did.
     until
         Scan before which the function returns in any case.
     """
     plc = progress.plc
-    most = orders.scan // orders.sample + 2
+    most, period = orders.room, len(orders.late)
     filled, ended_waits = 0 * most, 0
     while plc[PHASE] <= CALMING and filled + most <= len(out) and plc[SCAN] < until:
         if plc[PHASE] == RUNNING and plc[TICK] >= orders.duration:
@@ -364,16 +422,18 @@ def _run(
         done = switch(orders, progress, bank, motion)
         if plc[PHASE] == STALLED:
             break
-        start = plc[SCAN] * orders.scan
+        even = plc[SCAN] * orders.scan
+        # The first scan begins in time: nothing happens before.
+        start = even + (orders.late[plc[SCAN] % period] if plc[SCAN] else 0)
         if done >= 0:
             over[ended_waits, 0], over[ended_waits, 1] = done, start // orders.sample
             ended_waits += 1
         for c in range(len(orders.share)):
             send(c, start, orders, progress)
-        now, stop = start, start + orders.scan
+        now, stop = start, even + orders.scan + orders.late[(plc[SCAN] + 1) % period]
         while now < stop:
             if now == plc[SAMPLE] * orders.sample:
-                time_s = plc[SCAN] * orders.period_s + (now - start) / orders.sample * orders.step_s
+                time_s = plc[SCAN] * orders.period_s + (now - even) / orders.sample * orders.step_s
                 sample(filled, time_s, out, rows, orders, progress, bank, motion)
                 filled += 1
                 plc[SAMPLE] += 1
@@ -381,7 +441,7 @@ def _run(
             step_s = (then - now) / orders.sample * orders.step_s
             for c in range(len(orders.share)):
                 share = orders.share[c]
-                wanted = orders.level[plc[ROW] + 1, c]
+                wanted = level_of(c, orders, plc)
                 progress.asked[c] += wanted * step_s * bank.numbers[c, SPEED]
                 move(c, now * share, then * share, orders, progress, bank, motion)
             now = then
@@ -395,6 +455,8 @@ def _run(
 
 closed = njit(nogil=True)(_closed)
 contact = njit(nogil=True)(_contact)
+creep = njit(nogil=True)(_creep)
+level_of = njit(nogil=True)(_level_of)
 switch = njit(nogil=True)(_switch)
 move = njit(nogil=True)(_move)
 send = njit(nogil=True)(_send)

@@ -14,14 +14,16 @@ import numpy as np
 from threadline.base.arrays import IntArray
 from threadline.dynamics.values import Values
 from threadline.errors import OptionError
-from threadline.files import Event, EventKind, RecordingBlock, RunEnd, SwitchSchedule
+from threadline.files import Creep, Event, EventKind, RecordingBlock, RunEnd, SwitchSchedule
 from threadline.machine import Machine
 from threadline.twin.switching import (
     SAMPLE_S,
     SwitchOptions,
+    openings,
     orders_of,
     run_block,
     stall_of,
+    states_of,
     switching_channels,
     times_of,
 )
@@ -94,6 +96,7 @@ class SwitchingSession:
         self._levels = np.zeros((0, len(self._outputs)), dtype=np.int64)
         self._operation = np.zeros(0, dtype=np.int64)
         self._waits: list[Event] = []
+        self._creeps: list[Creep] = []
         self._reach, self._duration, self._off_at = 0, _ENDLESS, _ENDLESS
         self.tick = self.taken = 0
         self.failure, self.ran_dry = "", False
@@ -131,6 +134,7 @@ class SwitchingSession:
         *,
         reach: int,
         duration: int | None,
+        creeps: Sequence[Creep] = (),
     ) -> None:
         """Take the next rows.
 
@@ -144,6 +148,8 @@ class SwitchingSession:
             Scan of the schedule at which it is held until more is taken.
         duration
             Length of the whole schedule, if all of it is known; otherwise None.
+        creeps
+            How cylinders creep in these waits.
 
         Raises
         ------
@@ -160,6 +166,7 @@ class SwitchingSession:
         self._levels = np.concatenate((self._levels[gone:], levels))
         self._operation = np.concatenate((self._operation[gone:], operation))
         self._waits = [*self._waits[int(plc[WAIT]) :], *waits]
+        self._creeps = [*(c for c in self._creeps if c.tick >= plc[TICK]), *creeps]
         plc[WAIT] = 0
         if gone:
             plc[ROW] -= gone
@@ -197,7 +204,7 @@ class SwitchingSession:
             self._record_holds(int(plc[SCAN]) - self.tick)
             self.tick = int(plc[SCAN])
             if plc[PHASE] == STALLED:
-                self.failure = stall_of(self._waits[int(plc[WAIT])])
+                self.failure = stall_of(self._waits[int(plc[WAIT])], self._known())
                 plc[PHASE] = CALMING
         self.tick = until
         events, self._pending_events = tuple(self._pending_events), []
@@ -233,8 +240,7 @@ class SwitchingSession:
 
     def _run(self, until: int) -> RecordingBlock:
         orders, progress = self._orders, self._progress
-        most = orders.scan // orders.sample + 2
-        room = most * (until - int(progress.plc[SCAN]) + 1)
+        room = orders.room * (until - int(progress.plc[SCAN]) + 1)
         columns = 4 * len(orders.share) + len(orders.contact_cylinder)
         out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
         over = np.empty((len(self._waits) + 1, 2), dtype=np.int64)
@@ -243,15 +249,33 @@ class SwitchingSession:
         return run_block(
             self.channels,
             (out[:count, :-1], rows[:count], over[:ended]),
-            (self._outputs, self._levels, self._operation, self._waits),
+            (self._outputs, self._states, self._operation, self._waits),
             first,
         )
 
     def _made(self) -> Orders:
         """Return the known schedule with a gate, a wait that holds it, at its end."""
-        clock = self._machine.command_clock
-        known = SwitchSchedule(
-            clock=clock,
+        known = self._known()
+        self._states = states_of(known.levels, openings(self._waits, known))
+        orders = orders_of(known, self._machine, self._options, self._values, self._units)
+        flows = orders.creep_flowing.shape[1:]
+        return orders._replace(
+            wait_tick=np.append(orders.wait_tick, self._reach),
+            wait_contact=np.append(orders.wait_contact, len(self._machine.contacts)),
+            wait_value=np.append(orders.wait_value, 1),
+            wait_given=np.append(orders.wait_given, 1),
+            wait_creep=np.vstack((orders.wait_creep, [[0, 0, 0, 0, _ENDLESS]])),
+            creep_level=np.vstack((orders.creep_level, np.zeros((1, flows[0])))),
+            creep_flowing=np.concatenate((orders.creep_flowing, np.zeros((1, *flows)))),
+            contact_cylinder=np.append(orders.contact_cylinder, -1),
+            contact_at=np.append(orders.contact_at, 0.0),
+            contact_above=np.append(orders.contact_above, 1),
+        )
+
+    def _known(self) -> SwitchSchedule:
+        """Return the known part of the schedule."""
+        return SwitchSchedule(
+            clock=self._machine.command_clock,
             outputs=self._outputs,
             ticks=self._ticks,
             levels=self._levels,
@@ -260,16 +284,7 @@ class SwitchingSession:
             job_sha256="",
             machine_sha256=self._machine.sha256,
             events=tuple(self._waits),
-        )
-        orders = orders_of(known, self._machine, self._options, self._values, self._units)
-        return orders._replace(
-            wait_tick=np.append(orders.wait_tick, self._reach),
-            wait_contact=np.append(orders.wait_contact, len(self._machine.contacts)),
-            wait_value=np.append(orders.wait_value, 1),
-            wait_given=np.append(orders.wait_given, 1),
-            contact_cylinder=np.append(orders.contact_cylinder, -1),
-            contact_at=np.append(orders.contact_at, 0.0),
-            contact_above=np.append(orders.contact_above, 1),
+            creeps=tuple(self._creeps),
         )
 
 

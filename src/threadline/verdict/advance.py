@@ -11,7 +11,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.motion.timing import TrajectoryReader
 from threadline.verdict.blocks import judged_blocks
 from threadline.verdict.boxes import NO_BOXES
-from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.nearest import chord_vectors, lengths_squared
 from threadline.verdict.places import ProgressPart, move_on
@@ -111,7 +111,7 @@ class _Progress(SweptMeasure):
             )
         self._number += len(block)
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the least error with which the tool can have reached any place by the end."""
         if (self._dropped <= self._squared).any():
             return self._again()
@@ -120,7 +120,7 @@ class _Progress(SweptMeasure):
             return [found]
         return [found.each(_by_time)]
 
-    def _again(self) -> Sequence[Found]:
+    def _again(self) -> Sequence[RunFindings]:
         """Read the recording once more, and keep every place."""
         setting = self._setting
         path = PathWindow(setting.plan.motion.programmed)

@@ -10,7 +10,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.files import ChannelKind
-from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.samples import Block, Setting, lanes
 from threadline.verdict.window import PathWindow
@@ -196,10 +196,10 @@ class Contour(SweptMeasure):
         if block.operation is not None and path.is_on_its_way(int(block.operation[-1])):
             self._on_its_way = int(block.end[-1])
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the worst sample and the worst programmed point that the run came to."""
         if self._lost:
-            return [Found.alike(Finding(value=None, note=_NO_VELOCITY), self._runs)]
+            return [RunFindings.alike(Finding(value=None, note=_NO_VELOCITY), self._runs)]
         seen = self._worst.copy()
         if self._path is not None:
             point, time_s = self._point, self._time_s

@@ -18,7 +18,7 @@ from threadline.machine import Machine
 from threadline.machine.quantity import Quantity
 from threadline.motion.timing.extremes import derivatives, farthest, highest, hull_of, in_direction
 from threadline.motion.timing.types import TrajectoryBlock
-from threadline.verdict.finding import Finding, Found, Worst, largest
+from threadline.verdict.finding import Finding, RunFindings, Worst, largest
 from threadline.verdict.measure import Measure
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.samples import Block, Setting
@@ -236,7 +236,7 @@ class _StepLoss:
                 note=np.where(lost, "it loses steps", "").astype(object),
             )
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         found = (worst.found() for worst in self._worst)
         return [one for one in found if not np.isnan(one.value).all()]
 

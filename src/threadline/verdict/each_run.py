@@ -13,7 +13,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.motion.path.types import Timing
 from threadline.verdict.demands import BRAKING, PATH_USE
-from threadline.verdict.finding import Found
+from threadline.verdict.finding import RunFindings
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.types import Criterion, Result, Status, Verdict, is_measured
@@ -158,7 +158,7 @@ def unit_of(kind: MeasureKind, axis: str, plan: Plan) -> str:
 
 
 def criterion_row(
-    criterion: Criterion, kind: MeasureKind, plan: Plan, found: Found, runs: int
+    criterion: Criterion, kind: MeasureKind, plan: Plan, found: RunFindings, runs: int
 ) -> CriterionRow:
     """Return the results of ``runs`` runs; a value of the plan alone is repeated for each."""
     unit, limit = unit_of(kind, found.axis, plan), limit_of(criterion, plan)

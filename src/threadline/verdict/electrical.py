@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.machine.controllers import Dac
-from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import SweptMeasure
 from threadline.verdict.samples import Block, Setting, lanes
 
@@ -105,7 +105,7 @@ class _CurrentPeak(SweptMeasure):
                 position=block.positions_at(at[column]),
             )
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the findings of every axis."""
         found = [worst.found() for worst in self._worst]
         limits = [np.nan if limit is None else limit.si for limit in self._limits]
@@ -116,7 +116,7 @@ class _CurrentPeak(SweptMeasure):
             if not np.isnan(f.value).all()
         ]
 
-    def _finding(self, found: Found, column: int, shares: FloatArray, run: int) -> Finding:
+    def _finding(self, found: RunFindings, column: int, shares: FloatArray, run: int) -> Finding:
         """Return the finding of a run with the share of its limit, and the axis that binds."""
         finding, limit, own = found.of(run), self._limits[column], shares[:, run]
         binds = None if np.isnan(own).all() else int(np.nanargmax(own))
@@ -152,7 +152,7 @@ class _CurrentRms(SweptMeasure):
         """Count the samples that the sweep has added."""
         self._count += len(block)
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the findings of every axis."""
         mean = self._sum / (self._count - 1) if self._count > 1 else self._last**2
         return [
@@ -162,7 +162,7 @@ class _CurrentRms(SweptMeasure):
         ]
 
 
-def _plain(axis: str, values: FloatArray) -> Found:
+def _plain(axis: str, values: FloatArray) -> RunFindings:
     """Return values without a place."""
     found = Worst(len(values), 0, axis)
     found.offer(values)
@@ -211,12 +211,12 @@ class _DacSaturation(SweptMeasure):
                 )
         self._count += len(block)
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the findings of every axis."""
         if not self._count:
             return []
         return [
-            Found(
+            RunFindings(
                 axis=axis,
                 value=self._clamped[column] / self._count,
                 of=partial(self._finding, column),

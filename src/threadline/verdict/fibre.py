@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
-from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.laid_error import Apart
 from threadline.verdict.measure import Measure
 from threadline.verdict.replayed import (
@@ -73,7 +73,7 @@ class _Largest:
         """Return the operation of the value of each run."""
         return None if samples.operation is None else samples.operation[at]
 
-    def found(self) -> Found:
+    def found(self) -> RunFindings:
         """Return the worst of each run."""
         return self._worst.found()
 
@@ -123,7 +123,7 @@ class _OfRun:
         if len(samples.time_s):
             self._taking.take(samples)
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the worst of each run."""
         rest = self._shared.rest()
         if rest is not None:
@@ -140,9 +140,9 @@ class _Absent:
     def feed(self, block: Block) -> None:
         """Do nothing."""
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the reason for every run."""
-        return [Found.alike(Finding(value=None, note=self._why), self._runs)]
+        return [RunFindings.alike(Finding(value=None, note=self._why), self._runs)]
 
 
 def _steer(samples: Wound, run: int) -> FloatArray:
@@ -233,7 +233,7 @@ class _Covering:
             lines = np.zeros(len(fibre), dtype=np.int64) if operation is None else operation
             raster.lay(fibre.u, fibre.angle, fibre.winding, fibre.known, lines)
 
-    def found(self) -> Found:
+    def found(self) -> RunFindings:
         """Return the largest gap of each run, beside the operation that laid the band there."""
         gaps = [raster.gap() for raster in self._rasters]
         self._worst.offer(
@@ -294,11 +294,19 @@ class Closing:
             operation = none if samples.operation is None else samples.operation
             self._circuits[run].append(np.column_stack([angle, fibre.winding[at], operation[at]]))
 
-    def found(self) -> Found:
+    def circuits(self, run: int) -> FloatArray:
+        """Return (n, 3) angle, angle with the meridian and operation where each circuit begins."""
+        return np.vstack([np.empty((0, 3)), *self._circuits[run]])
+
+    def radius_m(self, run: int) -> float:
+        """Return the radius of the mandrel where circuits begin."""
+        return self._radius_m[run]
+
+    def found(self) -> RunFindings:
         """Return the distance of each run across the bands, at the last circuit."""
         values, operations, notes = [], [], []
-        for run, circuits in enumerate(self._circuits):
-            rows = np.vstack([np.empty((0, 3)), *circuits])
+        for run in range(len(self._circuits)):
+            rows = self.circuits(run)
             if len(rows) < 2:
                 values.append(np.nan)
                 operations.append(-1)

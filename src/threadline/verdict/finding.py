@@ -141,7 +141,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class RunFindings:
     """Results of a measure in each of several runs, for one axis or (``""``) the tool.
 
     Parameters
@@ -158,15 +158,15 @@ class Found:
     step: str = ""
     value: FloatArray
     of: Callable[[int], Finding]
-    parts: tuple[Found, ...] = ()
+    parts: tuple[RunFindings, ...] = ()
 
     @classmethod
-    def made(cls, findings: Sequence[Finding]) -> Found:
+    def made(cls, findings: Sequence[Finding]) -> RunFindings:
         """Return the findings of consecutive runs, all of the same axis and step, joined."""
-        return _in_a_row([Found.alike(finding, 1) for finding in findings])
+        return _in_a_row([RunFindings.alike(finding, 1) for finding in findings])
 
     @classmethod
-    def alike(cls, finding: Finding, runs: int) -> Found:
+    def alike(cls, finding: Finding, runs: int) -> RunFindings:
         """Return one finding that all runs share."""
         value = np.nan if finding.value is None else finding.value
         return cls(
@@ -179,9 +179,9 @@ class Found:
     def __len__(self) -> int:
         return len(self.value)
 
-    def each(self, function: Callable[[Finding], Finding]) -> Found:
+    def each(self, function: Callable[[Finding], Finding]) -> RunFindings:
         """Return the result of applying a function to the finding of every run."""
-        return Found.made([function(self.of(run)) for run in range(len(self))])
+        return RunFindings.made([function(self.of(run)) for run in range(len(self))])
 
     def worst(self) -> Finding:
         """Return the worst finding of all runs, the first of equal ones."""
@@ -196,18 +196,18 @@ class Found:
         return worst.worse(self.of(int(np.argmax(blank)))) if blank.any() else worst
 
 
-def joined(known: Sequence[Found], fresh: Sequence[Found]) -> list[Found]:
+def joined(known: Sequence[RunFindings], fresh: Sequence[RunFindings]) -> list[RunFindings]:
     """Return, per axis and step, the findings of both sets of runs, joined."""
-    rows: dict[tuple[str, str], list[Found]] = {}
+    rows: dict[tuple[str, str], list[RunFindings]] = {}
     for found in (*known, *fresh):
         rows.setdefault((found.axis, found.step), []).append(found)
     return [_in_a_row(row) for row in rows.values()]
 
 
-def _in_a_row(parts: Sequence[Found]) -> Found:
+def _in_a_row(parts: Sequence[RunFindings]) -> RunFindings:
     if len(parts) == 1:
         return parts[0]
-    return Found(
+    return RunFindings(
         axis=parts[0].axis,
         step=parts[0].step,
         value=np.concatenate([part.value for part in parts]),
@@ -216,7 +216,7 @@ def _in_a_row(parts: Sequence[Found]) -> Found:
     )
 
 
-def _of_parts(parts: tuple[Found, ...], run: int) -> Finding:
+def _of_parts(parts: tuple[RunFindings, ...], run: int) -> Finding:
     for part in parts:
         if run < len(part):
             return part.of(run)
@@ -307,9 +307,9 @@ class Worst:
         made._position, made._note = self._position.copy(), self._note.copy()
         return made
 
-    def found(self, seen: Worst | None = None) -> Found:
+    def found(self, seen: Worst | None = None) -> RunFindings:
         """Return the findings; ``seen`` is the state before unreached places were counted."""
-        return Found(
+        return RunFindings(
             axis=self.axis,
             value=np.where(np.isneginf(self.value), np.nan, self.value),
             of=partial(_finding_of, self, seen),

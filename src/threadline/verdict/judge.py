@@ -22,7 +22,7 @@ from threadline.verdict.coverage import (
 )
 from threadline.verdict.demands import with_needle
 from threadline.verdict.each_run import EachRun, criterion_row, limit_of, unit_of
-from threadline.verdict.finding import Finding, Found, joined
+from threadline.verdict.finding import Finding, RunFindings, joined
 from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run
 from threadline.verdict.motion_run import motion_run
 from threadline.verdict.of_recording import kinds_of, with_recording
@@ -276,7 +276,7 @@ def _with_operation_note(result: Result, runs: Sequence[Run]) -> Result:
     return replace(result, note="; ".join(filter(None, (result.note, OPERATION_BY_TIME))))
 
 
-def _with_run_number(result: Result, found: Found, runs: int) -> Result:
+def _with_run_number(result: Result, found: RunFindings, runs: int) -> Result:
     """Add to a result the median of the runs, and the number of the worst unless its value is 0."""
     if runs == 1 or len(found) != runs or not result.measured:
         return result
@@ -310,13 +310,13 @@ def _of_runs(
         reasons = (run.lacks(reading, kind.per_axis) for run in runs)
         missing = next(filter(None, reasons), "")
         if missing:
-            found[key] = [Found.made([Finding(value=None, note=missing)])]
+            found[key] = [RunFindings.made([Finding(value=None, note=missing)])]
             continue
         measured = list(measure.finish(runs))
         unseen = next(filter(None, (run.unseen(reading) for run in runs)), "")
         if unseen and any(finding.value is not None for finding in measured):
             measured = [Finding(value=None, note=unseen)]
-        found[key] = [Found.made([finding]) for finding in measured]
+        found[key] = [RunFindings.made([finding]) for finding in measured]
     return found
 
 
@@ -327,15 +327,15 @@ def _of_plan(plan: Plan, keys: Mapping[Key, Criterion]) -> Findings:
     passes = dict.fromkeys(reading.measure for reading in readings.values() if reading is not None)
     measured = {name: rows for measure in passes for name, rows in measure(plan).items()}
     return {
-        key: [Found.made([finding]) for finding in measured.get(key[0], ())]
+        key: [RunFindings.made([finding]) for finding in measured.get(key[0], ())]
         for key in keys
         if readings[key[0]] is not None
     }
 
 
 def _rows(
-    criterion: Criterion, findings: Mapping[Key, list[Found]], run: Run, spec: Spec
-) -> Iterator[tuple[MeasureKind, Found]]:
+    criterion: Criterion, findings: Mapping[Key, list[RunFindings]], run: Run, spec: Spec
+) -> Iterator[tuple[MeasureKind, RunFindings]]:
     """Yield the findings of a criterion, for each axis and step that it covers."""
     kind, plan = MEASURES[criterion.name], run.plan
     found = findings.get(_key(criterion), [])
@@ -346,7 +346,7 @@ def _rows(
         if axis and axis not in plan.axes:
             if not criterion.every_axis:
                 note = f"the job has no axis {axis}"
-                yield kind, Found.made([Finding(value=None, axis=axis, note=note)])
+                yield kind, RunFindings.made([Finding(value=None, axis=axis, note=note)])
             continue
         mine = [one for one in found if one.axis == axis]
         if criterion.step:
@@ -356,7 +356,7 @@ def _rows(
             reasons = [one for one in found if not one.axis]
             note = reasons[0].worst().note if reasons else _absent(criterion, kind, axis, run)
             blank = Finding(value=None, axis=axis, step=criterion.step, note=note)
-            mine = [Found.made([blank])]
+            mine = [RunFindings.made([blank])]
         for one in mine:
             if not _replaced(criterion, one, spec):
                 yield kind, one
@@ -371,7 +371,7 @@ def _absent(criterion: Criterion, kind: MeasureKind, axis: str, run: Run) -> str
     return run.absent.format(axis=axis) if axis else "nothing was measured"
 
 
-def _replaced(criterion: Criterion, found: Found, spec: Spec) -> bool:
+def _replaced(criterion: Criterion, found: RunFindings, spec: Spec) -> bool:
     """Return whether a criterion for one step replaces this one for every step there."""
     if criterion.step or not found.step:
         return False

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVa
 from threadline.base.arrays import IntArray
 from threadline.commands.plan import Plan
 from threadline.files import ChannelKind, Recording
-from threadline.verdict.finding import Finding, Found
+from threadline.verdict.finding import Finding, RunFindings
 from threadline.verdict.samples import Block
 from threadline.verdict.types import Status
 
@@ -37,7 +37,7 @@ class Measure(Protocol):
     def feed(self, block: Block) -> None:
         """Take the next samples."""
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the worst value of every run: for each axis, or for the tool."""
 
 
@@ -57,7 +57,7 @@ class SweptMeasure(ABC):
         """Take the sweep's results for ``block``."""
 
     @abstractmethod
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the worst value of every run, as ``Measure.finish``."""
 
 
@@ -122,7 +122,7 @@ class Run(Protocol):
     def leave(self) -> None:
         """Read no more of the recording."""
 
-    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[RunFindings]]:
         """Return the findings of each measure, as far as seen, after the last block."""
 
     def unseen(self, reading: RunReading) -> str:
@@ -181,9 +181,9 @@ class _Whole:
 
     findings: Callable[[], Sequence[Finding]]
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Measure the whole run, and return the findings."""
-        return [Found.made([finding]) for finding in self.findings()]
+        return [RunFindings.made([finding]) for finding in self.findings()]
 
     def feed(self, block: Block) -> None:
         """Do nothing: the whole run is read at the end."""

@@ -17,7 +17,7 @@ from threadline.verdict.blocks import find_first, judged_blocks, master_channel,
 from threadline.verdict.by_time import WatchedOperations, with_operation
 from threadline.verdict.contour import bows
 from threadline.verdict.coverage import Coverage, Lack
-from threadline.verdict.finding import Finding, Found, Hidden
+from threadline.verdict.finding import Finding, Hidden, RunFindings
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
 from threadline.verdict.needle import planned_stitches
 from threadline.verdict.samples import Block, Setting, sample_interval_s, samples_of_lag
@@ -193,7 +193,7 @@ class MotionRun(Setting):
         path = PathWindow(self.plan.motion.programmed)
         return judged_blocks(self.recording, self.axes, self.lag_samples, path, self.resolution)
 
-    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[RunFindings]]:
         """Return the findings of each measure, as far as seen, after the last block."""
         if not running:
             return []
@@ -204,10 +204,10 @@ class MotionRun(Setting):
             end_s = float(last.time_s[-1]) if self._arrived(last) else end_s + late_s
         return [self._result(one, begin_s, end_s) for one in running]
 
-    def _result(self, one: Running, begin_s: float, end_s: float) -> list[Found]:
+    def _result(self, one: Running, begin_s: float, end_s: float) -> list[RunFindings]:
         absent = self._absent(one.reading) if one.kind.per_axis else {}
         found = [
-            Found.alike(Finding(value=None, axis=axis, note=why), self.runs)
+            RunFindings.alike(Finding(value=None, axis=axis, note=why), self.runs)
             for axis, why in absent.items()
         ]
         for one_found in one.measure.finish():

@@ -16,7 +16,7 @@ from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
 from threadline.files import ChannelKind
 from threadline.verdict.each_run import unit_of
-from threadline.verdict.finding import Found, Worst
+from threadline.verdict.finding import RunFindings, Worst
 from threadline.verdict.measure import Measure, MeasureKind, OfRun
 from threadline.verdict.one_pass import Findings, Key
 from threadline.verdict.samples import Block, Setting, enough_of
@@ -63,7 +63,7 @@ class _OfAxes:
                 note=note,
             )
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         found = (worst.found() for worst in self._worst)
         return [one for one in found if not np.isnan(one.value).all()]
 

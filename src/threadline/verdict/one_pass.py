@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from threadline.base.arrays import IntArray
-from threadline.verdict.finding import Finding, Found
+from threadline.verdict.finding import Finding, RunFindings
 from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run, Running
 from threadline.verdict.samples import Block
 from threadline.verdict.sweep import feed
 
 Key = tuple[str, tuple[tuple[str, float], ...]]
 """A measure and its options."""
-Findings = dict[Key, list[Found]]
+Findings = dict[Key, list[RunFindings]]
 
 
 class _Begun:
@@ -36,7 +36,8 @@ class _Begun:
                 # For every axis: another recording may have measured it, and both count.
                 for_axes = run.plan.axes if kind.per_axis else ("",)
                 self._lacking[key] = [
-                    Found.made([Finding(value=None, axis=axis, note=missing)]) for axis in for_axes
+                    RunFindings.made([Finding(value=None, axis=axis, note=missing)])
+                    for axis in for_axes
                 ]
             else:
                 options = kind.with_defaults(dict(key[1]))

@@ -65,7 +65,7 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "late_ticks": verdict.late_ticks,
         "events": [_disturbance(one) for one in verdict.disturbances],
         "options": dict(plan.options),
-        **plan.intent.told(plan.options),
+        **plan.intent.json_entries(plan.options),
         **({"continuous": steady} if (steady := continuous(verdict, plan)) else {}),
     }
 

@@ -10,7 +10,7 @@ from hashlib import sha256
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, MeasureOfRuns, Option, Run
 from threadline.verdict.samples import Block, Setting
 
@@ -46,7 +46,7 @@ class _Spread:
             note=f"recording {int(run) + 1}",
         )
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         """Return the one finding for all runs together."""
         typical = float(np.sqrt(np.median(self._squared)))
         return [self._worst.found().each(lambda one: replace(one, typical=typical))]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from threading import local
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
+from threadline.files import ChannelKind, Recording
 from threadline.machine.tool import Tool
 from threadline.verdict.samples import Block, Setting
 from threadline.winding.product import Product, Ring, product_of_text
@@ -27,56 +29,109 @@ def product_of(plan: Plan) -> Product | None:
     return None if text is None else product_of_text(text)
 
 
+NUMBERS = ("mandrel.radius_error", "mandrel.at", "band.width", "mandrel.slip", "friction.value")
+"""Numbers of a product that vary within its tolerances, as its file names them."""
+_PARTS = "product_parts"
+_ONE = (0.0,) * len(NUMBERS)
+
+
+def toleranced(product: Product) -> IntArray:
+    """Return which of ``NUMBERS`` have a tolerance in a product."""
+    own = (product.radius_error, product.at, product.width, product.slip, product.friction)
+    return np.flatnonzero([number.tolerance > 0.0 for number in own])
+
+
+def product_words(product: Product, parts: Mapping[str, float]) -> str:
+    """Return in words the numbers of a product at ``parts`` of their tolerances, by name."""
+    own = (product.radius_error, product.at, product.width, product.slip, product.friction)
+    said = []
+    for name, number in zip(NUMBERS, own, strict=True):
+        value = number.si + parts.get(name, 0.0) * number.tolerance
+        if name not in parts:
+            continue
+        turns = name == "mandrel.slip"
+        unit = "" if name == "friction.value" else " deg" if turns else " mm"
+        scale = 1.0 if not unit else 360.0 if turns else 1e3
+        said.append(f"{name} = {scale * value:.6g}{unit}")
+    return ", ".join(said)
+
+
+def product_at_random(index: IntArray) -> FloatArray:
+    """Return (k, 5) parts of the tolerances of ``NUMBERS``, of drawn products."""
+    rows = [np.random.default_rng((_DRAWS, n)).uniform(-1.0, 1.0, len(NUMBERS)) for n in index]
+    return np.array(rows).reshape(-1, len(NUMBERS))
+
+
+def with_products(recording: Recording, parts: FloatArray) -> Recording:
+    """Return a recording whose runs have products at (runs or 1, 5) parts of the tolerances."""
+    return replace(recording, origin={**recording.origin, _PARTS: json.dumps(parts.tolist())})
+
+
+def of_product(recordings: Sequence[Recording], parts: Sequence[float]) -> Sequence[Recording]:
+    """Return recordings whose runs have one product, at (5,) parts; none: the product as it is."""
+    if not any(parts):
+        return recordings
+    return [with_products(one, np.array([parts])) for one in recordings]
+
+
+def _products_of(recording: Recording) -> list[tuple[float, ...] | None]:
+    """Return the parts of the product of each run; None for the product as it is."""
+    text = recording.origin.get(_PARTS)
+    if text is None:
+        return [None] * recording.runs
+    rows = [tuple(map(float, row)) for row in json.loads(text)]
+    return [rows[min(run, len(rows) - 1)] for run in range(recording.runs)]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class WoundJob:
     """A product beside the eye of its machine.
 
     Parameters
     ----------
-    number
-        Number of a product drawn within its tolerances; None for the product as it is.
+    parts
+        Places of ``NUMBERS`` within their tolerances, -1 to 1; None for the product as it is.
+    further_m
+        How much further from the axis the eye is than its axis says.
     """
 
     product: Product
     tool: Tool
     axes: tuple[str, ...]
-    number: int | None = None
+    parts: tuple[float, ...] | None = None
+    further_m: float = 0.0
 
-    @property
-    def _draws(self) -> FloatArray:
-        """(5,) of -1 to 1: errors of radius, place, width of the band, slip and friction."""
-        if self.number is None:
-            return np.zeros(5)
-        return np.random.default_rng((_DRAWS, self.number)).uniform(-1.0, 1.0, 5)
+    def _off(self, number: int) -> float:
+        return (self.parts or _ONE)[number]
 
     @property
     def surface(self) -> Surface:
         """The mandrel with its error of radius."""
         error = self.product.radius_error
-        by = error.si + float(self._draws[0]) * error.tolerance
+        by = error.si + self._off(0) * error.tolerance
         return self.product.surface if by == 0.0 else self.product.surface.grown(by)
 
     @property
     def at_m(self) -> float:
         """Machine place of its left end."""
-        return self.product.at.si + float(self._draws[1]) * self.product.at.tolerance
+        return self.product.at.si + self._off(1) * self.product.at.tolerance
 
     @property
     def width_m(self) -> float:
         """Width of the band."""
-        return self.product.width.si + float(self._draws[2]) * self.product.width.tolerance
+        return self.product.width.si + self._off(2) * self.product.width.tolerance
 
     @property
     def slip(self) -> float:
         """Share by which the mandrel stays behind the axis that turns it."""
-        return self.product.slip.si + float(self._draws[3]) * self.product.slip.tolerance
+        return self.product.slip.si + self._off(3) * self.product.slip.tolerance
 
     @property
     def friction(self) -> float:
-        """Friction beyond which the fibre's place is not known; its lower end if not drawn."""
-        if self.number is None:
+        """Friction beyond which the fibre's place is not known; its lower end for no parts."""
+        if self.parts is None:
             return least_friction(self.product)
-        return self.product.friction.si + float(self._draws[4]) * self.product.friction.tolerance
+        return self.product.friction.si + self._off(4) * self.product.friction.tolerance
 
     @property
     def rings(self) -> tuple[Ring, ...]:
@@ -94,6 +149,7 @@ class WoundJob:
         columns = eye_columns(self.tool, self.axes, positions)
         columns[:, 0] *= 1.0 - self.slip
         columns[:, 1] -= self.at_m
+        columns[:, 2] += self.further_m
         return columns
 
     def replay(self) -> Replay:
@@ -106,12 +162,12 @@ def least_friction(product: Product) -> float:
     return product.friction.si - product.friction.tolerance
 
 
-def wound_job(plan: Plan, number: int | None = None) -> WoundJob | None:
+def wound_job(plan: Plan, parts: tuple[float, ...] | None = None) -> WoundJob | None:
     """Return the product of a plan beside its eye; None for a plan without one."""
     product, tool = product_of(plan), plan.machine.tool
     if product is None or tool is None:
         return None
-    return WoundJob(product, tool, plan.axes, number)
+    return WoundJob(product, tool, plan.axes, parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,9 +220,7 @@ class SharedReplays:
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
-        drawn = setting.recording.origin.get("drawn")
-        numbers = [None if drawn is None else int(drawn) + run for run in range(setting.runs)]
-        self.jobs = [wound_job(setting.plan, number) for number in numbers]
+        self.jobs = [wound_job(setting.plan, one) for one in _products_of(setting.recording)]
         self._replays = [None if job is None else job.replay() for job in self.jobs]
         self._block: Block | None = None
         self._found: Wound | None = None
@@ -246,6 +300,35 @@ def programmed_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
         eyes = job.eyes(points)
         times = np.full(len(points), np.nan)
         yield Wound(times, operation, points, [replay.feed(eyes, operation)], [eyes])
+
+
+_LOADS = (ChannelKind.TOOL, ChannelKind.LOAD)
+
+
+def recorded_fibre(recording: Recording, job: WoundJob) -> Wound | None:
+    """Return the replay of a recording of one run; None without a position of every axis."""
+    operation = recording.find(ChannelKind.OPERATION)
+    channels = [
+        next((c for kind in _LOADS if (c := recording.find(kind, axis)) is not None), None)
+        for axis in job.axes
+    ]
+    if operation is None or any(channel is None for channel in channels):
+        return None
+    names = [channel.name for channel in channels if channel is not None]
+    rows, times = [], []
+    for block in recording.blocks:
+        row = [block.samples[name] for name in (operation.name, *names) if name in block.samples]
+        if len(row) != 1 + len(names) or len({part.shape for part in row}) > 1:
+            return None
+        rows.append(row)
+        ticks = block.first_tick[operation.clock.name] + operation.stride * np.arange(len(row[0]))
+        times.append(float(operation.clock.period_s) * ticks)
+    columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
+    if not columns or columns[0].ndim != 1:
+        return None
+    of, places = columns[0].astype(np.int64), np.column_stack(columns[1:])
+    eyes = job.eyes(places)
+    return Wound(np.concatenate(times), of, places, [job.replay().feed(eyes, of)], [eyes])
 
 
 def planned_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.verdict.finding import Found, Worst
+from threadline.verdict.finding import RunFindings, Worst
 from threadline.verdict.measure import Measure
 from threadline.verdict.needle import has_stitches
 from threadline.verdict.samples import Block, Setting
@@ -52,7 +52,7 @@ class _Seam:
             self._held = _Sewn(run, self._lines, self._held)
             self._judge(len(self._held.contour) - _NEAR)
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         left = None if self._follower is None else self._follower.unsewn
         if left is not None:
             return [too_short(left, self._runs)]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.verdict.finding import Found, Worst
+from threadline.verdict.finding import RunFindings, Worst
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.samples import Block, Setting, enough_of
 
@@ -118,7 +118,7 @@ class _Residual:
         share = (at_s - before_s) / (block.time_s[after] - before_s)
         return np.asarray(before + share * (block.actual[after] - before))
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         found = []
         swing = self._lengths((self._high - self._low) / 2, self._low)
         for column, axis in enumerate(self._axes):
@@ -190,7 +190,7 @@ class _Settling:
         begun_s = np.where(np.isnan(self._settled_s), time_s[0], self._settled_s)
         self._settled_s = np.where(left, inside_s, begun_s)
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         worst = Worst(self._runs, self._axes, note="the recording ends with the command")
         if self._seen_s > self._end.time_s:
             never = np.isnan(self._settled_s)
@@ -324,7 +324,7 @@ class _Ripple:
         self._slow = int(latest[-1]) - len(block)
         return np.arange(len(block)) - latest <= self._after
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         return [self._worst.found()]
 
 

@@ -24,7 +24,7 @@ from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.files.step_play import one_behind_the_other
 from threadline.verdict.coverage import Coverage
 from threadline.verdict.demands import SLACK
-from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, Option, Running, RunReading
 from threadline.verdict.needle import Stitches, has_stitches
 from threadline.verdict.samples import Block, Setting, finite_samples
@@ -61,7 +61,7 @@ class _Stitching:
         for sewn in self._follower.feed(block):
             self._take(sewn)
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         left = None if self._follower is None else self._follower.unsewn
         return [self._worst.found() if left is None else too_short(left, self._runs)]
 
@@ -111,12 +111,12 @@ def turn_error(run: Stitches) -> FloatArray:
     return np.asarray(np.where(run.follows, np.where(fast < 0.0, fast, slow), own))
 
 
-def too_short(left: Stitches, runs: int) -> Found:
+def too_short(left: Stitches, runs: int) -> RunFindings:
     """Return the finding if the recording ends before the first stitch of ``left``."""
     finding = Finding(
         value=None, operation=int(left.operation[0]), job_line=int(left.line[0]), note=SHORT
     )
-    return Found.alike(finding, runs)
+    return RunFindings.alike(finding, runs)
 
 
 def start_length(setting: Setting, options: Mapping[str, float]) -> Measure:
@@ -236,7 +236,7 @@ class StitchRun:
     def leave(self) -> None:
         """Do nothing: the run is read as a whole."""
 
-    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:  # noqa: ARG002
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[RunFindings]]:  # noqa: ARG002
         """Return the findings of each measure, as far as the stitches were seen."""
         found = [list(one.measure.finish()) for one in running]
         why = self.unseen_why()

@@ -281,11 +281,10 @@ def switching_order(run: SwitchRun, _options: Mapping[str, float]) -> list[Findi
         return [Finding(value=0.0)]
     at = len(run.row_s)
     operation = int(run.commands.operation[at])
-    time_s = float(run.time_s[run.changes[at]]) if at < len(run.changes) else run.time_s[-1]
     return [
         Finding(
             value=(total - at) / total,
-            time_s=float(time_s),
+            time_s=run.left_s,
             operation=operation,
             note=f"{at} of {total} switchings follow the schedule",
         )
@@ -372,6 +371,6 @@ def over_level(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
             at = int(np.argmax(level))
             beyond = float(level[at]) - 1.0
             # Flow controls are set to so many digits; their sum is 1 within them.
-            if beyond > way.level_tolerance + (worst.value or 0.0):
+            if beyond > max(way.level_tolerance, worst.value or 0.0):
                 worst = Finding(value=beyond, time_s=float(run.time_s[at]), note=axis)
     return [worst]

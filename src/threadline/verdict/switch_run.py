@@ -19,9 +19,17 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.intents import ScheduledMove
 from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
-from threadline.files import Channel, ChannelKind, Clock, Event, Recording
+from threadline.files import (
+    Channel,
+    ChannelKind,
+    Clock,
+    Creep,
+    Event,
+    Recording,
+    SwitchSchedule,
+)
 from threadline.verdict.coverage import Coverage, Lack
-from threadline.verdict.finding import Found
+from threadline.verdict.finding import RunFindings
 from threadline.verdict.measure import Running, RunReading
 from threadline.verdict.samples import Block
 
@@ -88,7 +96,7 @@ class RunMove:
     target_m
         Its target.
     begin_s, end_s
-        First and last switching.
+        First and last switching, with the openings by which it crept to its switch.
     rest_s
         When the cylinder has come to rest: its dead time and some lags after the last switching,
         as in the schedule.
@@ -241,7 +249,7 @@ class SwitchRun:
     def leave(self) -> None:
         """Do nothing: the run is read as a whole."""
 
-    def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:  # noqa: ARG002
+    def results(self, running: Sequence[Running], last: Block | None) -> list[list[RunFindings]]:  # noqa: ARG002
         """Return the findings of each measure in the whole run."""
         found = [list(one.measure.finish()) for one in running]
         why = self.ends_too_early(self.time_s, self.end_s) if self.followed else ""
@@ -298,14 +306,57 @@ class SwitchRun:
         return np.flatnonzero((before != self.states).any(axis=1))
 
     @cached_property
+    def _followed(self) -> tuple[FloatArray, dict[int, float], float]:
+        """Instants of rows, last end of openings by wait, and the first unscheduled switching."""
+        rows, openings = list[float](), list[tuple[int, float]]()
+        levels, opened = self.commands.levels, False
+        creeps = _creeps_of_rows(self.commands)
+        left_s = float(self.time_s[-1])
+        for index in self.changes:
+            row, state, now_s = len(rows), self.states[index], float(self.time_s[index])
+            due = row < len(levels) and np.array_equal(state, levels[row])
+            shown = tuple(state.tolist())
+            creep = next((c for c in creeps.get(row - 1, ()) if c.levels == shown), None)
+            if creep and not opened and not (due and self._on(creep, int(index))):
+                openings.append((creep.tick, now_s))
+                opened = True
+            elif opened and np.array_equal(state, levels[row - 1]):
+                openings[-1] = (openings[-1][0], now_s)
+                opened = False
+            elif due:
+                rows.append(now_s)
+                opened = False
+            else:
+                left_s = now_s
+                break
+        return np.array(rows), dict(openings), left_s
+
+    def _on(self, creep: Creep, index: int) -> bool:
+        """Say whether the switch of a creep had come before a sample of the outputs."""
+        wait = next(e for e in self.commands.events if (e.kind, e.tick) == ("wait", creep.tick))
+        time_s, values = self._samples(wait.name)
+        if not len(time_s):
+            return True
+        return bool(values[sample_at(time_s, float(self.time_s[index]))])
+
+    @property
     def row_s(self) -> FloatArray:
         """(followed rows,) instants at which the rows of the schedule took effect."""
-        found = []
-        for index, row in zip(self.changes, self.commands.levels, strict=False):
-            if not np.array_equal(self.states[index], row):
-                break
-            found.append(float(self.time_s[index]))
-        return np.array(found)
+        return self._followed[0]
+
+    @property
+    def left_s(self) -> float:
+        """Instant of the first switching that is not in the schedule; the end if all are."""
+        return self._followed[2]
+
+    def _crept_s(self) -> Mapping[str, list[tuple[int, float]]]:
+        """Ticks of the waits in which each cylinder crept to its switch, and the ends of it, s."""
+        found: dict[str, list[tuple[int, float]]] = {}
+        names = {e.tick: e.name for e in self.commands.events if e.kind == "wait"}
+        for tick, end_s in self._followed[1].items():
+            axis = str(self.plan.machine.contacts[names[tick]].cylinder)
+            found.setdefault(axis, []).append((tick, end_s))
+        return found
 
     @property
     def followed(self) -> bool:
@@ -379,10 +430,13 @@ class SwitchRun:
         """Every move; none unless the schedule was followed."""
         if not self.followed:
             return ()
-        found = []
-        for move in self.plan.scheduled.moves:
+        found, crept_s = [], self._crept_s()
+        for move in reversed(self.plan.scheduled.moves):
             cylinder = self.plan.machine.cylinders[move.axis]
+            mine = crept_s.get(move.axis, [])
             end_s = self.instant_s(move.last_tick)
+            while mine and mine[-1][0] >= move.last_tick:
+                end_s = max(end_s, mine.pop()[1])
             found.append(
                 RunMove(
                     planned=move,
@@ -392,7 +446,7 @@ class SwitchRun:
                     rest_s=end_s + cylinder.rest_s(move.forward),
                 )
             )
-        return tuple(found)
+        return tuple(reversed(found))
 
     def moves_of(self, axis: str) -> list[RunMove]:
         """Return the moves of one cylinder."""
@@ -410,6 +464,15 @@ class SwitchRun:
         begin_s = max([step.begin_s, *(m.rest_s for m in done)])
         last_s = max(float(self.time_s[-1]), self.end_s)
         return begin_s, min([last_s, *(m.begin_s for m in later)])
+
+
+def _creeps_of_rows(commands: SwitchSchedule) -> dict[int, list[Creep]]:
+    """Return the creeps by the row of the schedule that is in effect during their waits."""
+    found: dict[int, list[Creep]] = {}
+    rows = np.searchsorted(commands.ticks, [creep.tick for creep in commands.creeps], side="right")
+    for row, creep in zip(rows.tolist(), commands.creeps, strict=True):
+        found.setdefault(row - 1, []).append(creep)
+    return found
 
 
 def _held(events: Sequence[Event], clock: Clock) -> list[tuple[float, float]]:

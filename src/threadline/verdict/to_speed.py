@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.verdict.finding import Finding, Found
+from threadline.verdict.finding import Finding, RunFindings
 from threadline.verdict.legs import STILL, TURNS, Dip, Instant, Past, Rows
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
@@ -157,11 +157,11 @@ class _ToSpeed:
             self._take_command(block, at, meant[at, 0] / wanted[at], period_s[at], follows[at])
         self._resolve(final=False)
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         self._resolve(final=True)
         note = "no leg of the seam comes to its speed" if self._sews else "the job has no stitches"
         none = Finding(value=None, note=note)
-        return [Found.made([head.worst or none for head in self._heads])]
+        return [RunFindings.made([head.worst or none for head in self._heads])]
 
     def _set(
         self, due_s: FloatArray, velocity: FloatArray

@@ -12,7 +12,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock, Stream
 from threadline.motion.timing import Trajectory, TrajectoryReader
-from threadline.verdict.finding import Found, Worst, largest
+from threadline.verdict.finding import RunFindings, Worst, largest
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.progress import PlanClock
 from threadline.verdict.samples import Block, Setting
@@ -119,7 +119,7 @@ class _Tracking(SweptMeasure):
                     note="of the axis' own encoder" if own else "",
                 )
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         found = (worst.found() for worst in self._worst)
         return [one for one in found if not np.isnan(one.value).all()]
 

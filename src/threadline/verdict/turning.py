@@ -11,7 +11,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.verdict.boxes import Boxes, ends_of
-from threadline.verdict.finding import Found, Worst
+from threadline.verdict.finding import RunFindings, Worst
 from threadline.verdict.measure import Measure, Option, SweptMeasure
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -282,7 +282,7 @@ class _Axis:
             self._offer(turning, error, at_s)
         del self.open[: len(errors)]
 
-    def finish(self, path: PathWindow | None, last: FloatArray | None) -> Found:
+    def finish(self, path: PathWindow | None, last: FloatArray | None) -> RunFindings:
         if path is None or last is None:
             return self._worst.found()
         real, direction = self._real, int(self._whole[0])
@@ -375,7 +375,7 @@ class _TurningPoints(SweptMeasure):
             closed = slice(begin, begin + int(found.closed[column]))
             axis.feed(self._last[column], last_s, found.errors[closed], found.times_s[closed])
 
-    def finish(self) -> Sequence[Found]:
+    def finish(self) -> Sequence[RunFindings]:
         return [axis.finish(self._path, self._last) for axis in self._axes]
 
 

@@ -23,11 +23,11 @@ from threadline.winding.surface import Surface, meridian
 _SAGITTA_M = 1e-6  # of a chord of the outline
 _MOST_CHORDS = 20_000
 _EXACT_M = 1e-6  # of the least distance along a line
-_PLACES = 48  # along the free fibre over built-up layers
+_MOST_PLACES = 512  # along the free fibre over built-up layers
 _SAMPLES = 512  # of a run with one thickness of the layers
-_WITHIN = 2.0  # thicknesses of the band, that a fibre may be within the layers ahead
-_BESIDE = 2.0  # widths of the band from the laid point, in which a fibre lies on its layers
-_QUARTER = 0.25  # of the band between two fibres that are compared with the layers
+_QUARTER = 0.25  # of the band, between two fibres that are compared with the layers
+_ROUNDS = 4  # Newton steps to the foot of a normal
+_TWICE = 2  # the layers above a line are searched along its normal, not the mandrel's
 _PILE = 2  # number of the pair of free fibre and mandrel
 _LEAF = 16  # chords that are tried together
 _CELLS = 512  # of the meridian for the thickness of layers
@@ -142,6 +142,24 @@ def _along(
 
 
 @njit(nogil=True)
+def _free(
+    laid: FloatArray, q: FloatArray, table: tuple[FloatArray, FloatArray, FloatArray],
+    payout: FloatArray, hint: int, at: FloatArray, to: FloatArray,
+) -> int:  # fmt: skip
+    """Write the ends of the free fibre, (3,) each, on the machine; return the meridian's piece.
+
+    ``laid`` begins with u and angle of the laid point; ``q`` is (6,) of the eye.
+    """
+    hint, x, r, _, _, _, _ = meridian(table[0], table[1], table[2], laid[0], hint)
+    psi = laid[1] + q[0]
+    cos, sin = math.cos(psi), math.sin(psi)
+    dx, dr, dc, _, _, _, _ = ahead(x, r, psi, q, np.zeros(6), payout)
+    at[0], at[1], at[2] = x, r * cos, r * sin
+    to[0], to[1], to[2] = x + dx, (r + dr) * cos - dc * sin, (r + dr) * sin + dc * cos
+    return int(hint)
+
+
+@njit(nogil=True)
 def _room(
     ends: FloatArray, leaves: FloatArray, known: bool, sizes: FloatArray,
     line: FloatArray, boxes: FloatArray, rings: FloatArray,
@@ -204,13 +222,7 @@ def _walk(
             ends[1, j] = ends[0, j] + sizes[2] * ends[1, j]
         known = math.isfinite(laid[i, 0])
         if known:
-            hint, x, r, _, _, _, _ = meridian(table[0], table[1], table[2], laid[i, 0], hint)
-            psi = laid[i, 1] + q[0]
-            cos, sin = math.cos(psi), math.sin(psi)
-            dx, dr, dc, _, _, _, _ = ahead(x, r, psi, q, still, payout)
-            ends[2, 0], ends[2, 1], ends[2, 2] = x, r * cos, r * sin
-            leaves[0] = x + dx
-            leaves[1], leaves[2] = (r + dr) * cos - dc * sin, (r + dr) * sin + dc * cos
+            hint = _free(laid[i], q, table, payout, hint, ends[2], leaves)
         moved = 0.0
         for k in range(4 if known else 2):
             point = leaves if k == 3 else ends[k]
@@ -225,53 +237,137 @@ def _walk(
         limit = min(least, 0.0)
         if room >= limit:
             continue
-        room, pair[i] = _room(ends, leaves, known, sizes, line, boxes, rings)
-        found[i] = max(-room, 0.0)
+        room, closest = _room(ends, leaves, known, sizes, line, boxes, rings)
+        if room < limit:
+            found[i], pair[i] = -room, closest
         least = min(least, room)
     return least
 
 
 @njit(nogil=True)
+def _above(
+    x: float, r: float, u: float, hint: int, table: tuple[FloatArray, FloatArray, FloatArray]
+) -> tuple[float, float, float, float, int]:
+    """Return the height of a point over the bare mandrel, and the mandrel below it.
+
+    That is u, cosine and sine of the meridian's angle, and the piece; ``u`` and ``hint`` are a
+    place and a piece nearby. The height is infinite beyond the ends.
+    """
+    last, height, cb, sb = table[0][-1], 0.0, 1.0, 0.0
+    for _ in range(_ROUNDS):
+        hint, px, pr, cb, sb, bend, speed = meridian(table[0], table[1], table[2], u, hint)
+        height = (r - pr) * cb - (x - px) * sb
+        along = (x - px) * cb + (r - pr) * sb
+        u += along / (max(1.0 + height * bend, 0.1) * speed)
+        if not 0.0 <= u <= last:
+            return math.inf, min(max(u, 0.0), last), cb, sb, hint
+    return height, u, cb, sb, hint
+
+
+@njit(nogil=True)
+def _hollow(
+    at: FloatArray, to: FloatArray, u: float, table: tuple[FloatArray, FloatArray, FloatArray],
+    layers: FloatArray, sizes: FloatArray, hull: FloatArray,
+) -> float:  # fmt: skip
+    """Return the largest height of a taut fibre over the layers before it leaves them.
+
+    The fibre from the laid point ``at`` lies on the layers from there on: as a string over what
+    stands above the straight line to the pay-out point ``to``, in the plane of the line and the
+    normal. It is the upper hull of the layers above the line.
+
+    Parameters
+    ----------
+    u
+        Place of the laid point.
+    layers
+        (2, m) u and thickness of the layers.
+    sizes
+        Length between two places along the fibre that are looked at, and the height above which no
+        layer stands ahead.
+    hull
+        (3, k) written: length along the line, height above it, and the corners of the hull.
+    """
+    length = math.sqrt((to[0] - at[0]) ** 2 + (to[1] - at[1]) ** 2 + (to[2] - at[2]) ** 2)
+    count = int(min(max(math.ceil(length / sizes[0]), 8.0), hull.shape[1] - 1.0))
+    hint = max(int(np.searchsorted(table[0], u)) - 1, 0)
+    _, _, cb, sb, hint = _above(at[0], math.hypot(at[1], at[2]), u, hint, table)
+    radius, highest = math.hypot(at[1], at[2]), 0.0
+    n0, n1, n2 = -sb, cb * at[1] / radius, cb * at[2] / radius
+    for k in range(count + 1):
+        share, high = k / count, 0.0
+        for _ in range(_TWICE):
+            x = at[0] + share * (to[0] - at[0]) + high * n0
+            across = at[1] + share * (to[1] - at[1]) + high * n1
+            up = at[2] + share * (to[2] - at[2]) + high * n2
+            radius = math.hypot(across, up)
+            height, u, cb, sb, hint = _above(x, radius, u, hint, table)
+            level = cb * (across * n1 + up * n2) / radius - sb * n0
+            high += (np.interp(u, layers[0], layers[1]) - height) / max(level, 0.1)
+            if not high > -length:
+                break  # beyond the end of the mandrel
+        hull[0, k], hull[1, k] = share * length, high
+        if k == count or height > sizes[1]:
+            count = k
+            break
+        if k:
+            highest = max(highest, high)
+    if highest <= 0.0:
+        return 0.0
+    hull[0, count], hull[1, count] = length, 0.0
+    corners = 1
+    hull[2, 0] = 0.0
+    for k in range(1, count + 1):
+        while corners > 1:
+            a, b = int(hull[2, corners - 2]), int(hull[2, corners - 1])
+            rise = (hull[1, b] - hull[1, a]) * (hull[0, k] - hull[0, a])
+            if rise > (hull[1, k] - hull[1, a]) * (hull[0, b] - hull[0, a]):
+                break
+            corners -= 1
+        hull[2, corners] = k
+        corners += 1
+    deepest = 0.0
+    for corner in range(corners - 2):  # the last stretch leads to the eye
+        a, b = int(hull[2, corner]), int(hull[2, corner + 1])
+        slope = (hull[1, b] - hull[1, a]) / (hull[0, b] - hull[0, a])
+        for k in range(a + 1, b):
+            over = hull[1, a] + slope * (hull[0, k] - hull[0, a]) - hull[1, k]
+            if over < length:  # there is no layer beyond the end of the mandrel
+                deepest = max(deepest, over)
+    return deepest
+
+
+@njit(nogil=True)
 def _over_layers(
     eyes: FloatArray, laid: FloatArray, table: tuple[FloatArray, FloatArray, FloatArray],
-    payout: FloatArray, layers: FloatArray, sizes: FloatArray, line: FloatArray, boxes: FloatArray,
+    payout: FloatArray, layers: FloatArray, sizes: FloatArray,
     least: float, found: FloatArray, pair: IntArray,
 ) -> float:  # fmt: skip
     """Compare free fibres with the layers ahead; the arguments are those of ``_walk``.
+
+    A fibre that spans a hollow higher than one band before it meets layers ahead is held off its
+    place by them. A hollow that is less high is the edge of a band: the mean of the layers round
+    the mandrel cannot tell it from bands that lie beside each other.
 
     Parameters
     ----------
     layers
         (2, m) u and thickness of the layers.
     sizes
-        Laid length between two fibres that are compared; the allowed depth: so far within a
-        layer a fibre may be, as it lies beside its neighbours; and the length of the fibre
-        from the laid point that is not compared.
+        Those of ``_hollow``; the length between two fibres that are compared, the laid length of
+        the latest, which is updated, and the thickness of the band.
     """
-    still, hint, last = np.zeros(6), 0, -math.inf
     a, b = np.empty(3), np.empty(3)
+    hull = np.empty((3, _MOST_PLACES))
+    hint = 0
     for i in range(len(eyes)):
-        if not math.isfinite(laid[i, 0]) or abs(laid[i, 2] - last) < sizes[0]:
+        if not math.isfinite(laid[i, 0]) or abs(laid[i, 2] - sizes[3]) < sizes[2]:
             continue
-        last = laid[i, 2]
-        q = eyes[i]
-        hint, x, r, cb, sb, _, _ = meridian(table[0], table[1], table[2], laid[i, 0], hint)
-        psi = laid[i, 1] + q[0]
-        cos, sin = math.cos(psi), math.sin(psi)
-        dx, dr, dc, _, _, _, _ = ahead(x, r, psi, q, still, payout)
-        raised = np.interp(laid[i, 0], layers[0], layers[1])
-        a[0] = x - raised * sb
-        a[1], a[2] = (r + raised * cb) * cos, (r + raised * cb) * sin
-        b[0] = x + dx
-        b[1], b[2] = (r + dr) * cos - dc * sin, (r + dr) * sin + dc * cos
-        length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-        # Near the laid point the grown mandrel is what the fibre lies on.
-        first = math.ceil(sizes[2] / max(length, 1e-9) * _PLACES)
-        for k in range(max(first, 1), _PLACES):
-            away = _distance(a, b, k / _PLACES, 0, line, boxes, line, math.inf)
-            if away + sizes[1] < min(least, 0.0):
-                least = away + sizes[1]
-                found[i], pair[i] = -least, _PILE
+        sizes[3] = laid[i, 2]
+        hint = _free(laid[i], eyes[i], table, payout, hint, a, b)
+        room = sizes[4] - _hollow(a, b, laid[i, 0], table, layers, sizes, hull)
+        if room < min(least, 0.0):
+            least = room
+            found[i], pair[i] = -least, _PILE
     return least
 
 
@@ -312,16 +408,18 @@ class Clearance:
         body, (arm, reach) = tool.body_m, tool.arm_m
         self._sizes = np.array([body, arm, reach, wanted_m])
         self._payout = np.array([*tool.payout_m, *tool.roller_m, 0.0, 1.0, 0.0])
+        self._edges = np.linspace(0.0, surface.length_m, _CELLS + 1)
+        middle = 0.5 * (self._edges[:-1] + self._edges[1:])
         self._u = outline_of(surface)
+        if layer_m2:  # the flanks of layers are between the vertices of a straight meridian, too
+            self._u = np.union1d(self._u, middle)
         x, r = surface.at(self._u)
         self._x, self._r = x[:, 0], r[:, 0]
         self._normal = np.column_stack([-r[:, 1], x[:, 1]]) / np.hypot(x[:, 1], r[:, 1])[:, None]
-        self._edges = np.linspace(0.0, surface.length_m, _CELLS + 1)
-        middle = 0.5 * (self._edges[:-1] + self._edges[1:])
         self._area = 2.0 * math.pi * surface.at(middle)[1][:, 0] * np.diff(self._edges)
         self._wound, self._fresh = np.zeros(_CELLS), np.zeros(_CELLS)
         self._seen = 0
-        self._length = 0.0
+        self._length, self._compared = 0.0, -math.inf
         self._least = math.inf
         self.pair: IntArray = np.zeros(0, dtype=np.int64)
 
@@ -329,6 +427,24 @@ class Clearance:
     def too_near(self) -> bool:
         """Whether anything was too near so far."""
         return self._least < 0.0
+
+    def hollow_m(self, eye: FloatArray, u: float, angle: float) -> float:
+        """Return the height, m, of the fibre over the layers before it leaves them for the eye.
+
+        ``eye`` is (6,), ``u`` and ``angle`` are the laid point; see ``_hollow``.
+        """
+        at, to = np.empty(3), np.empty(3)
+        surface = self._surface
+        table = surface.nodes, surface.x, surface.r
+        _free(np.array([u, angle]), eye, table, self._payout, 0, at, to)
+        layers, hull = np.array([self._u, self.thickness_m]), np.empty((3, _MOST_PLACES))
+        return float(_hollow(at, to, u, table, layers, self._looked(layers), hull))
+
+    def _looked(self, layers: FloatArray) -> FloatArray:
+        """Return how far apart and up to which height the layers are looked at from a fibre."""
+        # Over a hollow of the mandrel a fibre may rise first, and meet layers behind it.
+        top = layers[1].max() if self._surface.convex else math.inf
+        return np.array([self._edges[1], top])
 
     @property
     def thickness_m(self) -> FloatArray:
@@ -374,12 +490,13 @@ class Clearance:
             )  # fmt: skip
             if self._layer and self._wound.any():
                 tables = np.array([self._u, self.thickness_m])
-                width = self._width
-                sizes = np.array([_QUARTER * width, _WITHIN * self._layer / width, _BESIDE * width])
+                band = [_QUARTER * self._width, self._compared, self._layer / self._width]
+                sizes = np.array([*self._looked(tables), *band])
                 self._least = _over_layers(
-                    eyes[part], laid[part], table, self._payout, tables, sizes, line, boxes,
+                    eyes[part], laid[part], table, self._payout, tables, sizes,
                     self._least, found[part], self.pair[part],
                 )  # fmt: skip
+                self._compared = float(sizes[3])
             if fibre is not None:
                 self._wind(fibre.u[part], fibre.length_m[part])
         return found

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.base.reading import read_text
+from threadline.base.reading import read_text, within_folder
 from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
@@ -41,7 +41,7 @@ _TABLES: Mapping[str, tuple[str, ...]] = {
     "pin": ("at", "radius", "diameter"),
     "band": ("width", "thickness", "tex"),
     "friction": ("value",),
-    "fibre": ("tied", "take_up", "clearance"),
+    "fibre": ("tied", "take_up", "clearance", "envelope", "speed", "tolerance"),
     "coverage": ("begin", "end", "gap"),
 }
 _PARTS: Mapping[str, tuple[str, ...]] = {
@@ -53,7 +53,7 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
     "nose": ("radius", "height", "opening", "pole"),
     "table": ("file", "layer"),
 }
-_LISTS = ("part", "boss", "pin")
+_LISTS = ("part", "boss", "pin", "layer")
 _ENDLESS_M = 100.0
 _TURN = 2.0 * math.pi
 _EXAMPLE = '[[part]] kind = "cylinder", radius = "50 mm", length = "200 mm"'
@@ -149,10 +149,10 @@ def product_text(given: str | Path) -> str:
     text = str(given)
     if text.startswith("{"):
         return product_of_text(text).text
-    path = Path(text)
+    path = within_folder(Path(text))
     if path.suffix.lower() in ENDINGS:
         content = foreign_product(path)
-        _Reader(text, "").product(content)
+        ProductReader(text, "").product(content)
         return _one_line(path, content)
     written = read_text(path, MAX_BYTES, JobError, "product file", "utf-8-sig")
     try:
@@ -160,7 +160,7 @@ def product_text(given: str | Path) -> str:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         what, at = toml_fault(error, written)
         raise JobError(what, place=Place(text, at), remedy="Correct that line.") from error
-    reader = _Reader(text, written)
+    reader = ProductReader(text, written)
     parts = content.get("part")
     if isinstance(parts, list):
         for index, part in enumerate(parts):
@@ -175,7 +175,7 @@ def _one_line(path: Path, content: Mapping[str, Any]) -> str:
     return json.dumps({"file": path.name, **content}, ensure_ascii=True, sort_keys=True)
 
 
-def _embed(part: dict[str, Any], folder: Path, reader: _Reader) -> None:
+def _embed(part: dict[str, Any], folder: Path, reader: ProductReader) -> None:
     """Put the content of a part's file in place of its name."""
     name = part.pop("file")
     layer = part.pop("layer", None)
@@ -206,11 +206,11 @@ def product_of_text(text: str) -> Product:
             "the product of this recording is damaged", remedy="Give --product again."
         ) from error
     file = str(content.pop("file", "product")) if isinstance(content, dict) else "product"
-    return _Reader(file, "", text).product(content)
+    return ProductReader(file, "", text).product(content)
 
 
 @dataclass(slots=True)
-class _Reader:
+class ProductReader:
     """Reads the content of a product file; knows the line of each key while the file is there."""
 
     file: str
@@ -221,6 +221,7 @@ class _Reader:
     lengths: dict[str, float] = field(default_factory=dict)
 
     def refuse(self, key: str, message: str, remedy: str) -> NoReturn:
+        """Raise a ``JobError`` at the line of a key."""
         raise JobError(message, place=Place(self.file, self._line(key)), remedy=remedy)
 
     def _line(self, key: str) -> int:
@@ -240,9 +241,10 @@ class _Reader:
         return header
 
     def product(self, content: Any) -> Product:
+        """Return the product of the content of a file."""
         if not isinstance(content, dict):
             self.refuse("", "a product is a table", _EXAMPLE)
-        self._known(content, _TABLES[""])
+        self._known(content, (*_TABLES[""], "layer"))
         name = content.get("name", Path(self.file).name.removesuffix(".wind.toml"))
         if not isinstance(name, str):
             self.refuse("name", "name must be a text", 'Write name = "vessel".')
@@ -324,8 +326,7 @@ class _Reader:
     def _rings(
         self, content: Mapping[str, Any], shaft: float, surface: Surface
     ) -> tuple[Ring, ...]:
-        ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
-        found = []
+        ends, found = surface.at(np.array([0.0, surface.length_m]))[0][:, 0], []
         if shaft:
             self.table = "mandrel"
             smallest = surface.least_radius_m

@@ -118,6 +118,7 @@ class TableMeta:
     job_sha256: Hash
     machine_sha256: Hash
     rows_sha256: Hash | None = None
+    began_sha256: Hash = ""
     unit: Literal["count/m of a linear axis, count/rad of a rotary one"] = _UNIT
 
 
@@ -134,6 +135,7 @@ def table_meta(table: TickTable) -> dict[str, Any]:
         "start_counts": table.start_counts.tolist(),
         "job_sha256": table.job_sha256,
         "machine_sha256": table.machine_sha256,
+        **({"began_sha256": table.began_sha256} if table.began_sha256 else {}),
     }
 
 
@@ -175,6 +177,7 @@ def table_from(
         blocks=Stream(rows, KnownFile.of(path), len(found.axes), *given),
         job_sha256=found.job_sha256,
         machine_sha256=found.machine_sha256,
+        began_sha256=found.began_sha256,
     )
 
 

@@ -128,7 +128,7 @@ def parse_block(text: str, line: int, reading: Reading) -> Block | None:
     """
     dialect, place = reading.dialect, Place(reading.file, line)
     if dialect.one_command:
-        text = one_command(text, place)
+        text = one_command(text, dialect.name, place)
     else:
         check_line(text, dialect.grammar, dialect.name, place)
     raw = split_words(text, reading.file, line, one_block=not dialect.semicolon_ends)
@@ -237,7 +237,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
                     place=Place(reading.file, line),
                     remedy="Keep one of them.",
                 )
-            if dialect.one_command and letter == "P":
+            if dialect.grammar.whole_ms and letter == "P":
                 value -= value % ONE  # the firmware drops parts of a millisecond
             if dwell_s is None or letter != "P":  # S wins over P
                 dwell_s = value / ONE * dialect.dwell_s[letter]["." in number]

@@ -11,8 +11,9 @@ canned cycles, limits set by the program) are in no table and are refused; ``WHY
 
 Sources of the words: ``linuxcnc``: LinuxCNC 2.9, G Codes and M Codes; ``grbl``: grbl 1.1 wiki and
 gcode.c; ``fluidnc``: the grbl sources and FluidNC's wiki; ``marlin``: Marlin 2.1,
-marlinfw.org/meta/gcode; ``fanuc``: B-63174EN; ``winder``: the printed winder's program with the
-words that ``docs/part-programs.md`` lists.
+marlinfw.org/meta/gcode; ``klipper``: its ``gcode.py``, ``gcode_move.py`` and ``gcode_arcs.py``;
+``fanuc``: B-63174EN; ``winder``: the printed winder's program with the words that
+``docs/part-programs.md`` lists.
 """
 
 from __future__ import annotations
@@ -205,6 +206,8 @@ class Dialect:
         How the control reads parameters, expressions and O words; None if it does not read them.
     grammar
         Blocks that the control's own parser takes.
+    first_feed_m_s
+        Feed before the first F, m/s; None if a move before it is refused.
     """
 
     name: DialectName
@@ -228,6 +231,7 @@ class Dialect:
     semicolon_ends: bool = False
     flavour: Flavour | None = None
     grammar: Grammar = grammar.PLAIN
+    first_feed_m_s: float | None = None
 
 
 _GRBL_G = {code: group for code, group in {**_CNC, **_SYSTEMS}.items() if code != 640}
@@ -257,6 +261,14 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
     },
     "fluidnc": {"G64": "no word of fluidnc, which blends by its own settings"},
     "linuxcnc": dict.fromkeys(("M67", "M68"), "an analogue output, which no machine here has"),
+    "klipper": {
+        "G20": "the inch, which klipper refuses",
+        "G91.1": "no word of klipper, which passes it over",
+        "G92.1": "no word of klipper, which passes it over",
+        **dict.fromkeys(("M204",), "what sets the acceleration anew"),
+        "M220": "a share of every feed behind it",
+        "S": "no word of klipper's G4, whose time is P in ms",
+    },
     "marlin": {
         "G5": f"{_BUILT} BEZIER_CURVE_SUPPORT, and passes over otherwise",
         **dict.fromkeys(
@@ -320,6 +332,24 @@ DIALECTS: Mapping[str, Dialect] = {
         dwell_s={"P": (1e-3, 1e-3), "S": (1.0, 1.0)},
         one_command=True,
         grammar=grammar.MARLIN,
+    ),
+    "klipper": Dialect(
+        name="klipper",
+        feed_rule="marlin",
+        g={
+            **_MOTION, **_ARCS, 210: "units", 900: "distance", 910: "distance", 920: "action",
+            940: "feed", 40: "action", 280: "action", 540: "system", 800: "motion",
+        },
+        m=_MARLIN_M,
+        idle_letters="T",
+        needs_end=False,
+        rapid_is_feed=True,
+        each_g=True,
+        homes=True,
+        dwell_s={"P": (1e-3, 1e-3)},
+        one_command=True,
+        grammar=grammar.KLIPPER,
+        first_feed_m_s=0.025,
     ),
     "fanuc": Dialect(
         name="fanuc",

@@ -99,7 +99,8 @@ _NAMES: Mapping[str, str] = {
     "linuxcnc": r"\b(?:linuxcnc|emc2|mach ?3|mach ?4)\b",
     "fluidnc": r"\bfluidnc\b",
     "grbl": r"\bgrbl(?:hal)?\b|\b(?:lightburn|laserGRBL)\b",
-    "marlin": r"\b(?:marlin|klipper|reprap|smoothie|cura|slic3r|prusaslicer|repetier)\b"
+    "klipper": r"\bklipper\b",
+    "marlin": r"\b(?:marlin|reprap|smoothie|cura|slic3r|prusaslicer|repetier)\b"
     r"|Parameters \{.*\"mandrel\"",  # FiberPath and Cyclone, two planners of windings
     "fanuc": r"\bfanuc\b",
 }
@@ -107,6 +108,7 @@ _NAMES: Mapping[str, str] = {
 _WORDS: Mapping[str, str] = {
     "linuxcnc": r"^[^(;\n]*(?:\bo\s*<|#\s*<|\bo\d+\s+(?:sub|if|while|do|repeat|call)\b|G64\s*P"
     r"|G43(?![.\d])|G91\.1|M6[2-8]\b)",
+    "klipper": r"^[ \t]*(?:SET_VELOCITY_LIMIT|SET_GCODE_OFFSET|SET_PRESSURE_ADVANCE)\b",
     "marlin": r"^[ \t]*(?:T\d+[ \t]*$|(?:M(?:82|83|84|104|106|107|109|140|190|201|203|204|205|400)"
     r"|G29)\b|G0?[01][ \t][^(;\n]*\bE[-+.\d])",
     "fanuc": r"^[ \t]*O\d{4}\b",

@@ -28,6 +28,19 @@ _TEXT = re.compile(
 _FLAGS = re.compile(r" *(?:N *[0-9]+ *)?(?:G *28|M *(?:1[78]|84))(?![0-9.])")
 _ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
 _COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
+_MACRO = re.compile(r" *([A-Z_][A-Z_]+[0-9]*(?:_[A-Z0-9_]*)?)(?![-+.])")
+_NOT_OF_KLIPPER = re.compile(r"[^A-Z0-9+\-. ]|[A-Z_]{2,}")
+_KLIPPER_DOES = {
+    "SET_VELOCITY_LIMIT": "sets the limits of velocity and acceleration anew",
+    "SET_INPUT_SHAPER": "sets the input shaper anew",
+    "SET_GCODE_OFFSET": "moves the zero",
+    "SAVE_GCODE_STATE": "keeps the zero and the feed for later",
+    "RESTORE_GCODE_STATE": "takes back the zero and the feed of before",
+    "MANUAL_STEPPER": "moves or renames a motor beside the axes",
+    "FORCE_MOVE": "moves a motor beside the axes",
+    "SET_KINEMATIC_POSITION": "moves the zero",
+}
+"""What commands of klipper with a name do that changes time or motion."""
 _MOVES = re.compile(r"G0*[0-3](?:\.0*)?")
 _COMMENTS = re.compile(r"\([^()]*\)|[ \t]")
 _SPLIT_COMMENT = re.compile(r"\([^()]*;")
@@ -68,6 +81,8 @@ class Grammar:
         Whether G1, G2 and G3 need a feed even in a block without axis words.
     forgets_feed
         Whether G93 and G94 reset F even if they are in force already.
+    numbers_up
+        Whether N is a number of the link, which must count up; no block is run out of turn.
     numbers_first
         Whether N may stand only at the front of its line.
     cancelled
@@ -87,6 +102,10 @@ class Grammar:
     exact_circles
         Whether an arc is a full circle only if it ends at its start; an end elsewhere in the same
         direction then gives no turn at all.
+    plain_arcs
+        Whether an arc is refused with R, and after G91.
+    whole_ms
+        Whether P of G4 loses its fraction of a millisecond.
     tape
         Meaning of a line with %: empty: it opens and closes a program; ``first``: it opens a
         program only on the first line; ``refused``: the control reports an error.
@@ -109,6 +128,7 @@ class Grammar:
     split_comments: bool = False
     feed_first: bool = False
     forgets_feed: bool = False
+    numbers_up: bool = False
     numbers_first: bool = False
     cancelled: bool = False
     reset_last: bool = False
@@ -118,6 +138,8 @@ class Grammar:
     round_arcs: bool = False
     single: bool = False
     exact_circles: bool = False
+    plain_arcs: bool = False
+    whole_ms: bool = False
     tape: Literal["", "first", "refused"] = ""
     realtime: str = ""
 
@@ -147,8 +169,16 @@ LINUXCNC = Grammar(
     takes_axes=_MOTIONS | {50, 280, 920}, needs_p=frozenset(_OUTPUTS), feed_first=True,
     forgets_feed=True, numbers_first=True, turns=True,
 )  # fmt: skip
+KLIPPER = Grammar(letters="LO", idle_centre=True, round_arcs=True, plain_arcs=True)
 MARLIN = Grammar(
-    longest=95, letters="LO", idle_centre=True, round_arcs=True, single=True, exact_circles=True
+    longest=95,
+    letters="LO",
+    idle_centre=True,
+    round_arcs=True,
+    single=True,
+    exact_circles=True,
+    whole_ms=True,
+    numbers_up=True,
 )
 
 
@@ -191,7 +221,7 @@ def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
             )
 
 
-def one_command(text: str, place: Place) -> str:
+def one_command(text: str, name: str, place: Place) -> str:
     """Return a line of a one-command firmware as words with numbers.
 
     The text of M0, M117 and similar words, the line number and the checksum are removed; the
@@ -199,8 +229,10 @@ def one_command(text: str, place: Place) -> str:
     M84, get the number 0.
 
     >>> here = Place("a.gcode", 1)
-    >>> one_command("N3 G28 X Y*17", here), one_command("M117 hello X1", here)
+    >>> one_command("N3 G28 X Y*17", "marlin", here), one_command("M117 hello", "marlin", here)
     (' G28 X0 Y0', 'M117')
+    >>> one_command("n3 g28 x*9", "klipper", here)
+    ' G28 X0'
 
     Raises
     ------
@@ -208,6 +240,8 @@ def one_command(text: str, place: Place) -> str:
         If a checksum is wrong or missing, or the firmware would run other words than written.
     """
     code, mark, comment = text.partition(";")
+    if name == "klipper":
+        return f"{_for_klipper(code, place)}{mark}{comment}"
     code = _without_checksum(code, place)
     said = _TEXT.match(code)
     if said is not None:
@@ -240,13 +274,49 @@ def one_command(text: str, place: Place) -> str:
     if code.strip(" \t%") and _COMMAND.match(code) is None:
         raise JobError(
             "the line does not begin with a command (G, M or T and a number), which marlin passes "
-            "over; klipper runs it as a macro, whose moves are not in the program",
+            "over",
             place=place,
-            remedy="Write the command in front, like G1 X5 F600; take a macro out.",
+            remedy="Write the command in front, like G1 X5 F600.",
         )
     if _FLAGS.match(code):
         code = _ALONE.sub(r"\g<1>0", code)
     return f"{code}{mark}{comment}"
+
+
+def _for_klipper(code: str, place: Place) -> str:
+    """Return a line as words with numbers, as ``klippy/gcode.py`` splits it.
+
+    Small letters count as capital ones, a line number is passed over, a checksum is not compared.
+    """
+    code = _CHECKSUM.sub("", code.upper().replace("\t", " ").strip())
+    number = _NUMBER_OF_LINE.match(code)
+    code = code if number is None else f" {code[number.end() :]}"
+    said = _TEXT.match(code)
+    if said is not None:
+        return said[0]
+    if not code.strip(" %"):
+        return code
+    macro = _MACRO.match(code)
+    if macro is not None:
+        name = macro[1]
+        does = _KLIPPER_DOES.get(name)
+        what = f"{name} runs a macro, whose moves are not in the program"
+        raise JobError(
+            what if does is None else f"{name} {does}",
+            place=place,
+            remedy="Take the line out, or write the moves of the macro in its place."
+            if does is None
+            else "Have the program written without it, or take it out if it changes nothing.",
+        )
+    odd = _NOT_OF_KLIPPER.search(code)
+    if odd is not None or _COMMAND.match(code) is None:
+        raise JobError(
+            f"klipper cannot read {code.strip()[:40]!r} as a command (G, M or T and a number) with "
+            "a number behind each letter" + (f", for {odd[0]!r} in it" if odd is not None else ""),
+            place=place,
+            remedy="Write it like G1 X5 F600, and a comment behind a semicolon.",
+        )
+    return _ALONE.sub(r"\g<1>0", code) if _FLAGS.match(code) else code
 
 
 def number_of_line(text: str) -> int | None:

@@ -85,9 +85,10 @@ class Modal:
         axes = enumerate(program.reading.names)
         self._lengths = [index for index, name in axes if name in _LENGTHS]
         self._inverse_time = False
-        self._feed: Feed | None = None
         self._passes: tuple[int, ...] = ()
         self._feeds = KeptFeeds(program.rule)
+        first = self._dialect.first_feed_m_s
+        self._feed: Feed | None = None if first is None else self._feed_of(first)
         self._letters = program.reading.names
         self._waiting: list[ToolEvent] = []  # for the next move
         self._length = ""  # G43 in force
@@ -223,6 +224,16 @@ class Modal:
             )
         if grammar.feed_first and block.motion in (1, 2, 3):
             self._check_feed(block)
+        if grammar.plain_arcs and block.motion in (2, 3):
+            radius = any(letter == "R" for letter, _ in block.curve)
+            if self._relative or radius or not any(value for _, value in block.curve):
+                what = "with R" if radius else "without a centre"
+                raise self._error(
+                    block.line,
+                    f"{self._dialect.name} takes no arc "
+                    + ("while G91 is in force" if self._relative else what),
+                    "Write G90 before it." if self._relative else "Give its centre by I and J.",
+                )
         if block.motion in (2, 3) and not (
             block.axes or (block.curve and not grammar.arc_ends) or self._dialect.one_command
         ):

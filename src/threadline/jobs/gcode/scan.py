@@ -151,7 +151,7 @@ class Scanner:
 
     def _check_number(self, text: str, line: int) -> None:
         """Refuse a line number that is out of order: the firmware would ask for the line again."""
-        if not self._reading.dialect.one_command:
+        if not self._reading.dialect.grammar.numbers_up:
             return
         number = number_of_line(text)
         if "M110" in text:  # M110 sets the line number

@@ -13,6 +13,7 @@ from threadline.machine.firmware.machine_text import (
     check_answers,
     machine_text,
     missing_answers,
+    names_dynamics,
     parse_answers,
     turning_axes,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "check_answers",
     "machine_text",
     "missing_answers",
+    "names_dynamics",
     "number_or_nan",
     "parse_answers",
     "read_settings",

@@ -85,7 +85,7 @@ def parse_answers(texts: Sequence[str]) -> Answers:
 
 
 _FULL_STEPS = 200
-_DIALECTS = {"klipper": "marlin", "reprapfirmware": "marlin"}
+_DIALECTS = {"reprapfirmware": "marlin"}
 _PLANNERS = {
     "grbl": "grbl", "fluidnc": "grbl", "marlin": "marlin", "klipper": "klipper",
     "reprapfirmware": "reprapfirmware", "linuxcnc": "linuxcnc",
@@ -278,6 +278,11 @@ def check_answers(settings: Settings, answers: Answers) -> None:
             ) from error
         if not positive:
             raise OptionError(f"--set {key}={text!r} must be greater than 0")
+
+
+def names_dynamics(answers: Answers) -> bool:
+    """Return whether an answer concerns motors or masses."""
+    return any(key.partition(".")[0] in _OF_DYNAMICS for key in answers.given)
 
 
 def _refuse_dynamics(answers: Answers) -> None:

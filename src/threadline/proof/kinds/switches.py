@@ -20,7 +20,7 @@ from threadline.machine.vary import vary
 from threadline.proof.kinds.kind import Kind
 from threadline.proof.kinds.variants import one_by_one
 from threadline.proof.options import Options, describe, refuse_axis_options
-from threadline.twin.switching import simulate_switching
+from threadline.twin.switching import SwitchOptions, simulate_switching
 from threadline.verdict import Spec
 
 
@@ -54,6 +54,15 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
     return simulate_switching(switch_schedule(commands), machine)
 
 
+def _with_scans(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
+    """Simulate with scans that begin early and late within the jitter of the machine file."""
+    assert machine.plc is not None
+    if machine.plc.jitter is None:
+        return _simulate(commands, machine)
+    options = SwitchOptions(scans=int(random.integers(1 << 31)))
+    return simulate_switching(switch_schedule(commands), machine, options)
+
+
 def _with_criteria(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
     """Return the specification unchanged: there is no path that a shaper could change."""
     return spec
@@ -62,16 +71,17 @@ def _with_criteria(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate with friction of the cylinders within +-30 % and supply within +-5 %.
+    """Simulate with friction of the cylinders within +-30 %, supply within +-5 %, scans by jitter.
 
     The phase of the scan does not vary: every move begins at a scan, and an external input is
-    assumed present when the schedule waits for it.
+    assumed present when the schedule waits for it. The first run has even scans.
     """
     machines = [machine]
     for _ in range(count - 1):
         friction, supply = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
         machines.append(vary(machine, friction=friction, supply=supply))
-    return [_simulate(commands, one) for one in machines]
+    first, *others = machines
+    return [_simulate(commands, first), *(_with_scans(commands, one, random) for one in others)]
 
 
 def _release(plan: Plan) -> None:
@@ -93,7 +103,7 @@ KIND = Kind(
     plan=_plan,
     simulate=_simulate,
     days=_days,
-    others=partial(one_by_one, _simulate),
+    others=partial(one_by_one, _with_scans),
     together=lambda _: False,
     with_criteria=_with_criteria,
     release=_release,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from threadline.base.arrays import FloatArray
 from threadline.base.option_defaults import USUAL
 from threadline.commands.feedforward import followed_by_loads, followed_by_motors
+from threadline.commands.learned import learned_commands
 from threadline.commands.plan import Following, Motion, Plan
 from threadline.commands.write import TABLES, TICK_TARGETS, Target, WrittenPlan, table_writer
 from threadline.dynamics.values import Values
@@ -50,6 +51,7 @@ from threadline.twin import simulate, simulate_position_runs, simulate_runs
 from threadline.verdict import Criterion, Spec
 from threadline.verdict.fibre import criteria_of
 from threadline.verdict.needle import has_stitches, planned_stitches
+from threadline.verdict.replayed import product_at_random, with_products
 from threadline.winding.product import product_of_text
 
 if TYPE_CHECKING:
@@ -250,10 +252,13 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         needle_follows=job.needle_follows,
         of_averages=warnings,
     )
+    commands = followed.commands
+    if options.table is not None:
+        commands = learned_commands(commands, options.table)
     return Plan(
         job=job,
         machine=machine,
-        commands=followed.commands,
+        commands=commands,
         intent=motion,
         options=describe(job, machine, options),
     )
@@ -317,22 +322,20 @@ def _others(
     phases = random.uniform(0.0, 1.0, (len(parts), len(table.axes)))
     if machine.position_sources:
         return [
-            _as_drawn(simulate(table, variant(machine, row), encoder_phase=phase), number)
+            with_products(
+                simulate(table, variant(machine, row), encoder_phase=phase),
+                product_at_random(np.array([number])),
+            )
             for number, (row, phase) in enumerate(zip(parts, phases, strict=True))
         ]
     values = Values.of(machine, numbers_at(machine, parts))
     return [
-        _as_drawn(
+        with_products(
             simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED),
-            int(places[0]),
+            product_at_random(places),
         )
         for sharing, places in values.by_delay()
     ]
-
-
-def _as_drawn(recording: Recording, number: int) -> Recording:
-    """Return runs of drawn machines with the number of the first: its product is drawn as well."""
-    return replace(recording, origin={**recording.origin, "drawn": str(number)})
 
 
 def _with_criteria(spec: Spec, options: Options) -> Spec:

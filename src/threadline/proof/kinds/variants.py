@@ -142,15 +142,12 @@ def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands
 
 
 def one_by_one(
-    simulate: Callable[[Commands, Machine], Recording],
+    simulate: Callable[[Commands, Machine, np.random.Generator], Recording],
     commands: Commands,
     machine: Machine,
     parts: FloatArray,
-    random: np.random.Generator,  # noqa: ARG001
+    random: np.random.Generator,
 ) -> Sequence[Recording]:
-    """Simulate machines within the tolerances one after the other; usable as ``Kind.others``.
-
-    For kinds whose sensors do not vary from run to run: the generator is not used.
-    """
+    """Simulate machines within the tolerances one after the other; usable as ``Kind.others``."""
     machines = [variant(machine, row) for row in parts]
-    return [simulate(with_machine_hash(commands, one), one) for one in machines]
+    return [simulate(with_machine_hash(commands, one), one, random) for one in machines]

@@ -49,7 +49,7 @@ class Values:
     ----------
     flavour
         Rules of the control for parameters.
-    told
+    predefined
         Function that returns the value of a predefined name, None for an unknown name. The names
         ``_x`` to ``_w`` give the present position in the units of the program.
 
@@ -63,7 +63,7 @@ class Values:
     """
 
     flavour: Flavour
-    told: Callable[[str], float | None]
+    predefined: Callable[[str], float | None]
     unset: dict[int, int] = field(default_factory=dict)
     doubtful: int = 0
     _numbers: dict[int, float] = field(default_factory=dict)
@@ -95,7 +95,7 @@ class Values:
             return self._numbers[which]
         if _POSITION <= which < _POSITION + len(_AXES):
             self._refuse_position(f"#{which}", at)
-            value = self.told(f"_{_AXES[which - _POSITION].lower()}")
+            value = self.predefined(f"_{_AXES[which - _POSITION].lower()}")
             if value is not None:
                 return value
         if not 1 <= which <= _LAST:
@@ -220,7 +220,7 @@ class Values:
                 return float(self._returned is not None)
             if name == "_call_level":
                 return float(self.depth)
-        return self.told(name)
+        return self.predefined(name)
 
     def enter(self, arguments: list[float], at: Place) -> None:
         """Begin a call: set #1 to #30 to the arguments, and to 0 without an argument.

@@ -138,7 +138,7 @@ class ParametricInterpreter(Modal):
         self._reading = program.reading
         self._flavour = program.flavour
         self._text = text_of(program.file, program.reading, program.flavour)
-        self.values = Values(program.flavour, self._told)
+        self.values = Values(program.flavour, self._predefined)
 
     def blocks(self) -> Iterator[tuple[Block, Iterator[Operation]]]:
         """Return each block of the run with its operations; take them before the next block.
@@ -180,7 +180,7 @@ class ParametricInterpreter(Modal):
             "Write the subroutine as o100 sub ... o100 endsub, and its call as o100 call.",
         )
 
-    def _told(self, name: str) -> float | None:
+    def _predefined(self, name: str) -> float | None:
         """Return the value of a predefined name, None for an unknown name."""
         letter = _AXIS_NAMES.get(name)
         if letter is not None:

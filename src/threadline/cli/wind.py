@@ -1,0 +1,131 @@
+"""``threadline wind``: patterns, lengths and thickness of a winding, without a machine."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from threadline.cli.arguments import JsonOption
+from threadline.cli.output import print_json, print_table, say
+from threadline.jobs.winding.closing import Pattern
+from threadline.jobs.winding.laid import Laid, design, mass_kg
+from threadline.jobs.winding.layers import Winding, read_layers
+
+_SHOWN = 12
+
+
+def wind(
+    product: Annotated[Path, typer.Argument(help="Product file with layers, NAME.wind.toml.")],
+    every: Annotated[
+        bool, typer.Option("--all", help=f"List all patterns that close, not {_SHOWN} of them.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Tell the patterns, lengths and thickness of a winding.
+
+    No machine is needed.
+
+    For each layer: the patterns that close with the wanted coverage, the nearest to a geodesic
+    first, and what closes them; the pattern that is wound; fibre, mass and thickness.
+    Exit status: 0, or 2 for wrong input.
+
+    Example: threadline wind examples/vessel.wind.toml
+    """
+    winding = read_layers(product)
+    laid = design(winding)
+    if json:
+        print_json(_content(winding, laid))
+        return
+    for one in laid:
+        shown = one.table if every else one.table[:_SHOWN]
+        print_table(
+            f"Layer {one.layer.number}: patterns that close, the nearest to a geodesic first",
+            ("circuits", "shift", "beside", "ahead", "turns", "coverage", "off a circuit",
+             "closed by friction", "by turning at", "by a dwell"),
+            [_row(one, pattern) for pattern in shown],
+        )  # fmt: skip
+        if len(shown) < len(one.table):
+            say(f"{len(one.table) - len(shown)} more: --all")
+    print_table(
+        f"{winding.product.name}: what is wound",
+        ("layer", "angle", "turns at", "pattern", "closed by", "slip tendency", "fibre", "dwells",
+         "mass", "thickness", "at most"),
+        [_summary(winding, one) for one in laid],
+    )  # fmt: skip
+    total = sum(one.length_m + one.dwells_m for one in laid)
+    mass = mass_kg(winding, total)
+    say(
+        f"{total:.2f} m of fibre with dwells and without joins"
+        + ("" if mass is None else f", {1e3 * mass:.1f} g")
+    )
+
+
+def _row(laid: Laid, pattern: Pattern) -> list[str]:
+    friction = "" if math.isnan(pattern.ratio) else f"{pattern.ratio:+.5f}"
+    turn = "" if math.isnan(pattern.constant_m) else f"{1e3 * pattern.constant_m:.3f} mm"
+    dwell = "" if math.isnan(pattern.dwell) else f"{math.degrees(pattern.dwell):.4g} deg"
+    mark = "*" if pattern is laid.pattern else ""
+    return [
+        f"{pattern.circuits}{mark}", f"{pattern.shift}", f"{pattern.beside}",
+        "leading" if pattern.leading else "lagging", f"{pattern.turns}",
+        f"{pattern.coverage:.2%}", f"{math.degrees(pattern.off):+.4f} deg", friction, turn, dwell,
+    ]  # fmt: skip
+
+
+def _summary(winding: Winding, laid: Laid) -> list[str]:
+    circuit, pattern = laid.circuit, laid.pattern
+    mass = mass_kg(winding, laid.length_m + laid.dwells_m)
+    turns = sorted({f"{1e3 * t.radius_m:.3f}" for t in (circuit.left, circuit.right)})
+    most = laid.most_m
+    return [
+        f"{laid.layer.number} {laid.layer.kind}", f"{math.degrees(circuit.angle):.3f} deg",
+        f"{' and '.join(turns)} mm", f"{pattern.circuits}/{pattern.shift}", laid.by,
+        f"{laid.slip:.2%}", f"{laid.length_m:.2f} m", f"{laid.dwells_m:.2f} m",
+        "-" if mass is None else f"{1e3 * mass:.1f} g",
+        "-" if laid.thickness_m is None else f"{1e3 * laid.thickness_m:.3f} mm",
+        "-" if most is None else f"{1e3 * most:.3f} mm",
+    ]  # fmt: skip
+
+
+def _content(winding: Winding, laid: tuple[Laid, ...]) -> dict[str, Any]:
+    return {
+        "product": winding.product.name,
+        "layers": [
+            {
+                "kind": one.layer.kind,
+                "line": one.layer.line,
+                "angle_rad": one.circuit.angle,
+                "geodesic_rad_per_circuit": one.wrap.base.advance,
+                "rad_per_circuit": one.circuit.advance,
+                "turns_at_m": [one.circuit.left.radius_m, one.circuit.right.radius_m],
+                "circuits": one.pattern.circuits,
+                "shift": one.pattern.shift,
+                "closed_by": one.by,
+                "friction_ratio": -one.circuit.right.ratio,
+                "slip_tendency": one.slip,
+                "coverage": one.pattern.coverage,
+                "length_m": one.length_m,
+                "dwells_m": one.dwells_m,
+                "mass_kg": mass_kg(winding, one.length_m + one.dwells_m),
+                "thickness_m": one.thickness_m,
+                "largest_thickness_m": one.most_m,
+                "patterns": [
+                    {
+                        "circuits": p.circuits, "shift": p.shift, "beside": p.beside,
+                        "leading": p.leading, "turns": p.turns, "coverage": p.coverage,
+                        "off_rad": p.off, "closed_by": list(p.ways),
+                    }
+                    for p in one.table
+                ],
+            }
+            for one in laid
+        ],
+    }  # fmt: skip
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("wind")(wind)

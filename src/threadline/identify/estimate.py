@@ -1,0 +1,414 @@
+"""Robust nonlinear least squares over several starts, and how well each number is then known.
+
+Every number is fitted by the logarithm of its factor on the first guess, so that a number keeps its
+sign, and a step has the same meaning for a mass and for a stiffness. Residuals are grouped by their
+source (a file, a channel); the noise of each source is estimated from its own residuals.
+
+Deviations are those of an M-estimator with Huber's function (Huber and Ronchetti, *Robust
+Statistics*, 2009, section 7.6), and of least squares where no residual is beyond the threshold. The
+least deviation is the Cramer-Rao bound for normal noise, ``s^2 (J^T J)^-1``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
+
+Residuals = Callable[[FloatArray], FloatArray]
+"""From (variants, numbers) logarithms of factors to (variants, m) residuals."""
+
+START_FACTOR = 3.0
+"""Factor by which a first guess may be wrong: starts are drawn within it, both ways."""
+FARTHEST_FACTOR = 20.0
+"""Largest factor between a first guess and the fitted number."""
+_STARTS, _SIMULATED_STARTS = 48, 12  # a simulated run costs a hundred times a response
+_REFINED = 3
+_HUBER = 2.0  # in deviations of the noise; 98 % as efficient as least squares for normal noise
+_ROUNDS = 3
+_OUTLIER = 4.0
+_ROUGH = 0.01  # step of a derivative from which residuals are rough
+_WIDEST, _FINEST = 0.08, 0.002
+UNKNOWN = 0.5
+"""Deviation of a logarithm from which a combination counts as unknown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Problem:
+    """A fit: names, residuals, and the sources of the residuals.
+
+    Parameters
+    ----------
+    names
+        (p,) dotted names of the numbers, or other labels.
+    residuals
+        See ``Residuals``; unweighted, so that a residual has the unit of its source.
+    source
+        (m,) index of the source of each residual.
+    floor
+        (m,) least deviation of the noise of each residual: the rounding of its source.
+    step
+        Relative step of the derivatives.
+    robust
+        Whether values far off may not pull the fit; False where residuals are mostly of the model.
+    """
+
+    names: tuple[str, ...]
+    residuals: Residuals
+    source: IntArray
+    floor: FloatArray
+    step: float = 1e-5
+    robust: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Estimate:
+    """The result of a fit.
+
+    Parameters
+    ----------
+    names
+        (p,) names of the numbers.
+    log_factor
+        (p,) logarithms of the fitted factors on the first guesses.
+    covariance
+        (p, p) of the logarithms.
+    least_deviation
+        (p,) Cramer-Rao bound of the deviation of each logarithm.
+    jacobian
+        (m, p) derivatives of the residuals, in deviations of the noise.
+    residual
+        (m,) residuals in the unit of their source.
+    noise
+        (m,) deviation of the noise of each residual, as estimated.
+    outliers
+        Number of residuals beyond four deviations of the noise.
+    """
+
+    names: tuple[str, ...]
+    log_factor: FloatArray
+    covariance: FloatArray
+    least_deviation: FloatArray
+    jacobian: FloatArray
+    residual: FloatArray
+    noise: FloatArray
+    outliers: int
+
+    @property
+    def deviation(self) -> FloatArray:
+        """(p,) deviation of each logarithm: nearly the relative deviation of the number."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """(p, p) correlations of the logarithms."""
+        deviation = self.deviation
+        return self.covariance / np.outer(deviation, deviation)
+
+
+def estimate(problem: Problem, starts: int | None = None) -> Estimate:
+    """Fit the numbers of a problem.
+
+    Parameters
+    ----------
+    starts
+        Number of starts tried beside the first guess, within ``START_FACTOR``; the best are
+        refined. By default 48, and 12 for recordings.
+
+    Raises
+    ------
+    OptionError
+        If there are more numbers than residuals, a number ends at the end of its range, or no start
+        gives a finite residual.
+    """
+    _check_count(problem)
+    usual = _STARTS if problem.robust else _SIMULATED_STARTS
+    begin = _starts(problem, usual if starts is None else starts)
+    # Scaled by the smallest misfit of any start: sources have different units.
+    noise = _noise(problem, problem.residuals(begin[-1][None])[0])
+    best, cost = begin[0], np.inf
+    for start in begin:
+        found, reached = _refined(problem, start, noise, final=False)
+        if reached < cost:
+            best, cost = found, reached
+    for _ in range(_ROUNDS):
+        residual = problem.residuals(best[None])[0]
+        new = _noise(problem, residual)
+        settled = np.allclose(new, noise, rtol=0.01)
+        noise = new
+        best, _ = _refined(problem, best, noise, final=True)
+        if settled:
+            break
+    if problem.step >= _ROUGH:
+        best = _polished(problem, best)
+    _check_range(problem, best)
+    return _judged(problem, best)
+
+
+def _check_count(problem: Problem) -> None:
+    count, known = len(problem.names), len(problem.source)
+    if known <= count:
+        raise OptionError(
+            f"{count} numbers cannot be fitted to {known} values",
+            remedy="Measure more points, or name fewer numbers.",
+        )
+
+
+def _check_range(problem: Problem, at: FloatArray) -> None:
+    edge = np.log(FARTHEST_FACTOR)
+    for name, value in zip(problem.names, at, strict=True):
+        if abs(value) > 0.999 * edge:
+            raise OptionError(
+                f"{name} ends at {np.exp(value):.3g} times its first guess, the end of its range",
+                remedy="Correct the guess in the machine file, or name fewer numbers.",
+            )
+
+
+def _starts(problem: Problem, count: int) -> list[FloatArray]:
+    """Return the first guess and the best of ``count`` drawn starts."""
+    from scipy.stats import qmc
+
+    first = np.zeros((1, len(problem.names)))
+    drawn = np.empty((0, len(problem.names)))
+    if count:
+        unit = qmc.Halton(len(problem.names), seed=1).random(count)
+        drawn = (2.0 * unit - 1.0) * np.log(START_FACTOR)
+    tried = np.concatenate((first, drawn))
+    residual = problem.residuals(tried)
+    cost = np.log1p(residual**2).sum(axis=1)
+    finite = np.isfinite(cost)
+    if not finite.any():
+        raise OptionError(
+            "the model has no finite answer near the first guesses",
+            remedy="Correct the guesses in the machine file.",
+        )
+    cost[~finite] = np.inf
+    order = [int(k) for k in np.argsort(cost[1:])[: _REFINED - 1] + 1 if finite[k]]
+    return [tried[k] for k in ([0] if finite[0] else []) + order]
+
+
+def _refined(
+    problem: Problem,
+    start: FloatArray,
+    noise: FloatArray,
+    *,
+    final: bool,
+) -> tuple[FloatArray, float]:
+    from scipy.optimize import least_squares
+
+    edge = np.log(FARTHEST_FACTOR)
+    tolerance = 1e-8 if final else 1e-3
+    loss: Literal["huber", "soft_l1", "linear"] = "linear"
+    if problem.robust:
+        loss = "huber" if final else "soft_l1"
+
+    def residual(x: FloatArray) -> FloatArray:
+        return np.asarray(np.nan_to_num(problem.residuals(x[None])[0] / noise, nan=1e6))
+
+    def slope(x: FloatArray) -> FloatArray:
+        return np.asarray(np.nan_to_num(jacobian(problem, x) / noise[:, None]))
+
+    found = least_squares(
+        residual,
+        np.clip(start, -0.99 * edge, 0.99 * edge),
+        jac=slope,
+        bounds=(-edge, edge),
+        loss=loss,
+        f_scale=_HUBER if loss == "huber" else 1.0,
+        xtol=tolerance,
+        ftol=tolerance,
+        gtol=1e-8,
+        max_nfev=200,
+    )
+    return np.asarray(found.x), float(found.cost)
+
+
+def _polished(problem: Problem, at: FloatArray) -> FloatArray:
+    """Return the best numbers that a compass search finds where rounding misleads derivatives.
+
+    Every number is tried at both ends of a step, all at once; where none is better the step is
+    halved (Kolda, Lewis and Torczon, "Optimization by direct search", SIAM Review 45, 2003).
+    """
+    noise = _noise(problem, problem.residuals(at[None])[0])
+    axes = np.concatenate((np.eye(len(at)), -np.eye(len(at))))
+    step = _WIDEST
+    while step > _FINEST:
+        tried = np.concatenate((at[None], at + step * axes))
+        squares = np.mean((problem.residuals(tried) / noise) ** 2, axis=1)
+        best = int(np.nanargmin(squares))
+        if best == 0:
+            step /= 2.0
+        else:
+            at = tried[best]
+    return at
+
+
+def jacobian(problem: Problem, at: FloatArray) -> FloatArray:
+    """Return the (m, p) derivatives of the residuals by central differences, all at once."""
+    count = len(at)
+    steps = problem.step * np.eye(count)
+    values = problem.residuals(np.concatenate((at + steps, at - steps)))
+    return np.asarray((values[:count] - values[count:]).T / (2.0 * problem.step))
+
+
+def _noise(problem: Problem, residual: FloatArray) -> FloatArray:
+    """Return the (m,) deviations of the noise: of each source the scaled median of its residuals.
+
+    A fit of p numbers makes m residuals smaller by ``sqrt(1 - p/m)``.
+    """
+    noise = np.empty(len(residual))
+    shrunk = np.sqrt(1.0 - len(problem.names) / len(residual))
+    for one in np.unique(problem.source):
+        own = problem.source == one
+        size = np.abs(residual[own])
+        least = float(np.median(problem.floor[own]))
+        if not problem.robust:
+            noise[own] = max(float(np.sqrt(np.mean(size**2))) / shrunk, least)
+            continue
+        spread = max(1.4826 * float(np.median(size)), least)
+        # Huber's proposal 2: efficient for normal noise, and bounded for outliers.
+        for _ in range(30):
+            clipped = np.minimum(size / spread, _HUBER)
+            spread *= float(np.sqrt(np.mean(clipped**2) / _CLIPPED_VARIANCE))
+        noise[own] = max(spread / shrunk, least)
+    return noise
+
+
+def _clipped_variance(most: float) -> float:
+    """Return the mean of ``min(|z|, most)^2`` for a standard normal z."""
+    from math import erf, exp, pi, sqrt
+
+    inside = erf(most / sqrt(2.0))
+    return inside - most * sqrt(2.0 / pi) * exp(-(most**2) / 2.0) + most**2 * (1.0 - inside)
+
+
+_CLIPPED_VARIANCE = _clipped_variance(_HUBER)
+
+
+def _judged(problem: Problem, at: FloatArray) -> Estimate:
+    """Return the estimate at the fitted numbers, with its covariance."""
+    residual = problem.residuals(at[None])[0]
+    noise = _noise(problem, residual)
+    J = jacobian(problem, at) / noise[:, None]
+    share = residual / noise
+    inside = np.abs(share) <= _HUBER
+    # E[psi^2] / E[psi']^2: 1 for least squares of normal noise.
+    psi = np.clip(share, -_HUBER, _HUBER)
+    wider = np.sum(psi**2) / max(len(share) - len(at), 1) / np.mean(inside) ** 2
+    inverse = np.linalg.pinv(J.T @ J, hermitian=True)
+    covariance = inverse * max(wider, 1.0 / np.mean(inside))
+    if not problem.robust:
+        # Rounding may be the same at every sample: an axis that moves a whole number of counts each
+        # tick, or rests. Its largest effect is added as if it were one more deviation.
+        shift = np.abs(inverse @ J.T) @ (problem.floor / noise)
+        grown = np.sqrt(1.0 + shift**2 / np.maximum(np.diag(covariance), 1e-300))
+        covariance = covariance * np.outer(grown, grown)
+    return Estimate(
+        names=problem.names,
+        log_factor=at,
+        covariance=covariance,
+        least_deviation=np.sqrt(np.diag(inverse)),
+        jacobian=J,
+        residual=residual,
+        noise=noise,
+        outliers=int(np.sum(np.abs(share) > _OUTLIER)),
+    )
+
+
+def profile(problem: Problem, found: Estimate, number: int) -> tuple[float, float]:
+    """Return the ends of the 95 % interval of a number's logarithm, from its likelihood profile.
+
+    The number is held at a value and the others are fitted again; the interval ends where the sum
+    of squares has grown by the 95 % quantile of F (Seber and Wild, *Nonlinear Regression*, 1989,
+    section 5.4).
+    """
+    from scipy.optimize import brentq
+    from scipy.stats import t as student
+
+    free = [k for k in range(len(found.names)) if k != number]
+    limit = float(student.ppf(0.975, len(found.residual) - len(found.names)))
+    here = found.log_factor
+    least = _squares(found.residual / found.noise)
+
+    def beyond(value: float) -> float:
+        def at(rest: FloatArray) -> FloatArray:
+            whole = np.empty((len(rest), len(here)))
+            whole[:, number], whole[:, free] = value, rest
+            return problem.residuals(whole)
+
+        held = replace(problem, names=tuple(found.names[k] for k in free), residuals=at)
+        if free:
+            best, _ = _refined(held, here[free], found.noise, final=True)
+        else:
+            best = here[free]
+        squares = _squares(at(best[None])[0] / found.noise)
+        return float(np.sqrt(max(squares - least, 0.0))) - limit
+
+    ends = []
+    for sign in (-1.0, 1.0):
+        reach = 2.0 * float(found.deviation[number])
+        while beyond(here[number] + sign * reach) < 0.0 and reach < np.log(FARTHEST_FACTOR):
+            reach *= 1.6
+        span = float(here[number]), float(here[number] + sign * reach)
+        if reach >= np.log(FARTHEST_FACTOR):
+            ends.append(span[1])
+        else:
+            ends.append(float(brentq(beyond, *span, xtol=1e-3 * found.deviation[number])))
+    return ends[0], ends[1]
+
+
+def _squares(share: FloatArray) -> float:
+    size = np.abs(share)
+    return float(np.sum(np.where(size <= _HUBER, size**2, 2.0 * _HUBER * size - _HUBER**2)))
+
+
+def known_combinations(found: Estimate) -> list[FloatArray] | None:
+    """Return the exponents of the combinations that the data determines, fewest numbers first.
+
+    None if each number is known by itself. A combination is the product of the numbers, each to
+    its exponent; the directions whose deviation exceeds ``UNKNOWN`` are removed.
+    """
+    left, spread, rows = np.linalg.svd(found.jacobian, full_matrices=False)
+    del left
+    known = spread > 1.0 / UNKNOWN
+    if known.all():
+        return None
+    return [_simple(row) for row in _reduced(rows[known])]
+
+
+def _reduced(rows: FloatArray) -> FloatArray:
+    """Return a basis of the same space in reduced row echelon form, pivots by size."""
+    basis = rows.copy()
+    for k in range(len(basis)):
+        free = np.abs(basis[k:])
+        # An earlier column is preferred: the names are in the order in which they were asked for.
+        row, column = divmod(int(np.argmax(free > 0.5 * free.max())), free.shape[1])
+        basis[[k, k + row]] = basis[[k + row, k]]
+        basis[k] /= basis[k, column]
+        for other in range(len(basis)):
+            if other != k:
+                basis[other] -= basis[other, column] * basis[k]
+    return basis
+
+
+def _simple(row: FloatArray) -> FloatArray:
+    """Return exponents rounded to halves where they are within 3 % of one."""
+    halves = np.round(2.0 * row) / 2.0
+    return np.where(np.abs(row - halves) < 0.03, halves, row)
+
+
+def combination_text(names: Sequence[str], exponents: FloatArray) -> str:
+    """Return a combination as a product of powers, such as ``a * b^2 / c``."""
+    above = [_power(n, e) for n, e in zip(names, exponents, strict=True) if e > 0]
+    below = [_power(n, -e) for n, e in zip(names, exponents, strict=True) if e < 0]
+    text = " * ".join(above) or "1"
+    return text + "".join(f" / {part}" for part in below)
+
+
+def _power(name: str, exponent: float) -> str:
+    return name if exponent == 1.0 else f"{name}^{exponent:.3g}"

@@ -1,0 +1,325 @@
+"""Fit numbers of a machine to measured data, and say how well each is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.wording import nearest
+from threadline.errors import OptionError
+from threadline.identify.estimate import (
+    Estimate,
+    Problem,
+    combination_text,
+    estimate,
+    known_combinations,
+    profile,
+)
+from threadline.machine import Machine
+from threadline.machine.numbers import is_whole, number_at, with_numbers
+from threadline.machine.quantity import Quantity
+
+_SURE = 1.959964  # deviations of a 95 % interval
+_PROFILED = 2
+_CORRELATED = 0.9
+MOST_NUMBERS = 24
+
+
+class Data(Protocol):
+    """Measured data on a machine, which may have other overlays than the machine to fit."""
+
+    @property
+    def machine(self) -> Machine:
+        """The machine on which the data was measured."""
+
+    @property
+    def name(self) -> str:
+        """Name of the data, for messages."""
+
+    @property
+    def step(self) -> float:
+        """Relative step of a number at which residuals change smoothly."""
+
+    @property
+    def robust(self) -> bool:
+        """Whether values far off may not pull the fit."""
+
+    @property
+    def sources(self) -> IntArray:
+        """(m,) source of each residual, counted from 0."""
+
+    @property
+    def floor(self) -> FloatArray:
+        """(m,) least deviation of the noise of each residual: the rounding of its source."""
+
+    @property
+    def normalised(self) -> bool:
+        """Whether the size of its response is unknown."""
+
+    def residuals(self, numbers: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the (variants, m) residuals of numbers, dotted name to (variants,) SI values."""
+
+    def left_over(self, residual: FloatArray, noise: FloatArray) -> list[str]:
+        """Return in words where (m,) residuals exceed their noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FittedNumber:
+    """A fitted number.
+
+    Parameters
+    ----------
+    name
+        Its dotted name.
+    quantity
+        The number as the machine file has it before the fit.
+    value
+        Fitted value, SI.
+    deviation
+        Relative standard deviation.
+    least_deviation
+        Smallest relative deviation of any unbiased fit to this data: the Cramer-Rao bound.
+    interval
+        Ends of the 95 % interval, SI: from the curvature.
+    profile
+        Ends of the 95 % interval from the likelihood profile; None if it was not computed.
+    """
+
+    name: str
+    quantity: Quantity
+    value: float
+    deviation: float
+    least_deviation: float
+    interval: tuple[float, float]
+    profile: tuple[float, float] | None
+
+    @property
+    def tolerance(self) -> float:
+        """Half width of the 95 % interval as a share of the value, the wider of the two kinds."""
+        ends: list[float] = [*self.interval, *(self.profile or ())]
+        return max(abs(float(end) / self.value - 1.0) for end in ends)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fit:
+    """The result of a fit.
+
+    Parameters
+    ----------
+    machine
+        The machine before the fit.
+    fitted
+        The same machine with the fitted numbers.
+    numbers
+        In the order in which they were asked for.
+    estimate
+        The estimate behind them, with covariance, residuals and noise.
+    noise
+        Per name of the data: deviation of its noise.
+    unexplained
+        Where the data was not explained, in words; empty if it was everywhere.
+    """
+
+    machine: Machine
+    fitted: Machine
+    numbers: tuple[FittedNumber, ...]
+    estimate: Estimate
+    noise: Mapping[str, float]
+    unexplained: tuple[str, ...]
+
+    @property
+    def correlated(self) -> list[tuple[str, str, float]]:
+        """Pairs of numbers with a correlation beyond 0.9, and the correlation."""
+        names, r = self.estimate.names, self.estimate.correlation
+        pairs = [(i, j) for i in range(len(names)) for j in range(i)]
+        return [
+            (names[j], names[i], float(r[i, j])) for i, j in pairs if abs(r[i, j]) > _CORRELATED
+        ]
+
+
+def fit(
+    machine: Machine, data: Sequence[Data], names: Sequence[str], *, starts: int | None = None
+) -> Fit:
+    """Fit numbers of a machine to data.
+
+    The fit starts at the machine's numbers, and within a factor of 3 around them.
+
+    Parameters
+    ----------
+    data
+        At least one.
+    names
+        Dotted names of the numbers, such as ``"links.x_belt.stiffness"``.
+    starts
+        See ``estimate``.
+
+    Raises
+    ------
+    OptionError
+        If a number does not exist or cannot be fitted, or the data does not determine the numbers;
+        the message then names the combinations that it determines.
+    """
+    start = _first_guesses(machine, data, names)
+    problem = _problem(data, names, start)
+    found = estimate(problem, starts)
+    _refuse_unknown(machine, data, found, start)
+    values = start * np.exp(found.log_factor)
+    worst = np.argsort(-found.deviation)[:_PROFILED].tolist()
+    numbers = []
+    for k, name in enumerate(names):
+        spread = _SURE * found.deviation[k]
+        # Rounding makes recordings rough in the numbers, and a profile would follow the roughness.
+        ends = profile(problem, found, k) if k in worst and problem.robust else None
+        numbers.append(
+            FittedNumber(
+                name=name,
+                quantity=number_at(machine, name),
+                value=float(values[k]),
+                deviation=float(found.deviation[k]),
+                least_deviation=float(found.least_deviation[k]),
+                interval=(float(values[k] * np.exp(-spread)), float(values[k] * np.exp(spread))),
+                profile=None
+                if ends is None
+                else (float(start[k] * np.exp(ends[0])), float(start[k] * np.exp(ends[1]))),
+            )
+        )
+    noise, unexplained = _left_over(data, found)
+    return Fit(
+        machine=machine,
+        fitted=with_numbers(machine, dict(zip(names, values.tolist(), strict=True))),
+        numbers=tuple(numbers),
+        estimate=found,
+        noise=noise,
+        unexplained=unexplained,
+    )
+
+
+def _first_guesses(machine: Machine, data: Sequence[Data], names: Sequence[str]) -> FloatArray:
+    """Return the (p,) values of the machine, from which the fit starts."""
+    if not names:
+        raise OptionError("no number is named", remedy="Name one: --numbers bodies.x.inertia.")
+    if len(names) > MOST_NUMBERS:
+        raise OptionError(f"{len(names)} numbers, at most {MOST_NUMBERS}", remedy="Name fewer.")
+    start = []
+    for name in names:
+        if names.count(name) > 1:
+            raise OptionError(f"{name} is named twice", remedy="Name it once.")
+        quantity = number_at(machine, name)
+        if is_whole(machine, name) or name.startswith(("axes.", "clocks.")):
+            raise OptionError(
+                f"{name} cannot be fitted: no part of the simulated machine varies with it",
+                remedy="Name a number of bodies, links, drives or sensors.",
+            )
+        if quantity.si == 0.0:
+            raise OptionError(
+                f"{name} is 0, from which no fit can start",
+                place=machine.place,
+                remedy="Write a first guess into the machine file, within a factor of 3.",
+            )
+        start.append(quantity.si)
+        if not any(_has(one.machine, name) for one in data):
+            raise OptionError(f"no data depends on {name}", remedy="Leave it out.")
+    return np.array(start)
+
+
+def _has(machine: Machine, name: str) -> bool:
+    try:
+        number_at(machine, name)
+    except OptionError:
+        return False
+    return True
+
+
+def _problem(data: Sequence[Data], names: Sequence[str], start: FloatArray) -> Problem:
+    """Return the fit of all data together: the residuals of one after those of the other."""
+    own = [[k for k, name in enumerate(names) if _has(one.machine, name)] for one in data]
+    sources, count = [], 0
+    for one in data:
+        sources.append(one.sources + count)
+        count += int(one.sources.max()) + 1
+
+    def residuals(log_factor: FloatArray) -> FloatArray:
+        values = start * np.exp(log_factor)
+        parts = []
+        for one, mine in zip(data, own, strict=True):
+            if mine:
+                parts.append(one.residuals({names[k]: values[:, k] for k in mine}))
+            else:
+                same = one.residuals(
+                    {names[0]: values[:1, 0]} if _has(one.machine, names[0]) else {}
+                )
+                parts.append(np.repeat(same, len(values), axis=0))
+        return np.concatenate(parts, axis=1)
+
+    return Problem(
+        names=tuple(names),
+        residuals=residuals,
+        source=np.concatenate(sources),
+        floor=np.concatenate([one.floor for one in data]),
+        step=max(one.step for one in data),
+        robust=all(one.robust for one in data),
+    )
+
+
+def _refuse_unknown(
+    machine: Machine, data: Sequence[Data], found: Estimate, start: FloatArray
+) -> None:
+    """Refuse numbers that the data does not determine; name the combinations that it does."""
+    combinations = known_combinations(found)
+    if combinations is None:
+        return
+    known = []
+    inverse = np.linalg.pinv(found.jacobian, rcond=1e-6)
+    for exponents in combinations:
+        deviation = float(np.linalg.norm(exponents @ inverse))
+        value = np.prod(np.abs(start * np.exp(found.log_factor)) ** exponents)
+        text = combination_text(found.names, exponents)
+        known.append(f"{text} = {value:.4g} SI +- {196.0 * deviation:.2g} %")
+    remedy = f"Leave out {len(found.names) - len(known)} of the {len(found.names)} numbers"
+    if any(one.normalised for one in data):
+        remedy += ", or give responses with an absolute magnitude"
+    raise OptionError(
+        f"{len(found.names)} numbers, of which the data determines {len(known)} "
+        f"combination{'s' * (len(known) != 1)}: {'; '.join(known) or 'none'}",
+        place=machine.place,
+        remedy=f"{remedy}.",
+    )
+
+
+def _left_over(data: Sequence[Data], found: Estimate) -> tuple[dict[str, float], tuple[str, ...]]:
+    noise: dict[str, float] = {}
+    said: list[str] = []
+    at = 0
+    for one in data:
+        size = len(one.sources)
+        part = slice(at, at + size)
+        noise[one.name] = float(np.median(found.noise[part]))
+        left = one.left_over(found.residual[part], found.noise[part])
+        said += [f"{one.name}: {text}" for text in left]
+        at += size
+    return noise, tuple(said)
+
+
+def parse_numbers(text: str, machine: Machine) -> list[str]:
+    """Return the dotted names in a list with commas.
+
+    Raises
+    ------
+    OptionError
+        If the machine has no such number.
+    """
+    from threadline.dynamics.values import number_paths
+
+    names = [part.strip() for part in text.split(",") if part.strip()]
+    known = number_paths(machine)
+    for name in names:
+        if name not in known and not name.startswith(("axes.", "clocks.")):
+            raise OptionError(
+                f"machine {machine.name!r} has no number {name!r}",
+                remedy=nearest(name, known, "It has"),
+            )
+    return names

@@ -1,0 +1,259 @@
+"""Measured frequency responses, and the model's response to compare them with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.base.wording import nearest
+from threadline.dynamics.linear_model import linear_variants
+from threadline.dynamics.loop import Loop
+from threadline.dynamics.responses import speed_response
+from threadline.dynamics.values import Values
+from threadline.errors import OptionError, Place, RecordingError
+from threadline.machine import Machine
+from threadline.machine.parts import Encoder
+
+LEAST_COHERENCE = 0.8
+"""Points below this coherence are left out of a fit."""
+MOTOR = "motor"
+"""Output of a response: the body that the axis' encoder reads."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredResponse:
+    """A frequency response from the controller's voltage of an axis to one output.
+
+    Parameters
+    ----------
+    frequency_hz
+        (k,) increasing.
+    value
+        (k,) complex, in ``unit``.
+    coherence
+        (k,) in 0 to 1; None if it was not measured.
+    unit
+        SI unit of the response per volt, such as ``"rad/s"``; empty if the magnitude has any
+        reference and only its shape is known.
+    axis, output
+        The axis, and what was measured: ``"sensors.x_pot"``, ``"X.load"``, ``"motor"``; empty if
+        the file does not say.
+    place
+        The file, for messages.
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    coherence: FloatArray | None
+    unit: str
+    axis: str = ""
+    output: str = ""
+    place: Place | None = None
+
+    @property
+    def absolute(self) -> bool:
+        """Whether the magnitude is in a unit."""
+        return bool(self.unit)
+
+    @property
+    def magnitude_db(self) -> FloatArray:
+        """(k,) magnitude in dB."""
+        return np.asarray(20.0 * np.log10(np.abs(self.value)))
+
+    @property
+    def phase_deg(self) -> FloatArray:
+        """(k,) phase in degrees, unwrapped."""
+        return np.asarray(np.degrees(np.unwrap(np.angle(self.value))))
+
+    def against(self, loop: Loop) -> tuple[float, float]:
+        """Return the root mean square differences from a model's motor speed, in dB and degrees.
+
+        Magnitudes are compared relative to the first point.
+
+        Raises
+        ------
+        OptionError
+            If the response is not of the motor's speed.
+        """
+        base, rates = _unit(self)
+        if rates != 1 or base not in {"", "rad", "count"} or self.output not in {"", MOTOR}:
+            raise OptionError(
+                f"the response is of {self.output or self.unit}, not of the motor's speed",
+                place=self.place,
+                remedy="threadline fit compares any output.",
+            )
+        magnitude, phase = speed_response(loop, 2 * np.pi * self.frequency_hz)
+        level = magnitude - magnitude[0] + self.magnitude_db[0]
+        turn = (phase - self.phase_deg + 180.0) % 360.0 - 180.0
+        return (
+            float(np.sqrt(np.mean((level - self.magnitude_db) ** 2))),
+            float(np.sqrt(np.mean(turn**2))),
+        )
+
+
+_RATES = {"": 0, "/s": 1, "/s^2": 2}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Path:
+    """The model's path that a measured response is compared with.
+
+    Parameters
+    ----------
+    drive, output
+        Input and output of the linear model.
+    scale
+        Factor from the model's output to the unit of the response.
+    rates
+        Number of derivatives: 1 for a speed.
+    """
+
+    drive: str
+    output: str
+    scale: float
+    rates: int
+
+
+def path_of(machine: Machine, measured: MeasuredResponse, axis: str = "") -> Path:
+    """Return the path of a machine's linear model that a response was measured on.
+
+    Parameters
+    ----------
+    axis
+        The axis, if the file does not name it.
+
+    Raises
+    ------
+    OptionError
+        If the axis or its output does not exist, or is not named.
+    RecordingError
+        If the unit is not that of the output.
+    """
+    axis = _axis(machine, measured, axis)
+    controller = machine.controllers[machine.axes[axis].controller]
+    base, rates = _unit(measured)
+    output = measured.output or _usual(machine, axis, base)
+    scale = 1.0
+    if output == MOTOR:
+        sensor = machine.sensors[controller.sensor]
+        if len(sensor.reads) != 1:
+            raise OptionError(
+                f"sensors.{controller.sensor} reads several bodies, so axis {axis} has no motor "
+                "angle",
+                place=measured.place,
+                remedy="Name the output in the file: '# output: sensors.NAME'.",
+            )
+        (reads,) = sensor.reads.values()
+        unit = reads.unit.removeprefix("count/")
+        output, scale = f"sensors.{controller.sensor}", 1.0 / reads.si
+    else:
+        unit = _unit_of(machine, axis, output, measured)
+    if measured.absolute and base != unit:
+        raise RecordingError(
+            f"the response is in {measured.unit} per volt, but {output} is in {unit}",
+            place=measured.place,
+            remedy=f"Write it in {unit}/V, {unit}/s/V or {unit}/s^2/V, or name another output.",
+        )
+    return Path(drive=f"drives.{controller.drive}", output=output, scale=scale, rates=rates)
+
+
+def _axis(machine: Machine, measured: MeasuredResponse, axis: str) -> str:
+    named = measured.axis or axis
+    closed = [name for name, one in machine.axes.items() if one.controller]
+    if not named and len(closed) == 1:
+        return closed[0]
+    if not named:
+        raise OptionError(
+            f"the response does not name its axis, and {machine.name} has {', '.join(closed)}",
+            place=measured.place,
+            remedy="Name it with --axis.",
+        )
+    if named not in closed:
+        raise OptionError(
+            f"machine {machine.name!r} has no axis {named!r} with a control loop",
+            place=measured.place,
+            remedy=f"It has: {', '.join(closed) or 'none'}.",
+        )
+    return named
+
+
+def _unit(measured: MeasuredResponse) -> tuple[str, int]:
+    """Return the unit without its rates, and the number of rates; a relative one is a speed."""
+    if not measured.absolute:
+        return "", 1
+    for rate in ("/s^2", "/s"):
+        if measured.unit.endswith(rate):
+            return measured.unit.removesuffix(rate), _RATES[rate]
+    return measured.unit, 0
+
+
+def _usual(machine: Machine, axis: str, base: str) -> str:
+    if base == "count":
+        return f"sensors.{machine.controller_of(axis).sensor}"
+    if base in {"m", "rad"} and machine.axes[axis].kind == {"m": "linear", "rad": "rotary"}[base]:
+        return f"{axis}.measured"
+    return MOTOR
+
+
+def _unit_of(machine: Machine, axis: str, output: str, measured: MeasuredResponse) -> str:
+    kind, _, name = output.partition(".")
+    if kind == "sensors" and name in machine.sensors:
+        return "count" if isinstance(machine.sensors[name], Encoder) else "V"
+    if output in {f"{axis}.{what}" for what in ("measured", "load", "frame")}:
+        return "m" if machine.axes[axis].kind == "linear" else "rad"
+    known = [*(f"sensors.{one}" for one in machine.sensors), MOTOR, f"{axis}.load"]
+    raise OptionError(
+        f"machine {machine.name!r} has no output {output!r}",
+        place=measured.place,
+        remedy=nearest(output, known, "It has"),
+    )
+
+
+def model_response(machine: Machine, values: Values, path: Path, omega: FloatArray) -> ComplexArray:
+    """Return the (variants, k) response of the model along a path, in the unit of the response.
+
+    Parameters
+    ----------
+    omega
+        (k,) rad/s.
+
+    Raises
+    ------
+    OptionError
+        If the output does not depend on the input.
+    """
+    for piece in linear_variants(machine, values, drive=path.drive.removeprefix("drives.")):
+        if path.output in piece.outputs:
+            found = piece.response(path.drive, path.output, omega)
+            return np.asarray(found * path.scale * (1j * omega) ** path.rates)
+    raise OptionError(
+        f"{path.output} does not move with {path.drive}",
+        place=machine.place,
+        remedy="Name another output.",
+    )
+
+
+def usable(measured: MeasuredResponse) -> tuple[NDArray[np.bool_], int]:
+    """Return the (k,) mask of points with enough coherence, and how many have too little.
+
+    Raises
+    ------
+    RecordingError
+        If more than half of them have too little.
+    """
+    if measured.coherence is None:
+        return np.ones(len(measured.value), dtype=np.bool_), 0
+    good = measured.coherence >= LEAST_COHERENCE
+    out = int(np.sum(~good))
+    if 2 * out > len(good):
+        worst = measured.frequency_hz[int(np.argmin(measured.coherence))]
+        raise RecordingError(
+            f"{out} of {len(good)} points have a coherence below {LEAST_COHERENCE:g} (lowest "
+            f"{measured.coherence.min():.2g} at {worst:.4g} Hz)",
+            place=measured.place,
+            remedy="Measure again, with a larger amplitude or more averages.",
+        )
+    return good, out

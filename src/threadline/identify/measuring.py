@@ -1,0 +1,325 @@
+"""Run an experiment on a machine at the end of a link, and evaluate what was recorded."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.errors import LimitError, OptionError, RecordingError
+from threadline.files import (
+    Channel,
+    Recording,
+    RecordingBlock,
+    RunEnd,
+    Stream,
+)
+from threadline.files.recording import columns_of
+from threadline.identify.measured_response import MeasuredResponse
+from threadline.identify.planned_experiment import Experiment, duration_s
+from threadline.live.hal_link import WHAT, check_hal, hal_link
+from threadline.live.sim_machine import SimFault
+from threadline.live.sim_process import sim_link
+from threadline.live.states import Cause, Desk, State
+from threadline.live.supervised import run_commands
+from threadline.live.wire import Connection
+from threadline.machine import Machine
+from threadline.twin.simulate import simulate
+
+RESPONSE = "response"
+"""Key of a recording's origin with the measured response, as JSON."""
+LINKS = ("sim", *(f"hal:{what}" for what in WHAT))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """What the machine file says of an experiment before it runs.
+
+    Parameters
+    ----------
+    duration_s
+        Duration.
+    lowest, highest
+        Ends of the load's motion, m or rad.
+    speed
+        Largest speed of the load, m/s or rad/s.
+    current_a
+        Largest current, A.
+    """
+
+    duration_s: float
+    lowest: float
+    highest: float
+    speed: float
+    current_a: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measurement:
+    """A measurement.
+
+    Parameters
+    ----------
+    recording
+        The raw run, with the response in its origin.
+    response
+        The frequency response of a sweep; None for other experiments, or if the run ended early.
+    ended, why
+        How the run ended.
+    """
+
+    recording: Recording
+    response: MeasuredResponse | None
+    ended: RunEnd
+    why: str
+
+
+def predict(machine: Machine, planned: Experiment) -> Prediction:
+    """Simulate an experiment on the machine file; refuse it outside the limits.
+
+    Raises
+    ------
+    LimitError
+        If the load would leave its travel, exceed the speed of the axis, or the motor its current.
+    """
+    recording = simulate(planned.commands, machine)
+    columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
+    axis, limits = planned.axis, machine.axes[planned.axis]
+    load = columns[f"{axis}.load"]
+    found = Prediction(
+        duration_s=float(duration_s(planned.commands)),
+        lowest=float(load.min()),
+        highest=float(load.max()),
+        speed=float(np.abs(columns[f"{axis}.velocity"]).max()),
+        current_a=float(np.abs(columns[f"{axis}.current_peak"]).max()),
+    )
+    drive = machine.motors[machine.controller_of(axis).drive].amplifier
+    low, high = (None, None) if limits.travel is None else limits.travel
+    unit = "m" if limits.kind == "linear" else "rad"
+    for quantity, value, limit, what in (
+        ("position", found.highest, None if high is None else high.si, unit),
+        ("position", -found.lowest, None if low is None else -low.si, unit),
+        ("velocity", found.speed, limits.velocity.si, f"{unit}/s"),
+        ("current", found.current_a, _si(drive.current_limit), "A"),
+    ):
+        # A current that is limited is reached, not exceeded.
+        reached = limit is not None and value >= limit * (1.0 - 1e-9)
+        if limit is not None and (reached if quantity == "current" else value > limit):
+            raise LimitError(
+                f"axis {axis}: the {planned.kind} would reach a {quantity} of {value:.4g} {what}, "
+                f"limit {limit:.4g} {what}; nothing has moved",
+                axis=axis,
+                quantity=quantity,
+                value_si=value,
+                limit_si=limit,
+                remedy="Give a smaller --amplitude.",
+            )
+    return found
+
+
+def _si(quantity: object) -> float | None:
+    return getattr(quantity, "si", None)
+
+
+class _Kept:
+    """A sink that keeps the samples."""
+
+    def __init__(self) -> None:
+        self.channels: tuple[Channel, ...] = ()
+        self.simulated = True
+        self.blocks: list[RecordingBlock] = []
+
+    def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
+        self.channels, self.simulated = channels, simulated
+
+    def block(self, block: RecordingBlock) -> None:
+        self.blocks.append(block)
+
+    def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
+        """Ignore changes of state: the run's end is in its events."""
+
+
+def measure(
+    machine: Machine,
+    planned: Experiment,
+    *,
+    link: str = "sim",
+    actual: Machine | None = None,
+    speed: float = 0.0,
+    fault: SimFault | None = None,
+) -> Measurement:
+    """Run an experiment. ``predict`` must have passed it.
+
+    What was recorded before a fault is kept; a response needs the whole run.
+
+    Parameters
+    ----------
+    link
+        ``"sim"``, ``"hal:plant"`` or ``"hal:loopback"``.
+    actual
+        Machine that the simulated link simulates; None for the machine itself.
+    speed
+        With ``"sim"``: seconds of machine time per second, 0 for as fast as possible.
+    fault
+        With ``"sim"``: injected fault.
+
+    Raises
+    ------
+    OptionError
+        If there is no such link.
+    LinkFaultError
+        If the machine does not answer.
+    RecordingError
+        If nothing was recorded.
+    """
+    kept = _Kept()
+    with closing(Desk()) as desk:
+        ended, why, _ = run_commands(
+            planned.commands,
+            machine,
+            _connected(machine, planned, link, actual, speed, fault),
+            desk,
+            kept,
+            speed=speed if link == "sim" else 1.0,
+        )
+    origin = {"machine": machine.reference, "experiment": planned.kind, "axis": planned.axis}
+    recording = Recording(
+        channels=kept.channels,
+        blocks=Stream.of(kept.blocks),
+        job_sha256="",
+        machine_sha256=machine.sha256,
+        simulated=kept.simulated,
+        origin={**origin, "link": link},
+    )
+    if not any(len(v) for block in kept.blocks for v in block.samples.values()):
+        raise RecordingError(f"nothing was recorded: {why or ended.value}")
+    response = None
+    if planned.kind == "sweep" and ended is RunEnd.COMPLETED:
+        response = evaluate(machine, planned, recording)
+        told = {**recording.origin, RESPONSE: _written(response)}
+        recording = replace(recording, origin=told)
+    return Measurement(recording=recording, response=response, ended=ended, why=why)
+
+
+def _connected(
+    machine: Machine,
+    planned: Experiment,
+    link: str,
+    actual: Machine | None,
+    speed: float,
+    fault: SimFault | None,
+) -> AbstractContextManager[Connection]:
+    start = planned.commands.start_counts
+    if link == "sim":
+        # The simulated machine gives itself out for the one in the file, as a real one would.
+        far = machine if actual is None else replace(actual, sha256=machine.sha256)
+        if far.axis_names != machine.axis_names:
+            raise OptionError(
+                f"{far.name} has other axes than {machine.name}",
+                remedy="Name a machine with the same axes.",
+            )
+        return sim_link(far, start, speed, fault)
+    if link not in LINKS:
+        raise OptionError(
+            f"there is no link {link[:20]!r} to measure on", remedy=f"Use {', '.join(LINKS)}."
+        )
+    if actual is not None or fault is not None:
+        raise OptionError("--actual and --inject are for --link sim", remedy="Leave them out.")
+    check_hal(machine)
+    return hal_link(machine, start, plant=link == "hal:plant")
+
+
+def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> MeasuredResponse:
+    """Return the response of the encoder to the volts of the controller, from whole periods.
+
+    With M and U the transforms of a period, H is ``sum(M U*) / sum(|U|^2)`` and the coherence
+    ``|sum(M U*)|^2 / (sum(|M|^2) sum(|U|^2))`` (Bendat and Piersol, *Random Data*, 2010, section
+    6.1). Volts that are held for a tick act as the continuous volts times
+    ``(1 - exp(-j w T)) / (j w T)``, which is divided out; what aliases is left.
+    """
+    axis = planned.axis
+    columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
+    position = columns[f"{axis}.measured"] * machine.axes[axis].counts.si
+    volts = columns[f"{axis}.voltage"]
+    tick_s = float(machine.tick_clock.period_s)
+    controller = machine.controller_of(axis)
+    held = machine.clock(controller.clock).period_s == machine.tick_clock.period_s
+    if held:  # the volts of a sample act before it
+        volts = np.append(volts[1:], volts[-1])
+    periods = (len(position) - planned.first) // planned.period
+    periods = min(periods, (planned.commands.tick_count() // planned.period) - 2)
+
+    def lines(values: FloatArray) -> ComplexArray:
+        whole = values[planned.first : planned.first + periods * planned.period]
+        return np.fft.rfft(whole.reshape(periods, planned.period), axis=1)[:, planned.lines]
+
+    M, U = lines(position), lines(volts)
+    cross, force = (M * U.conj()).sum(axis=0), (np.abs(U) ** 2).sum(axis=0)
+    reached = (np.abs(M) ** 2).sum(axis=0)
+    moved = (force > 0.0) & (reached > 0.0)
+    hertz = planned.lines[moved] / (planned.period * tick_s)
+    value = cross[moved] / force[moved]
+    if held:
+        turn = 2j * np.pi * hertz * tick_s
+        value = value * turn / (1.0 - np.exp(-turn))
+    return MeasuredResponse(
+        frequency_hz=hertz,
+        value=np.asarray(value, dtype=np.complex128),
+        coherence=np.minimum(np.abs(cross[moved]) ** 2 / (force * reached)[moved], 1.0),
+        unit="count",
+        axis=axis,
+        output=f"sensors.{controller.sensor}",
+    )
+
+
+def _written(response: MeasuredResponse) -> str:
+    assert response.coherence is not None
+    return json.dumps(
+        {
+            "axis": response.axis,
+            "output": response.output,
+            "unit": f"{response.unit}/V",
+            "frequency_hz": response.frequency_hz.tolist(),
+            "real": response.value.real.tolist(),
+            "imag": response.value.imag.tolist(),
+            "coherence": response.coherence.tolist(),
+        }
+    )
+
+
+def response_of(origin: Mapping[str, str]) -> MeasuredResponse | None:
+    """Return the response that a measured recording has in its origin, None if it has none.
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged.
+    """
+    if RESPONSE not in origin:
+        return None
+    try:
+        told = json.loads(origin[RESPONSE])
+        arrays = {
+            key: np.array(told[key], dtype=np.float64)
+            for key in ("frequency_hz", "real", "imag", "coherence")
+        }
+        if len({array.shape for array in arrays.values()}) != 1 or arrays["real"].ndim != 1:
+            raise ValueError("columns of different lengths")
+        if not all(np.isfinite(array).all() for array in arrays.values()):
+            raise ValueError("a number that is not finite")
+        return MeasuredResponse(
+            frequency_hz=arrays["frequency_hz"],
+            value=np.asarray(arrays["real"] + 1j * arrays["imag"], dtype=np.complex128),
+            coherence=arrays["coherence"],
+            unit=str(told["unit"]).removesuffix("/V"),
+            axis=str(told["axis"]),
+            output=str(told["output"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"its response is damaged: {error}", remedy="Measure again."
+        ) from error

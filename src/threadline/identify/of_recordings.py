@@ -1,0 +1,442 @@
+"""Residuals of recorded runs: measured positions less those of the simulated machine.
+
+A sample is taken before the controller acts on it (``Recording``), so the volts of sample k + 1 act
+from tick k on.
+
+*Driven by its volts.* Where the volts of every tick of a controller were recorded, the recorded
+volts drive the plant, without the loop. What is left over is the rounding of the encoder alone.
+
+*Driven by its commands.* A controller with a faster clock than its references (``stitcher``) has
+volts between the samples. Then the whole loop is simulated under the recorded commands, with every
+quantiser, and the positions are compared. Where an encoder stands between two counts is not
+recorded; the model is the mean over several places.
+
+Both simulations have the dead times, friction, play and limits of the machine file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import MachineError, OptionError, Place, RecordingError
+from threadline.files import ChannelKind, Recording, Stream, TickBlock, TickTable
+from threadline.files.recording import Channel
+from threadline.machine import Machine
+from threadline.machine.controllers import Dac, PController
+from threadline.machine.parts import Body, Encoder
+from threadline.machine.quantity import Provenance, Quantity
+from threadline.machine.variants import load_by_counts
+from threadline.twin.batch import simulate_batch
+
+_PHASES = 8
+_MOVING_S = 0.5
+_MOST_TICKS = 400_000
+_LEAST_TICKS = 20
+_LEAST_MOTION = 20.0  # counts
+_ON_COUNTS = 0.02
+_CLIPPED = 0.2  # share of samples with the controller at its clamp, from which a run is refused
+_WINDOWS = 40
+_UNLIKELY = 6.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordingData:
+    """A recorded run on a machine, ready to be compared with simulated variants.
+
+    Parameters
+    ----------
+    machine
+        The machine that ran.
+    simulated
+        The machine that is simulated: the same, or with volts as its commands.
+    commands
+        Commands of the simulated machine, tick by tick.
+    measured
+        Per channel of the simulated machine: (n,) measured positions, in counts.
+    used
+        (n,) samples in motion: an axis at rest says nothing.
+    scale
+        Per channel: counts per unit of the simulated samples.
+    place
+        The file.
+    by_volts
+        Whether recorded volts drive the simulation.
+    """
+
+    machine: Machine
+    simulated: Machine
+    commands: TickTable
+    measured: Mapping[str, FloatArray]
+    used: NDArray[np.bool_]
+    scale: Mapping[str, float]
+    place: Place
+    by_volts: bool
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return str(self.place)
+
+    @property
+    def step(self) -> float:
+        """Relative step of a derivative: large where counts or levels make the model rough.
+
+        A body breaks away at the level of the volts that first exceeds its stiction.
+        """
+        sticks = any(body.friction is not None for body in self.machine.bodies.values())
+        return 1e-3 if self.by_volts and not sticks else 0.03
+
+    @property
+    def floor(self) -> FloatArray:
+        """(m,) least noise: the rounding of an encoder, 1/sqrt(12) of a count."""
+        return np.full(len(self.sources), 1.0 / np.sqrt(12.0))
+
+    @property
+    def robust(self) -> bool:
+        """No: what is left over is rounding, or what the model lacks."""
+        return False
+
+    @property
+    def normalised(self) -> bool:
+        """Never: positions and volts are absolute."""
+        return False
+
+    @property
+    def length(self) -> int:
+        """Number of samples of a channel that are used."""
+        return int(np.sum(self.used))
+
+    @property
+    def sources(self) -> IntArray:
+        """(m,) source of each residual: one for each channel."""
+        return np.repeat(np.arange(len(self.measured)), self.length)
+
+    def residuals(self, numbers: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the (variants, m) residuals, channel after channel, in counts.
+
+        Parameters
+        ----------
+        numbers
+            Dotted name to (variants,) SI values.
+        """
+        (count,) = {len(value) for value in numbers.values()} or {1}
+        places = 1 if self.by_volts else _PHASES
+        several = {name: np.repeat(value, places) for name, value in numbers.items()}
+        phases = (np.arange(places) + 0.5) / places
+        phase = np.tile(phases[:, None], (count, len(self.machine.axes)))
+        try:
+            found = simulate_batch(
+                self.commands,
+                self.simulated,
+                several,
+                encoder_phase=phase,
+                settle_s=0.0,
+                channels=tuple(self.measured),
+                watch_current=False,
+            )
+        except MachineError:
+            # A variant without a bound; the caller takes it as infinitely wrong.
+            if count == 1:
+                return np.full((1, len(self.measured) * self.length), np.nan)
+            parts = [
+                self.residuals({name: value[k : k + 1] for name, value in numbers.items()})
+                for k in range(count)
+            ]
+            return np.concatenate(parts)
+        parts = []
+        for name, wanted in self.measured.items():
+            simulated = found.samples[name][: len(self.used)][self.used] * self.scale[name]
+            mean = simulated.reshape(self.length, count, places).mean(axis=2)
+            apart = wanted[self.used] - mean.T
+            if self.by_volts:
+                # Where the encoder stood between two counts at the start is free.
+                apart -= apart.mean(axis=1, keepdims=True)
+            parts.append(apart)
+        return np.concatenate(parts, axis=1)
+
+    def left_over(self, residual: FloatArray, noise: FloatArray) -> list[str]:
+        """Return in words when the recording differs from the fit by more than its noise.
+
+        The mean over a fortieth of the run is compared with six times the noise.
+
+        Parameters
+        ----------
+        residual, noise
+            (m,) residuals, channel after channel, and their noise.
+        """
+        width = max(self.length // _WINDOWS, 1)
+        time_s = np.flatnonzero(self.used) * float(self.machine.tick_clock.period_s)
+        found = []
+        for k, name in enumerate(self.measured):
+            own = slice(k * self.length, (k + 1) * self.length)
+            mean = np.convolve(residual[own], np.ones(width) / width, mode="valid")
+            worst = int(np.argmax(np.abs(mean)))
+            if abs(mean[worst]) > _UNLIKELY * noise[own][0]:
+                found.append(
+                    f"{name} from {time_s[worst]:.4g} to {time_s[worst + width - 1]:.4g} s: "
+                    f"{mean[worst]:+.3g} counts from the fit, noise {noise[own][0]:.2g} counts"
+                )
+        return found
+
+
+def recording_data(
+    recording: Recording, machine: Machine, path: Path, axis: str = ""
+) -> RecordingData:
+    """Return a recording as data of a fit.
+
+    Parameters
+    ----------
+    machine
+        The machine that ran, or one with the same parts.
+    path
+        Its file.
+    axis
+        Only this axis; all axes that moved where it is empty.
+
+    Raises
+    ------
+    RecordingError
+        If commands or measured positions are missing, have gaps or another tick than the machine,
+        nothing moves, or the controller was at its clamp for a fifth of the run.
+    OptionError
+        If there is no such axis, or the machine takes no commands in ticks.
+    """
+    place = Place(str(path))
+    if not machine.axes or not all(one.controller for one in machine.axes.values()):
+        raise OptionError(
+            f"machine {machine.name!r} has no control loops, so a recording of it has no volts",
+            remedy="Fit a measured response.",
+        )
+    if axis and axis not in machine.axes:
+        raise OptionError(
+            f"machine {machine.name!r} has no axis {axis!r}",
+            remedy=f"It has: {', '.join(machine.axes)}.",
+        )
+    if recording.runs != 1:
+        raise RecordingError(f"it has {recording.runs} runs", place=place, remedy="Give one run.")
+    columns = _columns(recording, machine, place)
+    commands = _commands(columns, machine, recording.job_sha256, place)
+    moved = [name for name in machine.axes if _moves(columns, name, machine)]
+    chosen = [name for name in moved if axis in {"", name}]
+    chosen = [name for name in chosen if (ChannelKind.MEASURED, name) in columns]
+    if not chosen:
+        raise RecordingError(
+            f"axis {axis or ', '.join(machine.axes)} does not move, or its measured position is "
+            "missing",
+            place=place,
+            remedy="Record a run with a move of it, or name another axis.",
+        )
+    for name in chosen:
+        if (volts := columns.get((ChannelKind.VOLTAGE, name))) is not None:
+            _refuse_clipped(machine, name, volts, place)
+    by_volts = all(_volts_of_each_tick(columns, name, machine) for name in chosen)
+    # In the loop the volts follow from the positions, with more rounding: they say nothing new.
+    ending = "load" if by_volts else "measured"
+    scale = {f"{name}.{ending}": machine.axes[name].counts.si for name in chosen}
+    measured = {
+        f"{name}.{ending}": columns[ChannelKind.MEASURED, name] * scale[f"{name}.{ending}"]
+        for name in chosen
+    }
+    used = _in_motion(columns, chosen, machine)
+    simulated = machine
+    if by_volts:
+        simulated = driven_by_volts(machine, chosen)
+        acting = {name: columns[ChannelKind.VOLTAGE, name] for name in chosen}
+        commands = _volt_commands(commands, machine, acting)
+    return RecordingData(
+        machine=machine,
+        simulated=simulated,
+        commands=commands,
+        measured=measured,
+        used=used,
+        scale=scale,
+        place=place,
+        by_volts=by_volts,
+    )
+
+
+_LEVELS = 20
+_STILL = "still-for-fit"  # a body that no force moves
+
+
+def _volts_of_each_tick(
+    columns: Mapping[tuple[ChannelKind, str], FloatArray], name: str, machine: Machine
+) -> bool:
+    controller = machine.controller_of(name)
+    same = machine.clock(controller.clock).period_s == machine.tick_clock.period_s
+    return same and (ChannelKind.VOLTAGE, name) in columns
+
+
+def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
+    """Return a machine whose commands are volts: one count is ``2 range / 2^20`` at the amplifier.
+
+    The controller of each axis reads the encoder of a body that stands still, with a gain of 1, and
+    the load of the axis is what its own encoder reads, in m or rad.
+
+    Parameters
+    ----------
+    axes
+        Axes to change; the others keep their loops.
+    """
+    one = Quantity(si=1.0, unit="", tolerance_si=0.0, provenance=Provenance.ASSUMED)
+    bodies, sensors = dict(machine.bodies), dict(machine.sensors)
+    controllers, changed = dict(machine.controllers), dict(machine.axes)
+    for name in axes:
+        axis = machine.axes[name]
+        old, still = machine.controller_of(name), f"{_STILL}-{name}"
+        bodies[still] = Body(kind="linear", inertia=replace(one, unit="kg"))
+        sensors[still] = Encoder(kind="encoder", reads={still: replace(one, unit="count/m")})
+        dac = Dac(bits=replace(one, si=float(_LEVELS), unit="bit"), range=old.dac.range)
+        controllers[axis.controller] = PController(
+            kind="p",
+            clock=old.clock,
+            reference_clock=old.reference_clock,
+            sensor=still,
+            drive=old.drive,
+            kp=replace(one, unit="dac/count"),
+            dac=dac,
+        )
+        changed[name] = replace(axis, load=load_by_counts(machine, name))
+    return replace(machine, bodies=bodies, sensors=sensors, controllers=controllers, axes=changed)
+
+
+def _volt_commands(
+    commands: TickTable, machine: Machine, volts: Mapping[str, FloatArray]
+) -> TickTable:
+    """Return commands in which the axes of ``volts`` have levels of volts instead of counts."""
+    (block,) = commands
+    rows = block.counts.copy()
+    for name, samples in volts.items():
+        level = 2.0 * machine.controller_of(name).dac.range.si / 2.0**_LEVELS
+        # The volts that act from tick k on are sampled at tick k + 1; the first row follows tick 0.
+        acting = np.rint(samples[1:] / level).astype(np.int64)
+        rows[:, machine.axis_names.index(name)] = np.diff(acting, append=acting[-1:])
+    again = TickBlock(first_tick=0, counts=rows, operation=block.operation)
+    return replace(commands, blocks=Stream(iter, (again,)))
+
+
+def _in_motion(
+    columns: Mapping[tuple[ChannelKind, str], FloatArray], axes: Sequence[str], machine: Machine
+) -> NDArray[np.bool_]:
+    """Return the samples at which a command changes, or has changed within half a second."""
+    moving = np.zeros(len(columns[ChannelKind.COMMANDED, axes[0]]), dtype=np.bool_)
+    for name in axes:
+        moving[1:] |= np.diff(columns[ChannelKind.COMMANDED, name]) != 0.0
+    kept = max(round(_MOVING_S / float(machine.tick_clock.period_s)), 1)
+    return np.convolve(moving, np.ones(kept), mode="full")[: len(moving)] > 0.5
+
+
+def _columns(
+    recording: Recording, machine: Machine, place: Place
+) -> dict[tuple[ChannelKind, str], FloatArray]:
+    """Return the samples of commands, positions and volts, by kind and axis, in SI."""
+    kinds = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.VOLTAGE)
+    wanted: list[Channel] = [
+        c for c in recording.channels if c.kind in kinds and c.axis in machine.axes
+    ]
+    tick = machine.tick_clock.period_s
+    for channel in wanted:
+        period = channel.clock.period_s * channel.stride
+        if abs(float(period / tick) - 1.0) > 1e-6:
+            raise RecordingError(
+                f"{channel.name} has a sample each {float(period) * 1e3:g} ms, but the tick of "
+                f"{machine.name} is {float(tick) * 1e3:g} ms",
+                place=place,
+                remedy="Record every tick.",
+            )
+    parts: dict[tuple[ChannelKind, str], list[FloatArray]] = {}
+    due: int | None = None
+    for block in recording:
+        first = {block.first_tick[c.clock.name] for c in wanted}
+        if due is not None and first and first != {due}:
+            raise RecordingError(
+                f"samples are missing at {due * float(tick):.6g} s",
+                place=place,
+                remedy="Fit a run without gaps.",
+            )
+        for channel in wanted:
+            parts.setdefault((channel.kind, channel.axis), []).append(block.samples[channel.name])
+        if wanted:
+            due = next(iter(first)) + len(block.samples[wanted[0].name])
+            if due > _MOST_TICKS:
+                raise RecordingError(
+                    f"more than {_MOST_TICKS} samples", place=place, remedy="Fit a shorter run."
+                )
+    return {key: np.concatenate(blocks) for key, blocks in parts.items()}
+
+
+def _commands(
+    columns: Mapping[tuple[ChannelKind, str], FloatArray],
+    machine: Machine,
+    job_sha256: str,
+    place: Place,
+) -> TickTable:
+    """Return the recorded commands as a table of counts; an axis without any stands still."""
+    given = {name: columns.get((ChannelKind.COMMANDED, name)) for name in machine.axes}
+    lengths = {len(one) for one in given.values() if one is not None}
+    if not lengths:
+        raise RecordingError(
+            "the commanded position is missing",
+            place=place,
+            remedy="Record it: a column X.commanded [mm].",
+        )
+    (length,) = lengths
+    if length < _LEAST_TICKS:
+        raise RecordingError(
+            f"{length} samples, fewer than {_LEAST_TICKS}", place=place, remedy="Record a move."
+        )
+    counts = np.zeros((length, len(machine.axes)), dtype=np.int64)
+    for column, (name, axis) in enumerate(machine.axes.items()):
+        position = given[name]
+        if position is None:
+            continue
+        exact = position * axis.counts.si
+        counts[:, column] = np.rint(exact)
+        off = float(np.abs(exact - counts[:, column]).max())
+        if off > _ON_COUNTS:
+            raise RecordingError(
+                f"{name}.commanded lies up to {off:.2g} counts beside whole counts of "
+                f"{machine.name} ({axis.counts.si:.6g} {axis.counts.unit})",
+                place=place,
+                remedy="Give the machine file of the run, and the commands as it was told them.",
+            )
+    rows = np.diff(counts, axis=0)
+    block = TickBlock(first_tick=0, counts=rows, operation=np.zeros(len(rows), dtype=np.int64))
+    return TickTable(
+        clock=machine.tick_clock,
+        axes=machine.axis_names,
+        counts_per_unit=np.array([axis.counts.si for axis in machine.axes.values()]),
+        start_counts=counts[0],
+        blocks=Stream(iter, (block,)),
+        job_sha256=job_sha256,
+        machine_sha256=machine.sha256,
+    )
+
+
+def _moves(
+    columns: Mapping[tuple[ChannelKind, str], FloatArray], name: str, machine: Machine
+) -> bool:
+    position = columns.get((ChannelKind.COMMANDED, name))
+    if position is None or not machine.axes[name].controller:
+        return False
+    return float(np.ptp(position)) * machine.axes[name].counts.si >= _LEAST_MOTION
+
+
+def _refuse_clipped(machine: Machine, axis: str, volts: FloatArray, place: Place) -> None:
+    """Refuse a run whose volts are mostly those of the clamp: it says little about the loop."""
+    dac = machine.controller_of(axis).dac
+    full = dac.range.si * (1.0 - 2.0 ** (1.0 - dac.bits.si))
+    share = float(np.mean(np.abs(volts) >= full * (1.0 - 1e-9)))
+    if share > _CLIPPED:
+        raise RecordingError(
+            f"the controller of {axis} is at its clamp of {full:.4g} V in {100.0 * share:.0f} % of "
+            f"the samples, limit {100.0 * _CLIPPED:.0f} %",
+            place=place,
+            remedy="Record a slower run.",
+        )

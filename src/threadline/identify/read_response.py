@@ -1,0 +1,224 @@
+"""Readers of frequency responses from analysers: a table of frequency, magnitude and phase."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.reading import read_text
+from threadline.errors import Place, RecordingError
+from threadline.files.formats.common import atomic_file
+from threadline.identify.measured_response import MeasuredResponse
+from threadline.units import same_dimension, unit_factor
+
+MAX_BYTES = 20_000_000
+MAX_POINTS = 200_000
+_FORM = "The first line must name frequency_hz, magnitude_db, phase_deg."
+_HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
+_COMMENT = re.compile(r"#\s*(?P<key>[a-z]+)\s*:\s*(?P<value>.*?)\s*")
+_OUTPUTS = tuple(
+    f"{base}{rate}" for base in ("rad", "m", "count", "V") for rate in ("", "/s", "/s^2")
+)
+_WORDS = ("axis", "output")
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Places of the columns, and how their values are read."""
+
+    frequency: int
+    to_hertz: float
+    magnitude: int
+    decibel: bool
+    unit: str  # SI, per volt; empty for a relative magnitude
+    scale: float
+    phase: int
+    to_radian: float
+    coherence: int | None
+
+    @property
+    def places(self) -> list[int]:
+        found = [self.frequency, self.magnitude, self.phase]
+        return found if self.coherence is None else [*found, self.coherence]
+
+
+def rows_of(text: str) -> tuple[dict[str, str], Iterator[tuple[int, list[str]]]]:
+    """Return the ``# key: value`` lines above a table, and its lines with their numbers.
+
+    Cells are separated by commas, semicolons or tabs, whichever the first line has most of.
+    """
+    lines = list(enumerate(text.splitlines(), start=1))
+    said: dict[str, str] = {}
+    at = 0
+    while at < len(lines) and (not lines[at][1].strip() or lines[at][1].lstrip().startswith("#")):
+        match = _COMMENT.fullmatch(lines[at][1].strip())
+        if match:
+            said[match["key"]] = match["value"]
+        at += 1
+    head = lines[at][1] if at < len(lines) else ""
+    mark = max(",;\t", key=head.count)
+    rows = (
+        (number, [cell.strip() for cell in line.split(mark)])
+        for number, line in lines[at:]
+        if line.strip() and not line.lstrip().startswith("#")
+    )
+    return said, rows
+
+
+def read_response(path: Path) -> MeasuredResponse:
+    """Read a table of a measured frequency response.
+
+    The columns are ``frequency_hz``, ``magnitude_db`` and ``phase_deg``, in any order; or
+    ``frequency [rad/s]``, ``magnitude [rad/s/V]``, ``magnitude_db [count/V]``, ``phase [rad]`` with
+    their units, and ``coherence``. A magnitude without a unit has any reference. Lines
+    ``# axis: X`` and ``# output: sensors.x_pot`` above the table say what was measured.
+
+    Raises
+    ------
+    RecordingError
+        If a column is missing, a line does not hold finite numbers, frequencies do not increase, or
+        a coherence is outside 0 to 1.
+    """
+    name = str(path)
+    text = read_text(path, MAX_BYTES, RecordingError, "measured response", "utf-8-sig")
+    said, rows = rows_of(text)
+    number, header = next(rows, (1, []))
+    columns = _columns(header, Place(name, number))
+    points: list[list[float]] = []
+    for number, row in rows:
+        point = _numbers(row, columns.places, Place(name, number))
+        if points and point[0] <= points[-1][0]:
+            raise RecordingError(
+                f"frequency {point[0] * columns.to_hertz:g} Hz does not increase",
+                place=Place(name, number),
+                remedy="Sort the lines by frequency.",
+            )
+        points.append(point)
+        if len(points) > MAX_POINTS:
+            raise RecordingError(
+                f"more than {MAX_POINTS} points", place=Place(name, number), remedy="Thin them."
+            )
+    if not points:
+        raise RecordingError("the file holds no points", place=Place(name))
+    return _response(np.array(points), columns, said, Place(name))
+
+
+def _response(
+    table: FloatArray, columns: _Columns, said: dict[str, str], place: Place
+) -> MeasuredResponse:
+    size = table[:, 1]
+    with np.errstate(over="ignore"):
+        size = 10.0 ** (size / 20.0) if columns.decibel else size
+        size = size * columns.scale
+    if not np.isfinite(size).all() or (size <= 0).any():
+        raise RecordingError(
+            "a magnitude is not above 0, or too large",
+            place=place,
+            remedy="Remove the points without a magnitude.",
+        )
+    coherence = None if columns.coherence is None else table[:, 3]
+    if coherence is not None and ((coherence < 0) | (coherence > 1)).any():
+        raise RecordingError(
+            f"coherence {coherence[np.argmax(np.abs(coherence - 0.5))]:g} is not from 0 to 1",
+            place=place,
+            remedy="Correct the column, or remove it.",
+        )
+    return MeasuredResponse(
+        frequency_hz=table[:, 0] * columns.to_hertz,
+        value=np.asarray(size * np.exp(1j * table[:, 2] * columns.to_radian), dtype=np.complex128),
+        coherence=coherence,
+        unit=columns.unit,
+        axis=said.get("axis", ""),
+        output=said.get("output", ""),
+        place=place,
+    )
+
+
+def _columns(header: list[str], place: Place) -> _Columns:
+    heads: dict[str, tuple[int, str]] = {}
+    for at, cell in enumerate(header):
+        match = _HEADING.fullmatch(cell.strip('"'))
+        if match:
+            heads.setdefault(match["name"].lower(), (at, match["unit"] or ""))
+
+    def head(*names: str) -> tuple[str, int, str]:
+        for name in names:
+            if name in heads:
+                return (name, *heads[name])
+        raise RecordingError(f"column {names[0]!r} is missing", place=place, remedy=_FORM)
+
+    name, frequency, unit = head("frequency_hz", "frequency", "freq")
+    to_hertz = 1.0
+    if name != "frequency_hz":
+        to_hertz = 1.0 / (2.0 * math.pi) if unit == "rad/s" else unit_factor(unit or "Hz", "Hz")
+    name, magnitude, unit = head("magnitude_db", "magnitude")
+    decibel = name == "magnitude_db" or unit.lower() == "db"
+    unit = "" if unit.lower() == "db" else unit
+    si, scale = _output_unit(unit, place) if unit else ("", 1.0)
+    name, phase, turn = head("phase_deg", "phase")
+    to_radian = math.radians(1.0) if name == "phase_deg" else unit_factor(turn or "deg", "rad")
+    return _Columns(
+        frequency=frequency,
+        to_hertz=to_hertz,
+        magnitude=magnitude,
+        decibel=decibel,
+        unit=si,
+        scale=scale,
+        phase=phase,
+        to_radian=to_radian,
+        coherence=heads["coherence"][0] if "coherence" in heads else None,
+    )
+
+
+def _output_unit(text: str, place: Place) -> tuple[str, float]:
+    """Return the SI unit of an output per volt, and the factor of ``text`` on it."""
+    unit = text.removesuffix("/V").strip()
+    for si in _OUTPUTS if text.endswith("/V") else ():
+        if same_dimension(unit, si):
+            return si, unit_factor(unit, si)
+    raise RecordingError(
+        f"a magnitude in {text[:40]!r} is not an output per volt",
+        place=place,
+        remedy="Write it like [rad/s/V], [count/V] or [mm/s/V].",
+    )
+
+
+def _numbers(row: list[str], places: list[int], place: Place) -> list[float]:
+    told = ",".join(row)[:60]
+    try:
+        values = [float(row[k]) for k in places]
+    except (IndexError, ValueError) as error:
+        count = {3: "three", 4: "four"}[len(places)]
+        raise RecordingError(f"{told!r} does not hold {count} numbers", place=place) from error
+    if not all(math.isfinite(v) for v in values) or values[0] <= 0:
+        raise RecordingError(
+            f"{told!r} must hold finite numbers and a frequency above 0", place=place
+        )
+    return values
+
+
+def write_response(measured: MeasuredResponse, path: Path) -> None:
+    """Write a response as a table that ``read_response`` reads without loss of what it means.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be written.
+    """
+    unit = f" [{measured.unit}/V]" if measured.absolute else ""
+    with atomic_file(path) as file:
+        for key in _WORDS:
+            if value := getattr(measured, key):
+                file.write(f"# {key}: {value}\n".encode())
+        tail = "" if measured.coherence is None else ",coherence"
+        file.write(f"frequency_hz,magnitude{unit},phase_deg{tail}\n".encode())
+        cells = [measured.frequency_hz, np.abs(measured.value), measured.phase_deg]
+        cells += [] if measured.coherence is None else [measured.coherence]
+        for row in zip(*(column.tolist() for column in cells), strict=True):
+            file.write((",".join(map(repr, row)) + "\n").encode())

@@ -1,0 +1,470 @@
+"""Patterns: how many circuits close over the mandrel, and what makes them close.
+
+Each of n circuits advances by whole turns and k/n of a turn. Then the fibre is back where it began,
+and n bands lie side by side. With ``p k = 1 (mod n)`` the band after p circuits lies beside the
+first one, ahead of it (leading); the band after n - p circuits lies behind it (lagging).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import JobError
+from threadline.jobs.winding.circuit import (
+    LEVEL,
+    ROUGH_LEVEL,
+    Circuit,
+    Site,
+    circuit_of,
+    widest,
+)
+from threadline.jobs.winding.layers import Closing, Layer, Winding
+from threadline.winding.surface import Surface
+
+_TURN = 2.0 * math.pi
+_SAMPLES = 9  # angles between which the table interpolates
+_HALVINGS = 14  # of the range of friction ratios in search of its end
+_MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
+_MOST_SHOWN = 20_000
+_FLAT = 1e-12
+_ROUNDS = 40
+_CLOSED = 1e-13  # rad
+_HOOP_ROWS = 100
+_NEAR_BANDS = 3.0  # of a turn, within which a boss or pins hold a dwell
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """A pattern that closes.
+
+    Parameters
+    ----------
+    circuits, shift
+        n and k: each circuit advances by k/n of a turn more than whole turns.
+    coverage
+        Width of all bands at the largest radius over the circumference.
+    beside
+        Circuits after which a band lies beside the first; the smaller of p and n - p.
+    leading
+        Whether that band lies ahead of the first one.
+    turns
+        Turns of the mandrel in the layer.
+    off
+        What a circuit of the geodesic lacks, rad; negative: it goes too far.
+    ratio
+        Friction ratio on the domes that closes it; NaN if none does.
+    constant_m
+        Clairaut radius that closes it without friction; NaN if none does.
+    dwell
+        Angle on the parallels of the turns that closes it in each circuit, rad; NaN where no turn
+        can dwell.
+    """
+
+    circuits: int
+    shift: int
+    coverage: float
+    beside: int
+    leading: bool
+    turns: int
+    off: float
+    ratio: float = math.nan
+    constant_m: float = math.nan
+    dwell: float = math.nan
+
+    @property
+    def ways(self) -> tuple[Closing, ...]:
+        """What can close it."""
+        found: list[Closing] = []
+        for name, value in (
+            ("friction", self.ratio), ("angle", self.constant_m), ("dwell", self.dwell)
+        ):  # fmt: skip
+            if not math.isnan(value):
+                found.append(name)  # type: ignore[arg-type]
+        return tuple(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wrap:
+    """A layer on its surface, before its pattern is chosen.
+
+    Parameters
+    ----------
+    base
+        The circuit without anything that closes a pattern.
+    sites
+        Where it turns, left and right.
+    least_m
+        Radius below which the band's centre must not turn on a dome: opening and half a band.
+    width_m
+        Of the band.
+    friction
+        Largest friction ratio.
+    """
+
+    winding: Winding
+    layer: Layer
+    surface: Surface
+    sites: tuple[Site, Site]
+    base: Circuit
+    least_m: float
+    width_m: float
+    friction: float
+
+    @property
+    def name(self) -> str:
+        """Of the layer, before a message."""
+        return f"layer {self.layer.number}: "
+
+    @property
+    def domes(self) -> bool:
+        """Whether the fibre turns by Clairaut at one end at least."""
+        return any(site.dome for site in self.sites)
+
+    def circuit(
+        self, ratio: float = 0.0, constant_m: float | None = None, dwell: float = 0.0
+    ) -> Circuit:
+        """Return a circuit with a friction ratio on its domes, a Clairaut radius and dwells.
+
+        A positive ``ratio`` steers towards the pole: the fibre turns later and further round.
+        """
+        constant = self.base.constant_m if constant_m is None else constant_m
+        ratios = tuple(-ratio if site.dome else self.friction for site in self.sites)
+        made = circuit_of(self.surface, self.sites, constant, (ratios[0], ratios[1]), self.name)
+        if dwell == 0.0:
+            return made
+        can = [self.can_dwell(made, site) for site in self.sites]
+        share = dwell / sum(can)
+        return replace(
+            made,
+            left=replace(made.left, dwell=share if can[0] else 0.0),
+            right=replace(made.right, dwell=share if can[1] else 0.0),
+        )
+
+    def slip_at(self, circuit: Circuit, site: Site) -> float:
+        """Return the slip tendency of a dwell on the parallel where a circuit turns."""
+        turn = circuit.right if site.side > 0 else circuit.left
+        x, r = self.surface.at(turn.rows[-1:, 1])
+        return abs(float(r[0, 1] / x[0, 1]))
+
+    def can_dwell(self, circuit: Circuit, site: Site) -> bool:
+        """Return whether a dwell holds: by friction, or by a boss or pins beside the turn."""
+        if self.slip_at(circuit, site) <= self.friction:
+            return True
+        turn = circuit.right if site.side > 0 else circuit.left
+        at = float(self.surface.at(turn.rows[-1:, 1])[0][0, 0])
+        near = _NEAR_BANDS * self.width_m
+        return any(
+            ring.name.startswith("the boss") or ring.name.startswith("the pins")
+            for ring in self.winding.product.rings
+            if min(abs(ring.begin_m - at), abs(ring.end_m - at)) <= near
+            or ring.begin_m <= at <= ring.end_m
+        )
+
+
+def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
+    """Return a helical layer on the surface that it is wound on.
+
+    Raises
+    ------
+    JobError
+        If the layer cannot be wound there.
+    """
+    product, width = winding.product, winding.product.width.si
+    level = LEVEL if surface is product.surface else ROUGH_LEVEL
+    most, first, last = widest(surface, level)
+    if layer.kind == "hoop":
+        return _hoops(winding, layer, surface)
+    bottoms = [_least(surface, first, -1), _least(surface, last, 1)]
+    open_m = [surface.at(np.array([u]))[1][0, 0] for u in (0.0, surface.length_m)]
+    domes_m = [
+        float(end) + 0.5 * width for end, low in zip(open_m, bottoms, strict=True)
+        if low < 0.95 * most
+    ]  # fmt: skip
+    if layer.turn_m is not None:
+        constant = layer.turn_m
+    elif layer.angle is not None:
+        constant = most * math.sin(layer.angle)
+    elif domes_m and len(domes_m) == sum(low < 0.95 * most for low in bottoms):
+        constant = max(domes_m)
+    else:
+        winding.refuse(layer, "the mandrel has no dome that gives an angle", 'angle = "55 deg"')
+    least = max((m for m in domes_m if m - 0.5 * width < constant), default=0.0)
+    if constant >= most * math.cos(math.radians(0.5)):
+        winding.refuse(
+            layer, f"a turn at {1e3 * constant:.4g} mm leaves no angle on a mandrel of "
+            f"{1e3 * most:.4g} mm", "Give a smaller turn, or a hoop layer.",
+        )  # fmt: skip
+    if domes_m and constant < min(domes_m) - 1e-9:
+        winding.refuse(
+            layer,
+            f"a turn at {1e3 * constant:.4g} mm: the opening and half a band are "
+            f"{1e3 * min(domes_m):.4g} mm",
+            "Give a larger turn or angle, or a narrower band.",
+        )
+    covered = product.covered
+    begin = layer.begin_m if layer.begin_m is not None else covered[0] if covered else None
+    end = layer.end_m if layer.end_m is not None else covered[1] if covered else None
+    sites = []
+    for side, low, joint, at in ((-1, bottoms[0], first, begin), (1, bottoms[1], last, end)):
+        dome = low < constant
+        if not dome and at is None:
+            winding.refuse(
+                layer,
+                f"the fibre turns by friction at the {'left' if side < 0 else 'right'} end, and "
+                "nothing says from where on",
+                "Give [coverage] begin and end, or begin and end of the layer.",
+            )
+        place = joint if dome else float(surface.place_of(np.array([at]))[0])
+        sites.append(Site(side, place, dome))
+    if not sites[0].joint <= sites[1].joint:
+        winding.refuse(layer, "begin is not left of end", "Correct begin and end.")
+    both = (sites[0], sites[1])
+    ratios = tuple(0.0 if site.dome else winding.friction for site in both)
+    name = f"layer {layer.number}: "
+    try:
+        base = circuit_of(surface, both, constant, (ratios[0], ratios[1]), name)
+    except JobError as error:
+        winding.refuse(layer, error.message, error.remedy)
+    return Wrap(winding, layer, surface, both, base, least, width, winding.friction)
+
+
+def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
+    """Return a hoop layer: one band further on in every turn, where the mandrel is widest."""
+    most, first, last = widest(surface, ROUGH_LEVEL)
+    width, friction = winding.product.width.si, winding.friction
+    covered = winding.product.covered or (-math.inf, math.inf)
+    ends = surface.at(np.array([first, last]))[0][:, 0]
+    begin = max(layer.begin_m if layer.begin_m is not None else covered[0], float(ends[0]))
+    end = min(layer.end_m if layer.end_m is not None else covered[1], float(ends[1]))
+    angle = math.atan(_TURN * most / width)
+    # The turn needs a little room, on the cylinder as well.
+    room = 1.5 * most / friction * (1.0 / math.sin(angle) - 1.0)
+    begin, end = begin + room, end - room
+    if not end - begin > width:
+        winding.refuse(
+            layer, "no cylinder is left for a hoop layer",
+            "Hoops lie where the mandrel is widest: give a cylinder, or begin and end on it.",
+        )  # fmt: skip
+    places = surface.place_of(np.array([begin, end]))
+    sites = Site(-1, float(places[0]), False), Site(1, float(places[1]), False)
+    base = circuit_of(
+        surface, sites, most * math.sin(angle), (friction, friction), f"layer {layer.number}: "
+    )
+    # Straight in u and angle round: a row in every radian or so is enough.
+    rows = base.middle
+    base = replace(base, middle=np.vstack([rows[:-1:_HOOP_ROWS], rows[-1:]]))
+    return Wrap(winding, layer, surface, sites, base, 0.0, width, friction)
+
+
+def _least(surface: Surface, begin: float, side: int) -> float:
+    """Return the smallest radius from a place to an end."""
+    end = surface.length_m if side > 0 else 0.0
+    return float(surface.at(np.linspace(begin, end, 513))[1][:, 0].min())
+
+
+def patterns(wrap: Wrap) -> list[Pattern]:
+    """Return the patterns that close with the wanted coverage, the nearest to the geodesic first.
+
+    Raises
+    ------
+    JobError
+        If there is none; names the nearest.
+    """
+    layer, base = wrap.layer, wrap.base
+    if layer.kind == "hoop":
+        count = layer.circuits or 1
+        turns = round(base.advance * count / _TURN)
+        return [Pattern(count, 0, float(count), 1, True, turns, 0.0, dwell=0.0)]
+    around = _TURN * base.widest_m * math.cos(base.angle) / wrap.width_m
+    if layer.circuits is not None:
+        counts = range(layer.circuits, layer.circuits + 1)
+    else:
+        low = max(math.ceil(layer.cover * around - 1e-9), 1)
+        counts = range(low, max(math.floor(_MORE * layer.cover * around), low) + 1)
+        if len(counts) > _MOST_SHOWN:
+            wrap.winding.refuse(layer, f"{low} circuits for a layer", "Is the band so narrow?")
+    frictions = _by_friction(wrap)
+    angles = _by_angle(wrap)
+    dwells = any(wrap.can_dwell(base, site) for site in wrap.sites)
+    found = [
+        pattern
+        for count in counts
+        for pattern in _of_count(base.advance, count, around, layer.shift)
+    ]
+    closed = []
+    for pattern in found:
+        ratio, constant = frictions(pattern.off), angles(pattern.off)
+        dwell = pattern.off % _TURN if dwells else math.nan
+        one = replace(pattern, ratio=ratio, constant_m=constant, dwell=dwell)
+        if one.ways and (layer.close is None or layer.close in one.ways):
+            closed.append(one)
+    closed.sort(key=lambda one: (abs(one.off), one.circuits))
+    if not closed:
+        nearest = min(found, key=lambda one: abs(one.off), default=None)
+        near = (
+            ""
+            if nearest is None
+            else (
+                f"; the nearest, {nearest.circuits} circuits with shift {nearest.shift}, is "
+                f"{math.degrees(nearest.off):.4g} deg a circuit off"
+            )
+        )
+        asked = f" by {layer.close}" if layer.close else ""
+        wrap.winding.refuse(layer, f"no pattern of this layer closes{asked}{near}", _remedy(wrap))
+    return closed
+
+
+def _remedy(wrap: Wrap) -> str:
+    slips = max(wrap.slip_at(wrap.base, site) for site in wrap.sites)
+    if wrap.layer.close == "dwell":
+        return (
+            f"A dwell on the parallel has a slip tendency of {slips:.2g}, the friction holds "
+            f"{wrap.friction:.2g}: declare a [[boss]] or a ring of pins, or close by friction."
+        )
+    return "Give other circuits, a larger turn, or more friction."
+
+
+def _of_count(advance: float, count: int, around: float, shift: int | None) -> Iterator[Pattern]:
+    whole = math.floor(advance / _TURN)
+    shifts = range(count) if shift is None else (shift % count,)
+    for k in shifts:
+        if math.gcd(k, count) != 1:
+            continue
+        off = math.remainder(_TURN * k / count - advance, _TURN)
+        ahead = pow(k, -1, count) if count > 1 else 1
+        turns = round((advance + off) * count / _TURN) if whole >= 0 else 0
+        yield Pattern(
+            circuits=count, shift=k, coverage=count / around,
+            beside=min(ahead, count - ahead) or 1, leading=ahead <= count - ahead,
+            turns=turns, off=off,
+        )  # fmt: skip
+
+
+def _inverse(values: FloatArray, advances: FloatArray, base: float) -> Callable[[float], float]:
+    """Return the value for a wanted change of the advance, NaN beyond the samples."""
+    order = np.argsort(advances)
+    found, at = values[order], advances[order] - base
+    return lambda off: float(np.interp(off, at, found, left=np.nan, right=np.nan))
+
+
+def _none(_off: float) -> float:
+    return math.nan
+
+
+def _by_friction(wrap: Wrap) -> Callable[[float], float]:
+    """Return the friction ratio on the domes by what a circuit lacks."""
+    if not wrap.domes:
+        return _none
+
+    def tried(ratio: float) -> float:
+        try:
+            circuit = wrap.circuit(ratio)
+        except JobError:
+            return math.nan
+        return math.nan if _inside(wrap, circuit) else circuit.advance
+
+    ends = [_furthest(tried, sign * wrap.friction) for sign in (-1.0, 1.0)]
+    samples = np.concatenate([np.linspace(ends[0], 0.0, 5), np.linspace(0.0, ends[1], 5)[1:]])
+    advances = np.array([tried(float(ratio)) for ratio in samples])
+    known = np.isfinite(advances)
+    if known.sum() < 2:
+        return _none
+    return _inverse(samples[known], advances[known], wrap.base.advance)
+
+
+def _furthest(tried: Callable[[float], float], wanted: float) -> float:
+    """Return the value up to ``wanted`` at which a trial still succeeds, from 0 on."""
+    if not math.isnan(tried(wanted)):
+        return wanted
+    low, high = 0.0, wanted
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if math.isnan(tried(middle)) else (middle, high)
+    return low
+
+
+def _inside(wrap: Wrap, circuit: Circuit) -> bool:
+    """Return whether a circuit turns nearer to a pole than its band can, by more than a hair."""
+    return any(
+        site.dome and turn.radius_m < wrap.least_m - 1e-9
+        for site, turn in zip(wrap.sites, (circuit.left, circuit.right), strict=True)
+    )
+
+
+def _by_angle(wrap: Wrap) -> Callable[[float], float]:
+    """Return the Clairaut radius by what a circuit lacks, over 3 degrees of the angle."""
+    if wrap.layer.angle is not None and not wrap.domes:
+        spread = math.radians(1.0)
+    else:
+        spread = math.radians(3.0)
+    values, advances = [], []
+    middle = wrap.base.angle
+    low = max(middle - spread, math.asin(min(wrap.least_m / wrap.base.widest_m, 1.0)), 1e-3)
+    for angle in np.linspace(low, middle + spread, _SAMPLES):
+        constant = wrap.base.widest_m * math.sin(float(angle))
+        if constant <= 0.0 or angle >= 0.5 * math.pi:
+            continue
+        try:
+            circuit = wrap.circuit(constant_m=constant)
+        except JobError:
+            continue
+        if _inside(wrap, circuit):
+            continue
+        values.append(constant)
+        advances.append(circuit.advance)
+    if len(values) < 2 or not (np.diff(advances) * (advances[-1] - advances[0]) > 0.0).all():
+        return _none
+    return _inverse(np.array(values), np.array(advances), wrap.base.advance)
+
+
+def closed_circuit(wrap: Wrap, pattern: Pattern, by: Closing) -> Circuit:
+    """Return the circuit of a pattern, closed to ``1e-13`` rad.
+
+    Raises
+    ------
+    JobError
+        If it does not close in that way.
+    """
+    target = wrap.base.advance + pattern.off
+
+    def make(value: float) -> Circuit:
+        if by == "friction":
+            return wrap.circuit(ratio=value)
+        return wrap.circuit(constant_m=value)
+
+    if by == "dwell":
+        return wrap.circuit(dwell=pattern.dwell) if pattern.dwell else wrap.base
+    at, step = (pattern.ratio, 1e-4) if by == "friction" else (pattern.constant_m, 1e-6)
+    made = make(at)
+    last, error = at + step, made.advance - target
+    before = make(last).advance - target
+    for _ in range(_ROUNDS):
+        if abs(error) < _CLOSED or error == before:
+            break
+        following = at - error * (at - last) / (error - before)
+        if following == at:
+            break
+        last, before, at = at, error, following
+        made = make(at)
+        error = made.advance - target
+    return made
+
+
+def chosen(wrap: Wrap, found: list[Pattern]) -> tuple[Pattern, Closing]:
+    """Return the pattern of a layer and what closes it.
+
+    The first of the table is taken; friction closes it where there is a dome, else a dwell.
+    """
+    pattern = found[0]
+    if wrap.layer.close is not None:
+        return pattern, wrap.layer.close
+    ways: tuple[Closing, ...] = ("friction", "dwell", "angle")
+    for way in ways:
+        if way in pattern.ways:
+            return pattern, way
+    raise AssertionError("a listed pattern closes in one way at least")

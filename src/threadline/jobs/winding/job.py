@@ -1,0 +1,440 @@
+"""The reader of windings: it turns a product file with layers into a job of moves of the eye."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.reading import open_binary
+from threadline.errors import JobError, OptionError, Place
+from threadline.files import Stream
+from threadline.jobs.operations import (
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    MoveRun,
+    Operation,
+    OperationStream,
+    Source,
+)
+from threadline.jobs.winding.circuit import Circuit
+from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, positions
+from threadline.jobs.winding.joins import Join, join
+from threadline.jobs.winding.laid import Laid, design
+from threadline.jobs.winding.layers import Winding, read_layers
+from threadline.machine import Machine
+from threadline.machine.tool import Tool
+from threadline.winding.product import product_of_text
+from threadline.winding.replay import Replay
+from threadline.winding.surface import Surface
+
+SUFFIX = ".wind.toml"
+USUAL_SPEED_M_S = 0.1
+"""Speed of the fibre where the file names none."""
+_DISTANCES_M = (0.01, 0.015, 0.02, 0.03, 0.04, 0.055, 0.075)
+_FIRST = 4.0  # times the tolerance: chords of the eye that are tried first
+_HALVINGS = 6
+_JOIN = 0.5  # times the tolerance: chords of the eye in a join
+_NO_BETTER = 0.8  # times the error with steps twice as long
+_KEPT = 0.9  # of the tolerance
+_CHECKED = 2  # circuits that are replayed
+_CHORD_M = 5e-4  # of the replay's check
+_TIED_M = 1e-3  # a tied place within this of the turn is the turn
+_APPROACH_M_S = 0.05  # of eye to the first point
+_REST_S = 0.5
+_LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
+_LEAST_S = 1e-4  # of a move
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laps:
+    """Equal circuits of one layer as positions of the axes.
+
+    Parameters
+    ----------
+    points
+        (m, axes) positions of the first circuit, its first point included.
+    further
+        (axes,) what every circuit adds to the positions of the one before it.
+    seconds
+        (m - 1,) duration of every move.
+    count
+        Number of circuits.
+    line
+        Line of the layer in the file.
+    """
+
+    points: FloatArray
+    further: FloatArray
+    seconds: FloatArray
+    count: int
+    line: int
+
+
+def is_winding(path: Path) -> bool:
+    """Return whether a file is a product file with layers or without."""
+    return path.name.lower().endswith(SUFFIX)
+
+
+def own_product(path: Path) -> str:
+    """Return the text of a job's own product, with the place where its fibre is tied.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read or wound.
+    """
+    winding = read_layers(path)
+    laid = design(winding)
+    at = tied_place(winding, laid[0])
+    content = json.loads(winding.text)
+    content["fibre"] = {**content.get("fibre", {}), "tied": f"{1e3 * at!r} mm"}
+    text = json.dumps(content, ensure_ascii=True, sort_keys=True)
+    product_of_text(text)
+    return text
+
+
+def tied_place(winding: Winding, first: Laid) -> float:
+    """Return the place along the mandrel, m, where the fibre is tied: its first turn."""
+    course = first.circuit.left.rows[-1:, 1]
+    at = float(first.wrap.surface.at(course)[0][0, 0])
+    tied = winding.product.tied
+    if tied is not None and abs(tied - at) > _TIED_M:
+        winding.refuse(
+            first.layer,
+            f"the fibre is tied at {1e3 * tied:.4g} mm, and the first layer begins where it turns "
+            f"back, at {1e3 * at:.4g} mm",
+            "Leave [fibre] tied out.",
+        )
+    return at
+
+
+def read_winding(path: str | Path, *, machine: Machine) -> Job:
+    """Return the job of a winding: from its file to the moves of mandrel and eye.
+
+    Parameters
+    ----------
+    path
+        Product file with layers.
+    machine
+        Machine with an eye.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read, or a layer cannot be wound on this machine; gives the line.
+    OptionError
+        If the machine has no eye that can be planned for.
+    """
+    path = Path(path)
+    tool = _eye(machine)
+    winding = read_layers(path)
+    laid = design(winding)
+    tied_place(winding, laid[0])
+    laps: list[Laps] = []
+    said: list[str] = []
+    side = -1
+    for before, one in zip((None, *laid), laid, strict=False):
+        if before is not None:
+            way = join(before, one, side)
+            laps.append(_joined(winding, way, one, machine, tool))
+            side = way.side
+        made, words = _laps(winding, one, machine, tool, side)
+        laps.append(made)
+        said += words
+    laps = _in_a_row(laps, machine, tool)
+    stream = Stream(_runs, tuple(laps), str(path), machine.axis_names, _approach(tool))
+    return Job(
+        capped=_capped(tuple(laps), machine, winding),
+        name=winding.product.name,
+        file=str(path),
+        sha256=_sha256(path),
+        axes=machine.axis_names,
+        start=(0.0,) * len(machine.axis_names),
+        operations=OperationStream(stream),
+        warnings=tuple(said),
+    )
+
+
+def _capped(laps: tuple[Laps, ...], machine: Machine, winding: Winding) -> tuple[str, ...]:
+    """Return a warning if the operator's normal feed slows moves down."""
+    if machine.operator is None:
+        return ()
+    counts = machine.counts_per_unit * float(machine.tick_clock.period_s)
+    normal = machine.operator.normal_feed.si
+    faster, moves = 0, 0
+    for one in laps:
+        rates = np.abs(np.diff(one.points, axis=0)) * counts / one.seconds[:, None]
+        faster += int((rates.max(axis=1) > normal * (1.0 + 1e-9)).sum()) * one.count
+        moves += len(rates) * one.count
+    if not faster:
+        return ()
+    speed = 1e3 * (winding.speed_m_s or USUAL_SPEED_M_S)
+    return (
+        f"{Place(str(winding.path))}: a fibre speed of {speed:g} mm/s is faster than the normal "
+        f"feed of {normal:g} count/tick in {faster} of {moves} moves, which caps it. Choose "
+        "another feed with --feed, or raise operator.normal_feed.",
+    )
+
+
+def _sha256(path: Path) -> str:
+    with open_binary(path) as stream:
+        return hashlib.sha256(stream.read()).hexdigest()
+
+
+def _eye(machine: Machine) -> Tool:
+    tool = machine.tool
+    if tool is None or tool.kind != "eye":
+        raise OptionError(
+            f"a winding needs the eye of a winder, and {machine.name} has none",
+            remedy='Describe it in the machine file: [tool] kind = "eye", turn, along and across.',
+        )
+    if tool.roller_m[3] != 0.0:
+        raise OptionError(
+            f"the eye of {machine.name} has a roller of {1e3 * abs(tool.roller_m[3]):g} mm: "
+            "windings are planned for a plain eye",
+            remedy="Plan for a machine file without [tool] roller, and prove on the one with it.",
+        )
+    return tool
+
+
+def _joined(winding: Winding, way: Join, laid: Laid, machine: Machine, tool: Tool) -> Laps:
+    """Return a join as positions of the axes; its rows are the only circuit."""
+    path = _with_envelope(winding, laid, way.course, machine, tool)
+    kept = kept_points(path.eye, _JOIN * winding.tolerance_m)
+    made = _timed(winding, laid, path, kept, machine, tool)
+    return replace(made, count=1, further=np.zeros(len(machine.axis_names)))
+
+
+def _in_a_row(laps: list[Laps], machine: Machine, tool: Tool) -> list[Laps]:
+    """Return the laps with every first turn of the mandrel where the laps before it ended."""
+    assert tool.turn is not None
+    column = machine.axis_names.index(tool.turn.axis)
+    found = laps[:1]
+    for one in laps[1:]:
+        last = found[-1]
+        end = last.points[-1, column] + (last.count - 1) * last.further[column]
+        points = one.points.copy()
+        # Between two surfaces the eye moves outwards alone.
+        points[:, column] += end - points[0, column]
+        found.append(replace(one, points=points))
+    return found
+
+
+def _laps(
+    winding: Winding, laid: Laid, machine: Machine, tool: Tool, side: int
+) -> tuple[Laps, tuple[str, ...]]:
+    """Return the circuits of a layer as positions of the axes, and warnings."""
+    circuit = laid.circuit
+    course = circuit.course(side)
+    path = _with_envelope(winding, laid, course, machine, tool)
+    kept, off = _checked(winding, circuit, path, tool)
+    said = []
+    at = Place(str(winding.path), laid.layer.line)
+    if off > winding.tolerance_m:
+        hollow = "" if circuit.surface.convex else ": the layers below leave hollows"
+        said.append(f"{at}: the fibre is laid up to {1e3 * off:.3g} mm beside its design{hollow}.")
+    take_up = winding.product.take_up
+    if path.slack_m > 1e-6 and path.slack_m > (take_up or 0.0):
+        held = (
+            "no [fibre] take_up is known"
+            if take_up is None
+            else (f"the take-up holds {1e3 * take_up:.3g} mm")
+        )
+        said.append(
+            f"{at}: {1e3 * path.slack_m:.3g} mm of fibre go "
+            f"back through the eye at a turn, and {held}."
+        )
+    return _timed(winding, laid, path, kept, machine, tool), tuple(said)
+
+
+def _timed(
+    winding: Winding, laid: Laid, path: EyePath, kept: IntArray, machine: Machine, tool: Tool
+) -> Laps:
+    """Return points of a path as positions of the axes, at the wanted speed of the fibre."""
+    points = positions(tool, machine.axis_names, path.eye[kept], winding.product.at.si)
+    further = np.zeros(len(machine.axis_names))
+    assert tool.turn is not None
+    further[machine.axis_names.index(tool.turn.axis)] = laid.circuit.advance / tool.turn.factor
+    speed = winding.speed_m_s or USUAL_SPEED_M_S
+    used = np.diff(path.used_m[kept])
+    laid_m = np.diff(path.course[kept, 0])
+    seconds = np.maximum(np.maximum(used, _LEAST_USED * laid_m) / speed, _LEAST_S)
+    return Laps(points, further, seconds, laid.pattern.circuits, laid.layer.line)
+
+
+def _with_envelope(
+    winding: Winding, laid: Laid, course: FloatArray, machine: Machine, tool: Tool
+) -> EyePath:
+    """Return the eye's path on the asked envelope, else on the one with the least time."""
+    surface = laid.wrap.surface
+    if tool.across is None:
+        _, across, up = tool.payout_m
+        return _cut(winding, laid, surface, course, math.hypot(across, up), round_=True)
+    if winding.envelope_m is not None:
+        return _cut(winding, laid, surface, course, winding.envelope_m, round_=False)
+    least = (winding.product.clearance or 0.0) + tool.body_m
+    best, least_s = None, math.inf
+    for distance in _DISTANCES_M:
+        path = _cut(winding, laid, surface, course, least + distance, round_=False)
+        time_s = _least_time(path, machine, tool, winding)
+        if best is None or time_s < least_s:
+            best, least_s = path, time_s
+    assert best is not None
+    return best
+
+
+def _cut(
+    winding: Winding, laid: Laid, surface: Surface, course: FloatArray, far: float, *, round_: bool
+) -> EyePath:
+    try:
+        return eye_path(surface, course, far, round_)
+    except JobError as error:
+        winding.refuse(laid.layer, error.message, error.remedy)
+
+
+def _least_time(path: EyePath, machine: Machine, tool: Tool, winding: Winding) -> float:
+    """Return the time of a circuit within speed and acceleration of the axes, without ramps.
+
+    Infinite where an axis would leave its travel.
+    """
+    names = machine.axis_names
+    places = positions(tool, names, path.eye, winding.product.at.si)
+    s = path.course[:, 0]
+    first = np.gradient(places, s, axis=0)
+    second = np.gradient(first, s, axis=0)
+    most = np.full(len(s), np.inf)
+    for column, name in enumerate(names):
+        axis = machine.axes[name]
+        if axis.travel is not None:
+            low, high = (end.si for end in axis.travel)
+            if places[:, column].min() < low or places[:, column].max() > high:
+                return math.inf
+        with np.errstate(divide="ignore"):
+            most = np.minimum(most, axis.velocity.si / np.abs(first[:, column]))
+            if axis.acceleration is not None:
+                bend = np.sqrt(axis.acceleration.si / np.abs(second[:, column]))
+                most = np.minimum(most, bend)
+    if winding.speed_m_s is not None:
+        most = np.minimum(most, winding.speed_m_s)
+    way = np.diff(s)
+    return float((way * 0.5 * (1.0 / most[1:] + 1.0 / most[:-1])).sum())
+
+
+def _checked(
+    winding: Winding, circuit: Circuit, path: EyePath, tool: Tool
+) -> tuple[IntArray, float]:
+    """Return the points of the path that keep the laid fibre within its tolerance.
+
+    With them comes the distance of the laid fibre from the design, m.
+    """
+    tolerance = _FIRST * winding.tolerance_m
+    kept, off = kept_points(path.eye, tolerance), math.inf
+    for _ in range(_HALVINGS):
+        before, off = off, laid_error(circuit, path, path.eye[kept], tool)
+        # A fibre over a hollow lies beside its design, however fine the steps are.
+        if off <= _KEPT * winding.tolerance_m or off > _NO_BETTER * before:
+            break
+        tolerance *= 0.5
+        kept = kept_points(path.eye, tolerance)
+    return kept, off
+
+
+def laid_error(circuit: Circuit, path: EyePath, eye: FloatArray, tool: Tool) -> float:
+    """Return the largest distance, m, between the designed fibre and the one that an eye lays.
+
+    Parameters
+    ----------
+    eye
+        (m, 3) turn, place along and distance of the eye in one circuit, linear between.
+    """
+    surface = circuit.surface
+    laps = [eye]
+    for lap in range(1, _CHECKED):
+        laps.append(eye[1:] + np.array([lap * circuit.advance, 0.0, 0.0]))
+    chain = np.vstack(laps)
+    way = np.abs(np.diff(chain, axis=0))
+    size = np.maximum(way[:, 0] * chain[1:, 2], np.maximum(way[:, 1], way[:, 2]))
+    count = np.maximum(np.ceil(size / _CHORD_M), 1.0).astype(np.int64)
+    row = np.repeat(np.arange(len(count)), count)
+    within = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
+    points = np.vstack([chain[:1], chain[row] + within[:, None] * (chain[row + 1] - chain[row])])
+    columns = np.zeros((len(points), 6))
+    columns[:, :3] = points
+    plain = Tool(
+        kind="eye", radius=tool.radius, turn=tool.turn, along=tool.along, across=tool.along
+    )
+    tied = float(surface.at(path.course[:1, 1])[0][0, 0])
+    fibre = Replay(surface, plain, math.inf, tied).feed(columns)
+    known = np.isfinite(fibre.u)
+    if not known.any():
+        return math.inf
+    return _apart(circuit, path.course, fibre.u[known], -fibre.angle[known])
+
+
+def _apart(circuit: Circuit, course: FloatArray, u: FloatArray, angle: FloatArray) -> float:
+    """Return the largest distance of places, in the order of the course, from the course."""
+    laps = [course]
+    length = float(course[-1, 0])
+    for lap in range(1, _CHECKED + 1):
+        laps.append(course[1:] + np.array([lap * length, 0.0, lap * circuit.advance, 0.0]))
+    whole = np.vstack(laps)
+    # The angle round grows steadily: it names the place on the course, up to whole turns.
+    angle = angle - 2.0 * math.pi * round(float(angle[0] - whole[0, 2]) / (2.0 * math.pi))
+    at = np.interp(angle, whole[:, 2], whole[:, 1])
+    winding = np.interp(angle, whole[:, 2], whole[:, 3])
+    return float((np.abs(u - at) * np.sin(winding)).max())
+
+
+def _approach(tool: Tool) -> tuple[str, ...]:
+    """Return the axes in the order in which they move to the first point."""
+    first = [part.axis for part in (tool.across, tool.along) if part is not None]
+    return tuple(first)
+
+
+def _runs(
+    laps: tuple[Laps, ...], file: str, axes: tuple[str, ...], approach: tuple[str, ...]
+) -> Iterator[Operation | MoveRun]:
+    """Yield the moves: to the first point, axis by axis, then every circuit."""
+    at = np.zeros(len(axes))
+    first = laps[0].points[0]
+    turn = [index for index, name in enumerate(axes) if name not in approach]
+    shift = np.zeros(len(axes))
+    shift[turn] = -first[turn]
+    for name in approach:
+        column = axes.index(name)
+        way = abs(first[column] - at[column])
+        if way > 0.0:
+            at[column] = first[column]
+            feed = Feed(FeedMode.INVERSE_TIME, _APPROACH_M_S / way)
+            yield Move(tuple(at.tolist()), feed, Source(file, laps[0].line))
+    # A plan would round the corner between approach and winding, and the fibre would start beside
+    # its place.
+    yield Dwell(_REST_S, Source(file, laps[0].line))
+    number = 0
+    for one in laps:
+        feeds: list[tuple[int, Feed | None]] = []
+        for index, seconds in enumerate(one.seconds.tolist()):
+            feeds.append((index, Feed(FeedMode.INVERSE_TIME, 1.0 / seconds)))
+        lines = np.full(len(one.points) - 1, one.line, dtype=np.int64)
+        if number and not np.array_equal(one.points[0] + shift, at):
+            yield Move(tuple((one.points[0] + shift).tolist()), feeds[0][1], Source(file, one.line))
+        for lap in range(one.count):
+            number += 1
+            yield MoveRun(
+                targets=one.points[1:] + lap * one.further + shift,
+                line=lines,
+                feeds=tuple(feeds),
+                file=file,
+                passes=(number,),
+            )
+        at = one.points[-1] + (one.count - 1) * one.further + shift

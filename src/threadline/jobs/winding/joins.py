@@ -1,0 +1,170 @@
+"""Joins: from the last turn of a layer to the first turn of the next one.
+
+A join passes the mandrel, and the angle changes on its way between the joints by a constant
+friction ratio. Where one pass is too short for that, the fibre turns back and goes on changing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import JobError, Place
+from threadline.jobs.winding.circuit import Site, Turn, traced, turn_of
+from threadline.jobs.winding.laid import Laid
+from threadline.winding.surface import Surface
+
+_MOST_PASSES = 20
+_HALVINGS = 60
+_SAME_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Join:
+    """A way between two layers.
+
+    Parameters
+    ----------
+    surface
+        That of the later layer.
+    course
+        (n, 4) length, u, angle round and winding angle to the right.
+    side
+        End at which the later layer begins: 1 right, -1 left.
+    ratio
+        Largest friction ratio.
+    """
+
+    surface: Surface
+    course: FloatArray
+    side: int
+    ratio: float
+
+
+def join(before: Laid, after: Laid, side: int) -> Join:
+    """Return the way from a turn of a layer to a turn of the next.
+
+    Parameters
+    ----------
+    before, after
+        The layers.
+    side
+        End at which the earlier layer ends: 1 right, -1 left.
+
+    Raises
+    ------
+    JobError
+        If the angle cannot change enough on the mandrel.
+    """
+    surface = after.wrap.surface
+    friction = after.wrap.friction
+    name = f"the join to layer {after.layer.number}: "
+    from_, to = _moved(before, surface), after.wrap.sites
+    constant, wanted = before.circuit.constant_m, after.circuit.constant_m
+    parts: list[FloatArray] = []
+    at = from_[(side + 1) // 2]
+    _put(parts, _inwards(turn_of(surface, at, constant, _ratio(at, friction), name)), side)
+    most = 0.0
+    for _ in range(_MOST_PASSES):
+        side = -side
+        end = to[(side + 1) // 2]
+        rows, ratio, reached = _changed(surface, at, end, (constant, wanted), friction)
+        if rows is None:
+            break
+        constant, most = reached, max(most, abs(ratio))
+        _put(parts, rows, -side)
+        if abs(constant - wanted) < _SAME_M:
+            last = after.circuit.right if side > 0 else after.circuit.left
+            _put(parts, last.rows, -side)
+            return Join(surface, np.vstack(parts), side, most)
+        if not end.dome:
+            at = from_[(side + 1) // 2]
+            if not at.dome:
+                break
+            between = traced(surface, (end.joint, constant), 0.0, side, at.joint)
+            if between is None:
+                break
+            _put(parts, between, -side)
+            end = at
+        turn = turn_of(surface, end, constant, 0.0, name)
+        _put(parts, turn.rows, -side)
+        _put(parts, _inwards(turn), side)
+        at = end
+    raise JobError(
+        f"the fibre cannot change from {_deg(before)} to {_deg(after)} with a friction ratio of "
+        f"{friction:.3g} on this mandrel",
+        place=Place(str(after.wrap.winding.path), after.layer.line),
+        remedy="Put a layer with an angle between them, or wind them as two jobs.",
+    )
+
+
+def _deg(laid: Laid) -> str:
+    return f"{np.degrees(laid.circuit.angle):.1f} deg"
+
+
+def _ratio(site: Site, friction: float) -> float:
+    return 0.0 if site.dome else friction
+
+
+def _moved(before: Laid, surface: Surface) -> tuple[Site, Site]:
+    """Return the sites of a layer on a later surface."""
+    made = []
+    for site in before.wrap.sites:
+        x = before.wrap.surface.at(np.array([site.joint]))[0][:, 0]
+        made.append(Site(site.side, float(surface.place_of(x)[0]), site.dome))
+    return made[0], made[1]
+
+
+def _inwards(turn: Turn) -> FloatArray:
+    """Return the rows from a turn to its joint."""
+    rows = turn.rows[::-1].copy()
+    rows[:, 0] = turn.rows[-1, 0] - rows[:, 0]
+    rows[:, 2] = turn.rows[-1, 2] - rows[:, 2]
+    return rows
+
+
+def _put(parts: list[FloatArray], rows: FloatArray, side: int) -> None:
+    """Add rows with the angle to the meridian in their own direction: away from an end ``side``."""
+    rows = rows.copy()
+    if side > 0:  # away from the right end, to the left
+        rows[:, 3] = np.pi - rows[:, 3]
+    if parts:
+        last = parts[-1][-1]
+        rows[:, 0] += last[0] - rows[0, 0]
+        rows[:, 2] += last[2] - rows[0, 2]
+        rows = rows[1:]
+    if len(rows):
+        parts.append(rows)
+
+
+def _changed(
+    surface: Surface, begin: Site, end: Site, constants: tuple[float, float], friction: float
+) -> tuple[FloatArray | None, float, float]:
+    """Return rows between two joints, the friction ratio and the Clairaut constant at the end."""
+
+    def tried(ratio: float) -> tuple[FloatArray | None, float]:
+        rows = traced(surface, (begin.joint, constants[0]), ratio, end.side, end.joint)
+        if rows is None:
+            return None, np.inf
+        radius = float(surface.at(rows[-1:, 1])[1][0, 0])
+        return rows, radius * float(np.sin(rows[-1, 3]))
+
+    wanted = constants[1]
+    low, high = -friction, friction
+    rows, found = tried(low)
+    if found >= wanted:
+        return rows, low, found
+    rows, found = tried(high)
+    if found <= wanted:
+        return rows, high, found
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        rows, found = tried(middle)
+        if found > wanted:
+            high = middle
+        else:
+            low = middle
+    rows, found = tried(low)
+    return rows, low, found

@@ -1,0 +1,135 @@
+"""The design of a winding: every layer with its pattern, on the surface of the layers before it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from threadline.jobs.winding.circuit import Circuit
+from threadline.jobs.winding.closing import (
+    Pattern,
+    Wrap,
+    chosen,
+    closed_circuit,
+    patterns,
+    wrap_of,
+)
+from threadline.jobs.winding.layers import Closing, Layer, Winding
+from threadline.jobs.winding.thickness import Thickness, grown, hoops, thickness
+
+_KG_PER_TEX_M = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """A layer with its pattern.
+
+    Parameters
+    ----------
+    wrap
+        The layer on its surface.
+    table
+        All patterns that close, the nearest to the geodesic first.
+    pattern, by
+        The pattern that is wound, and what closes it.
+    circuit
+        One of its circuits.
+    """
+
+    wrap: Wrap
+    table: tuple[Pattern, ...]
+    pattern: Pattern
+    by: Closing
+    circuit: Circuit
+
+    @property
+    def layer(self) -> Layer:
+        """The layer as the file asks for it."""
+        return self.wrap.layer
+
+    @property
+    def length_m(self) -> float:
+        """Length of its fibre without dwells."""
+        return self.pattern.circuits * self.circuit.length_m
+
+    @property
+    def dwells_m(self) -> float:
+        """Length of its fibre on the parallels of the turns."""
+        return self.pattern.circuits * self.circuit.dwells_m
+
+    @property
+    def thickness_m(self) -> float | None:
+        """Mean thickness of the layer at the largest radius; None if unknown.
+
+        A circuit passes every place twice: a layer has two bands, times its coverage.
+        """
+        thick = self.wrap.winding.product.thickness
+        return None if thick is None else 2.0 * thick * self.pattern.coverage
+
+    @property
+    def fibre_m2(self) -> float | None:
+        """Cross-section of all bands on a parallel, m^2; None without a thickness of the band."""
+        thick = self.wrap.winding.product.thickness
+        return None if thick is None else 2.0 * self.pattern.circuits * self.wrap.width_m * thick
+
+    def spread(self) -> Thickness | None:
+        """Return the thickness along the meridian; None if it is unknown."""
+        if self.fibre_m2 is None:
+            return None
+        if self.layer.kind == "hoop":
+            left, right = self.circuit.left.rows[-1, 1], self.circuit.right.rows[-1, 1]
+            volume = 0.5 * self.fibre_m2 * self.circuit.length_m
+            ends = float(left), float(right)
+            return hoops(self.circuit.surface, ends, self.wrap.width_m, volume)
+        return thickness(self.circuit, self.wrap.sites, self.wrap.width_m, self.fibre_m2)
+
+    @property
+    def most_m(self) -> float | None:
+        """Largest thickness, at a turn; None if unknown."""
+        spread = self.spread()
+        return None if spread is None else float(spread.t.max())
+
+    @property
+    def slip(self) -> float:
+        """Largest friction ratio of the path, dwells without a boss included."""
+        circuit, wrap = self.circuit, self.wrap
+        found = [abs(circuit.left.ratio), abs(circuit.right.ratio)]
+        for site, turn in zip(wrap.sites, (circuit.left, circuit.right), strict=True):
+            slip = wrap.slip_at(circuit, site)
+            if turn.dwell and slip <= wrap.friction:
+                found.append(slip)
+        return max(found)
+
+
+def mass_kg(winding: Winding, length_m: float) -> float | None:
+    """Return the mass of a length of the band's fibre; None without ``[band] tex``."""
+    tex = winding.tex
+    return None if tex is None else _KG_PER_TEX_M * tex * length_m
+
+
+def design(winding: Winding) -> tuple[Laid, ...]:
+    """Return every layer with its pattern.
+
+    Raises
+    ------
+    JobError
+        If a layer cannot be wound; names its line.
+    """
+    found = []
+    surface = winding.product.surface
+    for layer in winding.layers:
+        wrap = wrap_of(winding, layer, surface)
+        table = patterns(wrap)
+        pattern, by = chosen(wrap, table)
+        circuit = closed_circuit(wrap, pattern, by)
+        one = Laid(wrap, tuple(table), pattern, by, circuit)
+        found.append(one)
+        spread = one.spread()
+        if spread is not None and layer is not winding.layers[-1]:
+            surface = grown(surface, spread)
+    return tuple(found)
+
+
+def degrees(angle: float) -> str:
+    """Return an angle in degrees with four digits behind the point."""
+    return f"{math.degrees(angle):.4f} deg"

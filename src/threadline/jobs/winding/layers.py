@@ -1,0 +1,216 @@
+"""The layers of a product file: what is wound on its mandrel, one ``[[layer]]`` after another."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NoReturn
+
+from threadline.base.reading import read_text
+from threadline.errors import JobError, Place
+from threadline.jobs.winding.circuit import widest
+from threadline.winding.meridians import MAX_BYTES
+from threadline.winding.other_planners import ENDINGS
+from threadline.winding.product import Product, ProductReader, product_of_text, product_text
+
+Closing = Literal["friction", "angle", "dwell"]
+CLOSINGS: tuple[Closing, ...] = ("friction", "angle", "dwell")
+KEYS = ("kind", "turn", "angle", "circuits", "shift", "close", "cover", "begin", "end")
+KINDS = ("helical", "hoop")
+MOST_CIRCUITS = 100_000
+MARGIN = 0.9
+"""Share of the lower end of the friction that a planned path uses."""
+_MOST_LAYERS = 200
+_LEAST_ANGLE = math.radians(1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """One layer as the file asks for it.
+
+    Parameters
+    ----------
+    number
+        From 1.
+    line
+        Line of the file.
+    kind
+        ``helical`` or ``hoop``.
+    turn_m
+        Radius where the band's centre turns back on a dome; None: chosen.
+    angle
+        Winding angle at the largest radius, rad; None: it follows from the turn.
+    circuits, shift
+        Of the pattern: each circuit is ``shift / circuits`` turns further on; None: chosen.
+    close
+        What closes the pattern; None: chosen.
+    cover
+        Least coverage at the largest radius, as a share.
+    begin_m, end_m
+        Places along the mandrel between which an open end has the full angle; None: of [coverage].
+    """
+
+    number: int
+    line: int
+    kind: str
+    turn_m: float | None
+    angle: float | None
+    circuits: int | None
+    shift: int | None
+    close: Closing | None
+    cover: float
+    begin_m: float | None
+    end_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Winding:
+    """A product file with its layers.
+
+    Parameters
+    ----------
+    path
+        The file.
+    text
+        Its content as ``product_text`` returns it.
+    product
+        Mandrel, band and friction.
+    layers
+        In the order in which they are wound.
+    envelope_m
+        Distance between mandrel and pay-out point; None: chosen.
+    speed_m_s
+        Wanted speed of the fibre; None: as fast as the axes can.
+    tolerance_m
+        Largest distance between the laid and the designed fibre.
+    tex
+        Grams per kilometre of the band; None: unknown.
+    """
+
+    path: Path
+    text: str
+    product: Product
+    layers: tuple[Layer, ...]
+    envelope_m: float | None
+    speed_m_s: float | None
+    tolerance_m: float
+    tex: float | None
+
+    def refuse(self, layer: Layer, message: str, remedy: str) -> NoReturn:
+        """Raise a ``JobError`` about a layer."""
+        raise JobError(message, place=Place(str(self.path), layer.line), remedy=remedy)
+
+    @property
+    def friction(self) -> float:
+        """Largest friction ratio of a planned path: 90 % of the lower end of the friction."""
+        friction = self.product.friction
+        return MARGIN * (friction.si - friction.tolerance)
+
+
+def read_layers(path: str | Path) -> Winding:
+    """Return the product of a file with its layers.
+
+    Raises
+    ------
+    JobError
+        If it cannot be read, or has no layer; names the line.
+    """
+    path = Path(path)
+    text = product_text(path)
+    written = (
+        ""
+        if path.suffix.lower() in ENDINGS
+        else read_text(path, MAX_BYTES, JobError, "product file", "utf-8-sig")
+    )
+    reader = _LayerReader(str(path), written)
+    return reader.winding(path, text)
+
+
+class _LayerReader(ProductReader):
+    """Reads the layers with the messages of the product reader."""
+
+    def winding(self, path: Path, text: str) -> Winding:
+        content = json.loads(text)
+        product = product_of_text(text)
+        rows = content.get("layer")
+        if rows is None:
+            self.refuse(
+                "layer", "the product has no [[layer]]: nothing is wound on it",
+                'Write [[layer]] with turn = "32 mm" or angle = "55 deg"; or name a program and '
+                "give this file as --product.",
+            )  # fmt: skip
+        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+            self.refuse("layer", "layer must be a list of tables", "Write [[layer]].")
+        if not 0 < len(rows) <= _MOST_LAYERS:
+            self.refuse("layer", f"{len(rows)} layers: 1 to {_MOST_LAYERS}", "Correct it.")
+        layers = []
+        self.table = "layer"
+        for self.index, row in enumerate(rows):
+            layers.append(self._layer(row, product))
+        self.index = -1
+        fibre = content.get("fibre", {})
+        self.table = "fibre"
+        found: dict[str, float | None] = {}
+        for key, unit in (("envelope", "m"), ("speed", "m/s"), ("tolerance", "m")):
+            found[key] = self._number(fibre, key, unit, None).si if key in fibre else None
+            if key in fibre and not (found[key] or 0.0) > 0.0:
+                self.refuse(key, f"{key} must be above 0", 'Like "30 mm", "200 mm/s".')
+        return Winding(
+            path, text, product, tuple(layers), found["envelope"], found["speed"],
+            found["tolerance"] or 2e-5, self._number(content["band"], "tex", "", "0").si or None,
+        )  # fmt: skip
+
+    def _layer(self, row: Mapping[str, Any], product: Product) -> Layer:
+        self._known(row, KEYS)
+        kind = row.get("kind", "helical")
+        if kind not in KINDS:
+            self.refuse("kind", f"a layer of the kind {str(kind)[:40]!r}", "helical or hoop.")
+        turn = self._number(row, "turn", "m", None).si if "turn" in row else None
+        angle = self._number(row, "angle", "rad", None).si if "angle" in row else None
+        if turn is not None and angle is not None:
+            self.refuse("angle", "turn and angle say the same twice", "Leave one out.")
+        most = widest(product.surface)[0]
+        if turn is not None and not 0.0 < turn < most:
+            self.refuse(
+                "turn", f"a turn at {1e3 * turn:.4g} mm: the mandrel's largest radius is "
+                f"{1e3 * most:.4g} mm", "Write the radius at which the band's centre turns back.",
+            )  # fmt: skip
+        if angle is not None and not _LEAST_ANGLE <= angle < 0.5 * math.pi:
+            self.refuse(
+                "angle", f"an angle of {math.degrees(angle):.4g} deg", "From 1 up to below 90 deg."
+            )
+        if kind == "hoop" and (turn is not None or angle is not None):
+            self.refuse(
+                "turn" if angle is None else "angle",
+                "the angle of a hoop layer follows from the band", "Leave it out.",
+            )  # fmt: skip
+        counts = {}
+        for key, least in (("circuits", 1), ("shift", 0)):
+            value = row.get(key)
+            counts[key] = value
+            if value is None:
+                continue
+            if not isinstance(value, int) or isinstance(value, bool):
+                self.refuse(key, f"{key} = {str(value)[:40]!r} is no whole number", "Like 44.")
+            if not least <= value <= MOST_CIRCUITS:
+                self.refuse(
+                    key, f"{str(value)[:40]} {key}: {least} to {MOST_CIRCUITS}", "Correct it."
+                )
+        circuits, shift = counts["circuits"], counts["shift"]
+        if shift is not None and circuits is None:
+            self.refuse("shift", "a shift needs the circuits of its pattern", "circuits = 44")
+        close = row.get("close")
+        if close is not None and close not in CLOSINGS:
+            self.refuse("close", f"close = {str(close)[:40]!r}", f"{', '.join(CLOSINGS)}.")
+        cover = self._number(row, "cover", "", "1").si
+        if not 0.0 < cover <= 20.0:
+            self.refuse("cover", f"cover = {cover:g}", 'Like "100 %".')
+        ends = [self._number(row, k, "m", None).si if k in row else None for k in ("begin", "end")]
+        return Layer(
+            number=self.index + 1, line=self._line(""), kind=kind, turn_m=turn, angle=angle,
+            circuits=circuits, shift=shift, close=close, cover=cover, begin_m=ends[0],
+            end_m=ends[1],
+        )  # fmt: skip

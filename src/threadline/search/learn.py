@@ -1,0 +1,494 @@
+"""A job that is repeated: after each run its references move by what the run has shown.
+
+Iterative learning control. The learning filter of each axis (``dynamics/learning.py``) turns the
+error of a run into a change of its references. A run that got worse is undone: learning goes on
+from the best run, with half the gain. Every new table is first played by the simulated machine of
+the file: a change that asks more of a drive than it has is halved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.progress import Progress
+from threadline.commands.learned import learned_plan, positions, with_offsets
+from threadline.commands.plan import Following, Plan
+from threadline.dynamics.learning import LearningFilter, learning_filter
+from threadline.errors import OptionError
+from threadline.files import ChannelKind, Recording, TickTable, tick_table
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.machine.vary import REPEAT_SEED, corners, drawn_days, off_tolerance, vary
+from threadline.motion.timing import TrajectoryReader
+from threadline.proof.pipeline import NOMINAL, Proof, Trials, prove_plan
+from threadline.search.forbidden import used
+from threadline.twin import simulate
+from threadline.verdict import Judge, Spec, Verdict
+from threadline.verdict.needle import has_stitches
+
+Sensed = Literal["head", "motor"]
+GAIN = 0.9
+REPEATS = 5
+_WORSE = 1.1  # times the least error: a larger error is undone
+_GIVEN_UP = 1.0 / 16.0  # of the first gain: from there on the best table is kept
+_HALVINGS = 5
+_RINGING_S = 0.25  # after the motion: the error is still learned, and then fades over as long
+_MOST_TICKS = 400_000
+_FULL = 0.999  # of a limit of a drive: the simulated amplifier gives no more than its limit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rules:
+    """How a job is learned.
+
+    Parameters
+    ----------
+    gain
+        Share of the error that is corrected after a run, in (0, 1].
+    low_pass_hz
+        As ``learning_filter`` takes it.
+    sensed
+        Where the error is measured: at the head (the load) or at the motor's encoder.
+    """
+
+    gain: float = GAIN
+    low_pass_hz: float | None = None
+    sensed: Sensed = "head"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Repeat:
+    """One run of the job.
+
+    Parameters
+    ----------
+    number
+        0 for the run of the plan's table.
+    verdict
+        Verdict on this run.
+    error_si
+        (axes,) root mean square of the error, m or rad.
+    error_m
+        The same over all axes at the tool, m.
+    peak_si
+        (axes,) largest error, m or rad.
+    current
+        Largest current / limit over all drives; None if no current was recorded.
+    gain
+        Gain of the change before this run; 0 for the table of an earlier run.
+    followed
+        Whether learning went on from this run; if not, it was undone.
+    note
+        What stopped or shortened the change before this run; empty for nothing.
+    """
+
+    number: int
+    verdict: Verdict
+    error_si: FloatArray
+    error_m: float
+    peak_si: FloatArray
+    current: float | None
+    gain: float
+    followed: bool
+    note: str = ""
+
+    @property
+    def share(self) -> float:
+        """Used share of the tightest limit."""
+        return used(self.verdict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tried:
+    """A run, the references that it played, and its error.
+
+    Parameters
+    ----------
+    offset
+        (n + 1, axes) change of the planned references, counts, not rounded.
+    error
+        (n + 1, axes) error at the beginning of each tick, m or rad, faded out after the motion.
+    passed
+        Whether the run was in specification.
+    error_m
+        As ``Repeat`` has it.
+    """
+
+    offset: FloatArray
+    error: FloatArray
+    passed: bool
+    error_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Learned:
+    """The result of repeats.
+
+    Parameters
+    ----------
+    plan
+        The plan with the best table.
+    actual
+        The machine that ran.
+    repeats
+        Every run, in order.
+    best
+        Number of the run with the best table.
+    filters
+        The learning filter of each axis.
+    rules
+        How it was learned.
+    proof
+        Proof of the best table, in as many runs as were asked for.
+    """
+
+    plan: Plan
+    actual: Machine
+    repeats: tuple[Repeat, ...]
+    best: int
+    filters: tuple[LearningFilter, ...]
+    rules: Rules
+    proof: Proof
+
+    @property
+    def passed(self) -> bool:
+        """Whether the best table is in specification."""
+        return self.proof.verdict.passed
+
+    @property
+    def within(self) -> int | None:
+        """Number of the first run from which on every followed run is in specification."""
+        kept = [one for one in self.repeats if one.followed]
+        found = None
+        for one in reversed(kept):
+            if not one.verdict.passed:
+                break
+            found = one.number
+        return found
+
+
+class Learner:
+    """Learns a job from its runs.
+
+    Parameters
+    ----------
+    plan
+        The plan: its table, the motion of the loads, and the machine.
+    rules
+        How it is learned.
+
+    Raises
+    ------
+    OptionError
+        If the machine has no loops, the job is too long, or its needle is set to a head that lags.
+    MachineError
+        If an axis shares bodies with the drives of others.
+    """
+
+    def __init__(self, plan: Plan, rules: Rules) -> None:
+        check_learnable(plan.job, plan.machine, plan.motion.following)
+        if (ticks := plan.commands.tick_count() or 0) > _MOST_TICKS:
+            raise OptionError(
+                f"{plan.job.name} takes {ticks} ticks, and a job of at most {_MOST_TICKS} is "
+                "learned",
+                remedy="Divide the job.",
+            )
+        self.plan, self.rules = plan, rules
+        machine = plan.machine
+        self.table: TickTable = tick_table(plan.commands)
+        self._columns = [machine.axis_names.index(axis) for axis in plan.axes]
+        self._scale = machine.counts_per_unit[self._columns]
+        self._radius = machine.radius_m[self._columns]
+        share = 1.0 if off_tolerance(machine, mass=1.0, stiffness=1.0) != machine else 0.0
+        machines = corners(machine, share) if share else [machine]
+        self.filters = tuple(
+            learning_filter(
+                machine,
+                axis,
+                machines,
+                of_load=rules.sensed == "head",
+                low_pass_hz=rules.low_pass_hz,
+            )
+            for axis in plan.axes
+        )
+        self._begun = positions(self.table)
+        ticks = len(self._begun)
+        self._time_s = machine.tick_clock.times_s(0, ticks)
+        self._target = self._intended(ticks)
+        end_s = plan.motion.trajectory.duration_s - plan.motion.rests_s[1]
+        past = (self._time_s - end_s - _RINGING_S) / _RINGING_S
+        self._weight = 0.5 + 0.5 * np.cos(np.pi * np.clip(past, 0.0, 1.0))
+        self._own = self._demand(simulate(self.table, machine))
+
+    @property
+    def _kind(self) -> ChannelKind:
+        return ChannelKind.LOAD if self.rules.sensed == "head" else ChannelKind.MEASURED
+
+    def _intended(self, ticks: int) -> FloatArray:
+        """Return the (ticks, axes) positions that the sensor should read."""
+        motion = self.plan.motion
+        if self._kind is ChannelKind.MEASURED and motion.following is Following.LOAD:
+            # The encoder's reading while the load of the file's machine follows its motion.
+            return self._read(simulate(self.table, self.plan.machine))
+        reader = TrajectoryReader(motion.trajectory)
+        until_s = np.minimum(self._time_s[:ticks], motion.trajectory.duration_s)
+        return np.asarray(reader.ladder(until_s, 1)[:, 0, :])
+
+    def _read(self, recording: Recording) -> FloatArray:
+        """Return the (n + 1, axes) sensor readings at the beginning of each tick."""
+        columns = []
+        for axis in self.plan.axes:
+            channel = recording.find(self._kind, axis)
+            if channel is None:
+                raise OptionError(
+                    f"the recording has no {self._kind} channel of axis {axis}",
+                    remedy="Give --measured motor, which reads the encoder.",
+                )
+            time_s, values = recording.samples(channel.name)
+            columns.append(np.interp(self._time_s, time_s, values))
+        return np.stack(columns, axis=1)
+
+    def tried(self, recording: Recording, offset: FloatArray, *, passed: bool) -> Tried:
+        """Return what a run has shown.
+
+        Raises
+        ------
+        OptionError
+            If the recording lacks a channel of the sensor, or ends early.
+        """
+        if recording.outcome().incomplete:
+            raise OptionError(
+                "a run that did not come to its end cannot be learned from",
+                remedy="Give a run that was completed.",
+            )
+        error = (self._target - self._read(recording)) * self._weight[:, None]
+        at_tool = error * self._radius
+        rms = float(np.sqrt((at_tool**2).sum(axis=1).mean()))
+        return Tried(offset=offset, error=error, passed=passed, error_m=rms)
+
+    def next(self, runs: Sequence[Tried]) -> tuple[FloatArray, float, str]:
+        """Return the references for the next run as an offset, the gain, and a note.
+
+        Parameters
+        ----------
+        runs
+            All runs so far, in order; at least one.
+        """
+        at, gain = best_of([(one.passed, one.error_m) for one in runs], self.rules.gain)
+        best = runs[at]
+        if gain < self.rules.gain * _GIVEN_UP:
+            return best.offset, 0.0, "the best table is kept"
+        columns = zip(self.filters, best.error.T, self._scale, strict=True)
+        change = np.stack([one.change(error) * scale for one, error, scale in columns], axis=1)
+        change[0] = change[-1] = 0.0
+        note = ""
+        for _ in range(_HALVINGS):
+            offset = best.offset + gain * change
+            beyond = self._beyond(self.commands(offset))
+            if beyond is None:
+                return offset, gain, note
+            gain, note = 0.5 * gain, beyond
+        return best.offset, 0.0, note
+
+    def commands(self, offset: FloatArray) -> TickTable:
+        """Return the table with an (n + 1, axes) offset in counts, rounded."""
+        whole = np.zeros_like(self._begun)
+        whole[:, self._columns] = np.rint(offset).astype(np.int64)
+        return with_offsets(self.table, whole)
+
+    def nothing(self) -> FloatArray:
+        """Return the offset of the table that learning begins with."""
+        return np.zeros((len(self._begun), len(self._columns)))
+
+    def offset_of(self, table: TickTable) -> FloatArray:
+        """Return the (n + 1, axes) offset of a table learned from this plan."""
+        return np.asarray((positions(table) - self._begun)[:, self._columns], dtype=np.float64)
+
+    def _beyond(self, table: TickTable) -> str | None:
+        """Return which limit a table breaks on the file's machine; None if it keeps them all."""
+        machine = self.plan.machine
+        for axis, column in zip(self.plan.axes, self._columns, strict=True):
+            part = machine.axes[axis]
+            if part.travel is None:
+                continue
+            told = positions(table)[:, column] / machine.counts_per_unit[column]
+            for end, over in zip(part.travel, (told.min(), told.max()), strict=True):
+                outside = over < end.si if end is part.travel[0] else over > end.si
+                if outside:
+                    return f"travel of axis {axis}"
+        for name, share in self._demand(simulate(table, machine)).items():
+            if share > max(_FULL, self._own[name]):
+                return f"the {name} reaches its limit"
+        return None
+
+    def _demand(self, recording: Recording) -> dict[str, float]:
+        """Return the largest voltage and current of each axis as shares of their limits."""
+        found = {}
+        for axis in self.plan.axes:
+            controller = self.plan.machine.controller_of(axis)
+            limit = self.plan.machine.drive_of(axis).amplifier.current_limit
+            for kind, most in (
+                (ChannelKind.VOLTAGE, controller.dac.range.si),
+                (ChannelKind.CURRENT, None if limit is None else limit.si),
+            ):
+                channel = recording.find(kind, axis)
+                if channel is not None and most is not None:
+                    values = recording.samples(channel.name)[1]
+                    found[f"{kind} of axis {axis}"] = float(np.abs(values).max()) / most
+        return found
+
+    def account(
+        self, run: Tried, recording: Recording, verdict: Verdict, step: tuple[int, float, str]
+    ) -> Repeat:
+        """Return the account of a run; whether it is followed is known later.
+
+        ``step`` has the number of the run, and the gain and the note of the change before it.
+        """
+        number, gain, note = step
+        currents = [
+            share for name, share in self._demand(recording).items() if name.startswith("current")
+        ]
+        return Repeat(
+            number=number,
+            verdict=verdict,
+            error_si=np.sqrt((run.error**2).mean(axis=0)),
+            error_m=run.error_m,
+            peak_si=np.abs(run.error).max(axis=0),
+            current=max(currents, default=None),
+            gain=gain,
+            note=note,
+            followed=True,
+        )
+
+
+def best_of(runs: Sequence[tuple[bool, float]], gain: float) -> tuple[int, float]:
+    """Return the number of the run to go on from, and the gain after runs that got worse.
+
+    Parameters
+    ----------
+    runs
+        For each run whether it was in specification, and its error.
+    gain
+        The first gain; each run that is undone halves it.
+
+    Examples
+    --------
+    >>> best_of([(False, 1.0), (False, 0.3), (False, 0.5)], 0.8)
+    (1, 0.4)
+    """
+    at, least = 0, runs[0][1]
+    for number, (passed, error) in enumerate(runs[1:], start=1):
+        if follows(runs[at][0], least, passed, error):
+            least = error if passed and not runs[at][0] else min(least, error)
+            at = number
+        else:
+            gain *= 0.5
+    return at, gain
+
+
+def follows(best_passed: bool, least: float, passed: bool, error: float) -> bool:
+    """Return whether a run is followed: in spec where no run was, or not worse than the best."""
+    if passed != best_passed:
+        return passed
+    return error <= _WORSE * least
+
+
+def learn(
+    learner: Learner,
+    spec: Spec,
+    *,
+    actual: Machine | None = None,
+    repeats: int = REPEATS,
+    trials: Trials = NOMINAL,
+    progress: Progress | None = None,
+) -> Learned:
+    """Repeat a job on a simulated machine and learn from every run.
+
+    Parameters
+    ----------
+    learner, spec
+        The plan to begin with and how it is learned, and the specification.
+    actual
+        The machine that runs; None: the machine of the plan.
+    repeats
+        Number of runs after the first one.
+    trials
+        Runs that the best table is proved by. With several, each repeat has its own friction,
+        supply and phases of the encoders, too.
+
+    Raises
+    ------
+    OptionError
+        If the machine cannot play the table.
+    """
+    plan = learner.plan
+    ran = plan.machine if actual is None else actual
+    days = drawn_days(
+        repeats + 1 if trials.repeats > 1 else 1,
+        len(learner.table.axes),
+        np.random.default_rng(REPEAT_SEED),
+    )
+    runs: list[Tried] = []
+    told: list[Repeat] = []
+    offset, gain, note = learner.nothing(), 0.0, ""
+    for number in range(repeats + 1):
+        if progress is not None:
+            progress("repeating the job", number / (repeats + 1))
+        if number:
+            offset, gain, note = learner.next(runs)
+        table = learner.commands(offset)
+        day = number if trials.repeats > 1 else 0
+        varied = vary(ran, friction=float(days.friction[day]), supply=float(days.supply[day]))
+        recording = simulate(table, varied, encoder_phase=days.phases[day])
+        kept = replace(recording, blocks=tuple(recording.blocks))
+        verdict = Judge(replace(plan, commands=table), spec).verdict([kept])
+        run = learner.tried(kept, offset, passed=verdict.passed)
+        runs.append(run)
+        told.append(learner.account(run, kept, verdict, (number, gain, note)))
+    told = with_followed(told)
+    best = best_table(told)
+    learned = learned_plan(plan, learner.commands(runs[best].offset))
+    return Learned(
+        plan=learned, actual=ran, repeats=tuple(told), best=best, filters=learner.filters,
+        rules=learner.rules, proof=prove_plan(learned, spec, None, trials.alone, actual),
+    )  # fmt: skip
+
+
+def best_table(told: Sequence[Repeat]) -> int:
+    """Return the number of the followed run that is best in specification."""
+    followed = (one for one in told if one.followed)
+    return min(followed, key=lambda one: (not one.verdict.passed, one.share)).number
+
+
+def with_followed(told: Sequence[Repeat]) -> list[Repeat]:
+    """Mark the runs that were undone."""
+    found, runs = [], [(one.verdict.passed, one.error_m) for one in told]
+    for number, one in enumerate(told):
+        at, _ = best_of(runs[: number + 1], 1.0)
+        found.append(replace(one, followed=at == number))
+    return found
+
+
+def check_learnable(job: Job, machine: Machine, following: Following) -> None:
+    """Refuse a job that cannot be learned, before it is planned.
+
+    Raises
+    ------
+    OptionError
+        If the machine has no loops, or the needle is set to a head that lags.
+    """
+    if not machine.controllers or machine.takes_positions:
+        raise OptionError(
+            f"{machine.name} has no control loops, whose references could be learned",
+            remedy="Learning needs axes with controllers of kind pd or lead.",
+        )
+    if has_stitches(job) and following is Following.MOTOR:
+        raise OptionError(
+            f"{job.name}: its needle is set to a head that lags, and learning ends the lag",
+            remedy="Give --feed-forward, by which the head follows its motion.",
+        )

@@ -1,0 +1,376 @@
+"""The answers of ``threadline learn``: from simulated machines, or from recorded runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from threadline.base.arrays import finite
+from threadline.base.option_defaults import USUAL
+from threadline.base.progress import Progress
+from threadline.commands.learned import learned_commands, learned_plan
+from threadline.commands.plan import Plan
+from threadline.errors import OptionError
+from threadline.files import Recording, TickTable, tick_table
+from threadline.files.formats import Written
+from threadline.machine import Machine
+from threadline.machine.vary import ends_of
+from threadline.proof.asked import Words, with_radii_of
+from threadline.proof.option_form import Type
+from threadline.proof.option_table import RECORDED
+from threadline.proof.options import Options, options_from
+from threadline.proof.pipeline import check_machine, open_job, plan_job, with_shaping
+from threadline.proof.recorded import refuse_other_files
+from threadline.search.learn import (
+    Learned,
+    Learner,
+    Repeat,
+    Rules,
+    Sensed,
+    Tried,
+    best_table,
+    check_learnable,
+    learn,
+    with_followed,
+)
+from threadline.units import parse_number
+from threadline.verdict import Judge, Spec, verdict_json
+
+MOST_REPEATS = 100
+
+
+def check_table_file(file: Path) -> None:
+    """Refuse the name of a learned table whose ending says no format that can hold it.
+
+    Raises
+    ------
+    OptionError
+        Names the endings.
+    """
+    if file.suffix.lower() not in {".npz", ".csv"}:
+        raise OptionError(
+            f"-o {str(file)!r}: the name of a learned table ends in .npz or .csv",
+            remedy=f"Write -o {file.stem}.npz.",
+        )
+
+
+def write_table(table: TickTable, file: Path) -> Written:
+    """Write a learned table in the format of the ending.
+
+    Raises
+    ------
+    OptionError
+        As ``check_table_file``.
+    RecordingError
+        If the file cannot be written.
+    """
+    from threadline.files.formats.tick_table import write_table_csv, write_table_npz
+
+    check_table_file(file)
+    return (write_table_npz if file.suffix.lower() == ".npz" else write_table_csv)(table, file)
+
+
+def rules_of(gain: str | float, low_pass: str | None, sensed: Sensed) -> Rules:
+    """Return how a job is learned, from the words of the command line.
+
+    Raises
+    ------
+    OptionError
+        If a number cannot be read, or the gain is not a share.
+    """
+    share = parse_number("--gain", gain, "", "90 %") if isinstance(gain, str) else gain
+    if not 0.0 < share <= 1.0:
+        raise OptionError(
+            f"--gain {gain!r} must be above 0 and at most 100 %", remedy='Give "90 %".'
+        )
+    hz = None if low_pass is None else parse_number("--low-pass", low_pass, "Hz", "20 Hz")
+    return Rules(gain=share, low_pass_hz=hz, sensed=sensed)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LearnedJob:
+    """A job learned on one simulated machine or on several, each with its own table.
+
+    Parameters
+    ----------
+    base
+        The plan that learning began with.
+    spec
+        The specification.
+    machines
+        Each machine that repeated the job by its description, and what it learned.
+    """
+
+    base: Plan
+    spec: Spec
+    machines: tuple[tuple[str, Learned], ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the best table of every machine is in specification."""
+        return all(one.passed for _, one in self.machines)
+
+    @property
+    def table(self) -> TickTable:
+        """The best table of the only machine.
+
+        Raises
+        ------
+        OptionError
+            If several machines learned a table each.
+        """
+        if len(self.machines) > 1:
+            raise OptionError(
+                "each of the machines at the ends of the tolerances learned a table of its own",
+                remedy="Leave --ends out, and give the machine with --actual.",
+            )
+        return tick_table(self.machines[0][1].plan.commands)
+
+    def write(self, file: str | Path) -> Written:
+        """Write the best table of the only machine (.npz, .csv), for ``--table``."""
+        return write_table(self.table, Path(file))
+
+    def content(self) -> dict[str, Any]:
+        """Return the answer for JSON."""
+        return {
+            "job": self.base.job.name,
+            "machine": self.base.machine.name,
+            "passed": self.passed,
+            "level": self.machines[0][1].proof.verdict.level,
+            "machines": [
+                {
+                    "name": name,
+                    "machine_sha256": one.actual.sha256,
+                    "passed": one.passed,
+                    "best": one.best,
+                    "within": one.within,
+                    "repeats": [repeat_content(self.base, run) for run in one.repeats],
+                    "verdict": verdict_json(one.proof.verdict, one.plan),
+                }
+                for name, one in self.machines
+            ],
+            "filters": filter_content(self.machines[0][1]),
+        }
+
+
+def filter_content(learned: Learned) -> dict[str, Any]:
+    """Return the learning filters for JSON, by axis."""
+    return {
+        one.axis: {
+            "gain": learned.rules.gain,
+            "low_pass_hz": one.low_pass_hz,
+            "sensed": learned.rules.sensed,
+            "unlearned_hz": None if one.unlearned_hz is None else list(one.unlearned_hz),
+        }
+        for one in learned.filters
+    }
+
+
+def repeat_content(plan: Plan, run: Repeat) -> dict[str, Any]:
+    """Return a repeat for JSON, in SI units."""
+    worst = run.verdict.tightest
+    return {
+        "number": run.number,
+        "passed": run.verdict.passed,
+        "share": finite(run.share),
+        "tightest": None if worst is None else worst.name,
+        "error_rms": dict(zip(plan.axes, run.error_si.tolist(), strict=True)),
+        "error_peak": dict(zip(plan.axes, run.peak_si.tolist(), strict=True)),
+        "error_rms_m": run.error_m,
+        "current": run.current,
+        "gain": run.gain,
+        "followed": run.followed,
+        "note": run.note,
+    }
+
+
+def learned_on_twins(
+    words: Words,
+    file: Path,
+    machine: str | Path | Machine,
+    rules: Rules,
+    repeats: int,
+    progress: Progress | None = None,
+) -> LearnedJob:
+    """Repeat a job on the simulated machines that the words name, and learn from every run.
+
+    Raises
+    ------
+    InputError
+        If the job, the machine or an option cannot be read, or the job cannot be learned.
+    """
+    if not 1 <= repeats <= MOST_REPEATS:
+        raise OptionError(
+            f"--repeats {repeats} is not from 1 to {MOST_REPEATS}", remedy="Five often do."
+        )
+    trials, chosen, actual = words.trials(), words.machine(machine), words.actual()
+    if trials.ends is not None and actual is not None:
+        raise OptionError("--ends and --actual exclude each other", remedy="Give one of them.")
+    options = words.options()
+    spec = with_shaping(words.spec(chosen), chosen, options)
+    check_machine(chosen)
+    known = with_radii_of(chosen, options)
+    ran: Sequence[tuple[str, Machine]]
+    if trials.ends is not None:
+        ran = ends_of(chosen, trials.ends).machines
+    else:
+        ran = [((actual or chosen).name, actual or chosen)]
+    job = open_job(file, known, options)
+    check_learnable(job, known, options.on(known).following)
+    plan = plan_job(job, known, options)
+    learner = Learner(plan, rules)
+    found = []
+    for at, (name, one) in enumerate(ran):
+
+        def of_all(doing: str, done: float, at: int = at) -> None:
+            if progress is not None:
+                progress(doing, (at + done) / len(ran))
+
+        learned = learn(
+            learner, spec, actual=None if one is chosen else one, repeats=repeats, trials=trials,
+            progress=of_all,
+        )  # fmt: skip
+        found.append((name, learned))
+    return LearnedJob(base=plan, spec=spec, machines=tuple(found))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LearnedRuns:
+    """The next table of a job, learned from recorded runs.
+
+    Parameters
+    ----------
+    base
+        The plan, with its own table.
+    plan
+        The plan with the next table.
+    repeats
+        Every recorded run, in the given order.
+    gain, note
+        Gain of the change after the best run, and what shortened it.
+    """
+
+    base: Plan
+    plan: Plan
+    repeats: tuple[Repeat, ...]
+    gain: float
+    note: str
+
+    @property
+    def best(self) -> int:
+        """Number of the recorded run that is best in specification."""
+        return best_table(self.repeats)
+
+    @property
+    def table(self) -> TickTable:
+        """The next table."""
+        return tick_table(self.plan.commands)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the best recorded run is in specification."""
+        return self.repeats[self.best].verdict.passed
+
+    def write(self, file: str | Path) -> Written:
+        """Write the next table (.npz, .csv), for ``--table``."""
+        return write_table(self.table, Path(file))
+
+    def content(self) -> dict[str, Any]:
+        """Return the answer for JSON."""
+        return {
+            "job": self.base.job.name,
+            "machine": self.base.machine.name,
+            "passed": self.passed,
+            "best": self.best,
+            "repeats": [repeat_content(self.base, run) for run in self.repeats],
+            "gain": self.gain,
+            "note": self.note,
+        }
+
+
+def learned_from(
+    words: Words,
+    file: Path,
+    machine: str | Path | Machine,
+    rules: Rules,
+    recorded: Mapping[str, Recording],
+) -> LearnedRuns:
+    """Learn the next table from recordings of runs, the first one first.
+
+    The options of the plan are those of the first recording.
+
+    Raises
+    ------
+    OptionError
+        If there is no recording, one is of another job, machine or plan, or an option of planning
+        is given that differs from the recording's.
+    """
+    if not recorded:
+        raise OptionError("there is no run to learn from", remedy="Name one with --from.")
+    chosen = words.machine(machine)
+    origins = [
+        {"interpolation": "default", "feed": "programmed", "tolerance": "0.1 mm", **one.origin}
+        for one in recorded.values()
+    ]
+    options = options_from(_without_table(origins[0]))
+    given = words.options()
+    if given != replace(options, table=given.table) and words.changed():
+        raise OptionError(
+            f"the options of planning differ from those of {next(iter(recorded))}",
+            remedy="Leave them out: they are read from the recording.",
+        )
+    known = with_radii_of(chosen, options)
+    job = open_job(file, known, options)
+    for (name, recording), origin in zip(recorded.items(), origins, strict=True):
+        refuse_other_files(Path(name), recording, job, chosen)
+        if options_from(_without_table(origin)) != options:
+            raise OptionError(
+                f"{name} was planned with other options than {next(iter(recorded))}",
+                remedy="Give runs of one plan.",
+            )
+    plan = plan_job(job, known, options)
+    base = tick_table(plan.commands)
+    spec = with_shaping(words.spec(chosen), chosen, options)
+    learner = Learner(plan, rules)
+    runs: list[Tried] = []
+    told: list[Repeat] = []
+    for number, (recording, origin) in enumerate(zip(recorded.values(), origins, strict=True)):
+        table = base if "table" not in origin else learned_commands(base, origin["table"])
+        kept = replace(recording, blocks=tuple(recording.blocks))
+        verdict = Judge(replace(plan, commands=table), spec).verdict([kept], recorded=True)
+        run = learner.tried(kept, learner.offset_of(table), passed=verdict.passed)
+        runs.append(run)
+        told.append(learner.account(run, kept, verdict, (number, 0.0, "")))
+    offset, gain, note = learner.next(runs)
+    return LearnedRuns(
+        base=plan, plan=learned_plan(plan, learner.commands(offset)),
+        repeats=tuple(with_followed(told)), gain=gain, note=note,
+    )  # fmt: skip
+
+
+def typed_options(origin: Mapping[str, str]) -> dict[str, str]:
+    """Return the options, as typed, with which ``prove`` and ``run`` make the plan of a recording.
+
+    The learned table is left out.
+    """
+    typed: dict[str, str] = {}
+    for one, known in RECORDED:
+        text = origin.get(known.key)
+        if text is None or one.name in {"table", "smoothing"} or text in USUAL:
+            continue
+        if one.type is Type.FLAG:
+            typed[one.typed] = ""
+            if "robust" not in origin:
+                typed["--smoothing"] = text
+        elif known.read(text) != getattr(_PLAIN, one.attribute):
+            typed[one.typed] = text
+    return typed | ({"--smoothing": origin["change"]} if "change" in origin else {})
+
+
+_PLAIN = Options()
+
+
+def _without_table(origin: Mapping[str, str]) -> dict[str, str]:
+    return {key: text for key, text in origin.items() if key != "table"}

@@ -1,0 +1,1 @@
+"""Tests of the room from measurements to a machine file."""

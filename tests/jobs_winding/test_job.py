@@ -1,0 +1,180 @@
+"""A winding as a job: what its finished program lays, what it refuses, what it writes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.jobs_winding.test_fibre import VESSEL
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import InputError, JobError, OptionError
+from threadline.jobs import own_product, read_job
+from threadline.jobs.operations import Job, Move, MoveRun
+from threadline.jobs.winding.laid import design
+from threadline.jobs.winding.layers import read_layers
+from threadline.machine import load_machine
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import open_job, plan_job
+from threadline.verdict.replayed import programmed_fibre, wound_job
+from threadline.winding.product import product_of_text
+
+ROOT = Path(__file__).parents[2]
+VESSEL_FILE = ROOT / "examples" / "vessel.wind.toml"
+WINDER = load_machine("lathe-winder")
+
+
+def _runs(job: Job) -> list[MoveRun]:
+    return [item for item in job.runs() if isinstance(item, MoveRun)]
+
+
+def _positions(job: Job) -> FloatArray:
+    return np.vstack([run.targets for run in _runs(job)])
+
+
+def test_the_finished_program_lays_the_designed_fibre() -> None:
+    """Bar of the issue: 0.02 mm, by the replay that proofs use, over all 44 circuits."""
+    (laid,) = design(read_layers(VESSEL_FILE))
+    options = options_of(interpolation="linear", product=own_product(VESSEL_FILE))
+    plan = plan_job(open_job(VESSEL_FILE, WINDER, options), WINDER, options)
+    wound = wound_job(plan)
+    assert wound is not None
+    course = laid.circuit.course()
+    lap = laid.circuit.advance
+    # The job begins at 0 deg, and the fibre then leaves the turn square to the eye's plane.
+    first = _positions(plan.job)[0]
+    begin = next(item for item in plan.job if isinstance(item, Move) and item.target[2] > 0.0)
+    start = math.acos(laid.circuit.left.radius_m / begin.target[2])
+    assert first[0] > 0.0
+    worst = 0.0
+    for samples in programmed_fibre(plan, wound):
+        (fibre,) = samples.fibres
+        known = fibre.known & np.isfinite(fibre.u)
+        if not known.any():
+            continue
+        within = np.mod(start - fibre.angle[known], lap)
+        u = np.interp(within, course[:, 2], course[:, 1])
+        across = np.sin(np.interp(within, course[:, 2], course[:, 3]))
+        worst = max(worst, float((np.abs(fibre.u[known] - u) * across).max()))
+    assert 0.0 < worst < 2e-5
+
+
+def test_the_mandrel_turns_on_and_on_and_the_pattern_closes() -> None:
+    job = read_job(VESSEL_FILE, WINDER)
+    runs = _runs(job)
+    assert [run.passes for run in runs] == [(number,) for number in range(1, 45)]
+    positions = _positions(job)
+    assert (np.diff(positions[:, 0]) > 0.0).all()
+    first, last = runs[0].targets, runs[-1].targets
+    turned = last[-1, 0] - first[-1, 0]
+    assert turned == pytest.approx(43 * 63 / 44 * 2.0 * math.pi, abs=1e-9)
+    assert last[:, 1:] == pytest.approx(first[:, 1:], abs=1e-12)
+
+
+def test_the_speed_of_the_fibre_is_even(tmp_path: Path) -> None:
+    """No move draws fibre faster than asked, and most draw it at that speed."""
+    file = tmp_path / "even.wind.toml"
+    text = VESSEL_FILE.read_text(encoding="utf-8")
+    file.write_text(text.replace("[fibre]", '[fibre]\nspeed = "150 mm/s"'), encoding="utf-8")
+    job = read_job(file, WINDER)
+    run = _runs(job)[3]
+    rates = np.array([feed.value for _, feed in run.feeds if feed is not None])
+    product = product_of_text(own_product(file))
+    (laid,) = design(read_layers(file))
+    total = float((1.0 / rates).sum())
+    assert total >= laid.circuit.length_m / 0.15 - 1e-9
+    assert total < 1.1 * laid.circuit.length_m / 0.15
+    assert product.tied == pytest.approx(3.66e-3, abs=2e-5)
+
+
+@pytest.mark.parametrize("name", ["stepper-winder", "stepper-winder+xab", "stepper-winder+azxb"])
+def test_other_eyes_lay_the_same_fibre(name: str) -> None:
+    machine = load_machine(name)
+    job = read_job(VESSEL_FILE, machine)
+    options = options_of(interpolation="linear", product=own_product(VESSEL_FILE))
+    plan = plan_job(open_job(VESSEL_FILE, machine, options), machine, options)
+    wound = wound_job(plan)
+    assert wound is not None
+    known = 0
+    for samples in programmed_fibre(plan, wound):
+        (fibre,) = samples.fibres
+        assert np.nanmax(np.abs(fibre.steer), initial=0.0) < 0.1
+        known += int(fibre.known.sum())
+        if known > 5000:
+            break
+    assert known > 5000
+    assert job.axes == machine.axis_names
+
+
+def _written(folder: Path, text: str) -> Path:
+    file = folder / "bad.wind.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+TUBE = """
+[[part]]
+kind = "cylinder"
+radius = "50 mm"
+length = "200 mm"
+[band]
+width = "5 mm"
+[friction]
+value = "0.25 +- 0.05"
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "line"),
+    [
+        (VESSEL, "no [[layer]]", 0),
+        (f"layer = 3\n{VESSEL}", "layer must be a list of tables", 1),
+        (f"{VESSEL}[[layer]]\nturns = 3\n", "unknown key 'turns'", 23),
+        (f'{VESSEL}[[layer]]\nturn = "12 mm"\n', "the opening and half a band are 18 mm", 22),
+        (f'{VESSEL}[[layer]]\nturn = "120 mm"\n', "largest radius is 100 mm", 23),
+        (f'{VESSEL}[[layer]]\nangle = "0 deg"\n', "an angle of 0 deg", 23),
+        (f'{VESSEL}[[layer]]\nturn = "20 mm"\nangle = "20 deg"\n', "the same twice", 24),
+        (f"{VESSEL}[[layer]]\ncircuits = 0\n", "0 circuits: 1 to 100000", 23),
+        (f"{VESSEL}[[layer]]\ncircuits = 1000000\n", "1000000 circuits: 1 to", 23),
+        (f"{VESSEL}[[layer]]\ncircuits = 1.5\n", "no whole number", 23),
+        (f"{VESSEL}[[layer]]\nshift = 3\n", "a shift needs the circuits", 23),
+        (f'{VESSEL}[[layer]]\nturn = "20 mm"\ncircuits = 103\nshift = 60\n', "no pattern", 22),
+        (f'{VESSEL}[[layer]]\nkind = "braid"\n', "a layer of the kind 'braid'", 23),
+        (f'{VESSEL}[[layer]]\nclose = "luck"\n', "close = 'luck'", 23),
+        (f"{TUBE}[[layer]]\n", "no dome that gives an angle", 10),
+        (f'{TUBE}[[layer]]\nangle = "55 deg"\n', "nothing says from where on", 10),
+        (
+            f'{TUBE}[coverage]\nbegin = "40 mm"\nend = "160 mm"\n[[layer]]\nangle = "55 deg"\n',
+            "runs off the mandrel at the left end with a friction ratio of 0.18", 13,
+        ),
+        (f'{TUBE}[fibre]\nspeed = "0 mm/s"\n[[layer]]\nangle = "55 deg"\n', "speed", 0),
+        (f'{VESSEL}[fibre]\ntied = "60 mm"\n[[layer]]\nturn = "20 mm"\n', "begins where it", 24),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line(tmp_path: Path, text: str, said: str, line: int) -> None:
+    file = _written(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        read_job(file, WINDER)
+    message = str(caught.value)
+    assert said in message
+    assert "\n" not in message
+    assert "bad.wind.toml" in message
+    if line:
+        assert caught.value.place is not None
+        assert caught.value.place.line == line
+
+
+def test_too_little_friction_says_how_much_would_do(tmp_path: Path) -> None:
+    """On a cylinder the way is R / mu (1 / sin a - 1): 40 mm of room need 0.276."""
+    text = f'{TUBE}[coverage]\nbegin = "40 mm"\nend = "160 mm"\n[[layer]]\nangle = "55 deg"\n'
+    with pytest.raises(JobError) as caught:
+        read_job(_written(tmp_path, text), WINDER)
+    wanted = 0.05 / 0.04 * (1.0 / math.sin(math.radians(55.0)) - 1.0)
+    assert f"A ratio of {wanted:.3g} would turn it" in caught.value.remedy
+
+
+def test_a_machine_without_an_eye_is_refused() -> None:
+    with pytest.raises(OptionError, match="a winding needs the eye of a winder, and stitcher"):
+        read_job(VESSEL_FILE, load_machine("stitcher"))
