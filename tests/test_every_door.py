@@ -6,16 +6,20 @@ import importlib
 import inspect
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tools.options_reference import files
 
 import threadline as tl
 from threadline import face
 from threadline.cli.main import app
+from threadline.commands.learned import text_of
 from threadline.errors import InputError, OptionError
+from threadline.files import Clock, Stream, TickBlock, TickTable
 from threadline.proof.asked import as_arguments
 from threadline.proof.option_form import Door, Group, Option, Type
 from threadline.proof.option_table import PYTHON_VERBS, RECORDED, TABLE, options_for
@@ -32,6 +36,26 @@ WORK = {
 }
 """By kind of work: a job and a machine; of axes a part program with steppers and with loops, and a
 seam."""
+TABLE_TEXT = text_of(
+    TickTable(
+        clock=Clock("tick", Fraction(1, 1000)),
+        axes=("X",),
+        counts_per_unit=np.ones(1),
+        start_counts=np.zeros(1, dtype=np.int64),
+        job_sha256="",
+        machine_sha256="",
+        began_sha256="a",
+        blocks=Stream.of(
+            [
+                TickBlock(
+                    first_tick=0,
+                    counts=np.ones((1, 1), dtype=np.int64),
+                    operation=np.zeros(1, dtype=np.int64),
+                )
+            ]
+        ),
+    )
+)
 GIVEN: dict[str, Any] = {
     "interpolation": "linear", "law": "cycloidal", "feed": "36 mm/s", "dialect": "grbl",
     "feed-mode": "linuxcnc", "radius": "A=40 mm", "offset": "X=12 mm", "needle": "20 stitch/s",
@@ -40,6 +64,7 @@ GIVEN: dict[str, Any] = {
     "contour": "0.45 mm", "outside": "0.05 mm", "reserve": "volts 1 %, current 3 %",
     "narrow": "1: 0.05 mm, 2: 0.06 mm",
     "axes": "A=X,X=A", "product": str(EXAMPLES / "vessel.wind.toml"), "long-stitches": "split",
+    "table": TABLE_TEXT,
 }  # fmt: skip
 """A value for each planning option."""
 WITH: dict[str, dict[str, Any]] = {

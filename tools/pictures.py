@@ -64,6 +64,13 @@ OF_REPORTS = {
         "prove examples/rosette.dst -m schiffli-frame",
         "report-design.png",
     ),
+    **{
+        name: (
+            "prove src/threadline/cli/projects/winding/vessel.wind.toml -m lathe-winder --nominal",
+            name,
+        )
+        for name in ("report-winding-pattern.png", "report-winding-map.png")
+    },
     "report-shaper.png": (
         "shaper --mode 3.04Hz --damping 0.009 --kind um-zvd",
         "shaper-sensitivity.png",

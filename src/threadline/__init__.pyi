@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from typing import Literal
 
 from threadline.face import Answer, FastestResult, PathLike, Proved
+from threadline.face import fit as fit
 from threadline.face import load_machine as load_machine
+from threadline.face import measure as measure
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
 from threadline.face import wind as wind
@@ -19,9 +21,11 @@ __all__ = [
     "compare",
     "compile",
     "fastest",
+    "fit",
     "judge",
     "learn",
     "load_machine",
+    "measure",
     "prove",
     "retime",
     "shaper",
@@ -128,6 +132,7 @@ def fastest(
     margin: str = "0 %",
     low: str | None = None,
     high: str | None = None,
+    learned: int | None = None,
     mismatch: bool = False,
     within: str | None = None,
 ) -> FastestResult: ...

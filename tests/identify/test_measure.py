@@ -7,7 +7,9 @@ import json
 import numpy as np
 import pytest
 
+import threadline as tl
 from threadline.cli.main import main
+from threadline.errors import OptionError
 from threadline.files.formats import read_recording
 from threadline.identify.measuring import response_of
 from threadline.machine import load_machine
@@ -88,6 +90,21 @@ def test_friction_and_stiction_are_found_from_slow_reversals(capsys, tmp_path, m
     assert code == 0
     for name, true in zip(numbers, (0.05, 0.06), strict=True):
         assert json.loads(out)["numbers"][name]["value"] == pytest.approx(true, rel=0.1)
+
+
+def test_the_same_from_python(tmp_path):
+    (tmp_path / "off.toml").write_text(OFF)
+    file, out = tmp_path / "x.npz", tmp_path / "fitted.toml"
+    found = tl.measure(tmp_path / "off.toml", "X", file, band="2 Hz, 20 Hz", actual="lathe-winder")
+    assert found.response is not None and len(found.response.value) > 5
+    numbers = ["bodies.x.inertia", "drives.x.amplifier.gain"]
+    fitted = tl.fit(file, tmp_path / "off.toml", numbers, out)
+    assert [number.name for number in fitted.numbers] == numbers
+    assert fitted.numbers[0].value == pytest.approx(3.606e-4, rel=0.015)
+    again = number_at(load_machine(str(out)), numbers[0])
+    assert again.si == pytest.approx(fitted.numbers[0].value, rel=1e-5)
+    with pytest.raises(OptionError, match="has no number"):
+        tl.fit(file, "lathe-winder", ["bodies.q.inertia"])
 
 
 @pytest.mark.parametrize("kind", ["steps", "constant"])

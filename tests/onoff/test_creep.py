@@ -178,3 +178,21 @@ def test_what_opens_is_in_the_hash_and_on_the_wire() -> None:
     with pytest.raises(ValueError, match="does not have 16 levels"):
         replace(whole, creeps=(replace(later, levels=(1,)),))
     assert Creep.of_row(later.row) == later
+
+
+def test_every_further_cycle_creeps_as_the_program_does(tmp_path: Path) -> None:
+    """The list ends with a move whose switch is awaited where the next cycle begins."""
+    text = CYCLE.read_text().replace(
+        'valve = "main_air"', 'valve = "main_air"\nfirst_cycle_only = true'
+    )
+    file = tmp_path / "list.toml"
+    file.write_text(text[: text.rindex("[[operation]]")])
+    machine = load_machine(TRIMMED)
+    both = plan_job(read_job(file, machine), machine, Options()).scheduled
+    assert both.single is not None
+    one, two = both.single.commands.creeps, both.commands.creeps
+    later = both.steady_tick - both.again_tick
+    assert len(one) == 5
+    assert [creep.tick for creep in two] == [
+        *(creep.tick for creep in one), *(creep.tick + later for creep in one),
+    ]  # fmt: skip

@@ -157,6 +157,35 @@ def test_the_same_eye_in_other_axes_lays_the_same_fibre(
     np.testing.assert_allclose(found.ends[-count:], expected.ends[-count:], rtol=0.0, atol=1e-5)
 
 
+@pytest.mark.parametrize("dialect", ["grbl", "marlin", "linuxcnc"])
+def test_a_program_that_zeroes_its_mandrel_again_winds_on(tmp_path: Path, dialect: str) -> None:
+    """G92 names the same place anew: the mandrel of an endless program goes on turning."""
+    machine = load_machine("stepper-winder+xyca")
+    product = tmp_path / "t.wind.toml"
+    product.write_text(TUBE.format(radius=50, length=200))
+    start = "G21\nG90\nG1 X20 Y60 F3000\nG1 X40 A400\n"
+    laid = []
+    for number, rest in enumerate(
+        (
+            "G1 X60 A800\nG1 X80 A1200\n",
+            "G92 A0\nG1 X60 A400\nG92 A0\nG1 X80 A400\n",
+            "G92 A40\nG1 X60 A440\nG92 X0 A0\nG1 X20 A400\n",
+        )
+    ):
+        file = tmp_path / f"{number}.gcode"
+        file.write_text(f"{start}{rest}M30\n")
+        options = options_of(product=str(product), interpolation="linear", dialect=dialect)
+        plan = plan_job(open_job(file, machine, options), machine, options)
+        job = wound_job(plan)
+        assert job is not None
+        fibres = [samples.fibres[0] for samples in programmed_fibre(plan, job)]
+        laid.append(np.concatenate([fibre.angle[fibre.known] for fibre in fibres]))
+    # Half a turn is forgotten first; the rest of 1200 degrees lies on the mandrel.
+    assert abs(laid[0][-1] - laid[0][0]) > math.radians(900.0)
+    for other in laid[1:]:
+        np.testing.assert_allclose(other, laid[0], atol=1e-9)
+
+
 def test_a_head_at_one_distance_is_read_in_both_of_its_spellings(tmp_path: Path) -> None:
     """X A B and X Y Z, with the mandrel set to zero between two circuits in one of them."""
     product = _product(tmp_path, TUBE.format(radius=50, length=400))

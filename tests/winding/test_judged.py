@@ -182,7 +182,7 @@ def test_the_pattern_closes_and_missing_circuits_leave_a_gap(
 
 
 def test_a_run_is_judged_like_its_plan(
-    tmp_path: Path, machine: Machine, circuit: FloatArray
+    tmp_path: Path, machine: Machine, circuit: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One circuit on the simulated machine: every measure has a value; a product stays recorded."""
     plan = _plan(tmp_path, machine, programs.program(circuit, 1))
@@ -200,11 +200,16 @@ def test_a_run_is_judged_like_its_plan(
     assert laid is not None and laid < 5e-4
     assert results["free_length"].measured == pytest.approx(programs.FREE_M, rel=0.03)
     assert not proof.verdict.passed  # one circuit leaves gaps
+    monkeypatch.setattr("threadline.report.traces.MAX_SAMPLES", 5000)
     page = write_report(Studied(proof=proof), tmp_path / "report")
     names = {file.name for file in page.parent.iterdir()}
     assert {"report-winding-map.svg", "report-winding-along.svg", "report-winding-map.glb"} <= names
     # The page names the product and does not quote it.
-    assert "vessel.wind.toml, sha256" in page.read_text() and "isotensoid" not in page.read_text()
+    text = page.read_text()
+    assert "vessel.wind.toml, sha256" in text and "isotensoid" not in text
+    # Every sample is drawn on the mandrel, though curves over time are thinned.
+    assert "samples those at an extreme" in text
+    assert "samples those" not in text.split("The unrolled mandrel: the darker")[1][:500]
 
 
 def test_a_machine_without_an_eye_takes_no_product(tmp_path: Path) -> None:
@@ -308,20 +313,17 @@ def test_a_pattern_closes_after_its_number_of_circuits(
 
 
 @pytest.mark.parametrize(
-    ("start", "step", "said"),
+    ("start", "step", "times", "said"),
     [
-        ("Y 60;\nX 20;\nX 100;", "X -1", "the mandrel never turns, so that nothing is laid"),
-        ("Y 40;\nX 20;", "A 30 X 3", "up to 10 mm inside the mandrel; a mandrel of 40 mm at its w"),
-        (
-            "Y 60;\nX -400;",
-            "A 30 X 3",
-            " to -340 mm from its left end, and the mandrel is 200 mm long",
-        ),
-        ("Y 240;\nX 20;", "A 30 X 3", "free lengths in a row, needed are 5, and the free length"),
+        ("Y 60;\nX 20;\nX 100;", "X -1", 20, "the mandrel never turns, so that nothing is laid"),
+        ("Y 40;\nX 20;", "A 30 X 3", 20, "10 mm inside the mandrel; a mandrel of 40 mm at its w"),
+        ("Y 60;\nX -400;", "A 30 X 3", 20, "end, and the mandrel is 200 mm long"),
+        ("Y 40;\nX 20;", "A 1200 X 30", 1, "up to 10 mm inside the mandrel"),
+        ("Y 240;\nX 20;", "A 30 X 3", 20, "lengths in a row, needed are 5, and the free length"),
     ],
 )
 def test_a_program_that_lays_nothing_says_why(
-    tmp_path: Path, machine: Machine, start: str, step: str, said: str
+    tmp_path: Path, machine: Machine, start: str, step: str, times: int, said: str
 ) -> None:
     """One reason, at one criterion; the others only say that the fibre is never known."""
     product = tmp_path / "c.wind.toml"
@@ -329,7 +331,7 @@ def test_a_program_that_lays_nothing_says_why(
         '[[part]]\nkind = "cylinder"\nradius = "50 mm"\nlength = "200 mm"\n'
         '[band]\nwidth = "5 mm"\n[friction]\nvalue = "0.3"\n'
     )
-    steps = "\n".join([f"{step};"] * 20)
+    steps = "\n".join([f"{step};"] * times)
     text = f"%\nO 998;\nG01 F 1200;\nG91;\n{start}\n{steps}\nM30;\n%\n"
     file = tmp_path / "p.prg"
     file.write_text(text)

@@ -61,7 +61,8 @@ def fastest(
 
     Every trial is proved by twenty runs, like threadline prove, or by one with --nominal. With
     --margin "20 %" a fifth of every limit is kept free. With --robust "100 %" one plan must pass on
-    every machine at the ends of the tolerances. With --band "20 %" the commands of an on/off
+    every machine at the ends of the tolerances. With --learned 5 a plan is judged by what five
+    repeats make of it. With --band "20 %" the commands of an on/off
     machine must pass for all modes within 20 % of their frequency. With --interpolation optimal no
     feed is searched, but all other choices of a plan that are not given: tolerance, distance
     outside corners, reserve, smoothing, contour, feed-forward. The
@@ -91,7 +92,11 @@ def fastest(
             typed["--interpolation"] = asked.options.interpolation
         best = as_typed(found.words or {}) if written is None else {}
         options = {"-m": machine, **typed, **best, **level_option(asked.trials)}
-        again = command_line("prove", written or job, options)
+        if asked.learned is None:
+            again = command_line("prove", written or job, options)
+        else:
+            options["--repeats"] = str(asked.learned)
+            again = command_line("learn", job, options)
     if json:
         extra = {"command": again} | ({} if page is None else {"report": str(page)})
         print_json(output.content() | extra)

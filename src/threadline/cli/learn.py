@@ -36,7 +36,6 @@ from threadline.search.learned_job import (
     learned_on_twins,
     rules_of,
     typed_options,
-    write_table,
 )
 from threadline.verdict import closing
 
@@ -113,16 +112,20 @@ def learn(
     check_outputs(file=output, folder=report)
     if output is not None:
         check_table_file(output)
+        if words.text("ends") is not None:
+            raise OptionError(
+                f"-o {str(output)!r}: each of the machines of --ends learns a table of its own",
+                remedy="Leave --ends out, and name the machine with --actual.",
+            )
     if learning.runs:
         _from_runs(job, machine, learning, words, rules, report, json=json)
         return
     with progress_bar(not json) as progress:
         found = learned_on_twins(words, job, machine, rules, learning.repeats, progress)
-        table = None if output is None else found.table
         page = None
         with together(output):
-            if output is not None and table is not None:
-                write_table(table, output)
+            if output is not None:
+                found.write(output)
             if report is not None:
                 from threadline.report.learn import write_learning
 

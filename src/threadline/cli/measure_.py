@@ -13,7 +13,7 @@ from threadline.errors import LinkFaultError, OptionError
 from threadline.files import RunEnd
 from threadline.files.formats import write_recording
 from threadline.identify.measuring import LINKS, Measurement, Prediction, measure, predict
-from threadline.identify.planned_experiment import EXPERIMENTS, experiment
+from threadline.identify.planned_experiment import EXPERIMENTS, experiment, parse_band
 from threadline.live.sim_machine import parse_fault
 from threadline.machine import Machine, load_machine
 from threadline.units import parse_quantity
@@ -75,7 +75,7 @@ def measure_axis(
         axis,
         kind,
         amplitude=None if amplitude is None else parse_quantity(amplitude, unit),
-        band_hz=None if band is None else _band(band),
+        band_hz=None if band is None else parse_band(band),
     )
     foreseen = predict(chosen, planned)
     if not json:
@@ -103,16 +103,6 @@ def measure_axis(
     if found.response is not None:
         _show(found)
     say(f"Wrote {output}")
-
-
-def _band(text: str) -> tuple[float, float]:
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 2:
-        raise OptionError(
-            f"--band {text[:40]!r} is not two frequencies",
-            remedy='Write it like --band "1 Hz, 60 Hz".',
-        )
-    return parse_quantity(parts[0], "Hz"), parse_quantity(parts[1], "Hz")
 
 
 def _foreseen(machine: Machine, axis: str, kind: str, found: Prediction) -> str:

@@ -64,6 +64,7 @@ PROJECTS = {
         "letter-placer", "cycle.toml -m machine.toml+whole-scans+own-damping --shaper zv"
     ),
     "embroidery": Project("schiffli-frame", "rosette.dst -m machine.toml"),
+    "winding": Project("lathe-winder", "vessel.wind.toml -m machine.toml --nominal"),
 }
 
 

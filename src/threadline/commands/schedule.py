@@ -74,10 +74,20 @@ def compile_schedule(
         valve would switch faster than it can, or a cylinder moves before the soft-start valve has
         opened.
     """
+    return _compiled(job, machine, shaping, -1)
+
+
+def _compiled(
+    job: Job, machine: Machine, shaping: Mapping[str, AxisShaping] | None, second: int
+) -> Scheduled:
+    """Return the schedule of ``job``, whose second cycle begins with the operation ``second``."""
     builder = _Builder(job, machine, dict(shaping or {}))
     for index, operation in enumerate(job):
         if index == job.once:
             builder.mark_again()
+        if index == second:
+            # The program has one cycle: a wait in it knows no move of the cycle before.
+            builder.unconfirmed.clear()
         builder.add(index, operation)
     return builder.finish()
 
@@ -99,7 +109,7 @@ def compile_cycles(
         return job, single
     _check_again(job, single)
     both = repeated(job)
-    scheduled = compile_schedule(both, machine, shaping)
+    scheduled = _compiled(both, machine, shaping, len(list(job)))
     return both, replace(scheduled, single=single, warnings=single.warnings)
 
 

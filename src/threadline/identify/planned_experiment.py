@@ -11,6 +11,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import Machine
+from threadline.units import parse_quantity
 
 EXPERIMENTS = ("sweep", "steps", "constant", "backlash")
 _LINES = 24
@@ -109,6 +110,23 @@ def experiment(
         period=period,
         first=period,
     )
+
+
+def parse_band(text: str) -> tuple[float, float]:
+    """Return the two frequencies in ``"1 Hz, 60 Hz"``, in Hz.
+
+    Raises
+    ------
+    OptionError
+        If there are not two.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 2:
+        raise OptionError(
+            f"--band {text[:40]!r} is not two frequencies",
+            remedy='Write it like --band "1 Hz, 60 Hz".',
+        )
+    return parse_quantity(parts[0], "Hz"), parse_quantity(parts[1], "Hz")
 
 
 def _usual_amplitude(machine: Machine, axis: str) -> float:

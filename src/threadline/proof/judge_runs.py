@@ -127,6 +127,8 @@ def keep_freed_memory() -> None:
 
 AT_ONCE = 256
 """Variants per part: they share common calculations, and their samples fit the cache."""
+_AT_ONCE_WOUND = 32
+"""The same with products."""
 
 KEPT_S = 300.0
 """Longest job that is kept in memory while it is judged repeatedly."""
@@ -225,7 +227,9 @@ class RunsJudge:
             the product as it is.
         """
         values = Values.of(self._machine, variants)
-        parts = list(self._parts(values))
+        # Each run with a product keeps a raster of its own, of some megabytes.
+        at_once = AT_ONCE if products is None else min(AT_ONCE, _AT_ONCE_WOUND)
+        parts = list(self._parts(values, at_once))
         lock = Lock()
 
         def told(count: float) -> None:
@@ -255,11 +259,11 @@ class RunsJudge:
         )
         return self.judge.each(own)
 
-    def _parts(self, values: Values) -> Iterator[tuple[Values, IntArray]]:
+    def _parts(self, values: Values, at_once: int) -> Iterator[tuple[Values, IntArray]]:
         """Yield the variants in parts with one dead time, each part with its indices among all."""
         for sharing, places in values.by_delay():
-            for at in range(0, sharing.count, AT_ONCE):
-                yield sharing.slice(at, at + AT_ONCE), places[at : at + AT_ONCE]
+            for at in range(0, sharing.count, at_once):
+                yield sharing.slice(at, at + at_once), places[at : at + at_once]
 
     def _part(
         self, values: Values, phases: FloatArray | None, products: FloatArray | None, told: Done

@@ -445,6 +445,12 @@ TABLE: tuple[Option, ...] = (
         help="Highest feed to try.", doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
+        name="learned", group=Group.SEARCH, type=Type.COUNT, verbs=("fastest",), least=1, most=100,
+        help="Judge every plan after so many repeats, by the table that the machine has learned by "
+        "then (threadline learn). With --ends every machine learns its own table.",
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
         name="mismatch", group=Group.SEARCH, type=Type.FLAG, verbs=("fastest",), default=False,
         help="Search again with masses and stiffnesses at the ends of their tolerances, "
         "planned for the machine as its file says.",

@@ -87,7 +87,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
             beside=beside,
             captions={
                 name: _caption(name, known=bool(traces.actual))
-                + (sewn_run.words(proof) if name == "seam" else thinned)
+                + (sewn_run.words(proof) if name == "seam" else "" if name in wound else thinned)
                 for name in figures
             },
             facts=facts(proof),

@@ -23,7 +23,14 @@ from threadline.errors import OptionError
 from threadline.files import ChannelKind, Recording, TickTable, tick_table
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.machine.vary import REPEAT_SEED, corners, drawn_days, off_tolerance, vary
+from threadline.machine.vary import (
+    REPEAT_SEED,
+    corners,
+    drawn_days,
+    ends_of,
+    off_tolerance,
+    vary,
+)
 from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import NOMINAL, Proof, Trials, prove_plan
 from threadline.search.forbidden import used
@@ -34,6 +41,7 @@ from threadline.verdict.needle import has_stitches
 Sensed = Literal["head", "motor"]
 GAIN = 0.9
 REPEATS = 5
+MOST_REPEATS = 100
 _WORSE = 1.1  # times the least error: a larger error is undone
 _GIVEN_UP = 1.0 / 16.0  # of the first gain: from there on the best table is kept
 _HALVINGS = 5
@@ -457,6 +465,36 @@ def learn(
         plan=learned, actual=ran, repeats=tuple(told), best=best, filters=learner.filters,
         rules=learner.rules, proof=prove_plan(learned, spec, None, trials.alone, actual),
     )  # fmt: skip
+
+
+def learned_verdict(
+    plan: Plan, spec: Spec, repeats: int, trials: Trials, actual: Machine | None
+) -> Verdict:
+    """Return the verdict on what a plan becomes after repeats.
+
+    Parameters
+    ----------
+    repeats
+        Number of runs after the first one.
+    trials
+        Runs that a table is proved by. With ``ends`` each of those machines learns its own table,
+        and the first one out of specification, or the one nearest to a limit, is answered.
+    actual
+        The machine that runs, without ``ends``; None: the machine of the plan.
+    """
+    learner = Learner(plan, Rules())
+    machines = [actual]
+    if trials.ends is not None:
+        machines += [one for _, one in ends_of(plan.machine, trials.ends).machines]
+    found: list[Verdict] = []
+    for machine in machines:
+        learned = learn(
+            learner, spec, actual=machine, repeats=repeats, trials=trials.alone
+        ).proof.verdict
+        if not learned.passed:
+            return learned
+        found.append(learned)
+    return max(found, key=used)
 
 
 def best_table(told: Sequence[Repeat]) -> int:

@@ -7,6 +7,7 @@ of the limits are searched together, and the shortest job wins.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
@@ -31,6 +32,7 @@ from threadline.search.forbidden import Interval, closeness, worst_criterion
 from threadline.search.paced import Question
 from threadline.search.until import HaltError, Until, as_far_as, no_answer
 from threadline.verdict import Verdict
+from threadline.winding.product import product_text
 
 LONG_S = 300.0
 """Duration above which a job is long; for a long job, slow shares of the limits are skipped."""
@@ -197,8 +199,9 @@ def fastest_job(asked: Question) -> FastestJob:
     seen: dict[float, dict[float, Verdict]] = {}
 
     def searched(share: float, grid: Grid, telling: Progress | None) -> Fastest:
-        with_share = replace(options, limit_share=share)
-        question = replace(asked, options=with_share, progress=telling)
+        part = asked if parts == (job,) else of_a_part(asked)
+        with_share = replace(part.options, limit_share=share)
+        question = replace(part, options=with_share, progress=telling)
         closely = replace(grid, every=by_feed or not shares.long)
         return fastest_feed(question, closely, parts, seen.setdefault(share, {}))
 
@@ -250,6 +253,28 @@ def fastest_job(asked: Question) -> FastestJob:
         whole=whole,
         ended="" if until is None else until.ended,
         by=by,
+    )
+
+
+_OF_WHOLE = ("planned_coverage_gap", "coverage_gap")
+"""Criteria that only the whole job can meet."""
+
+
+def of_a_part(asked: Question) -> Question:
+    """Return the question about parts of a winding, which begin where the fibre is not tied.
+
+    Its coverage is judged at the end, by the whole job.
+    """
+    if asked.options.product is None:
+        return asked
+    content = json.loads(asked.options.product)
+    content["fibre"] = {k: v for k, v in content.get("fibre", {}).items() if k != "tied"}
+    text = product_text(json.dumps(content, ensure_ascii=True, sort_keys=True))
+    criteria = tuple(one for one in asked.spec.criteria if one.name not in _OF_WHOLE)
+    return replace(
+        asked,
+        options=replace(asked.options, product=text),
+        spec=replace(asked.spec, criteria=criteria),
     )
 
 

@@ -21,6 +21,7 @@ from threadline.proof.over_tolerances import Suspects
 from threadline.proof.pipeline import NOMINAL, Trials, try_plan
 from threadline.search.fastest import FINE, Fastest, Grid, check_range, find_fastest
 from threadline.search.forbidden import used
+from threadline.search.learn import learned_verdict
 from threadline.search.until import Until
 from threadline.verdict import Result, Spec, Status, Verdict
 
@@ -54,6 +55,9 @@ class Question:
         Planning options of the same plan, by word, without the options that the search finds.
     free
         Options of ``optimal`` that were not given, so that the search may choose them.
+    learned
+        Number of repeats after which a plan is judged, by the table that the machine has learned by
+        then; None: as it is planned.
     suspects
         Machines within the tolerances that were out of specification at another pace: they are
         tried first. The search adds to them.
@@ -75,6 +79,7 @@ class Question:
     mismatch: bool = False
     words: Mapping[str, Word] = field(default_factory=dict)
     free: frozenset[str] = frozenset()
+    learned: int | None = None
     suspects: Suspects = field(default_factory=list)
 
     @property
@@ -83,7 +88,9 @@ class Question:
         return Path(self.job.file)
 
     def judged(self, plan: Plan) -> Verdict:
-        """Return the verdict on a plan."""
+        """Return the verdict on a plan, or on the tables learned from it."""
+        if self.learned is not None:
+            return learned_verdict(plan, self.spec, self.learned, self.trials, self.actual)
         return try_plan(plan, self.spec, self.trials, self.actual, self.suspects).verdict
 
 

@@ -20,6 +20,7 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, with_product, with_shaping
 from threadline.search.choices import CHOSEN
 from threadline.search.feed import searched_by
+from threadline.search.learn import MOST_REPEATS, check_learnable
 from threadline.search.paced import Question
 from threadline.search.until import Until
 from threadline.units import parse_number, parse_quantity
@@ -128,7 +129,7 @@ class Asked:
     span: Callable[[Job, Machine, str | None, str | None], Span]
 
 
-_SPAN = frozenset({"--low", "--high", "--robust", "--shaper", "--mismatch"})
+_SPAN = frozenset({"--low", "--high", "--robust", "--shaper", "--mismatch", "--learned"})
 ASKED: Mapping[str, Asked] = {
     "feed": Asked(searched="the feed is", takes=_SPAN, span=_feeds),
     OPTIMAL: Asked(
@@ -150,9 +151,10 @@ _INSTEAD = {
     "--out": "; the command that proves the answer is printed",
     "--shaper": "; the search chooses a shaper for every move",
     "--mismatch": "; prove --tolerances judges its plan on other machines",
+    "--learned": "; a feed or the speed of a needle is searched with it",
 }
 """Alternatives to options that only some searches take, for messages."""
-_NOT_EVERYWHERE = ("low", "high", "robust", "shaper", "mismatch")
+_NOT_EVERYWHERE = ("low", "high", "robust", "shaper", "mismatch", "learned")
 
 
 def searched_as(job: Job, options: Options) -> str:
@@ -181,6 +183,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     given = {f"--{word}": words.given.get(word) or None for word in _NOT_EVERYWHERE}
     refuse_others(job, options, given)
     search = searched_as(job, options)
+    learned = _learned(words, job, chosen, options)
     low, high, by = ASKED[search].span(job, chosen, words.text("low"), words.text("high"))
     spec = with_product(words.spec(chosen), chosen, options).with_margin(margin)
     actual, mismatch, band = words.actual(), words.flag("mismatch"), None
@@ -209,7 +212,35 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
         mismatch=mismatch,
         words=words.changed(robust=planned),
         free=_free(words) if search == OPTIMAL else frozenset(),
+        learned=learned,
     )
+
+
+def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int | None:
+    """Return the number of repeats after which plans are judged; None for plans as they are.
+
+    Raises
+    ------
+    OptionError
+        If the job cannot be learned, or the machines are not those that learn.
+    """
+    repeats = words.given.get("learned")
+    if repeats is None:
+        return None
+    if not isinstance(repeats, int) or not 1 <= repeats <= MOST_REPEATS:
+        raise OptionError(
+            f"--learned {str(repeats)[:20]} is not from 1 to {MOST_REPEATS}",
+            remedy="Five often do.",
+        )
+    for other in ("mismatch", "band", "tolerances", "yield_"):
+        if words.given.get(other):
+            raise OptionError(
+                f"--learned and --{other.strip('_')} exclude each other: every machine learns its "
+                "own table",
+                remedy='Give --ends "100 %" for machines at the ends of the tolerances.',
+            )
+    check_learnable(job, machine, options.following)
+    return repeats
 
 
 def _free(words: Words) -> frozenset[str]:

@@ -29,7 +29,8 @@ class Witness:
         self._turn = np.array([np.inf, -np.inf])
         self._along = np.array([np.inf, -np.inf])
         self._room_m, self._inside, self._beside, self._count = np.inf, 0, 0, 0
-        self._in_a_row, self._longest, self._last = 0.0, 0.0, np.nan
+        self._in_a_row, self._longest = 0.0, 0.0
+        self._last: FloatArray | None = None
         self._free_m = np.inf
         self._length_m = 0.0
         self.eyes: list[FloatArray] = []
@@ -43,9 +44,12 @@ class Witness:
         """Take the next (n, 6) coordinates of the eye, and the fibre there."""
         if not len(eyes):
             return
-        before = eyes[0, 0] if np.isnan(self._last) else self._last
-        turns = np.diff(eyes[:, 0], prepend=before) != 0.0
-        self._last = float(eyes[-1, 0])
+        chain = eyes if self._last is None else np.vstack([self._last, eyes])
+        self._last = chain[-1:]
+        moves = np.diff(chain[:, 0]) != 0.0
+        # Both ends of a block that turns it: a program may be a single block.
+        turns = np.append(moves, False) | np.insert(moves, 0, False)
+        eyes = chain
         if sum(map(len, self.eyes)) < _MOST:
             self.eyes.append(eyes[turns][:_MOST])
         # Only while it turns: the eye may come from anywhere.

@@ -51,7 +51,7 @@ def read_points(path: Path) -> list[list[float]]:
         )
     if not 3 <= len(rows) <= _MOST_ROWS:
         raise JobError(
-            f"the meridian has {len(rows) - 1} points, needed are 2 to {_MOST_ROWS - 1}",
+            f"the number of points is {len(rows) - 1}, and a meridian needs 2 to {_MOST_ROWS - 1}",
             place=Place(str(path)),
             remedy="Give as many points as its shape needs.",
         )

@@ -69,13 +69,11 @@ def isotensoid(x_m: float, radius_m: float, opening_m: float, *, left: bool) -> 
         """Return dx/dq."""
         r = radius_m - depth * q * q
         upright = (r / radius_m) ** 3 * scale / np.sqrt(r * r - opening_m**2)
-        # 1 - upright^2 has a factor q^2: divide it out by a series near the equator.
-        near = 1e-4
-        share = np.where(q < near, near, q)
-        r_s = radius_m - depth * share * share
-        up_s = (r_s / radius_m) ** 3 * scale / np.sqrt(r_s * r_s - opening_m**2)
-        root = np.sqrt(1.0 - up_s**2) / share
-        return 2.0 * depth * np.where(q < near, up_s, upright) / root
+        # 1 - upright^2, without its factor q^2, and multiplied out: a difference would round to 0.
+        a, b = (r / radius_m) ** 2, (opening_m / radius_m) ** 2
+        of_radius = depth * (2.0 * radius_m - depth * q * q) / radius_m**2
+        root = np.sqrt(of_radius * (a + a * a - b * (1.0 + a + a * a)) / (a - b))
+        return np.asarray(2.0 * depth * upright / root)
 
     q = np.linspace(0.0, 1.0, _PIECES + 1)
     nodes, weights = np.polynomial.legendre.leggauss(12)

@@ -303,7 +303,8 @@ def patterns(wrap: Wrap) -> list[Pattern]:
         one = replace(pattern, ratio=ratio, constant_m=constant, dwell=dwell)
         if one.ways and (layer.close is None or layer.close in one.ways):
             closed.append(one)
-    closed.sort(key=lambda one: (abs(one.off), one.circuits))
+    by_dwell = layer.close == "dwell" or not wrap.domes
+    closed.sort(key=lambda one: (one.dwell if by_dwell else abs(one.off), one.circuits))
     if not closed:
         nearest = min(found, key=lambda one: abs(one.off), default=None)
         near = (

@@ -49,7 +49,7 @@ _KEPT = 0.9  # of the tolerance
 _CHECKED = 2  # circuits that are replayed
 _CHORD_M = 5e-4  # of the replay's check
 _TIED_M = 1e-3  # a tied place within this of the turn is the turn
-_APPROACH_M_S = 0.05  # of eye to the first point
+_APPROACH_M_S = 0.02  # of eye to the first point
 _REST_S = 0.5
 _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
 _LEAST_S = 1e-4  # of a move
@@ -417,9 +417,8 @@ def _runs(
             at[column] = first[column]
             feed = Feed(FeedMode.INVERSE_TIME, _APPROACH_M_S / way)
             yield Move(tuple(at.tolist()), feed, Source(file, laps[0].line))
-    # A plan would round the corner between approach and winding, and the fibre would start beside
-    # its place.
-    yield Dwell(_REST_S, Source(file, laps[0].line))
+            # A plan would round the corners, and the fibre would start beside its place.
+            yield Dwell(_REST_S, Source(file, laps[0].line))
     number = 0
     for one in laps:
         feeds: list[tuple[int, Feed | None]] = []

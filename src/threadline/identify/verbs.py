@@ -1,0 +1,121 @@
+"""``tl.measure`` and ``tl.fit``: what the command line asks, from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from threadline.base.arguments import checked
+from threadline.machine import Machine, load_machine
+from threadline.units import parse_quantity
+
+if TYPE_CHECKING:
+    from threadline.identify.fitted import Fit
+    from threadline.identify.measuring import Measurement
+
+
+@checked
+def fit(
+    data: str | Path | Sequence[str | Path],
+    machine: str | Path,
+    numbers: Sequence[str],
+    out: str | Path | None = None,
+    *,
+    axis: str = "",
+) -> Fit:
+    """Fit numbers of a machine file to measured data; print nothing, and write ``out`` if given.
+
+    Parameters
+    ----------
+    data
+        A file, or several: responses, recordings, ``"+OVERLAY:FILE"`` and ``"response:FILE"`` as on
+        the command line.
+    machine
+        Its file or its name in the library; its numbers are the first guesses.
+    numbers
+        Dotted names, such as ``["bodies.x.inertia"]``.
+    out
+        Machine file to write.
+    axis
+        Axis of data that does not name its own.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.identify.data import open_data
+    from threadline.identify.fitted import fit as fitted
+    from threadline.identify.fitted import parse_numbers
+    from threadline.identify.machine_file import write_fitted
+
+    files = [data] if isinstance(data, str | Path) else list(data)
+    chosen = load_machine(str(machine))
+    names = parse_numbers(",".join(numbers), chosen)
+    opened = [open_data(str(file), str(machine), axis) for file in files]
+    found = fitted(chosen, opened, names)
+    if out is not None:
+        write_fitted(found, ", ".join(one.name for one in opened), Path(out))
+    return found
+
+
+@checked
+def measure(
+    machine: str | Path,
+    axis: str,
+    out: str | Path | None = None,
+    *,
+    experiment: str = "sweep",
+    amplitude: str | None = None,
+    band: str | None = None,
+    link: str = "sim",
+    actual: str | Machine | None = None,
+) -> Measurement:
+    """Predict an experiment on one axis, run it, and return what was recorded.
+
+    Parameters
+    ----------
+    machine, axis
+        The machine file or its name in the library, and the axis that moves.
+    out
+        File of the measurement (``.npz``, ``.mcap``).
+    experiment
+        ``"sweep"``, ``"steps"``, ``"constant"`` or ``"backlash"``.
+    amplitude
+        Largest deviation from the start, ``"2 mm"``.
+    band
+        Lowest and highest frequency of a sweep, ``"1 Hz, 60 Hz"``.
+    link
+        ``"sim"``, ``"hal:plant"`` or ``"hal:loopback"``.
+    actual
+        With ``"sim"``: machine that is simulated in place of ``machine``.
+
+    Raises
+    ------
+    InputError
+        As on the command line; nothing has moved then.
+    LinkFaultError
+        If the machine does not answer.
+    """
+    from threadline.files.formats import write_recording
+    from threadline.identify.measuring import measure as measured
+    from threadline.identify.measuring import predict
+    from threadline.identify.planned_experiment import experiment as planned_of
+    from threadline.identify.planned_experiment import parse_band
+
+    chosen = load_machine(str(machine))
+    unit = "rad" if axis in chosen.axes and chosen.axes[axis].kind == "rotary" else "m"
+    planned = planned_of(
+        chosen,
+        axis,
+        experiment,
+        amplitude=None if amplitude is None else parse_quantity(amplitude, unit),
+        band_hz=None if band is None else parse_band(band),
+    )
+    predict(chosen, planned)
+    far = load_machine(actual) if isinstance(actual, str) else actual
+    found = measured(chosen, planned, link=link, actual=far)
+    if out is not None:
+        write_recording(found.recording, Path(out))
+    return found
