@@ -22,9 +22,9 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
-panel: $(PAGE)  ## Build the page of the operator's panel
+panel: $(PAGE)  ## Lint, test and build the page of the operator's panel
 
-$(PAGE): $(STAMP) requirements/panel.txt web/index.html web/package-lock.json $(wildcard web/src/*)
+$(PAGE): $(STAMP) requirements/panel.txt $(wildcard web/*.*) $(wildcard web/src/* web/tests/* web/public/*)
 	@command -v npm >/dev/null 2>&1 || $(BIN)/python -m tools.node_programs $(NODE)
 	cd web && PATH="$$PATH:$(NODE)" npm ci --no-audit --no-fund && PATH="$$PATH:$(NODE)" npm run build
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from threadline import face
 from threadline.cli.lazy import COMMANDS, LazyGroup
+from threadline.panel.control import in_page_words
 from threadline.proof.option_form import Door, Group, Option, Type
 from threadline.proof.option_table import PYTHON_VERBS, TABLE, options_for
 
@@ -177,15 +178,13 @@ _APART = ("interpolation", "feed", "offset")
 
 
 def _field(one: Option) -> str:
-    if one.type is Type.FLAG:
-        return (
-            f'<label data-option="{one.name}" class="check"><input id="{one.name}" '
-            f'type="checkbox" /> {one.label}</label>'
-        )
-    told = escape(one.placeholder, quote=False)
+    """Return the field of an option with its help below it."""
+    kind = 'type="checkbox"' if one.type is Type.FLAG else ""
+    told = "" if one.type is Type.FLAG else f'placeholder="{escape(one.placeholder, quote=False)}"'
     return (
-        f'<label data-option="{one.name}">{one.label} <input id="{one.name}" '
-        f'placeholder="{told}" /></label>'
+        f'<p class="option" data-option="{one.name}"><label for="{one.name}">{one.label}</label> '
+        f'<input id="{one.name}" {kind}{told} aria-describedby="{one.name}-told" />\n'
+        f'              <small id="{one.name}-told">{escape(in_page_words(one.help))}</small></p>'
     )
 
 

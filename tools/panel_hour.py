@@ -56,9 +56,11 @@ def open_page(page: Page, port: int) -> None:
             time.sleep(1.0)
     for name in ("Take control", "Enable", "Home all"):
         press(page, name)
+    page.get_by_role("tab", name="Prepare").click()
     page.locator("#program").select_option(PROGRAM.name)
     press(page, "Calculate")
     page.locator("#figures dt").first.wait_for(timeout=600_000)
+    page.get_by_role("tab", name="Run").click()
 
 
 def press(page: Page, name: str) -> None:

@@ -115,6 +115,7 @@ def test_run_learn_run_over_the_link(
         (["--from", "none"], "there is no run 'none'"),
         (["--from", "none", "--ends", "100 %"], "are about simulated ones"),
         (["--table", "none.npz"], "cannot read"),
+        (["--from", "x.npz", "--table", "x.npz"], "names the table that it played"),
         (["--gain", "0"], "must be above 0"),
         (["--ends", "100 %", "-o", "two.npz"], "Leave --ends out"),
     ],
@@ -128,10 +129,13 @@ def test_what_cannot_be_learned_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    kept = EXAMPLES / "x-180.prg"
+    if "x.npz" in words:
+        run(capsys, "prove", kept, "-m", "lathe-winder", "--nominal", "--recording", "x.npz")
     code, out, said = run(capsys, "learn", *asked, "--feed-forward", *words)
     assert (code, out) == (2, "")
     assert refusal in said
-    assert not [*tmp_path.glob("*.npz"), *tmp_path.glob("table*")]
+    assert not [*tmp_path.glob("two.npz"), *tmp_path.glob("table*")]
 
 
 def test_another_machine_is_simulated_by_the_simulated_link_alone(

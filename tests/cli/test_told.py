@@ -374,6 +374,7 @@ def test_a_recording_and_a_report_are_stages_of_their_own(
     assert list(said) == [
         "planning",
         "simulating and judging",
+        "measuring the plan",
         "simulating and writing the recording",
         "drawing the report",
     ]

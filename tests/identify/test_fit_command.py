@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
@@ -71,6 +72,26 @@ def test_from_a_file_that_is_30_percent_off_two_sweeps_give_every_number(capsys,
         # The tolerance is a 95 % interval, so the truth is within 1.6 of it in 99.8 of 100 files.
         assert abs(found.si - number_at(true, name).si) < 1.6 * found.tolerance_si
         assert 0.001 < found.tolerance_si / found.si < 0.06
+
+
+def test_it_says_what_the_fit_is_worth_for_a_job(capsys, tmp_path, monkeypatch):
+    """The search itself is tested elsewhere, and takes minutes over the tolerances."""
+    asked = []
+
+    def fastest(job, machine, **words):
+        asked.append((str(job), machine, words))
+        return SimpleNamespace(best=0.1 * len(asked), unit="m/s")
+
+    monkeypatch.setattr("threadline.face.fastest", fastest)
+    out_file = tmp_path / "mine.toml"
+    words = (sweep(tmp_path / "x.csv"), "-m", "stitcher", "--numbers", LOAD, "--job", "path.toml")
+    code, out, _ = run(capsys, *words, "-o", out_file)
+    assert code == 0
+    assert "path.toml over the tolerances: 0.1 m/s before the fit, 0.2 m/s after it" in out
+    level = {"level": "over tolerances"}
+    assert asked == [("path.toml", "stitcher", level), ("path.toml", str(out_file), level)]
+    code, _, err = run(capsys, *words)
+    assert code == 2 and "--job needs the fitted machine as a file" in err
 
 
 def test_json_has_intervals_bounds_and_correlations(capsys, tmp_path):

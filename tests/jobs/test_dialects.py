@@ -45,6 +45,8 @@ def test_preambles_are_named_once(
     job = read(tmp_path, xyza, text, dialect)
     (said,) = [w for w in job.warnings if "without effect" in w]
     assert [w.split()[0] for w in said.partition("first seen: ")[2].split(", ")] == words.split()
+    silent = dialect == "marlin"
+    assert ("compile leaves out what only shows or stores something: M117 M30." in said) == silent
     assert [p[0] for p in millimetres(job)] == [5.0, 7.0]
     with pytest.raises(InputError):  # the printed winder's program has none of them
         list(read(tmp_path, xyza, text, "winder"))

@@ -49,6 +49,7 @@ def test_where_a_semicolon_ends_a_block_another_behind_it_is_refused(
         ("marlin", "M204 P4000 T4000", "M204 is what sets the steps, limits or jerks"),
         ("marlin", "M220 S50", "M220 is a share of every feed"),
         ("linuxcnc", "M68 E0 Q50", "M68 is an analogue output"),
+        ("fluidnc", "M67 E0 Q50", "M67 is an analogue output"),
     ],
 )
 def test_what_a_slicer_or_post_writes_is_refused_by_what_it_is(

@@ -20,6 +20,7 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.types import ASGIApp
 
 from tests.live.bench import winder
+from threadline.errors import ThreadlineError
 from threadline.live.links import RowsOperated, at_link
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import group_ticks, in_step
@@ -30,6 +31,7 @@ from threadline.machine import Machine
 from threadline.panel.admission import Admission
 from threadline.panel.calculating import calculate
 from threadline.panel.calculation import Calculation, MachineGuide
+from threadline.panel.job_views import preview
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
 from threadline.panel.owner_process import Owned, OwnerLink, serve_owned
@@ -87,6 +89,13 @@ class Known(Calculation):
     def begin(self, asked: Calculate, tell: Any) -> None:
         words, found = proven(self._folder, self._machine.name)
         tell(self._taken(dict(found), words))
+
+    async def preview(self, program: str) -> bytes | str:
+        """Return it as ever, but from this process, which has all that it needs loaded."""
+        try:
+            return json.dumps(preview(self._folder, program, self._machine)).encode()
+        except ThreadlineError as error:
+            return str(error)
 
 
 class KnownGuide(MachineGuide):

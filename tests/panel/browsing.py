@@ -61,6 +61,13 @@ def part(page: Page, name: str) -> None:
     page.get_by_role("tab", name=name).click()
 
 
+def calculate(page: Page) -> None:
+    """Calculate the chosen program, and go back to the machine."""
+    part(page, "Prepare")
+    press(page, "Calculate")
+    part(page, "Run")
+
+
 def state(page: Page, name: str) -> None:
     """Wait for a state, whatever reason is told with it."""
     expect(page.locator("#state")).to_have_text(re.compile(rf"{name}(:|$)"), timeout=60_000)
@@ -81,13 +88,13 @@ def press_until(page: Page, text: str, names: str) -> None:
     """
     shown = page.locator("#state")
     wanted = re.compile(rf"({names})(:|$)")
-    for _ in range(20):
+    for _ in range(40):
         with suppress(WaitedTooLong):  # it cannot be pressed any more, as the state came late
-            page.get_by_role("button", name=text, exact=True).click(timeout=5_000)
+            page.get_by_role("button", name=text, exact=True).click(timeout=1_000)
         with suppress(AssertionError):
             expect(shown).to_have_text(wanted, timeout=5_000)
             return
-    raise AssertionError(f"{text} was pressed 20 times: {shown.inner_text()}")
+    raise AssertionError(f"{text} was pressed 40 times: {shown.inner_text()}")
 
 
 def x_mm(page: Page) -> float:

@@ -19,6 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
+from tools.panel_schema import types_of
 
 from tests.panel.bench import LOCAL, PROGRAM, Operator, operator, served
 from threadline.errors import InputError, JobError, OptionError
@@ -171,6 +172,8 @@ def test_the_published_schema_is_that_of_the_program(
         assert client.get("/").status_code == (200 if files else 404)
         told = client.get("/api/schema").json()
     assert told == published, "python -m tools.panel_schema writes it"
+    types = (ROOT / "web" / "src" / "messages.ts").read_text("utf-8")
+    assert types_of(told) == types, "python -m tools.panel_schema writes it"
     assert MOST_TEXT == 1 << 16
 
 

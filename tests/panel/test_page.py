@@ -15,6 +15,7 @@ from tests.panel.browsing import (
     Browser,
     Page,
     begin_jog,
+    calculate,
     expect,
     held_and_let_go,
     jog_until,
@@ -74,7 +75,7 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     # That a renewal came when the move had ended is no news.
     expect(page.locator("#log")).not_to_contain_text("there is no jog")
 
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     shot(page, "2-calculated")
     assert {"age"} == written_at_rest(page)  # else the page is laid out and drawn all the time
@@ -91,7 +92,7 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     expect(page.locator("#progress-text")).to_contain_text("stopped")
     shot(page, "4-stopped")
 
-    part(page, "Runs")  # what was broken off is done from there on, after a confirmation
+    part(page, "Review")  # what was broken off is done from there on, after a confirmation
     expect(page.locator("#kept")).to_contain_text("stopped", timeout=60_000)
     press(page, "Continue")
     expect(page.locator("#rest-told")).to_contain_text("the work begins again at line")
@@ -132,7 +133,7 @@ def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> Non
     page.keyboard.up("PageUp")
 
     page.get_by_label("Step").select_option("1")
-    page.locator("h2").first.click()
+    page.get_by_role("heading", name="Machine").click()
     page.keyboard.press("ArrowLeft")
     until, stepped = time.monotonic() + 60.0, pytest.approx(there - 1.0, abs=0.5 / 55.358)
     while told_mm(plant) != stepped:  # to half a count
@@ -171,7 +172,7 @@ def test_keys_that_were_not_armed_would_move_it(browser: Browser, plant: Plant) 
 def test_any_key_stops_a_run_and_h_holds_it(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     press(page, "Start")
     state(page, "running")
@@ -190,7 +191,7 @@ def test_another_browser_watches_and_may_stop(browser: Browser, plant: Plant) ->
     first, second = opened(browser, plant), opened(browser, plant)
     ready(first)
     expect(second.get_by_role("button", name="Home all")).to_be_disabled()
-    press(first, "Calculate")
+    calculate(first)
     expect(second.locator("#figures")).to_contain_text("IN SPEC")
     press(first, "Start")
     state(second, "running")

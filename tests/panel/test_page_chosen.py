@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 from pathlib import Path
 
-from tests.panel.browsing import Browser, expect, opened, part, press, press_until, ready, state
+from tests.panel.browsing import (
+    Browser,
+    calculate,
+    expect,
+    opened,
+    part,
+    press,
+    press_until,
+    ready,
+    state,
+)
 from tests.panel.test_panel_killed import Plant
 
 
@@ -20,6 +29,7 @@ def test_what_is_not_chosen_any_more_does_not_start(
     ready(page)
     chosen, changed = page.locator("#program"), page.locator("#changed")
     motions = [page.get_by_role("button", name=name, exact=True) for name in ("Start", "Approach")]
+    part(page, "Prepare")
     chosen.select_option("there.prg")
     press(page, "Calculate")
     for one in motions:
@@ -35,7 +45,7 @@ def test_what_is_not_chosen_any_more_does_not_start(
     for one in motions:
         expect(one).to_be_disabled()
     page.get_by_label("Feed", exact=True).fill("")
-    page.get_by_text("More options").click()
+    page.get_by_text("Expert options").click()
     page.get_by_label("Loads follow").check()
     for one in motions:
         expect(one).to_be_disabled()
@@ -58,7 +68,7 @@ def test_a_panel_that_begins_anew_has_calculated_nothing(
     """The page goes on by itself, and drops what the panel before had proven."""
     page = opened(browser, plant)
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     verdict = page.locator("#figures")
     expect(verdict).to_contain_text("IN SPEC")
     os.kill(plant.server, signal.SIGKILL)
@@ -78,18 +88,20 @@ def test_what_is_said_is_seen_on_every_part_and_ends_are_kept(
     browser: Browser, plant: Plant
 ) -> None:
     page = opened(browser, plant)
-    said = page.locator("#said")
+    said = page.locator("#toasts [role=alert]")
     part(page, "Draw")
     press(page, "Use as mandrel")
-    expect(said).to_have_text(re.compile("^a profile is one chosen line"))
+    expect(said).to_contain_text("a profile is one chosen line")
+    part(page, "Review")
     expect(said).to_be_visible()
-    part(page, "Runs")
-    expect(said).to_have_text("")
-    part(page, "Operate")
-    expect(said).to_be_hidden()
+    press(page, "Close this message")
+    expect(said).to_have_count(0)
+    part(page, "Run")
+    expect(page.locator("#log")).to_contain_text("a profile is one chosen line")
+    expect(page.locator("#log-count")).to_have_text("1, 1 of trouble")
 
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     press_until(page, "Start", "running")
     press(page, "STOP")
     state(page, "idle")
@@ -99,13 +111,18 @@ def test_what_is_said_is_seen_on_every_part_and_ends_are_kept(
 
 def test_a_place_that_is_not_known_is_not_the_programs_zero(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
-    page.get_by_text("More options").click()
+    part(page, "Prepare")
+    page.get_by_text("Expert options").click()
     here = page.get_by_role("button", name="Program's zero is here")
     expect(here).to_be_disabled()  # nobody has control
+    part(page, "Run")
     press(page, "Take control")
     press_until(page, "Enable", "enabled")
+    part(page, "Prepare")
     expect(here).to_be_disabled()  # where the axes are is not known
+    part(page, "Run")
     press_until(page, "Home all", "homing|idle")
     state(page, "idle")
+    part(page, "Prepare")
     expect(here).to_be_enabled()
     page.close()

@@ -10,6 +10,7 @@ from tests.panel.browsing import (
     Browser,
     Page,
     begin_jog,
+    calculate,
     expect,
     jog_until,
     moved_on,
@@ -51,7 +52,7 @@ def test_keys_stop_in_every_view(browser: Browser, plant: Plant) -> None:
     """Whoever looks, with control or without."""
     page = opened(browser, plant)
     said = page.locator("#log li", has_text="stopped by")
-    for count, name in enumerate(("Operate", "Teach", "Draw", "Runs", "Guide")):
+    for count, name in enumerate(("Prepare", "Run", "Teach", "Draw", "Review", "Guide")):
         part(page, name)
         expect(page.get_by_role("button", name="STOP")).to_be_visible()
         before = said.count()
@@ -82,6 +83,8 @@ def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, pla
     jog_until(page, "ArrowLeft", lambda: x_mm(page) < there)
     to_zero(page, lambda: enter(page, "Zero all"))
 
+    tab_to(page, "Prepare")
+    page.keyboard.press("Enter")
     enter(page, "Calculate")
     expect(page.locator("#figures")).to_contain_text("IN SPEC", timeout=60_000)
     enter(page, "Start")
@@ -114,7 +117,7 @@ def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, pla
 
 def runs(page: Page) -> None:
     """Start the program where it begins, and wait until it moves."""
-    part(page, "Operate")
+    part(page, "Run")
     if x_mm(page) != 0.0:
         to_zero(page, lambda: press(page, "Zero all"))
         expect(page.locator("#at-A")).to_have_text(re.compile(r"^0\.00"), timeout=60_000)
@@ -133,25 +136,25 @@ def test_keys_stop_a_run_wherever_the_focus_is(browser: Browser, plant: Plant) -
     """In lists, sliders and fields, and on other parts of the page; neither gets the key."""
     page = opened(browser, plant)
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC", timeout=60_000)
     for name, focus, key in (
-        ("Operate", "#axis", " "),
-        ("Operate", "#step", "x"),
-        ("Operate", "#share", "ArrowRight"),
-        ("Operate", "#feed", "x"),
-        ("Operate", "#offset", " "),
+        ("Run", "#axis", " "),
+        ("Run", "#step", "x"),
+        ("Run", "#share", "ArrowRight"),
+        ("Prepare", "#feed", "x"),
+        ("Prepare", "#offset", " "),
         ("Draw", "#drawing-name", "Enter"),
         ("Draw", "#paper svg", "Delete"),
-        ("Runs", "#kept", "ArrowDown"),
+        ("Review", "#beside", "ArrowDown"),
     ):
         runs(page)
         part(page, name)
         if focus == "#offset":
-            page.get_by_text("More options").click()
+            page.get_by_text("Expert options").click()
         there = page.locator(focus)
         there.focus()
-        written = "svg" not in focus and focus != "#kept"  # the list of runs is still being read
+        written = "svg" not in focus and focus != "#beside"  # the list of runs is still being read
         before = there.input_value() if written else ""
         stopped(page, key)
         assert not written or there.input_value() == before, focus
@@ -161,9 +164,10 @@ def test_keys_stop_a_run_wherever_the_focus_is(browser: Browser, plant: Plant) -
 def test_keys_of_a_run_hold_and_resume_it_in_a_field(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC", timeout=60_000)
     runs(page)
+    part(page, "Prepare")
     page.locator("#feed").focus()
     page.keyboard.press("h")
     state(page, "holding")
@@ -172,9 +176,10 @@ def test_keys_of_a_run_hold_and_resume_it_in_a_field(browser: Browser, plant: Pl
     assert page.locator("#feed").input_value() == ""
     # A list that has dropped down would take the keys: it does not, and a press takes the next.
     page.evaluate("document.activeElement.blur()")
-    before = page.locator("#seen-from").input_value()
-    page.locator("#seen-from").click()
-    assert page.locator("#seen-from").input_value() != before
+    part(page, "Run")
+    before = page.locator("#axis").input_value()
+    page.locator("#axis").click()
+    assert page.locator("#axis").input_value() != before
     expect(page.locator("#file")).to_be_disabled()
     stopped(page, " ")
     expect(page.locator("#file")).to_be_enabled()

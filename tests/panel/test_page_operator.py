@@ -20,6 +20,7 @@ from tests.panel.browsing import (
     SIZE,
     Browser,
     Page,
+    calculate,
     expect,
     held_and_let_go,
     moved_on,
@@ -82,7 +83,7 @@ def seen_by_others(page: Page, name: str) -> None:
 
 def calculated(page: Page, program: str) -> None:
     expect(page.locator("#program")).to_have_value(program)
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text(program, timeout=LONG_MS)
 
 
@@ -101,11 +102,14 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         assert (folder / EXAMPLE.name).read_bytes() == EXAMPLE.read_bytes()
         start = page.get_by_role("button", name="Start", exact=True)
         expect(start).to_be_disabled()
+        part(page, "Prepare")
+        page.get_by_text("Expert options").click()
         page.locator("#interpolation").select_option("optimal")
         calculated(page, EXAMPLE.name)
         figures = page.locator("#figures")
-        for told in ("IN SPEC", "duration", "ticks", "circuits", "points", "contour error"):
+        for told in ("IN SPEC", "duration", "ticks", "circuits", "points"):
             expect(figures).to_contain_text(told)
+        expect(page.locator("#criteria")).to_contain_text("the tool stays within 0.500 mm of its")
         press(page, "Simulate")
         expect(page.locator("#seen")).to_contain_text("SIMULATED, not the machine")
         page.wait_for_timeout(1500)
@@ -135,11 +139,11 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         state(page, "idle")
         expect(page.locator("#progress-text")).to_contain_text("stopped")
 
-        part(page, "Runs")
+        part(page, "Review")
         expect(page.locator("#kept")).to_contain_text("stopped", timeout=LONG_MS)
         expect(page.locator("#trace .uplot")).to_have_count(2, timeout=LONG_MS)
         shot(page, "23-day-trace")
-        part(page, "Operate")
+        part(page, "Run")
 
         for k, (label, axis) in enumerate((("X plus", "X"), ("A plus", "A"), ("X minus", "X"))):
             held_and_let_go(page, f"Jog {label}", 2.0, axis)
@@ -149,7 +153,7 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         page.locator("#teach-name").fill("three")
         shot(page, "24-day-taught")
         press(page, "Save program")
-        part(page, "Operate")
+        part(page, "Run")
         expect(start).to_be_disabled()
         calculated(page, "three.prg")
         expect(figures.locator("dt", has_text=re.compile("^points$")).locator("+ dd")).to_have_text(
@@ -162,7 +166,7 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         page.locator("#typed-point").press("Enter")
         shot(page, "25-day-profile")
         press(page, "Use as mandrel")
-        part(page, "Operate")
+        part(page, "Run")
         expect(page.locator("#radius")).to_have_value(
             "A=20 mm at X -300 mm; 60 mm at X 0 mm; 60 mm at X 100 mm; 30 mm at X 300 mm"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.panel.browsing import Browser, expect, opened, press, ready, shot, state
+from tests.panel.browsing import Browser, calculate, expect, opened, part, press, ready, shot, state
 from tests.panel.test_panel_killed import Plant
 
 SPACE = True
@@ -18,7 +18,7 @@ def test_a_winding_is_seen_before_and_while_it_is_wound(browser: Browser, plant:
     """
     page = opened(browser, plant)
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     press(page, "Simulate")
     expect(page.locator("#seen")).to_contain_text("SIMULATED, not the machine")
@@ -55,7 +55,7 @@ def test_a_winding_is_seen_before_and_while_it_is_wound(browser: Browser, plant:
 def test_the_placers_cycle(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant, "letter-placer")
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     press(page, "Start")
     state(page, "running")
@@ -72,7 +72,7 @@ def test_the_placers_cycle(browser: Browser, plant: Plant) -> None:
 def test_an_embroidery_is_sewn(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant, "schiffli-frame")
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     press(page, "Start")
     state(page, "running")
@@ -86,8 +86,9 @@ def test_an_embroidery_is_sewn(browser: Browser, plant: Plant) -> None:
 def test_a_seam(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant, "stitcher")
     ready(page)
+    part(page, "Prepare")
     page.locator("#program").select_option("strap.seam.toml")
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     press(page, "Simulate")
     page.wait_for_timeout(1500)

@@ -9,6 +9,7 @@ import pytest
 
 from tests.panel.browsing import (
     Browser,
+    calculate,
     expect,
     opened,
     part,
@@ -42,7 +43,7 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
     """A run that was stopped is not proven, which is not out of specification."""
     page = opened(browser, plant)
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     press_until(page, "Start", "running")
     press(page, "STOP")
     state(page, "idle")
@@ -50,10 +51,9 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
     expect(page.locator("#log li", has_text=re.compile("  stopped by"))).to_have_count(1)
     once = re.compile(r"there.prg: stopped\. NOT PROVEN .*, stopped by the op")
     expect(page.locator("#progress-text")).to_contain_text(once)
-    part(page, "Runs")
-    expect(page.locator("#kept option")).to_have_text(
-        re.compile(r"there: stopped by the operator; not proven in this run$")
-    )
+    part(page, "Review")
+    for told in ("stopped by the operator", "not proven"):
+        expect(page.locator("#kept tbody td", has_text=told)).to_have_count(1)
     page.close()
 
 
@@ -74,13 +74,14 @@ def test_what_is_of_no_use_is_grey_and_says_why(browser: Browser, plant: Plant) 
     page.keyboard.press("p")
     expect(page.locator("#taught tr")).to_have_count(0)
 
-    part(page, "Operate")
+    part(page, "Run")
     expect(page.locator("#program option")).to_have_text(["rosette.dst"])
-    press(page, "Calculate")
+    calculate(page)
     press_until(page, "Start", "running")
     expect(page.locator("#log")).to_contain_text("rosette: completed. IN SPEC")
-    part(page, "Runs")
-    expect(page.locator("#kept option")).to_have_text(re.compile("completed; in spec in this run$"))
+    part(page, "Review")
+    for told in ("completed", "in spec"):
+        expect(page.locator("#kept tbody td", has_text=told)).to_have_text(told)
     again = page.get_by_role("button", name="Continue", exact=True)
     expect(again).to_be_disabled()
     expect(again).to_have_attribute("title", "the run was completed: there is no rest of it")
@@ -103,7 +104,8 @@ FIELDS = {
 )
 def test_fields_are_those_of_the_kind_of_work(browser: Browser, plant: Plant, name: str) -> None:
     page = opened(browser, plant, name)
-    page.get_by_text("More options").click()
+    part(page, "Prepare")
+    page.get_by_text("Expert options").click()
     for field in FIELDS["lathe-winder"]:
         expect(page.locator(f"#{field}")).to_be_visible(visible=field in FIELDS[name])
     shot(page, f"30-options-{name}")
@@ -114,7 +116,8 @@ def test_fields_are_those_of_the_kind_of_work(browser: Browser, plant: Plant, na
 def test_what_is_typed_is_what_is_asked_for(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
     press(page, "Take control")
-    page.get_by_text("More options").click()
+    part(page, "Prepare")
+    page.get_by_text("Expert options").click()
     asked = {"law": "harmonic:7", "tolerance": "0.2 mm", "contour": "0.3 mm", "robust": "0 %"}
     for field, text in asked.items():
         page.locator(f"#{field}").fill(text)
@@ -128,7 +131,7 @@ def test_what_is_typed_is_what_is_asked_for(browser: Browser, plant: Plant) -> N
           };
         }"""
     )
-    press(page, "Calculate")
+    calculate(page)
     page.wait_for_function("() => window.asked.some((one) => one.includes('calculate'))")
     told = [json.loads(one) for one in page.evaluate("() => window.asked")]
     (sent,) = [one["command"] for one in told if one.get("command", {}).get("what") == "calculate"]

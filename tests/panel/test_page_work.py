@@ -10,6 +10,7 @@ import pytest
 
 from tests.panel.browsing import (
     Browser,
+    calculate,
     expect,
     held_and_let_go,
     opened,
@@ -38,11 +39,11 @@ def test_the_trace_after_a_run_and_its_export(
     """The file is the recording; the peak of the deviation is not thinned away."""
     page = opened(browser, plant)
     ready(page)
-    press(page, "Calculate")
+    calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     press(page, "Start")
     expect(page.locator("#progress-text")).to_contain_text("completed", timeout=60_000)
-    part(page, "Runs")
+    part(page, "Review")
     expect(page.locator("#kept")).to_contain_text("completed")
     expect(page.locator("#trace .uplot")).to_have_count(2, timeout=60_000)
     expect(page.get_by_role("button", name="STOP")).to_be_visible()
@@ -75,7 +76,7 @@ def test_three_points_are_taught_and_checked_like_any_program(
     part(page, "Teach")
     shot(page, "12-taught")
     press(page, "Save program")
-    part(page, "Operate")
+    part(page, "Run")
     expect(page.locator("#program")).to_have_value("taught.prg")
     lines = (tmp_path / "taught.prg").read_text("utf-8").splitlines()
     assert lines[:4] == ["%", "O 1;", "G90;", "G01 F 2000;"]
@@ -99,6 +100,7 @@ def test_the_programs_zero_is_where_the_machine_was_moved(browser: Browser, plan
         press(page, "Zero all")
         reached(page, "== 0")
     state(page, "idle")
+    part(page, "Prepare")
     page.locator("summary").click()
     press(page, "Program's zero is here")
     expect(page.locator("#offset")).to_have_value(re.compile(r"^X=(9\.99\d|10\.00\d) mm$"))
@@ -160,7 +162,7 @@ def test_a_profile_and_a_stitch_path_are_drawn(
     typed(page, (30, 10), (80, 10), (80, -20))
     press(page, "Finish")
     press(page, "Save as seam")
-    part(page, "Operate")
+    part(page, "Run")
     expect(page.locator("#program")).to_have_value("drawing.seam.toml")
     machine = load_machine("stitcher")
     job = open_job(tmp_path / "drawing.seam.toml", machine, Options())

@@ -24,7 +24,7 @@ from threadline.proof.option_form import Door
 from threadline.proof.options import describe, options_from, options_of
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.search.learn import Learner, Rules, best_of, learn
-from threadline.search.learned_job import LearnedJob, learned_from
+from threadline.search.learned_job import LearnedJob, learned_from, typed_options
 from threadline.search.question import question_of
 from threadline.twin import simulate
 from threadline.twin.batch import simulate_batch
@@ -213,6 +213,9 @@ def test_runs_of_a_machine_are_learned_from_one_after_the_other(plan: Plan, seam
     undone = learned_from(words, seam, MACHINE, Rules(), turned)
     assert [one.followed for one in undone.repeats] == [True, False]
     assert undone.gain == pytest.approx(0.9 / 2)
+    same = Words.of("learn", Door.PYTHON, {"feed_forward": True, "spec": SPEC})
+    typed = typed_options(learned_from(same, seam, MACHINE, Rules(), recorded).base.options)
+    assert typed == {"--feed-forward": ""}
     elsewhere = {"other": replace(recorded["run 0"], machine_sha256="0" * 64)}
     with pytest.raises(OptionError, match="another machine"):
         learned_from(words, seam, MACHINE, Rules(), elsewhere)

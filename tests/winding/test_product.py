@@ -59,6 +59,11 @@ def test_an_isotensoid_has_the_slope_of_netting_theory(tmp_path: Path) -> None:
         assert -x[0, 1] / radius[0, 1] == pytest.approx(slope(r), rel=1e-4)
 
 
+DOME = (
+    '[[part]]\nkind = "nose"\nradius = "50 mm"\nopening = "8 mm"\nheight = "9 mm"\npole = "left"\n'
+)
+
+
 @pytest.mark.parametrize("kind", ["hemisphere", "ellipsoid", "nose"])
 def test_domes_lie_on_their_curves(tmp_path: Path, kind: str) -> None:
     height = "" if kind == "hemisphere" else 'height = "120 mm"\n'
@@ -108,7 +113,7 @@ def test_a_corner_of_a_table_is_rounded(tmp_path: Path) -> None:
         ("0,40\n10,x\n", "m.csv:3: '10,x' is no point"),
         ("0,40\n10\n", "m.csv:3: '10' is no point"),
         ("0,40\n10,nan\n", "is no point"),
-        ("0,40\n", "has 1 points"),
+        ("0,40\n", "the number of points is 1, and a meridian needs 2 to"),
         ("0,40\n1e300,40\n", "m.csv:3: '1e300,40' is no point"),
     ],
 )
@@ -125,6 +130,8 @@ def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -
         (CYLINDER + BAND.replace("5 mm +- 0.3 mm", "120 mm"), "p.wind.toml:6: the band is 120 mm"),
         (CYLINDER + BAND.replace("5 mm +- 0.3 mm", "5"), "p.wind.toml:6: width"),
         (CYLINDER.replace("50 mm", "-1 mm") + BAND, "p.wind.toml:3: radius = -1 mm"),
+        (CYLINDER.replace("200 mm", "1e-20 mm") + BAND, ":4: length = 1e-20 mm, the least is 0.0"),
+        (DOME.replace("8 mm", "1e-20 mm") + CYLINDER + BAND, ":4: opening = 1e-20 mm: the mandrel"),
         (CYLINDER.replace("cylinder", "cylindre") + BAND, "Did you mean 'cylinder'?"),
         (CYLINDER + CYLINDER.replace("50", "40") + BAND, "p.wind.toml:7: the mandrel is open"),
         (BAND, "the mandrel has no [[part]]"),

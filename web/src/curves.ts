@@ -2,22 +2,34 @@
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import type { Figures, State } from "./messages";
 import { put } from "./dom";
+import type { Figures, State } from "./messages";
 import { onScreen } from "./seen";
+import { colour, onTheme } from "./theme";
 
 const SHOWN_S = 60;
 const MOST = 3000;
-export const INK = "#444", FAINT = "#9aa0a6", BLUE = "#0072b2", ORANGE = "#b35900";
+const HEIGHT = 170; // of each picture, pixels
+
+/** A colour of the present theme at the time of drawing. */
+export const themed = (name: string) => () => colour(name);
+
+/** An axis of a picture, for both themes. */
+export function axisOf(label: string, size?: number, space?: number): uPlot.Axis {
+  const grid = { stroke: themed("--line"), width: 1 };
+  const found: uPlot.Axis = { stroke: themed("--ink"), grid, ticks: grid, label };
+  return { ...found, ...(size ? { size } : {}), ...(space ? { space } : {}) };
+}
 
 /** Scale of the difference: at least a hundredth of a unit high, since smaller marks would show only rounding. */
-export const CLOSEST: uPlot.Scale.Range = (_, low, high) => uPlot.rangeNum(Math.min(low ?? 0, -0.005), Math.max(high ?? 0, 0.005), 0.1, true);
+export const CLOSEST: uPlot.Scale.Range = (_, low, high) =>
+  uPlot.rangeNum(Math.min(low ?? 0, -0.005), Math.max(high ?? 0, 0.005), 0.1, true);
 
 export class Curves {
   private times: number[] = [];
   private commanded: (number | null)[] = [];
   private measured: (number | null)[] = [];
-  private then: (number | null)[] = []; // planned position at the run's place in the plan, at each of the times
+  private due: (number | null)[] = []; // planned position at the run's place in the plan, at each of the times
   private dirty = true;
   private ran = false; // whether a run was going on when the curves were last drawn
   private behind = 0; // delay of the run behind its plan, s: after holds, or a start in the middle
@@ -27,25 +39,67 @@ export class Curves {
   private readonly seenAbove: () => boolean;
   private readonly seenBelow: () => boolean;
 
-  constructor(private readonly above: HTMLElement, below: HTMLElement) {
-    const axes = [{ stroke: INK, label: "s" }, { stroke: INK, size: 60, space: 22 }];
+  constructor(
+    private readonly above: HTMLElement,
+    below: HTMLElement,
+  ) {
     const x = { time: false };
-    const size = () => ({ width: Math.max(Math.min(above.clientWidth, window.innerWidth - 60), 280), height: 170 });
-    this.position = new uPlot({ ...size(), legend: { live: false }, scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [10, 5] }, { label: "commanded", stroke: BLUE, dash: [3, 2] }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
-    const close = axes.map((axis, k) => (k ? { ...axis, space: 14 } : axis)); // closer marks, for a low picture
-    this.deviation = new uPlot({ ...size(), height: 150, legend: { live: false }, scales: { x, y: { range: CLOSEST } }, axes: close, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
+    const width = (place: HTMLElement) => Math.max(Math.min(place.clientWidth, window.innerWidth - 48), 240);
+    const line = (label: string, ink: string, dash?: number[]): uPlot.Series => ({
+      label,
+      stroke: themed(ink),
+      ...(dash ? { dash } : {}),
+    });
+    const series = [
+      {},
+      line("planned", "--planned", [10, 5]),
+      line("commanded", "--done", [3, 2]),
+      line("measured", "--measured"),
+    ];
+    const more = { height: HEIGHT, legend: { live: false } };
+    this.position = new uPlot(
+      { ...more, width: width(above), scales: { x }, axes: [axisOf("s"), axisOf("", 60, 22)], series },
+      [[], [], [], []],
+      above,
+    );
+    this.deviation = new uPlot(
+      {
+        ...more,
+        width: width(below),
+        scales: { x, y: { range: CLOSEST } },
+        axes: [axisOf("s"), axisOf("", 60, 14)], // closer marks, for a low picture
+        series: [{}, line("difference", "--measured")],
+      },
+      [[], []],
+      below,
+    );
     this.seenAbove = onScreen(above);
     this.seenBelow = onScreen(below);
-    new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 170 }); this.deviation.setSize({ width, height: 150 }); }).observe(above);
+    new ResizeObserver(() => {
+      this.position.setSize({ width: width(above), height: HEIGHT });
+      this.deviation.setSize({ width: width(below), height: HEIGHT });
+    }).observe(above);
+    onTheme(() => {
+      this.dirty = true;
+    });
   }
 
   /** Show the plan only, until the machine moves. */
   plan(figures: Figures | null, axis: string, scale: number): void {
     this.clear();
-    this.planned = figures?.planned[axis] ? [figures.times_s, figures.planned[axis].map((at) => at * scale)] : [[], []];
+    this.planned = figures?.planned[axis]
+      ? [figures.times_s, figures.planned[axis].map((at) => at * scale)]
+      : [[], []];
   }
 
-  clear(): void { this.dirty = true; this.times = []; this.commanded = []; this.measured = []; this.then = []; this.behind = 0; }
+  clear(): void {
+    this.dirty = true;
+    this.times = [];
+    this.commanded = [];
+    this.measured = [];
+    this.due = [];
+    this.behind = 0;
+  }
 
   add(state: State, axis: string, scale: number): void {
     const at = state.axes[axis];
@@ -60,8 +114,9 @@ export class Curves {
     const run = state.progress;
     const runs = run && run.ended === null;
     this.behind = runs ? state.time_s - run.time_s : 0;
-    this.then.push(runs ? this.plannedAt(run.time_s) : null);
-    if (this.times.length > MOST) for (const kept of [this.times, this.commanded, this.measured, this.then]) kept.shift();
+    this.due.push(runs ? this.plannedAt(run.time_s) : null);
+    if (this.times.length > MOST)
+      for (const kept of [this.times, this.commanded, this.measured, this.due]) kept.shift();
   }
 
   /** Planned position at a time of the plan; null before its start and after its end. */
@@ -76,18 +131,37 @@ export class Curves {
 
   draw(running: boolean): void {
     if (!this.dirty && running === this.ran) return;
-    const last = this.times.length - 1, now = this.times[last] ?? 0, behind = this.behind;
-    put(this.above, "title", last < 0 ? "" : [["planned", this.then[last]], ["commanded", this.commanded[last]], ["measured", this.measured[last]]].filter(([, at]) => typeof at === "number").map(([name, at]) => `${name} ${(at as number).toFixed(2)}`).join(", "));
+    const last = this.times.length - 1,
+      now = this.times[last] ?? 0,
+      behind = this.behind;
+    put(
+      this.above,
+      "title",
+      last < 0
+        ? ""
+        : [
+            ["planned", this.due[last]],
+            ["commanded", this.commanded[last]],
+            ["measured", this.measured[last]],
+          ]
+            .filter(([, at]) => typeof at === "number")
+            .map(([name, at]) => `${name} ${(at as number).toFixed(2)}`)
+            .join(", "),
+    );
     if (!this.seenAbove() && !this.seenBelow()) return;
     this.dirty = false;
     this.ran = running;
-    const from = Math.max(0, now - SHOWN_S), until = Math.max(now + 5, from + SHOWN_S), first = this.from(from);
+    const from = Math.max(0, now - SHOWN_S),
+      until = Math.max(now + 5, from + SHOWN_S),
+      first = this.from(from);
     const own = <T>(values: T[]): (T | undefined)[] => values.slice(first);
-    const times = this.times.slice(first), commanded = own(this.commanded), measured = own(this.measured);
+    const times = this.times.slice(first),
+      commanded = own(this.commanded),
+      measured = own(this.measured);
     const planned: (number | null | undefined)[] = [];
     // The plan is shifted to the times at which the run reached, or will reach, each place.
     if (running || last < 0) {
-      planned.push(...this.then.slice(first));
+      planned.push(...this.due.slice(first));
       this.planned[0].forEach((time, k) => {
         const t = time + behind;
         if (t > until || (last < 0 ? t < from : t <= now)) return;
@@ -95,8 +169,12 @@ export class Curves {
         planned.push(this.planned[1][k]);
       });
     }
-    const difference = measured.map((m, k) => { const c = commanded[k]; return typeof m !== "number" || typeof c !== "number" ? null : m - c; });
-    for (const short of [planned, commanded, measured, difference] as unknown[][]) while (short.length < times.length) short.push(undefined);
+    const difference = measured.map((m, k) => {
+      const c = commanded[k];
+      return typeof m !== "number" || typeof c !== "number" ? null : m - c;
+    });
+    for (const short of [planned, commanded, measured, difference] as unknown[][])
+      while (short.length < times.length) short.push(undefined);
     this.position.setData([times, planned, commanded, measured] as uPlot.AlignedData);
     this.deviation.setData([times, difference] as uPlot.AlignedData);
   }

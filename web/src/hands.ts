@@ -1,95 +1,167 @@
 /** Manual operation: positions; jogs, while a button or key is held; steps. */
 
-import { button, by, made, put, tell, typing, value, writing } from "./dom";
-import type { Axis, State } from "./messages";
+import { button, by, made, put, typing, value, writing } from "./dom";
+import type { Axis } from "./messages";
+import type { Places } from "./places";
 import type { Session } from "./session";
 import { unitOf } from "./session";
 
 const SHARES = [5, 10, 25, 50, 75, 100];
-const SHOWN: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowDown: "↓", ArrowUp: "↑", PageDown: "PgDn", PageUp: "PgUp" };
+const SHOWN: Record<string, string> = {
+  ArrowLeft: "←",
+  ArrowRight: "→",
+  ArrowDown: "↓",
+  ArrowUp: "↑",
+  PageDown: "PgDn",
+  PageUp: "PgUp",
+};
 const IGNORED = new Set(["Shift", "Control", "Alt", "AltGraph", "Meta", "Tab", "CapsLock", "NumLock"]);
 /** Elements that Enter presses; elsewhere Enter is a key like the others. */
-const PRESSED = "button, summary, input[type=checkbox], input[type=file]";
+const PRESSED = "button, summary, input[type=checkbox], input[type=radio], input[type=file]";
 
 type Way = { axis: string; sign: number };
 
 export class Hands {
   private readonly keys = new Map<string, Way>();
-  private told = ""; // the shown signals, as JSON
   private held = ""; // the key that moves an axis
   private moved = false; // whether anything moved when the state was last shown
   private pressed: HTMLButtonElement | null = null; // the button that moves an axis, or last moved one
 
-  constructor(private readonly session: Session) {
+  constructor(
+    private readonly session: Session,
+    private readonly places: Places,
+  ) {
     by<HTMLInputElement>("share").oninput = () => this.tellShare();
     window.addEventListener("keydown", (event) => this.keyed(event), true);
-    window.addEventListener("keyup", (event) => { if (event.key === this.held) this.end(); }, true);
+    window.addEventListener(
+      "keyup",
+      (event) => {
+        if (event.key === this.held) this.end();
+      },
+      true,
+    );
     window.addEventListener("mousedown", (event) => this.chosen(event), true);
-    window.addEventListener("blur", () => { this.held = ""; session.letGo(); });
-    document.addEventListener("visibilitychange", () => { if (document.hidden) { this.held = ""; session.letGo(); } });
+    window.addEventListener("blur", () => {
+      this.held = "";
+      session.letGo();
+    });
+    document.addEventListener("visibilitychange", () => {
+      if (document.hidden) {
+        this.held = "";
+        session.letGo();
+      }
+    });
   }
 
   build(): void {
     const { session } = this;
     const simple = (text: string, what: string) => button(text, what, () => session.link.act({ what }));
-    by("commands").replaceChildren(simple("Enable", "enable"), simple("Disable", "disable"), simple("Home all", "home"), button("Zero all", "zero", () => session.hold({ what: "zero" })), simple("Reset", "reset"), simple("Reconnect", "reconnect"));
+    by("commands").replaceChildren(
+      simple("Enable", "enable"),
+      simple("Disable", "disable"),
+      simple("Home all", "home"),
+      button("Zero all", "zero", () => session.hold({ what: "zero" })),
+      simple("Reset", "reset"),
+      simple("Reconnect", "reconnect"),
+    );
     this.keys.clear();
-    const pairs: Record<string, [string, string]> = { X: ["ArrowRight", "ArrowLeft"], Y: ["ArrowUp", "ArrowDown"] };
+    const pairs: Record<string, [string, string]> = {
+      X: ["ArrowRight", "ArrowLeft"],
+      Y: ["ArrowUp", "ArrowDown"],
+    };
     const third = session.axes.find((axis) => !(axis.name in pairs));
     if (third) pairs[third.name] = ["PageUp", "PageDown"];
     by("axes").replaceChildren(...session.axes.map((axis) => this.row(axis, pairs[axis.name])));
+    const byHand = session.byHand && session.axes.length > 0;
+    for (const one of [by("jogs"), by("keys-told")]) put(one, "hidden", !byHand);
     this.disarm();
   }
 
   private row(axis: Axis, pair: [string, string] | undefined): HTMLTableRowElement {
-    const row = this.bare(axis.name), { session } = this;
-    const cell = (...inside: Node[]) => { const found = made("td"); found.append(...inside); return found; };
+    const row = this.places.row(axis.name);
+    const { session } = this;
+    if (!session.byHand) return row; // what a machine has not is not shown
+    const cell = (...inside: Node[]) => {
+      const found = made("td");
+      found.append(...inside);
+      return found;
+    };
     const jog = (sign: number, key: string | undefined) => {
       if (key) this.keys.set(key, { axis: axis.name, sign });
-      const found = made("button", `${sign > 0 ? "+" : "−"}${key ? ` ${SHOWN[key]}` : ""}`);
+      const found = made("button", sign > 0 ? "+" : "−");
+      if (key) found.dataset.key = SHOWN[key];
+      found.type = "button";
       found.dataset.what = "jog";
       found.setAttribute("aria-label", `Jog ${axis.name} ${sign > 0 ? "plus" : "minus"} while held`);
-      found.onpointerdown = (event) => { found.setPointerCapture(event.pointerId); this.pressed = found; this.begin({ axis: axis.name, sign }); };
+      found.onpointerdown = (event) => {
+        found.setPointerCapture(event.pointerId);
+        this.pressed = found;
+        this.begin({ axis: axis.name, sign });
+      };
       found.onpointerup = found.onpointercancel = found.onlostpointercapture = () => this.end();
-      found.onkeydown = (event) => { if (event.key === "Enter" && !event.repeat) { event.preventDefault(); this.pressed = found; this.begin({ axis: axis.name, sign }); } };
-      found.onkeyup = (event) => { if (event.key === "Enter") this.end(); };
-      found.onblur = () => { if (session.moves) this.end(); };
+      found.onkeydown = (event) => {
+        if (event.key === "Enter" && !event.repeat) {
+          event.preventDefault();
+          this.pressed = found;
+          this.begin({ axis: axis.name, sign });
+        }
+      };
+      found.onkeyup = (event) => {
+        if (event.key === "Enter") this.end();
+      };
+      found.onblur = () => {
+        if (session.moves) this.end();
+      };
       found.oncontextmenu = (event) => event.preventDefault();
       return found;
     };
-    row.append(cell(jog(-1, pair?.[1])), cell(jog(1, pair?.[0])), cell(button(`Zero ${axis.name}`, "zero-axis", () => this.session.hold({ what: "zero-axis", axis: axis.name }))));
-    return row;
-  }
-
-  private bare(name: string): HTMLTableRowElement {
-    const row = made("tr"), at = made("td");
-    at.id = `at-${name}`;
-    at.className = "number";
-    row.append(made("th", name), at);
+    row.append(
+      cell(jog(-1, pair?.[1])),
+      cell(jog(1, pair?.[0])),
+      cell(
+        button(`Zero ${axis.name}`, "zero-axis", () =>
+          this.session.hold({ what: "zero-axis", axis: axis.name }),
+        ),
+      ),
+    );
     return row;
   }
 
   private begin(way: Way): void {
     const step = value("step");
-    if (step === "") this.session.hold({ what: "jog", axis: way.axis, share: way.sign * Number(value("share")) / 100 });
-    else this.session.hold({ what: "step", axis: way.axis, by: way.sign * Number(step) / unitOf(this.session, way.axis)[0] });
+    if (step === "")
+      this.session.hold({ what: "jog", axis: way.axis, share: (way.sign * Number(value("share"))) / 100 });
+    else
+      this.session.hold({
+        what: "step",
+        axis: way.axis,
+        by: (way.sign * Number(step)) / unitOf(this.session, way.axis)[0],
+      });
   }
 
   /** Whether a button stays enabled in motion: a disabled button loses the focus, which would end the motion and lose the next Enter. */
-  keeps(button: HTMLButtonElement): boolean { return button === this.pressed && (this.session.moves || button === document.activeElement); }
+  keeps(button: HTMLButtonElement): boolean {
+    return button === this.pressed && (this.session.moves || button === document.activeElement);
+  }
 
   private end(): void {
     this.held = "";
-    if (value("step") === "") this.session.letGo(); else this.session.runOut();
+    if (value("step") === "") this.session.letGo();
+    else this.session.runOut();
   }
 
   /** Whether the machine moves, or will move without another command because a start is being checked. */
-  private moving(): boolean { return this.session.moves || this.session.machineMoves() || this.session.starts(); }
+  private moving(): boolean {
+    return this.session.moves || this.session.machineMoves() || this.session.starts();
+  }
 
   /** A key pressed during a motion ends the motion, whatever has the focus: fields and lists do not get it. */
   private keyed(event: KeyboardEvent): void {
     const { session } = this;
-    const take = () => { event.preventDefault(); event.stopPropagation(); };
+    const take = () => {
+      event.preventDefault();
+      event.stopPropagation();
+    };
     if (event.key === "Escape" || (event.key === " " && (this.moving() || !writing()))) {
       take();
       this.held = "";
@@ -97,10 +169,19 @@ export class Hands {
       session.link.stop();
       return;
     }
-    if (event.key === "Enter" && event.target instanceof HTMLInputElement && event.target.type === "checkbox" && !event.target.disabled) { event.target.click(); return; } // in place of the space bar, which stops
+    if (
+      event.key === "Enter" &&
+      event.target instanceof HTMLInputElement &&
+      ["checkbox", "radio"].includes(event.target.type) &&
+      !event.target.disabled
+    ) {
+      event.target.click();
+      return;
+    } // in place of the space bar, which stops
     if (event.ctrlKey || event.altKey || event.metaKey || IGNORED.has(event.key)) return;
     if (event.key === "Enter" && event.target instanceof Element && event.target.matches(PRESSED)) return;
-    if (session.moves) { // any key ends a jog or step
+    if (session.moves) {
+      // any key ends a jog or step
       take();
       if (event.repeat) return;
       this.held = "";
@@ -112,8 +193,10 @@ export class Hands {
       if (!event.repeat) this.inRun(event.key);
       return;
     }
-    if (event.key === "Enter" || typing() || (by("operate").hidden && by("teach-in").hidden)) return; // the key belongs to the field, list or drawing
-    const way = by<HTMLInputElement>("by-keys").checked && session.mine() ? this.keys.get(event.key) : undefined;
+    if (event.key === "Enter" || typing() || !["run", "teach-in"].includes(document.body.dataset.part ?? ""))
+      return; // the key belongs to the field, list or drawing
+    const way =
+      by<HTMLInputElement>("by-keys").checked && session.mine() ? this.keys.get(event.key) : undefined;
     if (way) event.preventDefault(); // the page does not scroll
     if (event.repeat) return;
     if (way) {
@@ -121,7 +204,9 @@ export class Hands {
       this.begin(way);
     } else if ("+-".includes(event.key)) {
       const at = SHARES.findIndex((share) => share >= Number(value("share")));
-      by<HTMLInputElement>("share").value = String(SHARES[Math.min(Math.max(at + (event.key === "+" ? 1 : -1), 0), SHARES.length - 1)]);
+      by<HTMLInputElement>("share").value = String(
+        SHARES[Math.min(Math.max(at + (event.key === "+" ? 1 : -1), 0), SHARES.length - 1)],
+      );
       this.tellShare();
     }
   }
@@ -143,7 +228,9 @@ export class Hands {
     else if (this.session.can(what)) this.session.link.act({ what });
   }
 
-  private tellShare(): void { by("share-shown").textContent = `${value("share")} %`; }
+  private tellShare(): void {
+    by("share-shown").textContent = `${value("share")} %`;
+  }
 
   /** Disarm jogging by keys, until the operator arms it again. */
   disarm(): void {
@@ -151,22 +238,15 @@ export class Hands {
     by<HTMLInputElement>("by-keys").checked = false;
   }
 
-  show(state: State): void {
+  show(): void {
     const arm = by<HTMLInputElement>("by-keys");
     put(arm, "disabled", !this.session.mine() || this.session.axes.length === 0);
     if (arm.disabled) this.disarm();
     const moving = this.moving();
-    if (moving && !this.moved && document.activeElement instanceof HTMLSelectElement) document.activeElement.blur(); // an open list would take the keys
+    if (moving && !this.moved && document.activeElement instanceof HTMLSelectElement)
+      document.activeElement.blur(); // an open list would take the keys
     this.moved = moving;
-    for (const file of document.querySelectorAll<HTMLInputElement>("input[type=file]")) put(file, "disabled", moving || (file.id === "file" && !this.session.mine())); // a file dialog would, too
-    for (const [name, at] of Object.entries(state.axes)) {
-      if (!document.getElementById(`at-${name}`)) by("axes").append(this.bare(name)); // a moving body that is not an axis
-      const [scale, unit] = unitOf(this.session, name), where = at.measured ?? at.load ?? at.commanded;
-      tell(`at-${name}`, where === null ? (this.session.axes.some((axis) => axis.name === name) ? "not homed" : "–") : `${(where * scale + 0).toFixed(2).replace(/^-0\.00$/, "0.00")} ${unit}`);
-    }
-    const signals = Object.entries(state.signals), told = JSON.stringify(signals);
-    if (told === this.told) return; // states come 20 times a second: lay out only changes
-    this.told = told;
-    by("signals").replaceChildren(...signals.map(([name, on]) => { const found = made("span", `${name} ${on}`); found.className = on ? "on" : ""; return found; }));
+    for (const file of document.querySelectorAll<HTMLInputElement>("input[type=file]"))
+      put(file, "disabled", moving || (file.id === "file" && !this.session.mine())); // a file dialog would, too
   }
 }

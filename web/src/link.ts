@@ -20,9 +20,16 @@ export class Link {
   /** Why the panel refuses this page; empty if it does not. */
   refused = "";
 
-  constructor(private readonly name: string, public token: string, private readonly heard: (message: FromPanel) => void, private readonly lost: () => void) {
+  constructor(
+    private readonly name: string,
+    public token: string,
+    private readonly heard: (message: FromPanel) => void,
+    private readonly lost: () => void,
+  ) {
     this.connect();
-    setInterval(() => { if (this.lease) this.say({ type: "alive", lease: this.lease }); }, ALIVE_MS);
+    setInterval(() => {
+      if (this.lease) this.say({ type: "alive", lease: this.lease });
+    }, ALIVE_MS);
   }
 
   private connect(): void {
@@ -32,7 +39,10 @@ export class Link {
     socket.onopen = () => this.say({ type: "hello", protocol: PROTOCOL, name: this.name, token: this.token });
     socket.onmessage = (event) => {
       const message = JSON.parse(String(event.data)) as FromPanel;
-      if (message.type === "state") { this.state = message; this.heardMs = performance.now(); }
+      if (message.type === "state") {
+        this.state = message;
+        this.heardMs = performance.now();
+      }
       if (message.type === "welcome") [this.number, this.client] = [0, message.client];
       if (message.type === "leased") this.lease = message.lease;
       this.heard(message);
@@ -60,10 +70,16 @@ export class Link {
     this.stops += 1;
     this.say({ type: "stop", number: this.stops });
     // Also as a request, in case one of them is blocked; the panel counts a number once.
-    void fetch("/api/stop", { method: "POST", headers: { Authorization: `Bearer ${this.token}`, "X-Stop": `${this.client}/${this.stops}` }, keepalive: true }).catch(() => undefined);
+    void fetch("/api/stop", {
+      method: "POST",
+      headers: { Authorization: `Bearer ${this.token}`, "X-Stop": `${this.client}/${this.stops}` },
+      keepalive: true,
+    }).catch(() => undefined);
   }
 
-  control(word: "take" | "give" | "keep" | "release"): void { this.say({ type: "control", word }); }
+  control(word: "take" | "give" | "keep" | "release"): void {
+    this.say({ type: "control", word });
+  }
 
   /** Send a command; return the number that its answer will carry, 0 if it was not sent. */
   act(command: { what: string; [key: string]: unknown }): number {

@@ -1,56 +1,64 @@
 /** The operator's page: the state of the machine, and the commands that are possible now. */
 
 import "./style.css";
+import { Bar } from "./bar";
+import { Buttons } from "./buttons";
 import { Curves } from "./curves";
 import { by, made, put, tell, value } from "./dom";
 import { Draw } from "./draw";
 import { Guide } from "./guide";
 import { Hands } from "./hands";
+import { Listing } from "./listing";
+import { Margins } from "./margins";
 import type { FromPanel, Mandrel, State, Welcome } from "./messages";
+import { nextStep } from "./next_step";
+import { Places } from "./places";
 import { Program } from "./program";
 import { Rest } from "./rest";
-import { Session, say, toldRun, unitOf } from "./session";
+import { filterLog, say } from "./said";
+import { Session, toldRun, unitOf } from "./session";
 import { Teach } from "./teach";
 import { Traces } from "./traces";
-import { View3d } from "./view3d";
+import { View } from "./view";
 
 const STALE_S = 0.5;
 const USUAL_S = 0.2;
 const TELLS_MS = 250;
-/** Commands for part programs, and commands that need a homed machine. */
-const OF_PROGRAMS = new Set(["teach", "zero-here"]);
-const HOME_FIRST = "home first: the positions of the axes are unknown";
-const BY_PLACE = new Set(["jog", "step", "zero", "zero-axis"]);
+const AT_START = 2e-4; // m or rad within which an axis stands where the program begins
+/** Parts that share the page of the program and the machine. */
+const WORK = ["prepare", "run"];
+
 let bare: Mandrel | null = null; // the bare machine, before anything is planned
-let toldEnd = "", toldFault = ""; // the last message about the end of a run, and about a fault
-let toldMs = -Infinity, toldUsual = false; // when the age of the data was last shown, and whether it was usual
+let toldEnd = ""; // the last message about the end of a run
+let toldFault = ""; // and about a fault
+let toldMs = Number.NEGATIVE_INFINITY; // when the age of the data was last shown
+let toldUsual = false; // and whether it was usual
 
 const curves = new Curves(by("position"), by("deviation"));
 const session = new Session(heard, () => show(null));
-const hands = new Hands(session);
-const program = new Program(session);
+const places = new Places(session);
+const hands = new Hands(session, places);
+const listing = new Listing();
+const toLine = (line: number): void => {
+  listing.mark(line);
+  by("listing").scrollIntoView({ block: "nearest" });
+};
+const margins = new Margins(toLine);
+const view = new View(by("space"), () => session.machineMoves());
+const program = new Program(session, previewed, toLine);
 const teach = new Teach(session, program);
 new Draw(session, program);
 const traces = new Traces(session);
-const rest = new Rest(session, program);
+const rest = new Rest(session, program, () => traces.chosen);
 const guide = new Guide(session);
-const view = shownIn3d();
+const bar = new Bar(session);
+const buttons = new Buttons(session, hands, program, teach, traces, rest);
 const shown = (): string => by<HTMLSelectElement>("axis").value;
+filterLog();
 
 function heard(message: FromPanel): void {
-  if (message.type === "welcome") {
-    session.me = message.client;
-    [session.axes, session.lacks, session.untaught, session.byHand, session.options] = [message.axes, message.lacks, message.untaught, message.by_hand, message.options];
-    session.figuresAt = 0; // a new panel counts its states from 0, and sends its figures
-    by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
-    hands.build();
-    teach.build();
-    program.build();
-    tellLink(message);
-    offer(message.axes.map((axis) => axis.name));
-    bare = message.mandrel;
-    view?.show(session.figures, bare);
-  } else if (message.type === "state") {
+  if (message.type === "welcome") welcomed(message);
+  else if (message.type === "state") {
     offer(Object.keys(message.axes));
     if (session.machineMoves()) curves.add(message, shown(), unitOf(session, shown())[0]);
   } else if (message.type === "figures") {
@@ -58,7 +66,7 @@ function heard(message: FromPanel): void {
     session.figuresAt = session.state?.seq ?? 0;
     replan();
     program.tell(message);
-    view?.show(message, message.mandrel);
+    picture();
   } else if (message.type === "answer") {
     const renewal = session.renewal(message.number);
     if (!message.ok && session.moves) session.letGo();
@@ -66,58 +74,98 @@ function heard(message: FromPanel): void {
   } else if (message.type === "said") say(message.text, message.wrong);
 }
 
+function welcomed(message: Welcome): void {
+  session.welcome(message);
+  by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
+  hands.build();
+  teach.build();
+  program.build();
+  tellLink(message);
+  offer(message.axes.map((axis) => axis.name));
+  put(by("curves"), "hidden", message.axes.length === 0 && !message.by_hand);
+  bare = message.mandrel;
+  picture();
+}
+
 /** Show what the link leads to, and which commands it lacks. */
 function tellLink(welcome: Welcome): void {
-  const lacking = Object.entries(welcome.lacks).map(([what, why]) => `${what} is not available on this link: ${why}.`);
-  by("link-notes").replaceChildren(...[welcome.label, ...lacking, ...welcome.notes].filter(Boolean).map((text) => made("li", text)));
+  const lacking = Object.entries(welcome.lacks).map(
+    ([what, why]) => `${what} is not available on this link: ${why}.`,
+  );
+  const notes = [welcome.label, ...lacking, ...welcome.notes].filter(Boolean);
+  by("link-notes").replaceChildren(...notes.map((text) => made("li", text)));
+  put(by("link-notes"), "hidden", notes.length === 0);
 }
 
 /** Offer the axes and other moving bodies for the curves. */
 function offer(names: string[]): void {
-  const chosen = by<HTMLSelectElement>("axis"), there = new Set([...chosen.options].map((one) => one.value));
+  const chosen = by<HTMLSelectElement>("axis");
+  const there = new Set([...chosen.options].map((one) => one.value));
   const fresh = names.filter((name) => !there.has(name));
   if (fresh.length === 0) return;
   chosen.append(...fresh.map((name) => made("option", name)));
-  if (there.size === 0) chosen.value = names.find((name) => unitOf(session, name)[1] === "mm") ?? chosen.value;
+  if (there.size === 0)
+    chosen.value = names.find((name) => unitOf(session, name)[1] === "mm") ?? chosen.value;
   replan();
 }
 
-function replan(): void { for (const one of document.querySelectorAll(".axis-unit")) one.textContent = `in ${unitOf(session, shown())[1]}`; curves.plan(session.figures, shown(), unitOf(session, shown())[0]); }
+function replan(): void {
+  for (const one of document.querySelectorAll(".axis-unit"))
+    one.textContent = `in ${unitOf(session, shown())[1]}`;
+  curves.plan(session.figures, shown(), unitOf(session, shown())[0]);
+}
 
-/** The view in three dimensions, if the browser can draw it. */
-function shownIn3d(): View3d | null {
-  try {
-    return new View3d(by("space"), () => session.machineMoves());
-  } catch {
-    by("seen").textContent = "this browser has no WebGL: it cannot show the view in three dimensions";
-    return null;
-  }
+/** A program was chosen: show its path and its text. */
+function previewed(): void {
+  listing.take(program.preview?.text ?? [], program.preview?.file ?? "");
+  picture();
+}
+
+/** Draw what was calculated if it is the chosen program, else the chosen program, else the machine. */
+function picture(): void {
+  const { figures } = session;
+  const other = program.preview !== null && figures !== null && program.preview.program !== figures.program;
+  view.show(other ? null : figures, program.preview, bare);
+  margins.show(figures);
 }
 
 /** Show one part of the page; STOP, state and control are always shown. */
 function open(part: string): void {
-  for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button")) tab.setAttribute("aria-selected", String(tab.dataset.part === part));
-  for (const one of document.querySelectorAll<HTMLElement>("main")) one.hidden = one.id !== part;
-  by("said").textContent = "";
-  by("said").hidden = part === "operate";
-  if (part !== "operate" && part !== "teach-in") hands.disarm();
-  if (part === "runs") void traces.list();
+  document.body.dataset.part = part;
+  for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button"))
+    tab.setAttribute("aria-selected", String(tab.dataset.part === part));
+  const main = WORK.includes(part) ? "work" : part;
+  for (const one of document.querySelectorAll<HTMLElement>("main")) one.hidden = one.id !== main;
+  if (part !== "run" && part !== "teach-in") hands.disarm();
+  if (part === "prepare") void program.lookOnce();
+  if (part === "review") void traces.list();
   if (part === "guide") void guide.open();
 }
 
-for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button")) tab.onclick = () => open(tab.dataset.part!);
-open("operate");
+for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button"))
+  tab.onclick = () => open(tab.dataset.part!);
+open("run");
 
 by("stop").onclick = () => session.link.stop();
-by("take").onclick = () => { const held = session.state?.control; session.link.control(session.mine() ? (held?.asks != null ? "give" : "release") : "take"); };
+by("take").onclick = () => {
+  const held = session.state?.control;
+  session.link.control(session.mine() ? (held?.asks != null ? "give" : "release") : "take");
+};
 by("token-enter").onclick = () => session.knock(value("token"));
-by("token").onkeydown = (event) => { if (event.key === "Enter") session.knock(value("token")); };
+by("token").onkeydown = (event) => {
+  if (event.key === "Enter") session.knock(value("token"));
+};
 by("keep").onclick = () => session.link.control("keep");
 by("axis").onchange = () => replan();
+by("now-line").onclick = () => toLine(lineNow);
 
-/** Show the age of the data: a few times a second, since each new text draws the page again; at once when it becomes unusual or usual again. */
+/**
+ * Show the age of the data: a few times a second, since each new text draws the page again; at once
+ * when it becomes unusual or usual again.
+ */
 function tellAge(age: number, stale: boolean): void {
-  const now = performance.now(), usual = age <= USUAL_S;
+  const now = performance.now();
+  const usual = age <= USUAL_S;
   if (usual && toldUsual && now - toldMs < TELLS_MS) return;
   [toldUsual, toldMs] = [usual, now];
   tell("age", stale ? `no data for ${age.toFixed(1)} s` : `data ${Math.round(age * 1000)} ms old`);
@@ -125,11 +173,48 @@ function tellAge(age: number, stale: boolean): void {
 
 /** Add to the list of events how a run ended, and why the machine is in fault. */
 function tellEnds(state: State): void {
-  const run = state.progress, wrong = ["fault", "gone"].includes(state.state);
-  const fault = wrong ? `${state.state}: ${state.why}` : "", end = run?.ended && run.verdict ? toldRun(run) : "";
+  const run = state.progress;
+  const wrong = ["fault", "gone"].includes(state.state);
+  const fault = wrong ? `${state.state}: ${state.why}` : "";
+  const end = run?.ended && run.verdict ? toldRun(run) : "";
   if (end !== toldEnd && end) say(end, !run!.verdict.startsWith("IN SPEC"));
   if (fault !== toldFault && fault) say(fault, true);
   [toldEnd, toldFault] = [end, fault];
+}
+
+/** Show who has control, and who asks for it. */
+function tellControl(state: State): void {
+  const held = state.control;
+  const mine = session.mine();
+  const asked = mine && held.asks !== null;
+  const passes = `it passes in ${held.passes_in_s.toFixed(0)} s`;
+  const others = `${held.name} (${held.client}) has control${held.asks === session.me ? `; ${passes}` : ""}`;
+  const own = asked ? `${held.asks_name} asks for control; ${passes}` : "you have control";
+  tell("control", mine ? own : held.client === null ? "nobody has control" : others);
+  const free = held.client === null ? "Take control" : "Ask for control";
+  tell("take", mine ? (asked ? "Give control" : "Release control") : free);
+  put(by("keep"), "hidden", !asked);
+}
+
+let lineNow = 0; // the line under way
+
+/** Show the run, its line, and the next step. */
+function tellWork(state: State): void {
+  lineNow = bar.tellRun(state, session.figures);
+  if (lineNow) listing.mark(lineNow);
+  const planned = session.figures?.planned ?? {};
+  const atStart = Object.entries(planned).every(([name, at]) => {
+    const stands = state.axes[name]?.commanded;
+    return stands === null || stands === undefined || Math.abs(stands - (at[0] ?? stands)) < AT_START;
+  });
+  const step = nextStep(state, {
+    mine: session.mine(),
+    chosen: value("program") !== "",
+    changed: program.changed(state),
+    wantsReason: program.wantsReason(state),
+    atStart,
+  });
+  bar.tellNext(step);
 }
 
 function show(state: State | null): void {
@@ -140,35 +225,40 @@ function show(state: State | null): void {
   tellAge(age, stale);
   const knocks = state === null && session.link.refused !== "";
   put(by("token-row"), "hidden", !knocks);
-  tell("state", state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : knocks ? `refused by the panel: ${session.link.refused}` : "no connection");
-  put(by("state"), "className", !state || ["fault", "gone"].includes(state.state) ? "wrong" : "");
-  const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (OF_PROGRAMS.has(what) ? teach.can(state) : session.can(what) && (what !== "continue" || rest.whole(traces.chosen) === ""));
-  const changed = state !== null && program.changed(state);
-  const homeless = state !== null && session.mine() && ["disabled", "enabled"].includes(state.state);
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned) || (changed && ["start", "approach"].includes(one.dataset.what!))));
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (OF_PROGRAMS.has(one.dataset.what!) && session.untaught) || (one.dataset.what === "continue" && rest.whole(traces.chosen)) || (BY_PLACE.has(one.dataset.what!) ? (session.byHand ? homeless && HOME_FIRST : "this machine cannot be moved by hand") : "") || (one.disabled && state !== null ? session.waits(one.dataset.what!) : "") || "");
+  bar.tellState(state, knocks ? session.link.refused : "");
+  buttons.show(state, stale);
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
-  if (!state) { hands.disarm(); return; }
-  const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;
-  tell("control", mine ? (asked ? `${held.asks_name} asks for control; it passes in ${held.passes_in_s.toFixed(0)} s` : "you have control") : held.client === null ? "nobody has control" : `${held.name} (${held.client}) has control${held.asks === session.me ? `; it passes in ${held.passes_in_s.toFixed(0)} s` : ""}`);
-  tell("take", mine ? (asked ? "Give control" : "Release control") : held.client === null ? "Take control" : "Ask for control");
-  put(by("keep"), "hidden", !asked);
+  if (!state) {
+    hands.disarm();
+    return;
+  }
+  tellControl(state);
   tellEnds(state);
-  hands.show(state);
+  tellWork(state);
+  places.show(state, bar.toGo(state, session.figures));
+  hands.show();
   program.show(state);
+  margins.live(state);
   traces.show(state);
   rest.show(state, traces.chosen);
-  view?.live(state);
+  view.live(state);
   // A state sent before the figures does not know of them yet.
-  if (!state.proven && session.figures && state.calculating === null && state.seq > session.figuresAt + 1) { session.figures = null; program.forget(); replan(); view?.show(null, bare); }
+  const late = state.seq > session.figuresAt + 1;
+  if (!state.proven && session.figures && state.calculating === null && late) {
+    session.figures = null;
+    program.forget();
+    replan();
+    picture();
+  }
 }
 
 /** Everything is drawn by one clock, so that the browser draws all changes in one frame. */
-const TICK_MS = 50, CURVE_TICKS = 2, VIEW_TICKS = view?.slow ? 4 : 2;
+const TICK_MS = 50;
+const CURVE_TICKS = 2;
 let ticks = 0;
 setInterval(() => {
   show(session.state && performance.now() - session.link.heardMs < 3000 ? session.state : null);
-  if (ticks % VIEW_TICKS === 0) view?.draw();
+  if (ticks % view.ticks === 0) view.draw();
   if (ticks % CURVE_TICKS === 0) curves.draw(["running", "holding"].includes(session.state?.state ?? ""));
   ticks++;
 }, TICK_MS);

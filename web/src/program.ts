@@ -1,54 +1,115 @@
-/** The part program: load it, calculate it by the operator's priority, show its figures, run it. */
+/** The program: load it, see it, calculate it, and run what was calculated. */
 
 import { asked, button, by, made, put, tell, value } from "./dom";
-import type { Criterion, Figures, Proven, State } from "./messages";
+import type { Figures, Preview, Proven, State } from "./messages";
+import { note, say } from "./said";
 import type { Session } from "./session";
-import { say, toldRun, unitOf } from "./session";
+import { toldRun, unitOf } from "./session";
+import { tellVerdict } from "./verdict";
 
 type Field = HTMLInputElement | HTMLSelectElement;
-/** Fields of the options, generated from the table of options; an option has the name of its field. */
-const optionFields = (): Field[] => [...document.querySelectorAll<Field>("[data-option] input, [data-option] select")].filter((one) => one.id !== "priority");
-const filled = (one: Field): string | boolean | null => one instanceof HTMLInputElement && one.type === "checkbox" ? one.checked : one.value || null;
-const shown = (one: HTMLElement): boolean => !one.closest<HTMLElement>("[data-option]")!.hidden;
-/** Factors and units for a verdict, as in the reports; a number without unit is a share. */
-const UNITS: Record<string, [number, string]> = { m: [1000, "mm"], "m/s": [1000, "mm/s"], s: [1000, "ms"], "": [100, "%"] };
+
 const EXISTS = 412; // status of an upload that would overwrite a file
-const PLACED = ["path_deviation", "contour_error", "placement_error", "stitch_residual", "residual_vibration"];
+/** Fields of the options, generated from the table of options; an option has the name of its field. */
+const optionFields = (): Field[] =>
+  [...document.querySelectorAll<Field>("[data-option] input, [data-option] select")].filter(
+    (one) => one.type !== "radio",
+  );
+const filled = (one: Field): string | boolean | null =>
+  one instanceof HTMLInputElement && one.type === "checkbox" ? one.checked : one.value || null;
+const shown = (one: HTMLElement): boolean => !one.closest<HTMLElement>("[data-option]")!.hidden;
+const presets = () => [...document.querySelectorAll<HTMLInputElement>("#priority input")];
 
 export class Program {
+  /** The chosen program before it is calculated; null if it cannot be shown. */
+  preview: Preview | null = null;
   private asked = ""; // the fields of the calculation that this page asked for
   private calculated = ""; // the fields of the shown figures; empty if another page asked for them
+  private looked = ""; // the program that was read for the preview
+  private looks = 0; // number of the latest request for a preview
 
-  constructor(private readonly session: Session) {
+  /**
+   * @param previewed called when the chosen program can be shown, and when it no longer can
+   * @param toLine called with the line of the program that the operator wants to see
+   */
+  constructor(
+    private readonly session: Session,
+    private readonly previewed: () => void,
+    private readonly toLine: (line: number) => void,
+  ) {
     by("calculate").dataset.what = "calculate";
     by("calculate").onclick = () => this.calculate();
     by("zero-here").dataset.what = "zero-here";
     by("zero-here").onclick = () => this.zeroHere();
     by("cancel").dataset.what = "cancel";
-    by("cancel").onclick = () => { this.asked = ""; session.link.act({ what: "cancel" }); };
-    by<HTMLSelectElement>("priority").onchange = () => { by<HTMLInputElement>("feed").disabled = value("priority") !== "programmed"; };
-    by<HTMLInputElement>("file").onchange = () => { const file = by<HTMLInputElement>("file").files?.[0]; if (file) void this.load(file.name, file); };
+    by("cancel").onclick = () => {
+      this.asked = "";
+      session.link.act({ what: "cancel" });
+    };
+    for (const one of presets()) one.onchange = () => this.paced();
+    by<HTMLSelectElement>("program").onchange = () => void this.look();
+    by<HTMLInputElement>("file").onchange = () => {
+      const file = by<HTMLInputElement>("file").files?.[0];
+      if (file) void this.load(file.name, file);
+    };
+    this.takeDropped();
   }
 
   build(): void {
     const { session } = this;
     const simple = (text: string, what: string) => button(text, what, () => session.link.act({ what }));
-    by("run").replaceChildren(button("Approach", "approach", () => session.hold({ what: "approach" })), button("Start", "start", () => this.start()), simple("Hold", "hold"), simple("Resume", "resume"));
-    for (const one of document.querySelectorAll<HTMLElement>("[data-option]")) put(one, "hidden", !session.options.includes(one.dataset.option!));
+    by("run").replaceChildren(
+      button("Approach", "approach", () => session.hold({ what: "approach" })),
+      button("Start", "start", () => this.start()),
+      simple("Hold", "hold"),
+      simple("Resume", "resume"),
+    );
+    put(by("run").querySelector<HTMLElement>("[data-what=approach]")!, "hidden", !session.byHand);
+    for (const one of document.querySelectorAll<HTMLElement>("[data-option]"))
+      put(one, "hidden", !session.options.includes(one.dataset.option!));
+    put(
+      by("expert"),
+      "hidden",
+      document.querySelectorAll("#expert [data-option]:not([hidden])").length === 0,
+    );
+    for (const one of presets())
+      if (one.value === "accuracy") put(one.closest("label")!, "hidden", !session.normalFeed);
+    this.paced();
     void this.list();
   }
 
-  private fields(): string { return JSON.stringify([value("priority"), ...optionFields().map(filled)]); }
+  private get priority(): string {
+    return presets().find((one) => one.checked)?.value ?? "programmed";
+  }
+
+  /** A preset finds the feed; a job that is not paced by a feed has none. */
+  private paced(): void {
+    const byFeed = this.preview === null || this.preview.paced_by === "feed";
+    const has = this.session.options.includes("interpolation");
+    put(by("priority"), "hidden", !byFeed || !has);
+    if (!byFeed) for (const one of presets()) one.checked = one.value === "programmed";
+    put(by<HTMLInputElement>("feed"), "disabled", this.priority !== "programmed");
+  }
+
+  private fields(): string {
+    return JSON.stringify([this.priority, ...optionFields().map(filled)]);
+  }
 
   /** Whether program or fields differ from those of the calculation: a start would run the calculated ones. */
   changed(state: State): boolean {
-    return !!state.proven && (state.proven.program !== value("program") || (this.calculated !== "" && this.calculated !== this.fields()));
+    return (
+      !!state.proven &&
+      (state.proven.program !== value("program") ||
+        (this.calculated !== "" && this.calculated !== this.fields()))
+    );
   }
 
   private calculate(): void {
     this.asked = this.fields();
-    const priority = (shown(by("priority")) && value("priority")) || "programmed";
-    const given = optionFields().filter((one) => shown(one) && filled(one) !== null && (one.id !== "feed" || priority === "programmed"));
+    const priority = shown(by("priority")) ? this.priority : "programmed";
+    const given = optionFields().filter(
+      (one) => shown(one) && filled(one) !== null && (one.id !== "feed" || priority === "programmed"),
+    );
     const options = Object.fromEntries(given.map((one) => [one.id.replaceAll("-", "_"), filled(one)]));
     this.session.link.act({ what: "calculate", program: value("program"), priority, ...options });
   }
@@ -57,7 +118,8 @@ export class Program {
   private zeroHere(): void {
     const state = this.session.state;
     const parts = this.session.axes.flatMap(({ name, unit }) => {
-      const at = state?.axes[name]?.commanded ?? 0, [scale] = unitOf(this.session, name);
+      const at = state?.axes[name]?.commanded ?? 0;
+      const [scale] = unitOf(this.session, name);
       return Math.abs(at) < 1e-9 ? [] : [`${name}=${(at * scale).toFixed(3)} ${unit === "m" ? "mm" : "deg"}`];
     });
     by<HTMLInputElement>("offset").value = parts.join(", ");
@@ -69,63 +131,138 @@ export class Program {
   }
 
   /** The operator's reason to run out of specification; null for a plan in specification. */
-  reason(proven: Proven): string | null { return proven.passed ? null : value("override"); }
+  reason(proven: Proven): string | null {
+    return proven.passed ? null : value("override");
+  }
+
+  // --- files ----------------------------------------------------------------------------------
+
+  /** A file that is dropped anywhere on the page is loaded, while nothing moves. */
+  private takeDropped(): void {
+    const files = (event: DragEvent) => event.dataTransfer?.types.includes("Files") ?? false;
+    const free = () => this.session.mine() && !this.session.machineMoves();
+    window.addEventListener("dragover", (event) => {
+      if (!files(event)) return;
+      event.preventDefault(); // else the browser would leave the page for the file
+      put(by("drop-here"), "hidden", !free());
+    });
+    window.addEventListener("dragleave", (event) => {
+      if (event.relatedTarget === null) put(by("drop-here"), "hidden", true);
+    });
+    window.addEventListener("drop", (event) => {
+      if (!files(event)) return;
+      event.preventDefault();
+      put(by("drop-here"), "hidden", true);
+      if (free()) void this.loadAll([...event.dataTransfer!.files]);
+      else say(this.session.mine() ? "wait until the machine stands" : "take control to load a file", true);
+    });
+  }
+
+  private async loadAll(dropped: File[]): Promise<void> {
+    for (const file of dropped) await this.load(file.name, file);
+  }
 
   /** Upload a program to the project folder. */
   async load(name: string, content: Blob): Promise<boolean> {
-    const put_ = (headers: Record<string, string>) => this.session.ask(`/api/programs/${encodeURIComponent(name)}`, { method: "PUT", body: content, headers });
+    const put_ = (headers: Record<string, string>) =>
+      this.session.ask(`/api/programs/${encodeURIComponent(name)}`, {
+        method: "PUT",
+        body: content,
+        headers,
+      });
     let answer = await put_({});
-    if (answer.status === EXISTS && await asked((await answer.text()).trim(), "Overwrite it")) answer = await put_({ "X-Overwrite": "yes" });
-    else if (answer.status === EXISTS) answer = new Response(`${name} was not loaded: the file of that name is kept`, { status: EXISTS });
+    if (answer.status === EXISTS && (await asked((await answer.text()).trim(), "Overwrite it")))
+      answer = await put_({ "X-Overwrite": "yes" });
+    else if (answer.status === EXISTS)
+      answer = new Response(`${name} was not loaded: the file of that name is kept`, { status: EXISTS });
     say(answer.ok ? `${name} is in the project folder` : (await answer.text()).trim(), !answer.ok);
     by<HTMLInputElement>("file").value = "";
-    await this.list();
-    const chosen = by<HTMLSelectElement>("program");
-    if (answer.ok && [...chosen.options].some((one) => one.value === name)) chosen.value = name; // a drawing is no program
+    await this.list(answer.ok ? name : "");
     return answer.ok;
   }
 
-  async list(): Promise<void> {
+  /** Read the list of programs; choose one of them, if a drawing was loaded none. */
+  async list(wanted = ""): Promise<void> {
     const answer = await this.session.ask("/api/programs");
-    if (!answer.ok) { say(await answer.text(), true); return; }
-    const chosen = by<HTMLSelectElement>("program"), before = chosen.value;
-    chosen.replaceChildren(...((await answer.json()) as string[]).map((name) => made("option", name)));
-    const now = before || this.session.figures?.program;
-    if (now) chosen.value = now;
+    if (!answer.ok) {
+      say(await answer.text(), true);
+      return;
+    }
+    const names = (await answer.json()) as string[];
+    const chosen = by<HTMLSelectElement>("program");
+    const before = chosen.value || this.session.figures?.program;
+    chosen.replaceChildren(...names.map((name) => made("option", name)));
+    if (before) chosen.value = before;
+    if (names.includes(wanted)) chosen.value = wanted;
+    if (wanted) await this.look();
+    else await this.lookOnce();
   }
+
+  /** Read the chosen program for the part of the page that shows it, unless it was read. */
+  async lookOnce(): Promise<void> {
+    const read = value("program") === this.looked;
+    if (!read && document.body.dataset.part === "prepare") await this.look();
+  }
+
+  /** Show the chosen program before it is calculated. */
+  private async look(): Promise<void> {
+    const program = value("program");
+    this.looked = program;
+    this.looks += 1;
+    const look = this.looks;
+    const path = `/api/programs/${encodeURIComponent(program)}/preview`;
+    const answer = program === "" ? null : await this.session.ask(path);
+    if (look !== this.looks) return; // another was chosen meanwhile
+    this.preview = answer?.ok ? ((await answer.json()) as Preview) : null;
+    if (answer && !answer.ok) say((await answer.text()).trim(), true);
+    if (this.preview && !this.preview.whole)
+      say(`${program} is long: only its first ${this.preview.moves} moves are drawn`);
+    this.paced();
+    this.previewed();
+  }
+
+  // --- what is calculated ---------------------------------------------------------------------
 
   tell(found: Figures): void {
     [this.calculated, this.asked] = [this.asked, ""];
-    if (this.calculated === "") by<HTMLSelectElement>("program").value = found.program; // chosen on another page, or before this page was reloaded
-    const measured = (one: Criterion) => { const [by_, unit] = UNITS[one.unit] ?? [1, one.unit]; return `${(one.measured! * by_).toFixed(3)} ${unit}${one.limit === null ? "" : ` of ${(one.limit * by_).toFixed(3)} ${unit}`}`; };
-    const shown = found.criteria.filter((one) => one.measured !== null && (one.status === "failed" || PLACED.includes(one.name)));
-    const names = [...new Set(shown.map((one) => `${one.name.replaceAll("_", " ")}${one.axis ? ` ${one.axis}` : ""}`))];
-    const worst = names.map((name) => shown.filter((one) => `${one.name.replaceAll("_", " ")}${one.axis ? ` ${one.axis}` : ""}` === name).reduce((a, b) => (b.measured! > a.measured! ? b : a)));
-    const rows: [string, string, boolean][] = [
-      ["program", found.program, false], ["verdict", found.closing, !found.passed], ["duration", `${found.duration_s.toFixed(2)} s`, false],
-      ...(found.feed === null ? [] : [["feed", found.feed, false] as [string, string, boolean]]),
-      ["ticks", String(found.ticks ?? "none"), false],
-      ["circuits", found.circuits === null ? "1" : `${found.circuits}, ${found.ticks_per_circuit} ticks each on average`, false],
-      ["points", String(found.points), false],
-      ...worst.map((one, k) => [names[k]!, measured(one), one.status === "failed"] as [string, string, boolean]),
-    ];
-    by("figures").replaceChildren(...rows.flatMap(([name, text, wrong]) => { const dd = made("dd", text); if (wrong) dd.className = "wrong"; return [made("dt", name), dd]; }));
-    for (const warning of found.warnings) say(warning);
+    if (this.calculated === "" && value("program") !== found.program) {
+      by<HTMLSelectElement>("program").value = found.program; // chosen on another page, or before a reload
+      void this.lookOnce();
+    }
+    tellVerdict(found, this.toLine);
+    for (const warning of found.warnings) note(warning);
   }
 
-  forget(): void { by("figures").replaceChildren(); }
+  forget(): void {
+    tellVerdict(null, this.toLine);
+  }
 
   show(state: State): void {
     put(by("cancel"), "hidden", state.calculating === null);
     put(by("override-row"), "hidden", !state.proven || state.proven.passed);
     put(by("changed"), "hidden", !this.changed(state) || this.session.machineMoves());
-    put(by("busy"), "textContent", state.busy && state.calculating === null && !this.session.machineMoves() ? `Start and Calculate wait: ${state.busy}.` : "");
+    const waits = state.busy && state.calculating === null && !this.session.machineMoves();
+    tell("busy", waits ? `Start and Calculate wait: ${state.busy}.` : "");
     const run = state.progress;
-    put(by<HTMLProgressElement>("progress"), "value", state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0));
-    tell("progress-text", state.calculating !== null ? `calculating, ${Math.round(state.calculating * 100)} %` : !run ? "" : run.ended ? toldRun(run) : `${run.program}: ${run.time_s.toFixed(1)} s, ${Math.max(run.duration_s - run.time_s, 0).toFixed(1)} s left`);
-    put(by("progress-text"), "className", run?.ended && state.calculating === null && run.verdict && !run.verdict.startsWith("IN SPEC") ? "wrong" : "");
+    const share = state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0);
+    put(by<HTMLProgressElement>("progress"), "value", share);
+    tell("progress-text", this.progressText(state));
+    const judged = run?.ended && state.calculating === null && run.verdict;
+    put(by("progress-text"), "className", judged && !run.verdict.startsWith("IN SPEC") ? "wrong" : "");
+  }
+
+  private progressText(state: State): string {
+    if (state.calculating !== null) return `calculating, ${Math.round(state.calculating * 100)} %`;
+    const run = state.progress;
+    if (!run) return "";
+    if (run.ended) return toldRun(run);
+    const left = Math.max(run.duration_s - run.time_s, 0);
+    const percent = Math.floor((100 * Math.min(run.time_s, run.duration_s)) / run.duration_s);
+    return `${percent} %: ${run.time_s.toFixed(1)} s, ${left.toFixed(1)} s left`;
   }
 
   /** Whether a start lacks its reason to run out of specification. */
-  wantsReason(state: State): boolean { return !!state.proven && !state.proven.passed && value("override") === ""; }
+  wantsReason(state: State): boolean {
+    return !!state.proven && !state.proven.passed && value("override") === "";
+  }
 }

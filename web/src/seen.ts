@@ -15,6 +15,14 @@ export function bySoftware(): boolean {
 /** Return a function that says whether an element is on the screen: in the open part of the page, and not scrolled away. */
 export function onScreen(place: Element): () => boolean {
   let seen = false;
-  new IntersectionObserver((changes) => { seen = changes[changes.length - 1]!.isIntersecting; }).observe(place);
+  new IntersectionObserver((changes) => {
+    seen = changes[changes.length - 1]!.isIntersecting;
+  }).observe(place);
   return () => seen;
+}
+
+/** Width and height in pixels for a picture: as wide as its place, and no higher than leaves the rest in sight. */
+export function sizeOf(place: HTMLElement): [number, number] {
+  const width = Math.max(place.clientWidth, 200);
+  return [width, Math.round(Math.max(Math.min(width * 0.6, window.innerHeight * 0.52), 240))];
 }

@@ -1,11 +1,9 @@
 /** The page's session at the panel: its number, the machine, and the commands that are possible now. */
 
-import { by, made } from "./dom";
 import { Link } from "./link";
-import type { Axis, Figures, FromPanel, Progress, State } from "./messages";
+import type { Axis, Figures, FromPanel, Progress, State, Welcome } from "./messages";
 
 const RENEW_MS = 80;
-const MOST_LINES = 50;
 const STARTS = "a start is being checked"; // a text of the panel
 /** Commands that wait until the panel is no longer busy. */
 const FOR_RUNS = new Set(["start", "start-rest", "continue", "calculate"]);
@@ -19,6 +17,8 @@ export class Session {
   byHand = true;
   /** Planning options that apply to the machine. */
   options: string[] = [];
+  /** Whether the machine has an operator's normal feed. */
+  normalFeed = false;
   /** Commands that this link lacks, and why. */
   lacks: Record<string, string> = {};
   figures: Figures | null = null;
@@ -28,20 +28,55 @@ export class Session {
   private renews = 0; // number of the timer that renews a motion; 0 for none
 
   constructor(heard: (message: FromPanel) => void, lost: () => void) {
-    this.link = new Link(`${navigator.platform || "browser"}`.slice(0, 40), new URLSearchParams(location.hash.slice(1)).get("token") ?? kept(""), heard, () => { this.letGo(); this.renewals.clear(); lost(); });
+    this.link = new Link(
+      `${navigator.platform || "browser"}`.slice(0, 40),
+      new URLSearchParams(location.hash.slice(1)).get("token") ?? kept(""),
+      heard,
+      () => {
+        this.letGo();
+        this.renewals.clear();
+        lost();
+      },
+    );
   }
 
-  get state(): State | null { return this.link.state; }
-  get moves(): boolean { return this.renews !== 0; }
-  mine(): boolean { return this.link.lease !== "" && this.state?.control.client === this.me; }
-  can(what: string): boolean { return this.mine() && (this.state?.allowed.includes(what) ?? false); }
+  /** Take the greeting of a panel: it counts its states from 0, and sends its figures. */
+  welcome(found: Welcome): void {
+    this.me = found.client;
+    this.axes = found.axes;
+    this.lacks = found.lacks;
+    this.untaught = found.untaught;
+    this.byHand = found.by_hand;
+    this.options = found.options;
+    this.normalFeed = found.normal_feed;
+    this.figuresAt = 0;
+  }
+
+  get state(): State | null {
+    return this.link.state;
+  }
+  get moves(): boolean {
+    return this.renews !== 0;
+  }
+  mine(): boolean {
+    return this.link.lease !== "" && this.state?.control.client === this.me;
+  }
+  can(what: string): boolean {
+    return this.mine() && (this.state?.allowed.includes(what) ?? false);
+  }
   /** Why no part program can be taught to this machine; empty if one can. */
   untaught = "";
   /** Why this link lacks a command; empty if it has it. */
-  lacking(what: string): string { return what in this.lacks ? `not available on this link: ${this.lacks[what]}` : ""; }
-  machineMoves(): boolean { return MOVING.has(this.state?.state ?? ""); }
+  lacking(what: string): string {
+    return what in this.lacks ? `not available on this link: ${this.lacks[what]}` : "";
+  }
+  machineMoves(): boolean {
+    return MOVING.has(this.state?.state ?? "");
+  }
   /** Whether a run is about to begin. */
-  starts(): boolean { return this.state?.busy === STARTS; }
+  starts(): boolean {
+    return this.state?.busy === STARTS;
+  }
   /** Why a command is not possible now. */
   waits(what: string): string {
     if (!this.mine()) return "take control first";
@@ -61,20 +96,27 @@ export class Session {
     if (!this.can(command.what)) return;
     this.link.act(command);
     this.renews = window.setInterval(() => {
-      if (document.hidden || !this.mine()) { this.letGo(); return; }
+      if (document.hidden || !this.mine()) {
+        this.letGo();
+        return;
+      }
       this.renewals.add(this.link.act({ what: "renew" }));
     }, RENEW_MS);
   }
 
   /** Whether an answer belongs to a renewal; a refused renewal means that the motion is over. */
-  renewal(number: number): boolean { return this.renewals.delete(number); }
+  renewal(number: number): boolean {
+    return this.renewals.delete(number);
+  }
 
   letGo(): void {
     if (this.endsRenewing()) this.link.act({ what: "let-go" });
   }
 
   /** Let the lease of a motion run out: a short step is finished, a long one stops within 250 ms. */
-  runOut(): void { this.endsRenewing(); }
+  runOut(): void {
+    this.endsRenewing();
+  }
 
   private endsRenewing(): boolean {
     if (this.renews === 0) return false;
@@ -84,7 +126,10 @@ export class Session {
   }
 
   async ask(path: string, more: RequestInit = {}): Promise<Response> {
-    return fetch(path, { ...more, headers: { Authorization: `Bearer ${this.link.token}`, "X-Lease": this.link.lease, ...more.headers } });
+    return fetch(path, {
+      ...more,
+      headers: { Authorization: `Bearer ${this.link.token}`, "X-Lease": this.link.lease, ...more.headers },
+    });
   }
 }
 
@@ -98,23 +143,19 @@ function kept(token: string): string {
   }
 }
 
-/** Add a message to the list of events, and show it above the other parts of the page. */
-export function say(text: string, wrong = false): void {
-  const line = made("li", `${new Date().toLocaleTimeString()}  ${text}`);
-  line.className = wrong ? "wrong" : "";
-  by("log").prepend(line);
-  by("said").textContent = text; // the list is on one part of the page
-  by("said").className = line.className;
-  while (by("log").childElementCount > MOST_LINES) by("log").lastElementChild!.remove();
-}
-
 /** Factor and unit in which an axis or another moving body is shown. */
 export function unitOf(session: Session, name: string): [number, string] {
-  return session.axes.find((axis) => axis.name === name)?.unit === "rad" ? [180 / Math.PI, "°"] : [1000, "mm"];
+  return session.axes.find((axis) => axis.name === name)?.unit === "rad"
+    ? [180 / Math.PI, "°"]
+    : [1000, "mm"];
 }
 
 /** How and why a run ended: "stopped by the operator", "fault: axis X ...". */
-export function endOf(ended: string, why: string): string { return why === "" ? ended : why.startsWith(ended) ? why : `${ended}: ${why}`; }
+export function endOf(ended: string, why: string): string {
+  return why === "" ? ended : why.startsWith(ended) ? why : `${ended}: ${why}`;
+}
 
 /** How a run of this panel ended, with its verdict, if there is one. */
-export function toldRun({ program, ended, why, verdict }: Progress): string { return `${program}: ${endOf(ended ?? "", why !== "" && verdict.includes(why) ? "" : why)}. ${verdict}`.trim(); }
+export function toldRun({ program, ended, why, verdict }: Progress): string {
+  return `${program}: ${endOf(ended ?? "", why !== "" && verdict.includes(why) ? "" : why)}. ${verdict}`.trim();
+}

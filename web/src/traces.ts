@@ -1,87 +1,270 @@
-/** Stored runs: curves of commanded and actual position and their difference; the recording as a file. */
+/** Stored runs in a table: their curves, one beside another, and the recording as a file. */
 
 import uPlot from "uplot";
-import { by, made, value } from "./dom";
-import { BLUE, CLOSEST, INK, ORANGE } from "./curves";
+import { axisOf, CLOSEST, themed } from "./curves";
+import { by, made, put, tell, value } from "./dom";
 import type { State } from "./messages";
+import { say } from "./said";
 import type { Session } from "./session";
-import { endOf, say, unitOf } from "./session";
+import { endOf, unitOf } from "./session";
+import { onTheme } from "./theme";
 
-export interface Kept { run: string; started: string; job: string; ended: string; text: string; verdict: string }
-interface Trace { times_s: number[]; axes: Record<string, { commanded: number[]; actual: number[] }> }
+export interface Kept {
+  run: string;
+  started: string;
+  job: string;
+  ended: string;
+  text: string;
+  verdict: string;
+}
+interface Axis {
+  commanded: number[];
+  actual: number[];
+}
+interface Trace {
+  times_s: number[];
+  axes: Record<string, Axis>;
+}
+
+const IN_SPEC = "in spec";
+
+/** Whether a run is one of those that the operator filters by words and verdict. */
+export function matches(one: Kept, words: string, only: string): boolean {
+  const text = `${one.run} ${one.job} ${one.ended} ${one.text} ${one.verdict}`.toLowerCase();
+  const good = one.verdict === IN_SPEC;
+  const kind = only === "" || (only === IN_SPEC ? good : !good);
+  return (
+    kind &&
+    words
+      .toLowerCase()
+      .split(/\s+/)
+      .every((word) => text.includes(word))
+  );
+}
+
+/** The time of a trace over which its program ran: "12.3 s"; empty if it is not known. */
+function lasted(trace: Trace | undefined): string {
+  const last = trace?.times_s[trace.times_s.length - 1];
+  return last === undefined ? "" : `${last.toFixed(1)} s`;
+}
 
 export class Traces {
-  private trace: Trace | null = null;
+  private readonly traces = new Map<string, Trace>();
   private plots: uPlot[] = [];
   private last = "";
   private runs: Kept[] = [];
+  private run = ""; // the chosen run
 
   constructor(private readonly session: Session) {
-    by<HTMLSelectElement>("kept").onchange = () => void this.load();
     by<HTMLSelectElement>("trace-axis").onchange = () => this.draw();
-    new ResizeObserver(() => { const width = this.wide(); for (const plot of this.plots) if (plot.width !== width) plot.setSize({ width, height: plot.height }); }).observe(by("runs"));
+    by<HTMLSelectElement>("beside").onchange = () => void this.load();
+    by<HTMLInputElement>("run-filter").oninput = () => this.table();
+    by<HTMLSelectElement>("run-only").onchange = () => this.table();
+    new ResizeObserver(() => {
+      const width = this.wide();
+      for (const plot of this.plots) if (plot.width !== width) plot.setSize({ width, height: plot.height });
+    }).observe(by("review"));
     by("export").onclick = () => void this.save();
+    onTheme(() => this.draw());
   }
 
   /** The chosen run; null for none. */
-  get chosen(): Kept | null { return this.runs.find((one) => one.run === value("kept")) ?? null; }
+  get chosen(): Kept | null {
+    return this.runs.find((one) => one.run === this.run) ?? null;
+  }
 
   /** Load the open list again, after a run ended or was judged. */
   show(state: State): void {
     const last = JSON.stringify([state.progress?.run, state.progress?.ended, state.progress?.verdict]);
     if (last === this.last) return;
     this.last = last;
-    if (!by("runs").hidden) void this.list();
+    if (!by("review").hidden) void this.list();
   }
 
   async list(): Promise<void> {
-    const before = value("kept");
     const answer = await this.session.ask("/api/runs");
-    if (!answer.ok) { say((await answer.text()).trim(), true); return; }
-    const runs = this.runs = (await answer.json()) as Kept[];
-    by("kept").replaceChildren(...runs.map((one) => { const found = made("option", `${one.run}: ${endOf(one.ended, one.text)}${one.verdict === one.ended ? "" : `; ${one.verdict}${one.verdict === "not judged" ? "" : " in this run"}`}`); found.value = one.run; return found; }));
-    if (runs.some((one) => one.run === before)) by<HTMLSelectElement>("kept").value = before;
-    by<HTMLButtonElement>("export").disabled = runs.length === 0;
-    if (runs.length) await this.load();
+    if (!answer.ok) {
+      say((await answer.text()).trim(), true);
+      return;
+    }
+    const newest = this.runs[0]?.run;
+    this.runs = (await answer.json()) as Kept[];
+    const there = this.runs.some((one) => one.run === this.run);
+    if (!there || (newest !== undefined && this.runs[0]?.run !== newest)) this.run = this.runs[0]?.run ?? "";
+    this.table();
+    this.offerBeside();
+    put(by<HTMLButtonElement>("export"), "disabled", this.runs.length === 0);
+    if (this.run) await this.load();
   }
 
+  private table(): void {
+    const found = this.runs.filter((one) => matches(one, value("run-filter"), value("run-only")));
+    tell(
+      "run-count",
+      found.length === this.runs.length
+        ? `${found.length} run${found.length === 1 ? "" : "s"}`
+        : `${found.length} of ${this.runs.length} runs`,
+    );
+    const table = made("table");
+    const head = made("thead");
+    const names = made("tr");
+    for (const name of ["Run", "Begun", "Duration", "End", "Verdict"]) {
+      const cell = made("th", name);
+      cell.scope = "col";
+      names.append(cell);
+    }
+    head.append(names);
+    const body = made("tbody");
+    body.append(...found.map((one) => this.row(one)));
+    table.append(head, body);
+    by("kept").replaceChildren(found.length ? table : made("p", "no run is stored, or none has these words"));
+  }
+
+  private row(one: Kept): HTMLTableRowElement {
+    const row = made("tr");
+    if (one.run === this.run) row.setAttribute("aria-current", "true");
+    const choose = made("button", one.job || one.run);
+    choose.type = "button";
+    choose.className = "link";
+    choose.title = one.run;
+    choose.onclick = () => {
+      this.run = one.run;
+      this.table();
+      this.offerBeside();
+      void this.load();
+    };
+    const name = made("th");
+    name.scope = "row";
+    name.append(choose);
+    const verdict = made("td", one.verdict === one.ended ? "" : one.verdict);
+    if (one.verdict !== IN_SPEC && one.verdict !== "not judged") verdict.className = "wrong";
+    const begun = new Date(one.started);
+    const when = Number.isNaN(begun.getTime()) ? one.started : begun.toLocaleString();
+    const time = made("td", lasted(this.traces.get(one.run)));
+    time.className = "amount";
+    row.append(name, made("td", when), time, made("td", endOf(one.ended, one.text)), verdict);
+    return row;
+  }
+
+  private offerBeside(): void {
+    const chosen = by<HTMLSelectElement>("beside");
+    const before = chosen.value;
+    const none = made("option", "no other run");
+    none.value = "";
+    const others = this.runs.filter((one) => one.run !== this.run);
+    const options = others.map((one) => {
+      const found = made("option", `${one.job || one.run}, ${one.started}`);
+      found.value = one.run;
+      return found;
+    });
+    chosen.replaceChildren(none, ...options);
+    chosen.value = others.some((one) => one.run === before) ? before : "";
+  }
+
+  /** Read the traces of the chosen run and of the one beside it. */
   private async load(): Promise<void> {
-    by("trace-said").textContent = "reading";
-    const answer = await this.session.ask(`/api/runs/${encodeURIComponent(value("kept"))}/trace`);
-    by("trace-said").textContent = "";
-    if (!answer.ok) { say((await answer.text()).trim(), true); return; }
-    this.trace = (await answer.json()) as Trace;
-    const chosen = by<HTMLSelectElement>("trace-axis"), before = chosen.value, names = Object.keys(this.trace.axes);
+    const wanted = [this.run, value("beside")].filter(Boolean);
+    for (const run of wanted) if (!this.traces.has(run) && !(await this.read(run))) return;
+    if (wanted[0] !== this.run) return; // another was chosen meanwhile
+    for (const known of this.traces.keys())
+      if (!wanted.includes(known) && this.traces.size > 4) this.traces.delete(known);
+    this.table();
+    const chosen = by<HTMLSelectElement>("trace-axis");
+    const before = chosen.value;
+    const names = Object.keys(this.traces.get(this.run)!.axes);
     chosen.replaceChildren(...names.map((name) => made("option", name)));
-    chosen.value = names.includes(before) ? before : names.find((name) => unitOf(this.session, name)[1] === "mm") ?? names[0] ?? "";
+    const first = names.find((name) => unitOf(this.session, name)[1] === "mm") ?? names[0] ?? "";
+    chosen.value = names.includes(before) ? before : first;
     this.draw();
   }
 
-  private wide(): number { return Math.max(Math.min(by("trace").clientWidth, window.innerWidth - 60), 280); }
+  private async read(run: string): Promise<boolean> {
+    tell("trace-said", "reading");
+    const answer = await this.session.ask(`/api/runs/${encodeURIComponent(run)}/trace`);
+    tell("trace-said", "");
+    if (!answer.ok) {
+      say((await answer.text()).trim(), true);
+      return false;
+    }
+    this.traces.set(run, (await answer.json()) as Trace);
+    return true;
+  }
+
+  private wide(): number {
+    return Math.max(Math.min(by("trace").clientWidth, window.innerWidth - 48), 240);
+  }
 
   private draw(): void {
     for (const plot of this.plots) plot.destroy();
-    const axis = this.trace?.axes[value("trace-axis")];
-    if (!this.trace || !axis) return;
-    const [scale, unit] = unitOf(this.session, value("trace-axis")), times = this.trace.times_s;
-    const commanded = axis.commanded.map((at) => at * scale), actual = axis.actual.map((at) => at * scale);
-    const difference = actual.map((at, k) => at - commanded[k]!);
-    const width = this.wide(), axes = (label: string) => [{ stroke: INK, label: "s" }, { stroke: INK, size: 60, label }];
+    this.plots = [];
+    const own = this.curve(this.run);
+    if (!own) return;
+    const other = this.curve(value("beside"));
+    const unit = unitOf(this.session, value("trace-axis"))[1];
+    const tables = [own, ...(other ? [other] : [])];
+    const joined = (columns: (one: Columns) => number[][]): uPlot.AlignedData =>
+      uPlot.join(tables.map((one) => [one.times, ...columns(one)] as uPlot.AlignedData));
+    const line = (label: string, ink: string, dash?: number[]): uPlot.Series => ({
+      label,
+      stroke: themed(ink),
+      ...(dash ? { dash } : {}),
+      spanGaps: true,
+    });
+    const both = [line("commanded", "--done", [4, 3]), line("actual", "--measured")];
+    const beside = [line("commanded, other run", "--edge", [2, 3]), line("actual, other run", "--ink")];
+    const positions = [{}, ...both, ...(other ? beside : [])];
+    const differences = [
+      {},
+      line("actual minus commanded", "--measured"),
+      ...(other ? [line("the same, other run", "--ink")] : []),
+    ];
+    const width = this.wide();
     const x = { time: false };
+    const more = { width, legend: { live: false }, axes: [axisOf("s"), axisOf(unit, 60)] };
     this.plots = [
-      new uPlot({ width, height: 260, legend: { live: false }, scales: { x }, axes: axes(unit), series: [{}, { label: "commanded", stroke: BLUE, dash: [4, 3] }, { label: "actual", stroke: ORANGE }] }, [times, commanded, actual], by("trace")),
-      new uPlot({ width, height: 200, legend: { live: false }, scales: { x, y: { range: CLOSEST } }, axes: axes(unit), series: [{}, { label: "actual minus commanded", stroke: ORANGE }] }, [times, difference], by("trace")),
+      new uPlot(
+        { ...more, height: 260, scales: { x }, series: positions },
+        joined((one) => [one.commanded, one.actual]),
+        by("trace"),
+      ),
+      new uPlot(
+        { ...more, height: 200, scales: { x, y: { range: CLOSEST } }, series: differences },
+        joined((one) => [one.difference]),
+        by("trace"),
+      ),
     ];
   }
 
+  /** The columns of a run for the chosen axis, in the units of the page; null without. */
+  private curve(run: string): Columns | null {
+    const trace = this.traces.get(run);
+    const axis = trace?.axes[value("trace-axis")];
+    if (!trace || !axis) return null;
+    const [scale] = unitOf(this.session, value("trace-axis"));
+    const commanded = axis.commanded.map((at) => at * scale);
+    const actual = axis.actual.map((at) => at * scale);
+    const difference = actual.map((at, k) => at - commanded[k]!);
+    return { times: trace.times_s, commanded, actual, difference };
+  }
+
   private async save(): Promise<void> {
-    const run = value("kept"), ending = value("export-as");
-    const answer = await this.session.ask(`/api/runs/${encodeURIComponent(run)}/recording.${ending}`);
-    if (!answer.ok) { say((await answer.text()).trim(), true); return; }
+    const ending = value("export-as");
+    const answer = await this.session.ask(`/api/runs/${encodeURIComponent(this.run)}/recording.${ending}`);
+    if (!answer.ok) {
+      say((await answer.text()).trim(), true);
+      return;
+    }
     const to = made("a");
     to.href = URL.createObjectURL(await answer.blob());
-    to.download = `${run}.${ending}`;
+    to.download = `${this.run}.${ending}`;
     to.click();
     URL.revokeObjectURL(to.href);
   }
+}
+
+interface Columns {
+  times: number[];
+  commanded: number[];
+  actual: number[];
+  difference: number[];
 }

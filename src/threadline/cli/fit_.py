@@ -41,6 +41,13 @@ def fit_numbers(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write the fitted machine here (.toml).")
     ] = None,
+    job: Annotated[
+        Path | None,
+        typer.Option(
+            help="With -o: also search the fastest way to do this job over the tolerances, before "
+            "and after the fit; takes minutes."
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Fit numbers of MACHINE to measured data, and say how well each is known.
@@ -62,18 +69,36 @@ def fit_numbers(
                 remedy="Give one that ends in .toml and not in .spec.toml.",
             )
         keep_inputs(output, chosen.file, *(Path(text.rpartition(":")[2]) for text in data))
+    elif job is not None:
+        raise OptionError("--job needs the fitted machine as a file", remedy="Add -o FILE.toml.")
     check_outputs(file=output)
     opened = [open_data(text, machine, axis or "") for text in data]
     result = fit(chosen, opened, names)
     source = ", ".join(one.name for one in opened)
     if output is not None:
         write_fitted(result, source, output)
+    if not json:
+        _show(result, source)
+        if output is not None:
+            say(f"Wrote {output}")
+    worth = None if job is None or output is None else _worth(job, machine, output)
     if json:
-        print_json(_content(result, source, output))
-        return
-    _show(result, source)
-    if output is not None:
-        say(f"Wrote {output}")
+        print_json(_content(result, source, output) | ({} if worth is None else {"worth": worth}))
+    elif worth is not None:
+        unit = worth["unit"] or "of the programmed feed"
+        before, after = (
+            "nothing in spec" if worth[key] is None else f"{worth[key]:.4g} {unit}"
+            for key in ("before", "after")
+        )
+        say(f"{job} over the tolerances: {before} before the fit, {after} after it")
+
+
+def _worth(job: Path, machine: str, fitted: Path) -> dict[str, Any]:
+    """Return the fastest of a job over the tolerances, of the machine before and after the fit."""
+    from threadline.face import fastest
+
+    before, after = (fastest(job, one, level="over tolerances") for one in (machine, str(fitted)))
+    return {"before": before.best, "after": after.best, "unit": after.unit}
 
 
 def _show(result: Fit, source: str) -> None:

@@ -8,6 +8,7 @@ complete without the file.
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import zlib
 from collections.abc import Mapping
@@ -52,6 +53,15 @@ def table_text(text: str) -> str:
             remedy="Leave it out, or give the file that threadline learn -o wrote.",
         )
     return text_of(table)
+
+
+def table_words(text: str) -> str:
+    """Return a few words for the text of a learned table.
+
+    >>> table_words("anything")
+    'a learned one, sha256 ee0874170b7f'
+    """
+    return f"a learned one, sha256 {hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
 def text_of(table: TickTable) -> str:

@@ -303,9 +303,10 @@ def _judged(problem: Problem, at: FloatArray) -> Estimate:
     inverse = np.linalg.pinv(J.T @ J, hermitian=True)
     covariance = inverse * max(wider, 1.0 / np.mean(inside))
     if not problem.robust:
-        # Rounding may be the same at every sample: an axis that moves a whole number of counts each
-        # tick, or rests. Its largest effect is added as if it were one more deviation.
-        shift = np.abs(inverse @ J.T) @ (problem.floor / noise)
+        # Residuals of a recording hang together: an axis that rests, or moves a whole number of
+        # counts each tick, is rounded alike at every sample. The largest effect that residuals of
+        # their size can have is added as if it were one more deviation.
+        shift = np.abs(inverse @ J.T).sum(axis=1)
         grown = np.sqrt(1.0 + shift**2 / np.maximum(np.diag(covariance), 1e-300))
         covariance = covariance * np.outer(grown, grown)
     return Estimate(

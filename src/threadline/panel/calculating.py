@@ -17,11 +17,13 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.reading import noting_inputs, reading_within
+from threadline.dynamics.suspicions import suspicions
 from threadline.errors import ThreadlineError
 from threadline.files import ChannelKind
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source, begins_circuit
 from threadline.live.kinds_run import run_kind_of
 from threadline.machine import Machine
+from threadline.panel.job_views import plan_views
 from threadline.panel.programs import PROGRAMMED, by_priority, planned, program_path, words_of
 from threadline.panel.welcoming import mandrel_of
 from threadline.proof.asked import chosen_machine, trials_of
@@ -98,6 +100,7 @@ def figures(proof: Proof) -> dict[str, Any]:
     circuits, points = circuits_and_points(plan.job)
     ticks = plan.commands.tick_count()
     times_s, planned_at = _commanded(proof)
+    doubts = suspicions(plan.machine)
     return {
         "program": plan.job.name,
         "passed": verdict.passed,
@@ -107,11 +110,13 @@ def figures(proof: Proof) -> dict[str, Any]:
         "circuits": circuits,
         "ticks_per_circuit": None if not circuits or ticks is None else round(ticks / circuits),
         "points": points,
-        "warnings": warnings_of(proof),
+        "warnings": [one for one in warnings_of(proof) if one not in doubts],
+        "doubts": doubts,
         "criteria": criteria_json(verdict),
         "times_s": [round(float(t), 6) for t in times_s],
         "mandrel": None if (found := mandrel_of(plan.machine)) is None else found.model_dump(),
         "planned": {name: [round(float(p), 7) for p in at] for name, at in planned_at.items()},
+        **plan_views(proof),
     }
 
 
@@ -211,7 +216,8 @@ def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:
 
 
 def _share(_what: str, share: float) -> None:
-    _print({"share": round(share, 3)})
+    if share:  # a stage without a share does not begin anew
+        _print({"share": round(share, 3)})
 
 
 def _print(content: Mapping[str, Any]) -> None:

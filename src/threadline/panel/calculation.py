@@ -113,6 +113,8 @@ def add_guide(app: FastAPI, guide: MachineGuide) -> None:
 
 
 _CHILD = import_and_call("threadline.panel.calculating", "main")
+_PREVIEW = import_and_call("threadline.panel.job_views", "main")
+_PREVIEW_S = 20.0  # longest time for reading a program that is shown before it is calculated
 _MOST_LINE = 32 << 20
 
 
@@ -147,11 +149,29 @@ class Calculation:
         self._words: Mapping[str, Any] = {}
         self._starts: list[int] = []
         self._task: asyncio.Task[None] | None = None
+        self._one_preview = asyncio.Semaphore(1)
 
     @property
     def starts(self) -> list[int]:
         """Starting position of the proven program, in counts of the axes."""
         return self._starts
+
+    async def preview(self, program: str) -> bytes | str:
+        """Return the ``Preview`` of a program as JSON, or why there is none."""
+        told = {
+            "folder": str(self._folder), "program": program,
+            "machine": self._machine.reference, "par": self._machine.parameters or None,
+        }  # fmt: skip
+        words, sent = (sys.executable, "-c", _PREVIEW), json.dumps(told).encode()
+        try:
+            async with self._one_preview:
+                status, found, _ = await answer_of(*words, sent=sent, longest_s=_PREVIEW_S)
+        except TimeoutError:
+            return f"{program[:60]!r} takes longer than {_PREVIEW_S:g} s to read: calculate it"
+        if status:
+            return f"{program[:60]!r} cannot be shown: the process that read it has ended"
+        why = json.loads(found).get("error")
+        return found if why is None else str(why)
 
     def begin(self, asked: Calculate, tell: Callable[[Figures | str], None]) -> None:
         """Begin a calculation; the last one is forgotten.

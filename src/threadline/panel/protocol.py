@@ -84,7 +84,8 @@ def _option_fields() -> dict[str, Any]:
         kind: Any = Literal[one.choices] if one.choices else _TYPES[one.type]
         if kind is str:
             kind = Annotated[str, Field(max_length=one.most_text)]
-        fields[one.word] = (kind if one.default is not None else kind | None, one.default)
+        told = Field(one.default, description=one.help)
+        fields[one.word] = (kind if one.default is not None else kind | None, told)
     return fields
 
 
@@ -232,6 +233,8 @@ class Welcome(BaseModel):
     """Whether its axes can be moved by hand, one at a time."""
     options: list[str] = []
     """Planning options that apply to the machine, as a command line names them."""
+    normal_feed: bool = False
+    """Whether the machine has an operator's normal feed, which the priority ``accuracy`` takes."""
     axes: list[Axis]
     mandrel: Mandrel | None
     jog_lease_s: float
@@ -333,6 +336,72 @@ class Answer(BaseModel):
     text: str = ""
 
 
+class Lines(BaseModel):
+    """Lines and circuits of the job, and the times from which each is under way, s."""
+
+    times_s: list[float]
+    line: list[int]
+    circuit: list[int]
+    """The circuit, from 1; 0 outside of any."""
+
+
+class Stitches(BaseModel):
+    """Holes of a seam or a design in order, thinned if there are many; m and s."""
+
+    x: list[float]
+    y: list[float]
+    joined: list[bool]
+    """Whether the thread comes from the hole before, without travel between."""
+    block: list[int]
+    """Number of the thread, from 1; 0 for a seam."""
+    threads: list[str | None]
+    """Colour of each thread; None where the file does not say it."""
+    number: list[int]
+    count: int
+    times_s: list[float]
+    use: list[float]
+    """Share of a limit that each stitch uses; empty without such a limit."""
+    use_of: str
+
+
+class NamedStep(BaseModel):
+    """A step of a move list."""
+
+    name: str
+    line: int
+    begin_s: float
+
+
+class Lane(BaseModel):
+    """An input or output over the time of the plan: its first state, and when it changes, s."""
+
+    name: str
+    input: bool
+    on: bool
+    changes_s: list[float]
+
+
+class Criterion(BaseModel):
+    """A criterion of the specification and its result, as ``prove --json`` has it."""
+
+    name: str
+    axis: str
+    step: str = ""
+    measured: float | None
+    limit: float | None
+    unit: str
+    status: str
+    time_s: float | None = None
+    job_line: int | None = None
+    passes: list[int] = []
+    operation: int | None = None
+    position: list[float] | None = None
+    run: int | None = None
+    of: str = "run"
+    required: bool = False
+    note: str = ""
+
+
 class Figures(BaseModel):
     """The result of a calculation, SI units."""
 
@@ -349,12 +418,40 @@ class Figures(BaseModel):
     ticks_per_circuit: int | None
     points: int
     warnings: list[str]
-    criteria: list[dict[str, Any]]
+    doubts: list[str] = []
+    """What is doubtful about the model of the machine."""
+    criteria: list[Criterion]
     times_s: list[float]
     planned: dict[str, list[float]]
     """Planned positions of each axis at ``times_s``."""
     mandrel: Mandrel | None
     """The plan's mandrel."""
+    lines: Lines
+    stitches: Stitches | None
+    steps: list[NamedStep]
+    lanes: list[Lane]
+
+
+class Preview(BaseModel):
+    """A program before it is calculated, SI units; the answer to a request."""
+
+    program: str
+    planned: dict[str, list[float]]
+    """Programmed positions of each axis, thinned if there are many."""
+    line: list[int]
+    """The line of each position."""
+    moves: int
+    whole: bool
+    """Whether the positions reach to the end of the program."""
+    paced_by: str
+    stitches: Stitches | None
+    steps: list[NamedStep]
+    warnings: list[str]
+    mandrel: Mandrel | None
+    file: str
+    """The file in which the lines are; the drawing or table of a seam is another than its job."""
+    text: list[str]
+    """Its text; empty for a binary or a very long file."""
 
 
 class Said(BaseModel):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import mimetypes
 import re
 import shutil
 from collections.abc import AsyncIterator
@@ -15,15 +16,16 @@ from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 from fastapi.staticfiles import StaticFiles
 from pydantic import ValidationError
 from starlette.background import BackgroundTask
+from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Scope
 
 from threadline.errors import InputError, OptionError, StoreError
 from threadline.live.guards import clock_s
 from threadline.panel import protocol as say
 from threadline.panel.admission import HEADERS, Admission, AdmittingApp
 from threadline.panel.calculation import MachineGuide, add_guide, add_winding
-from threadline.panel.control import Client
+from threadline.panel.control import Client, in_page_words
 from threadline.panel.drawn import TooLongError, add_drawing, whole_body
 from threadline.panel.kept_traces import in_process, kept_runs, temporary, trace_file
 from threadline.panel.panel import Panel
@@ -105,6 +107,8 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
     async def with_headers(request: Request, following: Any) -> Response:
         answer: Response = await following(request)
         answer.headers.update(HEADERS)
+        if answer.status_code == 200 and request.url.path.startswith(f"/{_HASHED}"):
+            answer.headers["Cache-Control"] = _KEPT
         return answer
 
     @app.get("/api/state")
@@ -114,6 +118,13 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
     @app.get("/api/programs")
     def programs() -> JSONResponse:
         return JSONResponse(program_names(folder, panel.machine))
+
+    @app.get("/api/programs/{name}/preview", responses={**_REFUSALS, 200: {"model": say.Preview}})
+    async def preview(name: str) -> Response:
+        found = await panel.calculation.preview(name)
+        if isinstance(found, str):
+            return PlainTextResponse(f"{in_page_words(found)}\n", 422)
+        return Response(found, media_type="application/json")
 
     @app.put("/api/programs/{name}", status_code=204, responses=_REFUSALS)
     async def upload(name: str, request: Request) -> PlainTextResponse:
@@ -227,10 +238,29 @@ def check_page() -> None:
         )
 
 
+class _BuiltPage(StaticFiles):
+    """The built page: compressed where the browser takes it, and kept where a hash names it."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        packed = PAGE / f"{path}.gz"
+        accepted = Headers(scope=scope).get("accept-encoding", "")
+        if path.startswith(_HASHED) and "gzip" in accepted and packed.is_file():
+            kind, _ = mimetypes.guess_type(path)
+            return FileResponse(
+                packed, media_type=kind, headers={"Content-Encoding": "gzip", **_VARIES}
+            )
+        return await super().get_response(path, scope)
+
+
+_HASHED = "assets/"
+_VARIES = {"Vary": "Accept-Encoding"}
+_KEPT = "private, max-age=31536000, immutable"
+
+
 def _add_page(app: FastAPI) -> None:
     """Add the page if it was built; the rest of the interface works without."""
     if (PAGE / "index.html").exists():
-        app.mount("/", StaticFiles(directory=PAGE, html=True))
+        app.mount("/", _BuiltPage(directory=PAGE, html=True))
 
 
 def _read(text: str) -> say.Stop | say.Control | say.Alive | say.Act:

@@ -104,6 +104,7 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
         untaught=untaught(machine),
         by_hand=run_kind_of(machine).by_hand,
         options=list(kind_of(machine).planned_by),
+        normal_feed=machine.operator is not None,
         axes=[
             say.Axis(
                 name=name,

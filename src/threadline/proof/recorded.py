@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from threadline.base.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
+from threadline.commands.learned import table_words
 from threadline.commands.plan import Plan
 from threadline.dynamics.suspicions import suspicions
 from threadline.errors import OptionError
@@ -182,9 +183,11 @@ def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[
         elif key in _ALWAYS_SAID:
             continue
         if options_from(ours) != options_from(chosen):
+            had, has = (one.get(key, "none") for one in (recorded, chosen))
+            if key == "table":
+                had, has = (text if text == "none" else table_words(text) for text in (had, has))
             raise OptionError(
-                f"{path.name} was recorded with {key} {recorded.get(key, 'none')}, "
-                f"not {chosen.get(key, 'none')}",
+                f"{path.name} was recorded with {key} {had}, not {has}",
                 remedy="Judge each run against its own plan: leave the option out, "
                 "and give runs with other options apart.",
             )

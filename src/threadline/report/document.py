@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from threadline import __version__
 from threadline.base.wording import plain
+from threadline.commands.learned import table_words
 from threadline.files import Recording
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
@@ -199,6 +200,8 @@ def options_facts(
         del told["machine"]
     if "tolerance" in told:
         told["tolerance"] = tolerance_words(parse_tolerance_m(told["tolerance"]))
+    if "table" in told:
+        told["table"] = table_words(told["table"])
     if "product" in told:
         product = product_of_text(told["product"])
         told["product"] = f"{product.name} ({product.file}, sha256 {digest(product)[:12]})"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from threadline.base.arrays import finite
-from threadline.base.option_defaults import USUAL
+from threadline.base.option_defaults import FEED_FORWARD, OPTIMAL_FEED_FORWARD, USUAL
 from threadline.base.progress import Progress
 from threadline.commands.learned import learned_commands, learned_plan
 from threadline.commands.plan import Plan
@@ -17,6 +17,7 @@ from threadline.files import Recording, TickTable, tick_table
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.machine.vary import ends_of
+from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.asked import Words, with_radii_of
 from threadline.proof.option_form import Type
 from threadline.proof.option_table import RECORDED
@@ -314,8 +315,12 @@ def learned_from(
         for one in recorded.values()
     ]
     options = options_from(_without_table(origins[0]))
-    given = words.options()
-    if given != replace(options, table=given.table) and words.changed():
+    if words.text("table") is not None:
+        raise OptionError(
+            "--table and --from exclude each other: every recording names the table that it played",
+            remedy="Leave --table out.",
+        )
+    if words.options().on(chosen) != options.on(chosen) and words.changed():
         raise OptionError(
             f"the options of planning differ from those of {next(iter(recorded))}",
             remedy="Leave them out: they are read from the recording.",
@@ -361,7 +366,8 @@ def typed_options(origin: Mapping[str, str]) -> dict[str, str]:
             continue
         if one.type is Type.FLAG:
             typed[one.typed] = ""
-            if "robust" not in origin:
+            usual = OPTIMAL_FEED_FORWARD if origin["interpolation"] == OPTIMAL else FEED_FORWARD
+            if "robust" not in origin and known.read(text) != known.read(usual):
                 typed["--smoothing"] = text
         elif known.read(text) != getattr(_PLAIN, one.attribute):
             typed[one.typed] = text

@@ -33,6 +33,7 @@ from threadline.winding.surface import Stretch, Surface, line, surface_of
 
 _MOST_FRICTION = 1.0
 _FARTHEST = 1e4  # m, and tex
+_LEAST_M = 1e-6  # of every size of a part: less is no part
 _NOT_NEGATIVE = ("thickness", "tex", "take_up", "clearance", "gap")
 _TABLES: Mapping[str, tuple[str, ...]] = {
     "": ("name", "mandrel", "part", "boss", "pin", "band", "friction", "fibre", "coverage"),
@@ -441,12 +442,12 @@ class ProductReader:
             if key == "pole":
                 continue
             sizes[key] = self._number(part, key, "m", None).si
-            if sizes[key] <= 0.0:
+            if sizes[key] < _LEAST_M:
                 self.refuse(
                     key,
                     f"{key} = {1e3 * sizes[key]:g} mm: the mandrel would reach its axis"
                     if "radius" in key or key == "opening"
-                    else f"{key} must be above 0",
+                    else f"{key} = {1e3 * sizes[key]:g} mm, the least is {1e3 * _LEAST_M:g} mm",
                     f'Write {key} = "50 mm".',
                 )
         radius = sizes["radius"]

@@ -247,6 +247,7 @@ SILENT = frozenset(
 M30 deletes a file in Marlin, and ends a program elsewhere; in neither case does it drive a tool."""
 _CYCLE = "a canned cycle, whose moves are not modelled"
 _RADIUS = "compensation of the cutter's radius, by which the tool would leave the programmed path"
+_ANALOGUE = "an analogue output, which no machine here has"
 _BUILT = "what marlin knows only where it is built with"
 WHY: Mapping[int, str] = {
     410: _RADIUS, 420: _RADIUS, 100: "setting what the control keeps (offsets, tool tables)",
@@ -259,8 +260,11 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
     "grbl": {
         "G64": "no word of grbl, which blends by its own settings",
     },
-    "fluidnc": {"G64": "no word of fluidnc, which blends by its own settings"},
-    "linuxcnc": dict.fromkeys(("M67", "M68"), "an analogue output, which no machine here has"),
+    "fluidnc": {
+        "G64": "no word of fluidnc, which blends by its own settings",
+        **dict.fromkeys(("M67", "M68"), _ANALOGUE),
+    },
+    "linuxcnc": dict.fromkeys(("M67", "M68"), _ANALOGUE),
     "klipper": {
         "G20": "the inch, which klipper refuses",
         "G91.1": "no word of klipper, which passes it over",

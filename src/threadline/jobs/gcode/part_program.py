@@ -15,7 +15,7 @@ from threadline.errors import BudgetError, JobError, MachineError, OptionError, 
 from threadline.files import Stream
 from threadline.jobs.gcode import plain_blocks as kernel
 from threadline.jobs.gcode.block import CHANGE, Block
-from threadline.jobs.gcode.dialects import DIALECTS, Dialect, Reading, dialect_of
+from threadline.jobs.gcode.dialects import DIALECTS, SILENT, Dialect, Reading, dialect_of
 from threadline.jobs.gcode.feeds import f_rule, normal_feed_m_s, travelling
 from threadline.jobs.gcode.foreign import letters_of
 from threadline.jobs.gcode.modal import MILLIMETRE, RAPID, Modal, ProgramText
@@ -458,7 +458,9 @@ def _warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[s
         )
     if findings.idle:
         words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
-        warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.")
+        silent = " ".join(w for w in findings.idle if w[1:].isdigit() and int(w[1:]) in SILENT)
+        left = f" compile leaves out what only shows or stores something: {silent}." * bool(silent)
+        warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.{left}")
     return _first(warnings)
 
 

@@ -110,6 +110,7 @@ def check_loops(machine: Machine) -> None:
 
 LONG_S = 1.0  # of simulating, after which progress is reported
 _DOING = "simulating and judging"
+_MEASURING = "measuring the plan"
 WRITING = "simulating and writing the recording"
 
 
@@ -160,7 +161,10 @@ class Share:
             clock = self._plan.commands.clock
             done_s = clock.time_s(block.first_tick.get(clock.name, 0))
             self._done[number] = min(done_s / max(self._plan.duration_s, 1e-9), 1.0)
-        self._progress(self._doing, sum(self._done) / len(self._done))
+        share = sum(self._done) / len(self._done)
+        # The plan is measured after its runs: its fibre takes as long as that of a run.
+        over = self._doing == _DOING and share >= 1.0 and block is None
+        self._progress(*((_MEASURING, 0.0) if over else (self._doing, share)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,327 @@
+"""What the page draws of a job besides positions: its lines, stitches, steps and switchings.
+
+The same reading serves a calculated plan, and a job that is shown before it is calculated.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.reading import reading_within
+from threadline.errors import ThreadlineError
+from threadline.files import ChannelKind, Recording
+from threadline.jobs.operations import (
+    Job,
+    Move,
+    MoveRun,
+    Source,
+    ToolEvent,
+    begins_circuit,
+    lacking,
+    move_runs,
+)
+from threadline.machine import Machine
+from threadline.panel.programs import program_path
+from threadline.panel.protocol import Preview
+from threadline.panel.welcoming import mandrel_of
+from threadline.proof.asked import chosen_machine
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import Proof, open_job
+from threadline.verdict import sewn_stitches
+from threadline.verdict.needle import has_stitches
+from threadline.verdict.stitch_run import StitchRun
+
+MOST_POINTS = 6000
+"""Most points of a path, stitches, or changes of the line under way that the page is told."""
+_MOST_SWITCHED = 400  # changes of an output beyond which its lane would be a grey area
+_MOST_READ = 2_000_000  # moves of a job that is shown before it is calculated
+_MOST_TEXT = 300_000  # bytes of a program whose text is shown
+_STEP = "step "
+
+
+def plan_views(proof: Proof) -> dict[str, Any]:
+    """Return lines, stitches, steps and switchings over the time of a proof's first run."""
+    begun = _Operations.of(proof.recording)
+    job = proof.plan.job
+    lines, circuits = _lines(job, begun.operation)
+    kept = np.flatnonzero(np.diff(lines, prepend=-1) | np.diff(circuits, prepend=0))
+    kept = kept[:: max(1, -(-len(kept) // MOST_POINTS))]
+    return {
+        "lines": {
+            "times_s": _told(begun.begin_s[kept]),
+            "line": lines[kept].tolist(),
+            "circuit": circuits[kept].tolist(),
+        },
+        "stitches": _stitches(job, begun, _uses(proof)),
+        "steps": _steps(job, begun),
+        "lanes": _lanes(proof.recording),
+    }
+
+
+class _Operations:
+    """The operations of a recording in the order in which they begin, and when each begins."""
+
+    def __init__(self, operation: IntArray, begin_s: FloatArray, end_s: float) -> None:
+        self.operation, self.begin_s, self.end_s = operation, begin_s, end_s
+
+    @classmethod
+    def of(cls, recording: Recording) -> _Operations:
+        found = next((c for c in recording.channels if c.kind is ChannelKind.OPERATION), None)
+        if found is None:
+            return cls(np.zeros(0, np.int64), np.zeros(0), 0.0)
+        period_s = float(found.clock.period_s) * found.stride
+        at: list[IntArray] = [np.zeros(0, np.int64)]
+        begin_s: list[FloatArray] = [np.zeros(0)]
+        count, latest = 0, -1
+        for block in recording:
+            values = block.samples[found.name].astype(np.int64)
+            fresh = np.flatnonzero(np.diff(values, prepend=latest))
+            at.append(values[fresh])
+            begin_s.append(period_s * (count + fresh).astype(np.float64))
+            count, latest = count + len(values), int(values[-1]) if len(values) else latest
+        return cls(np.concatenate(at), np.concatenate(begin_s), count * period_s)
+
+    def ends_s(self, wanted: IntArray) -> FloatArray:
+        """Return when each of the ascending operations ``wanted`` is over, s."""
+        following = np.searchsorted(self.operation, wanted, side="right")
+        return np.append(self.begin_s, self.end_s)[following]
+
+
+def _lines(job: Job, wanted: IntArray) -> tuple[IntArray, IntArray]:
+    """Return line and circuit of each of the ascending operations ``wanted``; 0 for no circuit.
+
+    A circuit is a pass of an outermost subroutine call.
+    """
+    found, circuits = np.zeros((2, len(wanted)), np.int64)
+    first = entered = 0
+    before: Source | None = None
+    for item in job.runs():
+        if isinstance(item, MoveRun):
+            lines, passes = item.line, item.passes
+        else:
+            lines, passes = np.array([item.source.line]), item.source.passes
+        source = Source("", int(lines[0]), passes)
+        entered += begins_circuit(before, source)
+        before = Source("", int(lines[-1]), passes)
+        low, high = np.searchsorted(wanted, (first, first + len(lines)))
+        found[low:high] = lines[wanted[low:high] - first]
+        circuits[low:high] = entered if passes else 0
+        first += len(lines)
+    return found, circuits
+
+
+def _steps(job: Job, begun: _Operations) -> list[dict[str, Any]]:
+    """Return the named steps of a move list with their times."""
+    found: list[dict[str, Any]] = []
+    if job.paced_by != "switchings":
+        return found
+    for k, item in enumerate(job):
+        if isinstance(item, ToolEvent) and item.name.startswith(_STEP):
+            begin_s = float(begun.ends_s(np.array([k - 1]))[0]) if len(begun.operation) else 0.0
+            found.append(
+                {
+                    "name": item.name.removeprefix(_STEP),
+                    "line": item.source.line,
+                    "begin_s": begin_s,
+                }
+            )
+    return found
+
+
+def _lanes(recording: Recording) -> list[dict[str, Any]]:
+    """Return the inputs and outputs without an axis, and the times at which each changes."""
+    wanted = [
+        c
+        for c in recording.channels
+        if c.kind in (ChannelKind.INPUT, ChannelKind.OUTPUT) and not c.axis
+    ]
+    first: dict[str, bool] = {}
+    times: dict[str, list[float]] = {c.name: [] for c in wanted}
+    latest: dict[str, bool] = {}
+    count = 0
+    for block in recording if wanted else ():
+        for c in wanted:
+            on = block.samples[c.name] != 0
+            if not len(on):
+                continue
+            before = latest.setdefault(c.name, bool(on[0]))
+            first.setdefault(c.name, before)
+            fresh = np.flatnonzero(np.diff(on, prepend=before))
+            period_s = float(c.clock.period_s) * c.stride
+            times[c.name] += ((count + fresh) * period_s).tolist()
+            latest[c.name] = bool(on[-1])
+        count += len(block.samples[wanted[0].name])
+    return [
+        {
+            "name": c.name,
+            "input": c.kind is ChannelKind.INPUT,
+            "on": first.get(c.name, False),
+            "changes_s": [round(t, 4) for t in times[c.name]],
+        }
+        for c in wanted
+        if len(times[c.name]) <= _MOST_SWITCHED
+    ]
+
+
+def _stitches(
+    job: Job, begun: _Operations | None, uses: tuple[str, FloatArray] | None
+) -> dict[str, Any] | None:
+    """Return the holes of a seam or a design in order; None for a job without stitches.
+
+    Parameters
+    ----------
+    begun
+        When the operations begin; None before the job is planned.
+    uses
+        The words for, and the (s,) shares of the limit that each stitch uses.
+    """
+    places, sewn, blocks, operations = [], [], [], []
+    first = 0
+    for item in move_runs(job):
+        if not isinstance(item, MoveRun):
+            first += 1
+            continue
+        tag = item.columns.get("stitch")
+        number = np.full(len(item), -1) if tag is None else np.where(lacking(tag), -1, tag)
+        block = item.columns.get("block")
+        up = -1 if block is None else 0  # in a design the number of a move with the needle up
+        places.append(item.targets[:, :2])
+        sewn.append(number.astype(float) > up)
+        blocks.append(np.zeros(len(item)) if block is None else np.where(lacking(block), 0, block))
+        operations.append(first + np.arange(len(item)))
+        first += len(item)
+        if first > _MOST_READ:
+            break
+    is_sewn = np.concatenate(sewn) if sewn else np.zeros(0, bool)
+    if not is_sewn.any():
+        return None
+    operation, place = np.concatenate(operations), np.concatenate(places)
+    holes = np.flatnonzero(is_sewn)
+    holes_kept = np.arange(len(holes))[:: max(1, -(-len(holes) // MOST_POINTS))]
+    kept = holes[holes_kept]
+    joined = np.append(False, is_sewn[holes[1:] - 1])  # no travel on the way from the hole before
+    thread = np.concatenate(blocks).astype(np.int64)[kept]
+    share = None if uses is None or len(uses[1]) != len(holes) else uses[1][holes_kept]
+    return {
+        "x": _told(place[kept, 0]),
+        "y": _told(place[kept, 1] if place.shape[1] > 1 else np.zeros(len(kept))),
+        "joined": joined[holes_kept].tolist(),
+        "block": thread.tolist(),
+        "threads": [None if one is None else one.rgb for one in job.threads],
+        "number": (holes_kept + 1).tolist(),
+        "count": len(holes),
+        "times_s": [] if begun is None else _told(begun.ends_s(operation[kept])),
+        "use": [] if share is None else [round(float(u), 4) for u in np.nan_to_num(share)],
+        "use_of": "" if uses is None or share is None else uses[0],
+    }
+
+
+def _uses(proof: Proof) -> tuple[str, FloatArray] | None:
+    """Return the words for a limit, and the (s,) share of it that each stitch of a proof uses."""
+    job = proof.plan.job
+    limits = {(r.name, r.axis): r.limit for r in proof.verdict.results if r.limit}
+    if has_stitches(job):
+        limit = limits.get(("stitch_length_error", ""))
+        if limit is None:
+            return None
+        asked = [c for c in proof.spec.criteria if c.name == "stitch_length_error"]
+        delay_s = float(asked[0].options.get("delay", 0.0)) if asked else 0.0
+        shares = [
+            np.where(run.stitches.exempt, 0.0, np.abs(run.length_error[:, 0]) / limit)
+            for run in sewn_stitches(proof.plan, proof.recording, delay_s)
+        ]
+        return ("length error", np.concatenate(shares)) if shares else None
+    if not job.threads:
+        return None
+    wanted = [limits.get(("stitch_residual", axis)) for axis in proof.plan.axes]
+    if not all(wanted):
+        return None
+    residual = StitchRun(proof.recording, proof.plan).sewn.residual_m
+    return "swing at the needle", np.nanmax(residual / np.array(wanted, np.float64), axis=1)
+
+
+# --- a job before it is calculated ---------------------------------------------------------------
+
+
+def preview(folder: Path, program: str, machine: Machine) -> dict[str, Any]:
+    """Return the programmed path of a job, and what the page draws with it.
+
+    Raises
+    ------
+    InputError
+        If the program cannot be read.
+    """
+    with reading_within(folder):
+        path = program_path(folder, program)
+        job = open_job(path, machine, options_of())
+        at, lines, moves, whole = _programmed(job)
+        source = next((item.source.file for item in job if isinstance(item, Move)), str(path))
+        text = _text(path.with_name(Path(source).name))
+        stitches, steps = _stitches(job, None, None), _steps(job, _NOT_BEGUN)
+    every = max(1, -(-len(at) // MOST_POINTS))
+    return {
+        "program": program,
+        "planned": {name: _told(at[::every, k]) for k, name in enumerate(job.axes)},
+        "line": lines[::every].tolist(),
+        "moves": moves,
+        "whole": whole,
+        "paced_by": job.paced_by,
+        "stitches": stitches,
+        "steps": steps,
+        "warnings": list(job.warnings),
+        "mandrel": None if (found := mandrel_of(machine)) is None else found.model_dump(),
+        "file": Path(source).name,
+        "text": text,
+    }
+
+
+_NOT_BEGUN = _Operations(np.zeros(0, np.int64), np.zeros(0), 0.0)
+
+
+def _programmed(job: Job) -> tuple[FloatArray, IntArray, int, bool]:
+    """Return (n, axes) positions of a job, their lines, their number, and whether that is all."""
+    at, lines, count = [np.array([job.start], np.float64)], [np.zeros(1, np.int64)], 0
+    for item in move_runs(job):
+        if not isinstance(item, MoveRun):
+            continue
+        at.append(item.targets)
+        lines.append(item.line)
+        count += len(item)
+        if count >= _MOST_READ:
+            return np.concatenate(at), np.concatenate(lines), count, False
+    return np.concatenate(at), np.concatenate(lines), count, True
+
+
+def _text(path: Path) -> list[str]:
+    """Return the lines of a file; none for a binary or a very long one."""
+    if path.is_symlink() or not path.is_file():
+        return []
+    content = path.read_bytes()[: _MOST_TEXT + 1]
+    if len(content) > _MOST_TEXT or b"\0" in content:
+        return []
+    try:
+        return content.decode("utf-8").splitlines()
+    except UnicodeDecodeError:
+        return []
+
+
+def _told(values: FloatArray) -> list[float]:
+    return [round(float(value), 6) for value in values]
+
+
+def main() -> None:
+    """Answer the request on standard input: its preview, or a line that says why there is none."""
+    told: Mapping[str, Any] = json.loads(sys.stdin.read())
+    try:
+        machine = chosen_machine(str(told["machine"]), told["par"])
+        found = preview(Path(told["folder"]), str(told["program"]), machine)
+        sys.stdout.write(Preview.model_validate(found).model_dump_json())
+    except (ThreadlineError, OSError) as error:
+        sys.stdout.write(json.dumps({"error": str(error)}))

@@ -1,0 +1,118 @@
+"""The page on a desk, a tablet and a phone, light and dark: all in sight, all in reach."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.panel.browsing import (
+    Browser,
+    Page,
+    calculate,
+    expect,
+    opened,
+    part,
+    press,
+    press_until,
+    ready,
+    shot,
+    state,
+)
+from tests.panel.test_panel_killed import Plant
+
+AXE = Path(__file__).parents[2] / "web" / "node_modules" / "axe-core" / "axe.min.js"
+PARTS = ("Prepare", "Run", "Review", "Teach", "Draw", "Guide")
+SIZES = ((1280, 800), (1024, 768), (390, 844))
+LEAST_PX = 44
+"""Least height of what is pressed: 48 CSS pixels by design, and WCAG 2.5.5 asks for 44."""
+
+
+def findings(page: Page) -> list[str]:
+    """Return what axe-core finds in the page as it is."""
+    found: dict[str, Any] = page.evaluate("() => axe.run()")
+    return [
+        f"{one['id']}: {node['target']} {node['failureSummary']}"
+        for one in found["violations"]
+        for node in one["nodes"]
+    ]
+
+
+@pytest.mark.skipif(not AXE.exists(), reason="axe-core is not installed: make panel")
+def test_axe_finds_nothing_on_any_part(browser: Browser, plant: Plant) -> None:
+    """Light on a desk and dark on a phone, with a calculated program and an open drawer."""
+    page = opened(browser, plant)
+    ready(page)
+    calculate(page)
+    expect(page.locator("#figures")).to_contain_text("IN SPEC")
+    page.evaluate(AXE.read_text("utf-8"))
+    part(page, "Prepare")
+    page.get_by_text("Expert options").click()
+    part(page, "Guide")
+    expect(page.locator("#guide-tables table").first).to_be_visible()
+    for (width, height), scheme in ((SIZES[0], "light"), (SIZES[2], "dark")):
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        for name in PARTS:
+            part(page, name)
+            assert findings(page) == [], (name, scheme)
+            shot(page, f"31-{name.lower()}-{scheme}")
+    page.close()
+
+
+def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
+    browser: Browser, plant: Plant
+) -> None:
+    """On each part: STOP in the same corner, the state, hold and time left above the fold."""
+    page = opened(browser, plant)
+    ready(page)
+    calculate(page)
+    press_until(page, "Start", "running")
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        corners = set()
+        for name in PARTS:
+            part(page, name)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width, name
+            stop = page.locator("#stop").bounding_box()
+            assert stop is not None
+            corners.add((round(width - stop["x"] - stop["width"]), round(stop["y"])))
+            for wanted in ("#state", "#time-left", "#progress", "#now-program"):
+                box = page.locator(wanted).bounding_box()
+                assert box is not None
+                assert box["y"] + box["height"] < height / 2, (name, wanted)
+            hold = page.get_by_role("button", name="Hold", exact=True).bounding_box()
+            assert hold is not None
+            assert hold["height"] >= LEAST_PX
+            assert hold["y"] + hold["height"] < height / 2
+        assert len(corners) == 1
+        assert max(next(iter(corners))) < 16
+    press(page, "STOP")
+    state(page, "idle")
+    page.close()
+
+
+def test_the_bar_leads_a_newcomer_to_the_start(browser: Browser, plant: Plant) -> None:
+    """What is pressed next is said and marked, and only that."""
+    page = opened(browser, plant)
+    marked = page.locator("button.next")
+    for words, name, until in (
+        ("take control", "Take control", ""),
+        ("enable the drives", "Enable", "enabled"),
+        ("home the machine", "Home all", "homing|idle"),
+    ):
+        expect(page.locator("#next")).to_have_text(f"Next: {words}")
+        expect(marked).to_have_text(name)
+        press_until(page, name, until) if until else press(page, name)
+    state(page, "idle")
+    expect(marked).to_have_text(["Prepare", "Calculate"])  # the part of the page, and the button
+    calculate(page)
+    expect(page.locator("#next")).to_have_text("Next: start")
+    expect(marked).to_have_text("Start")
+    press_until(page, "Start", "running")
+    expect(page.locator("#now-line")).to_have_text("line 5")
+    expect(marked).to_have_count(0)
+    press(page, "STOP")
+    state(page, "idle")
+    page.close()

@@ -1,0 +1,110 @@
+/** The bar that is always in sight: state, program, line under way, time left, feed, next step. */
+
+import { by, made, put, tell } from "./dom";
+import type { Figures, State } from "./messages";
+import type { Step } from "./next_step";
+import type { Session } from "./session";
+import { unitOf } from "./session";
+import { before, clock } from "./wording";
+
+const LOOKS: Record<string, string> = {
+  homing: "moves",
+  jogging: "moves",
+  running: "moves",
+  stopping: "moves",
+  holding: "held",
+  fault: "wrong",
+  gone: "wrong",
+};
+const FEED_MS = 250;
+
+export class Bar {
+  private chip = "";
+  private feedMs = 0;
+  private was: State | null = null; // the state from which the feed is measured
+
+  constructor(private readonly session: Session) {}
+
+  /** Show the state as a chip, with its reason beside it. */
+  tellState(state: State | null, refused: string): void {
+    const word = state?.state ?? (refused ? "refused by the panel" : "no connection");
+    const why = state?.why ?? refused;
+    const told = `${word}\n${why}`;
+    put(by("state").dataset, "look", state ? (LOOKS[state.state] ?? "") : "wrong");
+    if (told === this.chip) return;
+    this.chip = told;
+    by("state").title = why;
+    by("state").replaceChildren(made("b", word), ...(why ? [`: ${why}`] : []));
+  }
+
+  /** Show the program and its line, and the time left; return the line under way, 0 for none. */
+  tellRun(state: State, figures: Figures | null): number {
+    const run = state.progress;
+    const runs = !!run && run.ended === null;
+    const program = runs ? run.program : (state.proven?.program ?? "");
+    tell("now-program", program || "no program calculated");
+    const own =
+      figures && (!runs || figures.program === run.program || figures.program.startsWith(run.program));
+    const at = runs && own ? before(figures.lines.times_s, run.time_s) : -1;
+    const line = at < 0 ? 0 : figures!.lines.line[at]!;
+    put(by("now-line"), "hidden", !runs || line === 0);
+    if (line) tell("now-line", `line ${line}`);
+    const circuit = at < 0 ? 0 : figures!.lines.circuit[at]!;
+    tell("now-circuit", circuit && figures!.circuits ? `circuit ${circuit} of ${figures!.circuits}` : "");
+    const left = runs ? run.duration_s - run.time_s : state.proven && figures ? figures.duration_s : null;
+    tell("time-left", left === null ? "–" : clock(left));
+    tell("left-told", runs ? "time left" : "duration");
+    this.tellFeed(state);
+    return line;
+  }
+
+  /** Speed of the command over all linear axes, or of the fastest other one. */
+  private tellFeed(state: State): void {
+    const now = performance.now();
+    if (this.was && now - this.feedMs < FEED_MS) return;
+    const was = this.was;
+    [this.was, this.feedMs] = [state, now];
+    const moves = this.session.machineMoves() && state.state !== "holding";
+    const dt = was ? state.time_s - was.time_s : 0;
+    let [linear, turning] = [0, 0];
+    if (moves && was && dt > 0)
+      for (const [name, at] of Object.entries(state.axes)) {
+        const from = was.axes[name]?.commanded ?? null;
+        if (from === null || at.commanded === null) continue;
+        const speed = ((at.commanded - from) * unitOf(this.session, name)[0]) / dt;
+        if (unitOf(this.session, name)[1] === "mm") linear = Math.hypot(linear, speed);
+        else turning = Math.max(turning, Math.abs(speed));
+      }
+    else if (moves && dt === 0) return;
+    const inDegrees = linear < 0.05 && turning > 0;
+    tell("feed-now", moves ? (inDegrees ? turning : linear).toFixed(0) : "–");
+    tell("feed-unit", inDegrees ? "°/s" : "mm/s");
+  }
+
+  /** Mark what is pressed next, and say it. */
+  tellNext(step: Step | null): void {
+    tell("next", step ? `Next: ${step.text}` : "");
+    put(by("next"), "hidden", step === null);
+    const marked = step?.what ?? "";
+    for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what], #take"))
+      one.classList.toggle("next", marked !== "" && (one.dataset.what ?? one.id) === marked);
+    const part = document.body.dataset.part;
+    for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button"))
+      tab.classList.toggle("next", !!step?.part && tab.dataset.part === step.part && step.part !== part);
+  }
+
+  /** Distance from the command to the end of the line under way, SI, of each axis. */
+  toGo(state: State, figures: Figures | null): Record<string, number> {
+    const run = state.progress;
+    if (!figures || !run || run.ended !== null) return {};
+    const { times_s } = figures.lines;
+    const end = times_s[before(times_s, run.time_s) + 1] ?? figures.duration_s;
+    const k = Math.max(before(figures.times_s, end), 0);
+    const found: Record<string, number> = {};
+    for (const [name, places] of Object.entries(figures.planned)) {
+      const at = state.axes[name]?.commanded;
+      if (at !== null && at !== undefined && places[k] !== undefined) found[name] = places[k] - at;
+    }
+    return found;
+  }
+}

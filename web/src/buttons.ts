@@ -1,0 +1,60 @@
+/** Which buttons can be pressed now, and why the others cannot. */
+
+import { put } from "./dom";
+import type { Hands } from "./hands";
+import type { State } from "./messages";
+import type { Program } from "./program";
+import type { Rest } from "./rest";
+import type { Session } from "./session";
+import type { Teach } from "./teach";
+import type { Traces } from "./traces";
+
+/** Commands for part programs, and commands that need a homed machine. */
+const OF_PROGRAMS = new Set(["teach", "zero-here"]);
+const BY_PLACE = new Set(["jog", "step", "zero", "zero-axis"]);
+const OF_CALCULATION = new Set(["start", "approach"]);
+const HOME_FIRST = "home first: the positions of the axes are unknown";
+
+export class Buttons {
+  constructor(
+    private readonly session: Session,
+    private readonly hands: Hands,
+    private readonly program: Program,
+    private readonly teach: Teach,
+    private readonly traces: Traces,
+    private readonly rest: Rest,
+  ) {}
+
+  show(state: State | null, stale: boolean): void {
+    const changed = state !== null && this.program.changed(state);
+    const unreasoned = state !== null && this.program.wantsReason(state);
+    for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) {
+      const what = one.dataset.what!;
+      const waits = (what === "start" && unreasoned) || (changed && OF_CALCULATION.has(what));
+      const may = !stale && this.can(what, state) && !waits;
+      put(one, "disabled", !this.hands.keeps(one) && !may);
+      put(one, "title", this.why(one, what, state));
+    }
+  }
+
+  private can(what: string, state: State | null): boolean {
+    if (OF_PROGRAMS.has(what)) return this.teach.can(state);
+    if (what === "continue" && this.rest.whole(this.traces.chosen) !== "") return false;
+    return this.session.can(what);
+  }
+
+  private why(one: HTMLButtonElement, what: string, state: State | null): string {
+    const { session } = this;
+    const homeless =
+      state !== null && session.mine() && (state.state === "disabled" || state.state === "enabled");
+    const byPlace = session.byHand ? homeless && HOME_FIRST : "this machine cannot be moved by hand";
+    return (
+      session.lacking(what) ||
+      (OF_PROGRAMS.has(what) && session.untaught) ||
+      (what === "continue" && this.rest.whole(this.traces.chosen)) ||
+      (BY_PLACE.has(what) && byPlace) ||
+      (one.disabled && state !== null && session.waits(what)) ||
+      ""
+    );
+  }
+}

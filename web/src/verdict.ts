@@ -1,0 +1,69 @@
+/** The verdict of a calculation: its figures, and its criteria in sentences, each with the used share of its limit. */
+
+import { by, made, put } from "./dom";
+import type { Criterion, Figures } from "./messages";
+import { clock, sentence, used, worst } from "./wording";
+
+const MOST = 8;
+
+/** Show a calculation; null for none. A line of the program in it leads there. */
+export function tellVerdict(found: Figures | null, toLine: (line: number) => void): void {
+  put(by("verdict-none"), "hidden", found !== null);
+  by("figures").replaceChildren(...(found ? figureRows(found) : []));
+  by("criteria").replaceChildren(
+    ...(found ? worst(found.criteria).slice(0, MOST) : []).map((one) => row(one, toLine)),
+  );
+  by("notes").replaceChildren(...(found?.warnings ?? []).map((text) => made("li", text)));
+  put(by("doubts"), "hidden", !found?.doubts.length);
+  by("doubts-told").replaceChildren(...(found?.doubts ?? []).map((text) => made("li", text)));
+}
+
+function figureRows(found: Figures): HTMLElement[] {
+  const verdict = made("dd", found.closing);
+  verdict.className = found.passed ? "verdict" : "verdict wrong";
+  const rows: [string, string][] = [
+    ["program", found.program],
+    ["duration", `${clock(found.duration_s)} (${found.duration_s.toFixed(2)} s)`],
+    ...(found.feed === null ? [] : [["feed", found.feed] as [string, string]]),
+    ["ticks", String(found.ticks ?? "none")],
+    [
+      "circuits",
+      found.circuits === null ? "1" : `${found.circuits}, ${found.ticks_per_circuit} ticks each on average`,
+    ],
+    ["points", String(found.points)],
+  ];
+  const name = made("dt", "verdict");
+  return [name, verdict, ...rows.flatMap(([name, text]) => [made("dt", name), made("dd", text)])];
+}
+
+/** A criterion in words, a gauge of its limit, and a button to the line of its worst place. */
+export function row(one: Criterion, toLine: (line: number) => void): HTMLLIElement {
+  const found = made("li");
+  const text = made("span", sentence(one));
+  const wrong = one.status === "failed";
+  if (wrong) text.className = "wrong";
+  found.append(text);
+  if (one.step) found.append(` in step ${one.step}`);
+  if (one.job_line) {
+    const line = one.job_line;
+    const there = made("button", `line ${line}`);
+    there.type = "button";
+    there.className = "link";
+    there.setAttribute("aria-label", `${one.name.replaceAll("_", " ")}: show line ${line}`);
+    there.onclick = () => toLine(line);
+    found.append(" ", there);
+  }
+  found.append(gauge(used(one) ?? 0, wrong));
+  return found;
+}
+
+/** A bar of the used share of a limit. */
+function gauge(share: number, wrong: boolean): HTMLDivElement {
+  const found = made("div");
+  const bar = made("i");
+  found.className = wrong ? "gauge wrong" : "gauge";
+  found.title = `${Math.round(share * 100)} % of the limit`;
+  bar.style.width = `${Math.min(share, 1) * 100}%`;
+  found.append(bar);
+  return found;
+}

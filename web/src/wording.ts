@@ -1,0 +1,94 @@
+/** Numbers and criteria of a verdict in the words of an operator. */
+
+import type { Criterion } from "./messages";
+
+/** Factors and units for people; a number without unit is a share. */
+const UNITS: Record<string, [number, string]> = {
+  m: [1000, "mm"],
+  "m/s": [1000, "mm/s"],
+  "m/s^2": [1, "m/s²"],
+  rad: [180 / Math.PI, "°"],
+  "rad/s": [180 / Math.PI, "°/s"],
+  "rad/s^2": [180 / Math.PI, "°/s²"],
+  s: [1000, "ms"],
+  "": [100, "%"],
+};
+
+/** The sentence of each criterion, with its limit in place of the sign #. */
+const SENTENCES: Record<string, string> = {
+  path_deviation: "the plan stays within # of the programmed path",
+  shaping_deviation: "the shaper moves the path by at most #",
+  contour_error: "the tool stays within # of its path",
+  turning_point_error: "{axis} turns round within # of its place",
+  tracking_error: "{axis} follows its command within #",
+  repeatability: "runs repeat within #",
+  stitch_length_error: "stitches at most # too short or too long",
+  stitch_placement_error: "stitches within # of their place",
+  stitch_speed_error: "the speed in a stitch is off by at most #",
+  seam_error: "the seam lies within # of its line",
+  needle_time_error: "the needle keeps its time within #",
+  stitch_residual: "{axis} swings at most # when the needle enters",
+  residual_vibration: "the machine swings at most # along {axis} after a stop",
+  settling_time: "the machine stands after at most #",
+  end_position_error: "{axis} ends within # of its place",
+  cycle_time: "a cycle takes at most #",
+  laid_error: "the fibre lies within # of its place",
+  velocity: "{axis} moves at most #",
+  acceleration: "{axis} accelerates at most #",
+};
+
+/** A value with three significant digits, and its unit: "0.042 mm", "3.2 %". */
+export function amount(value: number, unit: string): string {
+  const [factor, shown] = UNITS[unit] ?? [1, unit];
+  const size = value * factor;
+  const whole = Math.abs(size) >= 100 ? 0 : Math.abs(size) >= 10 ? 1 : Math.abs(size) >= 1 ? 2 : 3;
+  return `${size.toFixed(whole)} ${shown}`.trim();
+}
+
+/** A criterion in words: "the tool stays within 0.300 mm of its path: 0.042 mm". */
+export function sentence(one: Criterion): string {
+  const limit = one.limit === null ? "its limit" : amount(one.limit, one.unit);
+  const known = SENTENCES[one.name];
+  const axis = one.axis || "the machine";
+  const plain = `${one.name.replaceAll("_", " ")}${one.axis ? ` of ${one.axis}` : ""}, at most #`;
+  const text = (known ?? plain).replace("{axis}", axis).replace("#", limit);
+  return `${text}: ${one.measured === null ? "not measured" : amount(one.measured, one.unit)}`;
+}
+
+/** The used share of a limit; null where there is none. */
+export function used(one: Criterion): number | null {
+  if (one.measured === null || one.limit === null || one.limit === 0) return null;
+  return Math.abs(one.measured / one.limit);
+}
+
+/** The result with the largest used share of each criterion and axis; failed ones first. */
+export function worst(criteria: Criterion[]): Criterion[] {
+  const found = new Map<string, Criterion>();
+  for (const one of criteria) {
+    if (used(one) === null) continue;
+    const key = `${one.name} ${one.axis}`;
+    const other = found.get(key);
+    if (!other || used(one)! > used(other)!) found.set(key, one);
+  }
+  const order = (one: Criterion) => (one.status === "failed" ? 1000 : 0) + used(one)!;
+  return [...found.values()].sort((a, b) => order(b) - order(a));
+}
+
+/** A time for people: "0:07", "12:30", "2:05:00". */
+export function clock(seconds: number): string {
+  const whole = Math.max(Math.ceil(seconds - 1e-9), 0);
+  const parts = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, whole % 60];
+  const shown = parts[0] ? parts : parts.slice(1);
+  return shown.map((one, k) => (k ? String(one).padStart(2, "0") : String(one))).join(":");
+}
+
+/** Index of the last time that is not later than a time; -1 before the first. */
+export function before(times: ArrayLike<number>, time: number): number {
+  let [low, high] = [0, times.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (times[middle]! <= time) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}
