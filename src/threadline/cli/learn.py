@@ -149,12 +149,18 @@ def learn(
 
 def show(found: LearnedJob) -> None:
     """Print the repeats and the verdict on every best table."""
-    from threadline.report.learn import HEADER, filter_facts, repeat_rows, verdicts
+    from threadline.report.learn import (
+        HEADER,
+        filter_facts,
+        repeat_rows,
+        table_name,
+        verdicts,
+    )
 
     for at, (name, one) in enumerate(found.machines):
         title = f"{found.base.job.name} on {found.base.machine.name}, learned on {name}"
         print_table(title, HEADER, repeat_rows(found, at))
-        say(f"table of run {one.best}: {closing(one.proof.verdict)}")
+        say(f"{table_name(one.best)}: {closing(one.proof.verdict)}")
     for subject, text in filter_facts(found):
         say(f"{subject}: {text}")
     if len(found.machines) > 1:

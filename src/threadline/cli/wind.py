@@ -43,10 +43,9 @@ def wind(
         shown = one.table if every else one.table[:_SHOWN]
         print_table(
             f"Layer {one.layer.number}: patterns that close, the nearest to a geodesic first",
-            ("circuits", "shift", "beside", "ahead", "turns", "coverage", "off a circuit",
-             "closed by friction", "by turning at", "by a dwell"),
+            ("circuits/shift", "beside", "ahead", "turns", "coverage", "off a circuit", "note"),
             [_row(one, pattern) for pattern in shown],
-        )  # fmt: skip
+        )
         if len(shown) < len(one.table):
             say(f"{len(one.table) - len(shown)} more: --all")
     print_table(
@@ -64,14 +63,18 @@ def wind(
 
 
 def _row(laid: Laid, pattern: Pattern) -> list[str]:
-    friction = "" if math.isnan(pattern.ratio) else f"{pattern.ratio:+.5f}"
-    turn = "" if math.isnan(pattern.constant_m) else f"{1e3 * pattern.constant_m:.3f} mm"
-    dwell = "" if math.isnan(pattern.dwell) else f"{math.degrees(pattern.dwell):.4g} deg"
+    ways = [
+        ("friction {:+.5f}", pattern.ratio),
+        ("turning at {:.3f} mm", 1e3 * pattern.constant_m),
+        ("a dwell of {:.4g} deg", math.degrees(pattern.dwell)),
+    ]
+    closed = " or ".join(text.format(value) for text, value in ways if not math.isnan(value))
     mark = "*" if pattern is laid.pattern else ""
     return [
-        f"{pattern.circuits}{mark}", f"{pattern.shift}", f"{pattern.beside}",
+        f"{pattern.circuits}/{pattern.shift}{mark}", f"{pattern.beside}",
         "leading" if pattern.leading else "lagging", f"{pattern.turns}",
-        f"{pattern.coverage:.2%}", f"{math.degrees(pattern.off):+.4f} deg", friction, turn, dwell,
+        f"{pattern.coverage:.2%}", f"{math.degrees(pattern.off):+.4f} deg",
+        closed and f"closed by {closed}",
     ]  # fmt: skip
 
 
