@@ -43,6 +43,7 @@ COMMANDS = {
     "learn": LazyCommand("learn", "Repeat a job and let its references learn from every run."),
     "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
     "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
+    "equal": LazyCommand("equal_", "Say whether the files of controllers are the plan."),
     "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
     "panel": LazyCommand("panel_", "Serve the operator's panel in a browser."),
     "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),

@@ -118,7 +118,7 @@ def _written_once(
     file.writelines(f"{line}\n".encode() for line in _Lines(chords))
     file.flush()
     told, again = _read_back(chords, Path(file.name))
-    as_run_s = _as_run_s(target, programmed, again, machine)
+    as_run_s = as_run_times_s(target, programmed, again, machine)
     planned_by = "which the firmware makes itself"
     if as_run_s is not None:
         planned_by = (
@@ -457,7 +457,7 @@ def _rate_words(target: str, path: Path, again: Job, machine: Machine) -> str:
     )
 
 
-def _as_run_s(
+def as_run_times_s(
     target: str, programmed: ProgrammedPath, again: Job, machine: Machine
 ) -> tuple[float, float] | None:
     """Return the time of the firmware's planner for the job and for its program, s.
