@@ -21,7 +21,7 @@ from threadline.files import tick_table
 from threadline.live.store.index import RunRecord
 from threadline.machine import load_machine
 from threadline.machine.variants import uncertain, variant
-from threadline.machine.vary import vary
+from threadline.machine.vary import Days, drawn_days, vary
 from threadline.proof import worst_search
 from threadline.proof.options import Options
 from threadline.proof.pipeline import (
@@ -33,8 +33,18 @@ from threadline.proof.pipeline import (
     prove_plan,
     try_plan,
 )
+from threadline.proof.worst_search import WorstSearch
 from threadline.twin import simulate
-from threadline.verdict import Criterion, Spec, Status, closing, judge, load_spec
+from threadline.verdict import (
+    Criterion,
+    CriterionRow,
+    EachRun,
+    Spec,
+    Status,
+    closing,
+    judge,
+    load_spec,
+)
 from threadline.verdict.each_run import at_least
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -157,6 +167,66 @@ def test_a_search_tries_first_what_failed_before() -> None:
     hasty = try_plan(plan, wide, Trials(repeats=2, machines=3), suspects=suspects).verdict
     assert hasty == prove_plan(plan, wide, trials=Trials(repeats=2, machines=3)).verdict
     assert hasty.passed
+
+
+class Rugged:
+    """Machines with a criterion that depends on 12 numbers and on pairs of them."""
+
+    together = True
+
+    def __init__(self, plan: Plan, seed: int) -> None:
+        self.plan, self.numbers = plan, uncertain(plan.machine)
+        self.ends = np.ones(len(self.numbers))
+        self.singles = np.kron(np.eye(len(self.numbers)), [[-1.0], [1.0]])
+        random = np.random.default_rng(seed)
+        self._alone, self._pairs = random.normal(size=12), np.triu(random.normal(size=(12, 12)), 1)
+
+    def shares(self, parts: np.ndarray) -> np.ndarray:
+        own = parts[:, :12]
+        together = np.einsum("ki,ij,kj->k", own, self._pairs, own)
+        return np.asarray(0.5 + 0.01 * (own @ self._alone + together))
+
+    def judged(self, parts: np.ndarray, done: object = None) -> EachRun:
+        return one_criterion(self.shares(parts))
+
+    def in_days(self, parts: np.ndarray, days: Days) -> EachRun:
+        """On the last day the last machine is by far the worst."""
+        shares = np.repeat(self.shares(parts), len(days))
+        shares[-1] += 1.0
+        return one_criterion(shares)
+
+
+def one_criterion(values: np.ndarray) -> EachRun:
+    row = CriterionRow(
+        name="contour_error", axis="", step="", limit=1.0, unit="m", required=True, hard=False,
+        values=values, failed=values > 1.0,
+    )  # fmt: skip
+    return EachRun(rows=(row,), runs=len(values))
+
+
+@pytest.mark.parametrize("landscape", [2, 7])
+def test_searches_of_different_seeds_find_the_worst_of_all_corners(landscape: int) -> None:
+    """4096 corners of twelve numbers that act in pairs: each search tries a quarter of them."""
+    plan, _ = plan_of("lathe-winder")
+    rugged = Rugged(plan, landscape)
+    ends = np.zeros((1 << 12, len(rugged.numbers)))
+    ends[:, :12] = np.where((np.arange(1 << 12)[:, None] >> np.arange(12)) & 1, 1.0, -1.0)
+    most = rugged.shares(ends).max()
+    for seed in range(5):
+        search = WorstSearch(rugged, seed=seed)  # type: ignore[arg-type]
+        search.begin()
+        search.go_on()
+        assert rugged.shares(search.parts[[search.worst()]])[0] > most - 0.02 * most
+        assert search.searched < 1100
+
+
+def test_the_worst_machine_is_the_worst_over_several_days() -> None:
+    plan, _ = plan_of("lathe-winder")
+    search = WorstSearch(Rugged(plan, 0))  # type: ignore[arg-type]
+    search.begin()
+    search.go_on()
+    at = search.worst_of_days(drawn_days(4, 3, np.random.default_rng(1)))
+    assert at != search.worst()
 
 
 def test_a_machine_without_tolerances_is_refused() -> None:

@@ -59,7 +59,7 @@ def test_every_file_that_a_readme_names_is_there() -> None:
     for kind in new.PROJECTS:
         files = new.project_files(kind)
         readme = files["README.md"].decode()
-        named = set(re.findall(r"[\w-]+(?:\.seam)?\.(?:prg|toml|dst)", readme))
+        named = set(re.findall(r"[\w-]+(?:\.seam|\.wind)?\.(?:prg|toml|dst)", readme))
         assert named <= set(files)
         assert new.PROJECTS[kind].machine in library_names()
 

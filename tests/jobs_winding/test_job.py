@@ -149,6 +149,11 @@ value = "0.25 +- 0.05"
             f'{TUBE}[coverage]\nbegin = "40 mm"\nend = "160 mm"\n[[layer]]\nangle = "55 deg"\n',
             "runs off the mandrel at the left end with a friction ratio of 0.18", 13,
         ),
+        (
+            TUBE.replace('"5 mm"', '"0.001 mm"')
+            + '[coverage]\nbegin = "90 mm"\nend = "110 mm"\n[[layer]]\nangle = "55 deg"\n',
+            "would need 180195 circuits, limit 1000", 13,
+        ),
         (f'{TUBE}[fibre]\nspeed = "0 mm/s"\n[[layer]]\nangle = "55 deg"\n', "speed", 0),
         (f'{VESSEL}[fibre]\ntied = "60 mm"\n[[layer]]\nturn = "20 mm"\n', "begins where it", 24),
     ],

@@ -179,7 +179,7 @@ def test_the_worst_machine_may_lie_inside(
     study = MachineYield(plan, load_spec(None, machine))
     as_it_is = study.judged
 
-    def peaked(parts: np.ndarray, done=None):
+    def peaked(parts: np.ndarray, done=None, products=None):
         found = as_it_is(parts, done)
         rows = [
             replace(row, values=row.limit * (1.0 - parts[:, 0] ** 2)) if row.limit else row

@@ -18,6 +18,7 @@ from threadline.files import tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.variants import drawn, uncertain, variant
+from threadline.machine.vary import REPEAT_SEED
 from threadline.proof import pipeline
 from threadline.proof.asked import trials_of
 from threadline.proof.options import Options
@@ -46,7 +47,7 @@ def test_rejects_are_the_machines_that_fail_alone(asked: tuple[Plan, Spec]) -> N
     plan, spec = asked
     trials = replace(yielding(0.5), repeats=20, machines=12)
     proof = prove_plan(plan, spec, trials=trials)
-    random = np.random.default_rng(pipeline.REPEAT_SEED)
+    random = np.random.default_rng(REPEAT_SEED)
     random.uniform(size=(19, 2 + len(plan.axes)))  # what the 20 runs drew before
     phases = random.uniform(0.0, 1.0, (12, len(plan.axes)))
     failed = 0

@@ -11,6 +11,7 @@ import pytest
 
 from tests.winding import programs
 from threadline.base.arrays import FloatArray
+from threadline.cli.prove import product_lines
 from threadline.commands.plan import Plan
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import options_of
@@ -69,7 +70,8 @@ def test_numbers_of_the_product_vary_beside_those_of_the_machine(
     other = tmp_path / "other.wind.toml"
     other.write_text(text)
     moved = prove_plan(_plan(tmp_path, machine, 1, other), spec, None, NOMINAL).verdict
-    own = prove_plan(plan, spec, None, NOMINAL).verdict
+    proof = prove_plan(plan, spec, None, NOMINAL)
+    own = proof.verdict
     changed = 0
     for name in ENOUGH:
         for run, verdict in enumerate((own, moved)):
@@ -80,6 +82,13 @@ def test_numbers_of_the_product_vary_beside_those_of_the_machine(
     assert product_words(product, ends) == (
         "mandrel.radius_error = -0.1 mm, mandrel.at = 100.5 mm, band.width = 5.7 mm, "
         "friction.value = 0.25"
+    )
+    assert not product_lines(proof)
+    worst = within.worst_at(parts[1], 1.0, "")
+    assert worst.product == {name: at for name, at in ends.items() if at}
+    (line,) = product_lines(replace(proof, worst=worst))
+    assert line.endswith(
+        "--product: mandrel.radius_error = -0.1 mm, mandrel.at = 100.5 mm, band.width = 5.7 mm"
     )
 
 

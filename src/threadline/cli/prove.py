@@ -134,7 +134,8 @@ def prove(
             say(f"Proof: {proof_file}")
         if worst is not None:
             say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
-            say(f"  {again(job, machine, words, worst)}{_beside(worst_product(proof))}")
+            for line in (f"  {again(job, machine, words, worst)}", *product_lines(proof)):
+                say(line)
     raise typer.Exit(0 if proof.verdict.passed else 1)
 
 
@@ -167,8 +168,10 @@ def worst_product(proof: Proof) -> str:
     return product_words(product, proof.worst.product)
 
 
-def _beside(product: str) -> str:
-    return f"\nIts product, as numbers for the file of --product: {product}" if product else ""
+def product_lines(proof: Proof) -> list[str]:
+    """Return the line that tells the product of the worst machine; none for the file's product."""
+    product = worst_product(proof)
+    return [f"Its product, as numbers for the file of --product: {product}"] if product else []
 
 
 def again(job: Path, machine: str, words: Words, worst: Path) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,10 +10,13 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.machine.model import Drive, Machine
+from threadline.machine.numbers import number_at
 from threadline.machine.parts import Axis, DcMotor
 from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.sources import Stepper
 
+REPEAT_SEED = 1994
+"""Seed of the runs of one machine."""
 DAMPING_OF_DAYS = (0.7, 1.3)
 """Smallest and largest damping from day to day, as a factor on the file's value."""
 
@@ -144,6 +147,26 @@ def varied_numbers(
         ):
             if quantity is not None:
                 found[f"drives.{name}.amplifier.{key}"] = quantity.si * supply
+    return found
+
+
+def on_days(
+    machine: Machine, numbers: Mapping[str, FloatArray], days: Days
+) -> dict[str, FloatArray]:
+    """Return the numbers of k machines on every day: (k days,) SI values, machine by machine.
+
+    Parameters
+    ----------
+    numbers
+        Dotted names and (k,) SI values of the numbers that differ from ``machine``.
+    """
+    count = len(next(iter(numbers.values())))
+    found = {path: np.repeat(values, len(days)) for path, values in numbers.items()}
+    for path, values in varied_numbers(machine, days.friction, days.supply).items():
+        if path in found:
+            found[path] = found[path] * np.tile(values / number_at(machine, path).si, count)
+        else:
+            found[path] = np.tile(values, count)
     return found
 
 

@@ -14,6 +14,7 @@ from threadline.errors import MachineError, RecordingError
 from threadline.files import Recording
 from threadline.machine import Machine
 from threadline.machine.variants import drawn, variant
+from threadline.machine.vary import REPEAT_SEED, Days, drawn_days
 from threadline.proof.judge_runs import Done
 from threadline.proof.kinds.variants import UNANSWERED, unanswered
 from threadline.proof.worst_machine import (
@@ -25,7 +26,7 @@ from threadline.proof.worst_machine import (
 from threadline.proof.worst_search import WorstSearch
 from threadline.verdict import Result, Spec, Status, Verdict
 from threadline.verdict.each_run import at_least, in_others, worst_of
-from threadline.verdict.types import OverTolerances
+from threadline.verdict.types import REPEATED_RUNS, OverTolerances
 
 VARIANT_SEED = 1994
 _AT_ONCE_ALONE = 20
@@ -38,7 +39,7 @@ Judged = tuple[Verdict, tuple[Recording, ...]]
 RunsOf = Callable[[Machine, tuple[float, ...]], Judged]
 """Judges a machine with a product at the given parts of its tolerances."""
 Suspects = list[FloatArray]
-"""(n,) parts of machines that were out of specification before; the last ones first."""
+"""(n,) parts of machines that were the worst before; the last ones first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,16 +87,18 @@ def over_tolerances(
     runs_of
         Returns the verdict on another machine with its product, and its recordings.
     suspects
-        Machines that are tried first; the judgement ends at the first machine that is out of
-        specification, and the list takes it. None: every machine is judged. What passes with
-        suspects passes without.
+        Machines that are tried first, on several days; the list takes the worst machine. The
+        judgement ends at the first machine that is out of specification. None: every machine is
+        judged. What passes with suspects passes without.
     """
     within = WithinTolerances(plan, spec, with_product=True)
     hasty = suspects is not None
     if suspects:
         first = WorstSearch(within, hasty=True)
         first.tried(np.stack(suspects))
-        if first.failed:
+        if first.failed or (
+            within.together and not within.in_days(first.parts, _days(within)).passed.all()
+        ):
             return _found(within, first, verdict, runs_of, 0, suspects)
     search = WorstSearch(within, hasty=hasty)
     search.done = _counted(progress, len(within.singles) + search.most + machines)
@@ -125,6 +128,11 @@ def _counted(progress: Progress | None, most: int) -> Done | None:
     return done
 
 
+def _days(within: WithinTolerances) -> Days:
+    """Return the days of the first runs that a verdict of the level *repeated* consists of."""
+    return drawn_days(REPEATED_RUNS, len(within.plan.axes), np.random.default_rng(REPEAT_SEED))
+
+
 def _found(
     within: WithinTolerances,
     search: WorstSearch,
@@ -133,11 +141,11 @@ def _found(
     count: int,
     suspects: Suspects | None,
 ) -> WorstCase:
-    at = search.worst()
+    at = search.worst_of_days(_days(within))
     parts, found = search.parts[at], search.found
     shares, names = shares_of(found.taken(np.array([at])))
     worst = within.worst_at(parts, float(shares[0]), names[0])
-    if suspects is not None and search.failed:
+    if suspects is not None:
         suspects[:] = [parts, *(one for one in suspects if (one != parts).any())][:_MOST_SUSPECTS]
     try:
         other = variant(within.plan.machine, within.machine_parts(parts))

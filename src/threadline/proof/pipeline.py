@@ -25,7 +25,7 @@ from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.machine.radii import with_radii
 from threadline.machine.variants import check_uncertain, drawn
-from threadline.machine.vary import Others, band_of, ends_of
+from threadline.machine.vary import REPEAT_SEED, Others, band_of, ends_of
 from threadline.proof.kinds import KINDS, kind_of, kind_of_commands
 from threadline.proof.kinds.kind import Share, check_loops
 from threadline.proof.kinds.variants import played_by, rejects
@@ -61,7 +61,6 @@ __all__ = [
     "yielding",
 ]
 
-REPEAT_SEED = 1994
 _MOST_SAMPLES = 5e7  # ticks times runs: half a minute
 _MOST_HELD = 1e6  # samples of the lag times runs, in memory
 

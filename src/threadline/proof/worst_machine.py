@@ -28,6 +28,7 @@ from threadline.machine.variants import (
     numbers_at,
     one_at_a_time,
 )
+from threadline.machine.vary import Days, on_days
 from threadline.proof.judge_runs import AloneJudge, Done, RunsJudge
 from threadline.proof.kinds import kind_of
 from threadline.twin import fastest_rates
@@ -138,6 +139,19 @@ class WithinTolerances:
         if self._many is None:
             return self._alone.judged(own, done, products)
         return self._many.judged(numbers_at(self.plan.machine, own), done=done, products=products)
+
+    def in_days(self, parts: FloatArray, days: Days) -> EachRun:
+        """Return the results of (k, n) parts, each on every one of ``days``, machine by machine.
+
+        Only where machines are simulated together.
+        """
+        assert self._many is not None
+        own = numbers_at(self.plan.machine, self.machine_parts(parts))
+        numbers = on_days(self.plan.machine, own, days)
+        products = self.product(parts) if len(self._wound) else None
+        if products is not None:
+            products = np.repeat(products, len(days), axis=0)
+        return self._many.judged(numbers, np.tile(days.phases, (len(parts), 1)), products=products)
 
     def why_not(self, parts: FloatArray) -> str:
         """Return why a machine at (n,) parts has no result; empty if it has one."""

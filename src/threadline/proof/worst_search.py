@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.machine.vary import Days
 from threadline.proof.judge_runs import Done
 from threadline.proof.worst_machine import WithinTolerances, row_shares, shares_of
 from threadline.verdict import EachRun
@@ -14,17 +15,30 @@ from threadline.verdict import EachRun
 SEARCHED, SEARCHED_ALONE = 1000, 60
 """Most machines that a search tries after both ends of each number, where machines are simulated in
 batches, and where they are simulated one by one."""
-_CORNERS, _LEANING, _LEAN = 200, 200, 0.75
+_CORNERS, _LEANING, _LEAN = 100, 100, 0.75
 """Corners that are drawn, all alike; that lean to the slopes of one criterion; and the share of the
 numbers that follow them."""
 _CORNER_SEED = 1941
-_STARTS, _APART, _STARTS_ALONE = 3, 2, 1
+_NEAR, _ROWS = 0.7, 3
+"""Criteria that are climbed use at least this part of the worst share; the most of them."""
+_STARTS, _APART, _AT_ONCE = 16, 3, 4
+"""Machines from which climbs start, least numbers that tell two of them apart, climbs at once."""
+_MOST_KICKS, _KICKED, _KICK = 40, 4, 4
+"""Climbs that start from an ended one; ended climbs that they start from; numbers changed first."""
+_INSIDE, _INNER = 0.2, 3
+"""Part of the machines kept for steps inside the tolerances; climbs that go on inside."""
+_CONTENDERS, _TELLS = 8, 2
+"""Machines that are judged on further days, and least numbers that tell two of them apart."""
 _MATTERS = 1e-5
 """Change of a share of a limit below which a number has no influence on it."""
 _SAME = 1e-9
 _BETTER = 1e-7
 """Least gain of a share, so that rounding decides nothing."""
 _MOST_SHARE = 100.0
+
+
+_Climb = tuple[int, int]
+"""Number of the criterion's row, and number of the machine."""
 
 
 class WorstSearch:
@@ -34,11 +48,15 @@ class WorstSearch:
 
     Both ends of each number alone give the slopes of every criterion. Then come the corners of the
     numbers that matter: by the signs of the slopes, by those of a linear fit to all machines, and
-    next to the worst ones. Where machines are simulated in batches, 400 corners from a fixed seed
-    are tried, half of them leaning to the slopes: what a machine comes to may jump from corner to
-    corner. From the worst machines of the worst criteria one number after the other goes to its
-    other end, then all that make it worse together, as long as that helps; at last each number
-    goes to the middle and half-way there. Each round is one batch.
+    next to the worst ones. Where machines are simulated in batches, 200 corners are drawn, half of
+    them leaning to the slopes of a criterion that comes near the worst share: what a machine comes
+    to may jump from corner to corner, and a few machines in a thousand may be far worse than all
+    others. So many short climbs find more than one long one: up to 16 start from the worst machines
+    of these criteria that are apart. One number after the other goes to its other end, then all
+    that make it worse together, as long as that helps. When all have ended, further climbs start
+    from the worst of their ends with four numbers changed at random. A fifth of the machines is
+    kept for the last steps: each number goes to the middle and half-way there. Each round is one
+    batch.
 
     No gain below a ten-millionth of a limit counts, so that rounding decides nothing.
 
@@ -50,6 +68,8 @@ class WorstSearch:
         Most machines that are tried after both ends of each number.
     hasty
         Whether the search ends as soon as a machine is out of specification.
+    seed
+        Seed of the corners, and of the changes from which further climbs start.
 
     Attributes
     ----------
@@ -68,7 +88,9 @@ class WorstSearch:
         *,
         hasty: bool = False,
         done: Done | None = None,
+        seed: int = _CORNER_SEED,
     ) -> None:
+        self._random = np.random.default_rng(seed)
         self._within, self._hasty, self.done = within, hasty, done
         usual = SEARCHED if within.together else SEARCHED_ALONE
         self.most = usual if most is None else most
@@ -80,6 +102,7 @@ class WorstSearch:
         self._slopes: FloatArray | None = None
         self._moving: IntArray = np.zeros(0, dtype=np.int64)
         self._left = self.most
+        self._idle: dict[_Climb, frozenset[int]] = {}
         self.searched = 0
         self.drawn: IntArray = np.zeros(0, dtype=np.int64)
 
@@ -134,10 +157,43 @@ class WorstSearch:
 
     def worst(self) -> int:
         """Return the number of the worst machine: out of specification, then by its share."""
+        return int(self._in_order()[0])
+
+    def worst_of_days(self, days: Days) -> int:
+        """Return the number of the machine that is worst over several days.
+
+        What encoders round may decide more than a number of the machine: an error that a coarse
+        controller leaves standing changes from day to day. So the worst machines that are apart are
+        judged on every day, where machines are simulated in batches.
+        """
+        order = self._in_order()
+        if not self._within.together or self.ended:
+            return int(order[0])
+        some = self._told_apart(order.tolist(), _CONTENDERS, _TELLS)
+        found = self._within.in_days(self.parts[some], days)
+        if self.done is not None:
+            self.done(found.runs)
+        bad = ~found.passed.reshape(len(some), -1)
+        hard = np.where(bad, row_shares(found).max(axis=0).reshape(bad.shape), 0.0)
+        worst = np.maximum(hard, shares_of(found)[0].reshape(bad.shape)).max(axis=1)
+        return some[int(np.lexsort((-np.minimum(worst, 1e9), ~bad.any(axis=1)))[0])]
+
+    def _in_order(self) -> IntArray:
+        """Return the numbers of all machines, the worst first."""
         shares, _ = shares_of(self.found)
         hard = np.where(self._bad, self._shares.max(axis=0, initial=0.0), shares)
-        order = np.lexsort((-np.minimum(hard, 1e9), ~self._bad))
-        return int(order[0])
+        return np.lexsort((-np.minimum(hard, 1e9), ~self._bad))
+
+    def _told_apart(self, order: Sequence[int], most: int, least: int) -> list[int]:
+        """Return the first machines of ``order`` of which any two differ in ``least`` numbers."""
+        signs = np.sign(self.parts[:, self._moving] if len(self._moving) else self.parts)
+        found: list[int] = []
+        for at in order:
+            if all((signs[at] != signs[known]).sum() >= least for known in found):
+                found.append(at)
+                if len(found) >= most:
+                    break
+        return found
 
     def begin(self) -> None:
         """Try the ends of each number, and the corners: by the slopes, and from a fixed seed."""
@@ -148,7 +204,7 @@ class WorstSearch:
         order = self._worst_rows()
         self._try_some(self._slopes[order] * self._within.ends)
         if self._within.together and not self.ended:
-            self._try_some(self._drawn_corners(order))
+            self._try_some(self._drawn_corners())
 
     def go_on(self) -> None:
         """Search on from all machines that are known, until no machine is worse or none is left."""
@@ -160,6 +216,12 @@ class WorstSearch:
     def _worst_rows(self) -> IntArray:
         """Return the numbers of all rows, those that are closest to their limits first."""
         return np.argsort(-_clipped(self._shares).max(axis=1), kind="stable")
+
+    def _near_rows(self) -> list[int]:
+        """Return the numbers of the rows that come near the worst share, the worst first."""
+        rows = self._worst_rows()[:_ROWS]
+        worst = _clipped(self._shares[rows]).max(axis=1)
+        return [int(row) for row in rows[worst >= _NEAR * worst[0]]]
 
     def _ends(self) -> None:
         ends, single = self._within.ends, self._within.singles
@@ -193,14 +255,14 @@ class WorstSearch:
             order = self._worst_rows()
             self._try_some(np.concatenate([table[order] for table in tables]))
 
-    def _drawn_corners(self, order: IntArray) -> FloatArray:
-        """Return corners from a fixed seed, those of the slopes by turns for the rows in order."""
+    def _drawn_corners(self) -> FloatArray:
+        """Return random corners, half of them leaning to the slopes of the near rows by turns."""
         assert self._slopes is not None
         ends = self._within.ends
-        random = np.random.default_rng(_CORNER_SEED)
+        random = self._random
         alike = np.where(random.random((_CORNERS, len(ends))) < 0.5, -1.0, 1.0)
         follow = random.random((_LEANING, len(ends))) < _LEAN
-        of_rows = self._slopes[np.resize(order[:_STARTS], _LEANING)]
+        of_rows = self._slopes[np.resize(np.array(self._near_rows()), _LEANING)]
         leaning = np.where(follow, of_rows, -of_rows)
         other = np.where(random.random(leaning.shape) < 0.5, -1.0, 1.0)
         leaning = np.where(leaning == 0.0, other, leaning)
@@ -215,34 +277,61 @@ class WorstSearch:
         return at
 
     def _climbs(self) -> None:
-        starts = _STARTS if self._within.together else _STARTS_ALONE
-        shares, rows = _clipped(self._shares), self._worst_rows()[:starts].tolist()
-        climbs = [(row, int(np.argmax(shares[row]))) for row in rows]
-        if starts > 1:
-            climbs += [(rows[0], at) for at in self._apart(rows[0], climbs[0][1])]
-        inner: list[tuple[int, int]] = []
-        while climbs and self._left > 0 and not self.ended:
+        """Climb from many machines, from the ends of climbs, and at last inside the tolerances."""
+        queue, kicks = self._starts(), 0
+        climbs: list[_Climb] = []
+        ended: list[_Climb] = []
+        kept = int(_INSIDE * self.most) if self._within.together else 0
+        while self._left > kept and not self.ended:
+            while len(climbs) < _AT_ONCE and queue:
+                climbs.append(queue.pop(0))
+            if len(climbs) < _AT_ONCE and ended and kicks < _MOST_KICKS and self._within.together:
+                more = self._kicked(ended, _AT_ONCE - len(climbs))
+                kicks += len(more)
+                climbs += more
+            if not climbs:
+                break
             climbs, stuck = self._round(climbs, self._flips)
-            inner += stuck
+            ended += stuck
+        inner = self._best([*ended, *climbs])[:_INNER]
         while inner and self._left > 0 and not self.ended:
             inner, _ = self._round(inner, self._inside)
 
-    def _apart(self, row: int, first: int) -> list[int]:
-        """Return the worst machines of a row that are apart from ``first``: further starts."""
-        assert self._slopes is not None
-        parts, found = self.parts, [first]
-        signs = np.sign(parts[:, self._slopes[row] != 0.0])
-        for at in np.argsort(-_clipped(self._shares[row]), kind="stable").tolist():
-            if all((signs[at] != signs[known]).sum() > 1 for known in found):
-                found.append(at)
-                if len(found) > _APART:
-                    break
-        return found[1:]
+    def _starts(self) -> list[_Climb]:
+        """Return the worst machines of each near row that are apart, row by row in turns."""
+        if not self._within.together:
+            row = int(self._worst_rows()[0])
+            return [(row, int(np.argmax(_clipped(self._shares[row]))))]
+        rows = self._near_rows()
+        of_rows = []
+        for row in rows:
+            order = np.argsort(-_clipped(self._shares[row]), kind="stable").tolist()
+            of_rows.append([(row, at) for at in self._told_apart(order, _STARTS, _APART)])
+        return [one for some in zip(*of_rows, strict=False) for one in some][:_STARTS]
 
-    def _flips(self, at: int) -> list[FloatArray]:
+    def _best(self, climbs: Sequence[_Climb]) -> list[_Climb]:
+        """Return distinct climbs, those at the largest shares first."""
+        distinct = list(dict.fromkeys(climbs))
+        return sorted(distinct, key=lambda one: -float(_clipped(self._shares[one[0]])[one[1]]))
+
+    def _kicked(self, ended: Sequence[_Climb], count: int) -> list[_Climb]:
+        """Return climbs from the best ends of climbs, each with a few numbers changed."""
+        best, parts = self._best(ended)[:_KICKED], []
+        chosen = [best[int(k)] for k in self._random.integers(0, len(best), count)]
+        for row, at in chosen:
+            told = np.array(sorted({*self._moving.tolist()} - self._idle.get((row, at), set())))
+            one = self.parts[at].copy()
+            if len(told):
+                some = self._random.choice(told, min(_KICK, len(told)), replace=False)
+                one[some] = np.where(one[some] > 0.0, -1.0, 1.0) * self._within.ends[some]
+            parts.append(one)
+        numbers = self._try_some(np.stack(parts)).tolist()
+        return [(row, at) for (row, _), at in zip(chosen, numbers, strict=False)]
+
+    def _flips(self, climb: _Climb) -> list[FloatArray]:
         """Return the machines with one number at another end."""
-        found = []
-        for k in self._moving.tolist():
+        found, (_, at) = [], climb
+        for k in self._told(climb):
             far = self._within.ends[k]
             for end in (far, -far):
                 one = self.parts[at].copy()
@@ -251,23 +340,28 @@ class WorstSearch:
                     found.append(one)
         return found
 
-    def _inside(self, at: int) -> list[FloatArray]:
+    def _inside(self, climb: _Climb) -> list[FloatArray]:
         """Return the machines with one number in the middle, or half-way there."""
-        found = []
-        for k in self._moving.tolist():
+        found, (_, at) = [], climb
+        for k in self._told(climb):
             for part in (0.0, 0.5):
                 one = self.parts[at].copy()
                 one[k] *= part
                 found.append(one)
         return found
 
+    def _told(self, climb: _Climb) -> list[int]:
+        """Return the numbers that changed the criterion where the climb came from."""
+        idle = self._idle.get(climb, frozenset())
+        return [k for k in self._moving.tolist() if k not in idle]
+
     def _round(
         self,
-        climbs: Sequence[tuple[int, int]],
-        moves: Callable[[int], list[FloatArray]],
-    ) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+        climbs: Sequence[_Climb],
+        moves: Callable[[_Climb], list[FloatArray]],
+    ) -> tuple[list[_Climb], list[_Climb]]:
         """Take one step of every climb; return those that got worse, and those that did not."""
-        tried = [moves(at) for _, at in climbs]
+        tried = [moves(one) for one in climbs]
         count = len(climbs)
         share = max(self._left // count, 1)
         tried = [some[:share] for some in tried]
@@ -284,6 +378,8 @@ class WorstSearch:
                 key=lambda one: (-round(one[0], 9), one[1]),
             )
             better = [n for gain, n in gains if gain > _BETTER]
+            idle = self._without_effect(at, gains)
+            self._idle[row, at] = self._idle.get((row, at), frozenset()) | idle
             worse.append(better)
             sums = []
             for most in dict.fromkeys((len(better), (len(better) + 1) // 2, 2)):
@@ -300,7 +396,18 @@ class WorstSearch:
                 continue
             values = np.round(_clipped(self._shares[row])[ends], 9)
             on.append((row, ends[int(np.argmax(values))]))
+            self._idle.setdefault(on[-1], self._idle[row, at])
         return list(dict.fromkeys(on)), stuck
+
+    def _without_effect(self, at: int, gains: Sequence[tuple[float, int]]) -> frozenset[int]:
+        """Return the numbers of which no change at machine ``at`` changed the criterion."""
+        parts = self.parts
+        idle: set[int] = set()
+        told: set[int] = set()
+        for gain, n in gains:
+            changed = np.flatnonzero(parts[n] != parts[at]).tolist()
+            (idle if abs(gain) <= _MATTERS else told).update(changed)
+        return frozenset(idle - told)
 
     def _summed(self, at: int, better: Sequence[int]) -> FloatArray:
         """Return a machine with the changes of several others, the largest gain of each number."""

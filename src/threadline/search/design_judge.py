@@ -10,10 +10,9 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.machine import Machine
-from threadline.machine.numbers import number_at
-from threadline.machine.vary import Days, drawn_days, varied_numbers
+from threadline.machine.vary import REPEAT_SEED, Days, drawn_days, on_days
 from threadline.proof.judge_runs import RunsJudge, kept_in_memory
-from threadline.proof.pipeline import REPEAT_SEED, Trials
+from threadline.proof.pipeline import Trials
 from threadline.search.design_space import Space
 from threadline.verdict import Criterion, EachRun, Spec
 from threadline.verdict.measure import OfRun
@@ -289,7 +288,7 @@ class OtherRuns:
             if days is None:
                 count, variants = self.space.corner_count, self._off(points[near], some)
             else:
-                count, variants = len(days), _on_days(self.space.machine, some, days)
+                count, variants = len(days), on_days(self.space.machine, some, days)
                 phases = np.tile(days.phases, (len(near), 1))
             simulated += len(near) * count
             found = found.worse_at(near, judge.ratios(variants, phases).worst_of(count))
@@ -320,16 +319,3 @@ def _hardest_first(days: Days) -> Iterator[Days]:
     rest = np.setdiff1d(others, first)
     if len(rest):
         yield days.taken(rest)
-
-
-def _on_days(machine: Machine, numbers: _Numbers, days: Days) -> dict[str, FloatArray]:
-    """Return the numbers of candidates on each day of ``days``, candidate by candidate."""
-    count = len(next(iter(numbers.values())))
-    found = {k: np.repeat(v, len(days)) for k, v in numbers.items()}
-    for path, values in varied_numbers(machine, days.friction, days.supply).items():
-        own = number_at(machine, path).si
-        if path in found:
-            found[path] = found[path] * np.tile(values / own, count)
-        else:
-            found[path] = np.tile(values, count)
-    return found

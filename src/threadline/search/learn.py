@@ -23,9 +23,16 @@ from threadline.errors import OptionError
 from threadline.files import ChannelKind, Recording, TickTable, tick_table
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.machine.vary import corners, drawn_days, ends_of, off_tolerance, vary
+from threadline.machine.vary import (
+    REPEAT_SEED,
+    corners,
+    drawn_days,
+    ends_of,
+    off_tolerance,
+    vary,
+)
 from threadline.motion.timing import TrajectoryReader
-from threadline.proof.pipeline import NOMINAL, REPEAT_SEED, Proof, Trials, prove_plan
+from threadline.proof.pipeline import NOMINAL, Proof, Trials, prove_plan
 from threadline.search.forbidden import used
 from threadline.twin import simulate
 from threadline.verdict import Judge, Spec, Verdict

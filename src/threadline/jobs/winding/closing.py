@@ -30,7 +30,7 @@ _TURN = 2.0 * math.pi
 _SAMPLES = 9  # angles between which the table interpolates
 _HALVINGS = 14  # of the range of friction ratios in search of its end
 _MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
-_MOST_SHOWN = 20_000
+_MOST_SHOWN = 1000
 _FLAT = 1e-12
 _ROUNDS = 40
 _CLOSED = 1e-13  # rad
@@ -286,8 +286,11 @@ def patterns(wrap: Wrap) -> list[Pattern]:
     else:
         low = max(math.ceil(layer.cover * around - 1e-9), 1)
         counts = range(low, max(math.floor(_MORE * layer.cover * around), low) + 1)
-        if len(counts) > _MOST_SHOWN:
-            wrap.winding.refuse(layer, f"{low} circuits for a layer", "Is the band so narrow?")
+        if low > _MOST_SHOWN:
+            wrap.winding.refuse(
+                layer, f"a layer would need {low} circuits, limit {_MOST_SHOWN}",
+                "Is the band so narrow? If so, write its circuits.",
+            )  # fmt: skip
     frictions = _by_friction(wrap)
     angles = _by_angle(wrap)
     dwells = any(wrap.can_dwell(base, site) for site in wrap.sites)
