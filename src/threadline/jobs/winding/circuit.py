@@ -169,7 +169,8 @@ class Circuit:
         for rows in (self.middle, right):
             moved = rows[1:].copy()
             moved[:, (0, 2)] += parts[-1][-1, (0, 2)]
-            parts.append(moved)
+            if len(moved):
+                parts.append(moved)
         return np.vstack(parts)
 
 

@@ -180,30 +180,30 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     if layer.kind == "hoop":
         return _hoops(winding, layer, surface)
     bottoms = [_least(surface, first, -1), _least(surface, last, 1)]
-    open_m = [surface.at(np.array([u]))[1][0, 0] for u in (0.0, surface.length_m)]
-    domes_m = [
-        float(end) + 0.5 * width for end, low in zip(open_m, bottoms, strict=True)
-        if low < 0.95 * most
-    ]  # fmt: skip
+    rims = [_rim(surface, side, width, winding.friction) for side in (-1, 1)]
+    narrow = [low < 0.95 * most for low in bottoms]
+    domes_m = [rim.band_m for rim, one in zip(rims, narrow, strict=True) if one and rim.steep]
     if layer.turn_m is not None:
         constant = layer.turn_m
     elif layer.angle is not None:
         constant = most * math.sin(layer.angle)
-    elif domes_m and len(domes_m) == sum(low < 0.95 * most for low in bottoms):
+    elif domes_m and len(domes_m) == sum(narrow):
         constant = max(domes_m)
     else:
         winding.refuse(layer, "the mandrel has no dome that gives an angle", 'angle = "55 deg"')
-    least = max((m for m in domes_m if m - 0.5 * width < constant), default=0.0)
+    turned = [rim for rim, one in zip(rims, narrow, strict=True) if one and rim.end_m < constant]
+    least = max((rim.band_m for rim in turned), default=0.0)
     if constant >= most * math.cos(math.radians(0.5)):
         winding.refuse(
             layer, f"a turn at {1e3 * constant:.4g} mm leaves no angle on a mandrel of "
             f"{1e3 * most:.4g} mm", "Give a smaller turn, or a hoop layer.",
         )  # fmt: skip
-    if domes_m and constant < min(domes_m) - 1e-9:
+    wanted = max([min(domes_m, default=0.0), *(rim.band_m for rim in turned)])
+    if constant < wanted - 1e-9:
         winding.refuse(
             layer,
             f"a turn at {1e3 * constant:.4g} mm: the opening and half a band are "
-            f"{1e3 * min(domes_m):.4g} mm",
+            f"{1e3 * wanted:.4g} mm",
             "Give a larger turn or angle, or a narrower band.",
         )
     covered = product.covered
@@ -221,6 +221,11 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
             )
         place = joint if dome else float(surface.place_of(np.array([at]))[0])
         sites.append(Site(side, place, dome))
+    # On a cone the widest place lies beyond what is covered.
+    if sites[0].dome and not sites[1].dome:
+        sites[0] = replace(sites[0], joint=min(sites[0].joint, sites[1].joint))
+    if sites[1].dome and not sites[0].dome:
+        sites[1] = replace(sites[1], joint=max(sites[1].joint, sites[0].joint))
     if not sites[0].joint <= sites[1].joint:
         winding.refuse(layer, "begin is not left of end", "Correct begin and end.")
     both = (sites[0], sites[1])
@@ -259,6 +264,39 @@ def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     rows = base.middle
     base = replace(base, middle=np.vstack([rows[:-1:_HOOP_ROWS], rows[-1:]]))
     return Wrap(winding, layer, surface, sites, base, 0.0, width, friction)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rim:
+    """An end of the mandrel.
+
+    Parameters
+    ----------
+    end_m
+        Radius there.
+    band_m
+        Smallest radius at which a band has room: its centre is half a band from the end.
+    steep
+        Whether the end is a dome: no friction holds a parallel there.
+    """
+
+    end_m: float
+    band_m: float
+    steep: bool
+
+
+def _rim(surface: Surface, side: int, width_m: float, friction: float) -> _Rim:
+    """Return the right (``side`` 1) or the left end of a mandrel.
+
+    On a dome half a band counts in radius, as where the meridian is square to the axis; on a cone
+    it counts along the meridian.
+    """
+    end = surface.length_m if side > 0 else 0.0
+    inside = min(max(end - side * 0.5 * width_m, 0.0), surface.length_m)
+    x, r = surface.at(np.array([end, inside]))
+    steep = bool(abs(r[0, 1]) > friction * abs(x[0, 1]))
+    radius = float(r[0, 0])
+    return _Rim(radius, radius + 0.5 * width_m if steep else float(r[1, 0]), steep)
 
 
 def _least(surface: Surface, begin: float, side: int) -> float:
