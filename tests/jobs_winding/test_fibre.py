@@ -323,3 +323,17 @@ def test_a_nose_cone_says_the_build_up_at_its_tip(tmp_path: Path) -> None:
     assert bridged(one) is None
     assert one.most_m is not None and one.thickness_m is not None
     assert one.most_m > 2.0 * one.thickness_m
+
+
+def test_the_second_layer_of_a_tube_has_its_angle_on_the_tube(tmp_path: Path) -> None:
+    """Where the first layer turned it stands higher; that is not where the angle is meant."""
+    layer = '[[layer]]\nangle = "55 deg"\n'
+    first, second = laid(tmp_path, cylinder_part(50, 600) + BAND + covered(200, 400) + 2 * layer)
+    assert first.most_m is not None and first.thickness_m is not None
+    assert first.most_m > 3.0 * first.thickness_m
+    base = second.wrap.base
+    radius = 0.05 + first.thickness_m
+    assert base.constant_m == pytest.approx(radius * math.sin(math.radians(55.0)), rel=1e-3)
+    assert math.degrees(base.angle) == pytest.approx(55.0, abs=0.05)
+    assert second.circuit.widest_m == pytest.approx(0.05 + first.thickness_m, abs=1e-4)
+    assert second.pattern.coverage == pytest.approx(1.05, abs=0.06)

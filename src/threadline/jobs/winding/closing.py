@@ -32,6 +32,7 @@ _HALVINGS = 14  # of the range of friction ratios in search of its end
 _MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
 _MOST_SHOWN = 1000
 _FLAT = 1e-12
+_BETWEEN = 1025  # places between begin and end
 _ROUNDS = 40
 _CLOSED = 1e-13  # rad
 _HOOP_ROWS = 100
@@ -179,6 +180,9 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     most, first, last = widest(surface, level)
     if layer.kind == "hoop":
         return _hoops(winding, layer, surface)
+    begin, end = _full(winding, layer)
+    if surface is not product.surface and begin is not None and end is not None:
+        most, first, last = _between(surface, (begin, end), (most, first, last))
     bottoms = [_least(surface, first, -1), _least(surface, last, 1)]
     rims = [_rim(surface, side, width, winding.friction) for side in (-1, 1)]
     narrow = [low < 0.95 * most for low in bottoms]
@@ -206,9 +210,6 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
             f"{1e3 * wanted:.4g} mm",
             "Give a larger turn or angle, or a narrower band.",
         )
-    covered = product.covered
-    begin = layer.begin_m if layer.begin_m is not None else covered[0] if covered else None
-    end = layer.end_m if layer.end_m is not None else covered[1] if covered else None
     sites = []
     for side, low, joint, at in ((-1, bottoms[0], first, begin), (1, bottoms[1], last, end)):
         dome = low < constant
@@ -264,6 +265,32 @@ def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     rows = base.middle
     base = replace(base, middle=np.vstack([rows[:-1:_HOOP_ROWS], rows[-1:]]))
     return Wrap(winding, layer, surface, sites, base, 0.0, width, friction)
+
+
+def _full(winding: Winding, layer: Layer) -> tuple[float | None, float | None]:
+    """Return the places between which a layer has its full angle, m; None where none is given."""
+    covered = winding.product.covered or (None, None)
+    return (
+        covered[0] if layer.begin_m is None else layer.begin_m,
+        covered[1] if layer.end_m is None else layer.end_m,
+    )
+
+
+def _between(
+    surface: Surface, ends_m: tuple[float, float], whole: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Return what ``widest`` returns, between two places, if the rest of the mandrel is wider.
+
+    Where the layers below turned on an open end, they stand higher than the product.
+    """
+    places = surface.place_of(np.array(ends_m))
+    between = np.linspace(float(places[0]), float(places[1]), _BETWEEN)
+    radii = surface.at(between)[1][:, 0]
+    most = float(radii.max())
+    if most >= whole[0] * (1.0 - ROUGH_LEVEL):
+        return whole
+    wide = between[radii >= most * (1.0 - ROUGH_LEVEL)]
+    return most, float(wide[0]), float(wide[-1])
 
 
 @dataclass(frozen=True, slots=True)
