@@ -9,9 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.arguments import JsonOption
+from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, say
 from threadline.jobs.winding.closing import Pattern
-from threadline.jobs.winding.laid import Laid, design, mass_kg
+from threadline.jobs.winding.laid import Laid, bridged, design, mass_kg
 from threadline.jobs.winding.layers import Winding, read_layers
 
 _SHOWN = 12
@@ -54,6 +55,8 @@ def wind(
          "mass", "thickness", "at most"),
         [_summary(winding, one) for one in laid],
     )  # fmt: skip
+    for said in filter(None, map(bridged, laid)):
+        warning(said)
     total = sum(one.length_m + one.dwells_m for one in laid)
     mass = mass_kg(winding, total)
     say(

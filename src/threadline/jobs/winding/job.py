@@ -29,7 +29,7 @@ from threadline.jobs.operations import (
 from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, positions
 from threadline.jobs.winding.joins import Join, join
-from threadline.jobs.winding.laid import Laid, design
+from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import Winding, read_layers
 from threadline.machine import Machine
 from threadline.machine.tool import Tool
@@ -240,9 +240,11 @@ def _laps(
     kept, off = _checked(winding, circuit, path, tool)
     said = []
     at = Place(str(winding.path), laid.layer.line)
+    if (hollow := bridged(laid)) is not None:
+        said.append(hollow)
     if off > winding.tolerance_m:
-        hollow = "" if circuit.surface.convex else ": the layers below leave hollows"
-        said.append(f"{at}: the fibre is laid up to {1e3 * off:.3g} mm beside its design{hollow}.")
+        why = "" if circuit.surface.convex else ": the surface below has hollows"
+        said.append(f"{at}: the fibre is laid up to {1e3 * off:.3g} mm beside its design{why}.")
     take_up = winding.product.take_up
     if path.slack_m > 1e-6 and path.slack_m > (take_up or 0.0):
         held = (
