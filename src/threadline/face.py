@@ -545,7 +545,7 @@ def learn(
     runs: Sequence[PathLike] = (),
     **words: Word,
 ) -> LearnedJob | LearnedRuns:
-    """Repeat a job and let its references learn from the error of every run.
+    """Repeat a job and correct its references by the error of every run.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""``threadline learn``: a job that is repeated, and better after every run."""
+"""``threadline learn``: repeat a job and learn from the error of every run."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def learn(
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Repeat JOB and let its references learn from the error of every run.
+    """Repeat JOB and correct its references by the error of every run.
 
     After each run the references move by a share of the error, through the inverse of the machine's
     model. A run that got worse is undone. With -o the best table is written: prove, run and compile

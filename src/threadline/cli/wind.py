@@ -25,7 +25,7 @@ def wind(
     ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Tell the patterns, lengths and thickness of a winding.
+    """List the patterns, lengths and thickness of a winding.
 
     No machine is needed.
 

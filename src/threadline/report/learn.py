@@ -1,4 +1,4 @@
-"""The report of a job that was learned: error and used limits over the repeats."""
+"""The report of a learned job: error and used limits over the repeats."""
 
 from __future__ import annotations
 

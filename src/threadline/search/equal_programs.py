@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.commands.boards import BOARDS, dialect_of
+from threadline.commands.boards import BOARDS
 from threadline.commands.firmware_program import as_run_times_s
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, Place, RecordingError
@@ -85,7 +85,7 @@ def compare_program(target: str, plan: Plan, path: Path) -> ProgramDifference:
         found = _by_rs274(plan, path, timed=target == "nc")
     else:
         own = replace(plan.machine, operator=None)
-        again = read_part_program(path, machine=own, dialect=dialect_of(target))
+        again = read_part_program(path, machine=own, dialect=target)
         found = _of_job(plan, again)
     if target != "nc":
         note = _firmware_note(target, plan, path)
@@ -103,7 +103,7 @@ def _firmware_note(target: str, plan: Plan, path: Path) -> str:
     """Return the firmware's own time beside the plan's, where its planner is known."""
     planned_s = f"planned {plan.duration_s:.4g} s"
     own = replace(plan.machine, operator=None)
-    again = read_part_program(path, machine=own, dialect=dialect_of(target))
+    again = read_part_program(path, machine=own, dialect=target)
     run_s = as_run_times_s(target, plan.motion.programmed, again, plan.machine)
     if run_s is None:
         kind = BOARDS[target].planner or target
