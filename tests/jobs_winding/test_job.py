@@ -109,6 +109,17 @@ def test_other_eyes_lay_the_same_fibre(name: str) -> None:
     assert job.axes == machine.axis_names
 
 
+def test_the_fibre_comes_up_to_speed_from_rest() -> None:
+    """Three tenths of the speed at first; behind a second of full speed, all circuits are alike."""
+    first, full = (
+        np.array([feed.value for _, feed in run.feeds if feed is not None])
+        for run in _runs(read_job(VESSEL_FILE, WINDER))[:2]
+    )
+    share, away = first / full, np.cumsum(1.0 / full)
+    assert share[0] == pytest.approx(0.3) and (np.diff(share) >= -1e-12).all()
+    assert share[away > 1.1] == pytest.approx(1.0) and share[away <= 1.0].mean() < 0.8
+
+
 def _written(folder: Path, text: str) -> Path:
     file = folder / "bad.wind.toml"
     file.write_text(text, encoding="utf-8")
