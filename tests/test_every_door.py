@@ -74,7 +74,7 @@ WITH: dict[str, dict[str, Any]] = {
     "mode": {"shaper": "zv"}, "damping": {"shaper": "zv"},
 }  # fmt: skip
 """What some of them need beside them."""
-LINE_VERBS = ("prove", "run", "compile", "compare", "fastest", "yield", "design", "judge")
+LINE_VERBS = ("prove", "run", "compile", "equal", "compare", "fastest", "yield", "design", "judge")
 SEARCHED = {"fastest": {"shaper", "robust"}, "design": {"feed-forward", "smoothing", "robust"}}
 """Options that mean something else to a verb: a share of machines to judge, times to try."""
 
@@ -96,13 +96,13 @@ def planned(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> Non
 @pytest.fixture
 def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Stop every verb where it would plan what it has read; return a folder with the jobs."""
-    from threadline.cli import compile_, design, run_, yield_
+    from threadline.cli import compile_, design, equal_, run_, yield_
     from threadline.machine.radii import with_radii
     from threadline.proof import pipeline, recorded
     from threadline.search import by_pace
 
     compared = importlib.import_module("threadline.search.compare")  # its name is a function's
-    for module in (pipeline, recorded, compile_, run_, yield_, compared):
+    for module in (pipeline, recorded, compile_, equal_, run_, yield_, compared):
         monkeypatch.setattr(module, "plan_job", seen)
     searched = lambda asked: planned(asked.job, asked.machine, asked.options)  # noqa: E731
     for pace, search in by_pace.SEARCHES.items():

@@ -142,9 +142,14 @@ def seam_file(kind: str) -> Callable[[random.Random], bytes]:
     return lambda rng: mutate(rng, rng.choice(SEEDS[kind]))
 
 
-def product_file(rng: random.Random) -> bytes:
+def winding_file(rng: random.Random) -> bytes:
+    """A product with layers, changed likewise."""
+    return product_file(rng, "winding")
+
+
+def product_file(rng: random.Random, kind: str = "product") -> bytes:
     """A product with a value changed, or mutated anywhere."""
-    data = rng.choice(SEEDS["product"])
+    data = rng.choice(SEEDS[kind])
     if rng.randrange(3):
         return mutate(rng, data)
     lines = data.decode().split("\n")
@@ -166,6 +171,12 @@ def read_product(path: Path) -> None:
         path = whole
     product = product_of_text(product_text(path))
     assert product_of_text(product_text(product.text)) is product
+
+
+def read_winding(path: Path) -> None:
+    """Read a product with layers, and plan their fibre and the eye's path."""
+    for _ in islice(read_job(path, WINDER), MAX_OPERATIONS):
+        pass
 
 
 def read_program(path: Path) -> None:
@@ -235,6 +246,7 @@ READERS: dict[str, Reader] = {
     "spec": Reader("a.toml", seam_file("spec"), lambda p: load_spec(p, WINDER), 4),
     "moves": Reader("a.toml", seam_file("moves"), read_move_list, 4),
     "product": Reader("a.wind.toml", product_file, read_product, 4),
+    "winding": Reader("a.wind.toml", winding_file, read_winding, 1),
     "meridian-csv": Reader("a.csv", seam_file("meridian-csv"), read_product, 2),
     "meridian-dxf": Reader("a.dxf", seam_file("meridian-dxf"), read_product, 1),
     "seam-toml": Reader("a.seam.toml", seam_file("seam-toml"), read_seam_job, 1),
@@ -358,6 +370,7 @@ SEEDS: dict[str, list[bytes]] = {
     "par": [_PAR, _PAR + b"3 ; axes\n2 ; Kp\n4 ; Kd\n"],
     "machine": [p.read_bytes() for p in sorted(LIBRARY.glob("*.toml")) if ".spec." not in p.name],
     "spec": [p.read_bytes() for p in sorted(LIBRARY.glob("*.spec.toml"))],
+    "winding": [(EXAMPLES / f"{name}.wind.toml").read_bytes() for name in ("vessel", "tube")],
     "product": [_PRODUCT] + [p.read_bytes() for p in sorted(EXAMPLES.glob("*.wind.toml"))],
     "meridian-csv": [_MERIDIAN_CSV],
     "meridian-dxf": [_half_section()],

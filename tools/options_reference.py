@@ -123,6 +123,7 @@ from threadline.face import wind as wind
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
+from threadline.search.equal import Equality
 from threadline.search.learned_job import LearnedJob, LearnedRuns
 from threadline.verdict import Spec
 

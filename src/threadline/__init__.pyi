@@ -13,6 +13,7 @@ from threadline.face import wind as wind
 from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
+from threadline.search.equal import Equality
 from threadline.search.learned_job import LearnedJob, LearnedRuns
 from threadline.verdict import Spec
 
@@ -20,6 +21,7 @@ __version__: str
 __all__ = [
     "compare",
     "compile",
+    "equal",
     "fastest",
     "fit",
     "judge",
@@ -99,6 +101,38 @@ def compile(
     narrow: str | None = None,
     table: str | None = None,
 ) -> list[Written]: ...
+def equal(
+    job: PathLike,
+    machine: PathLike | Machine,
+    targets: Sequence[str] = (),
+    *,
+    files: Sequence[str] = (),
+    slower: bool = False,
+    par: PathLike | None = None,
+    interpolation: str = "auto",
+    law: str | None = None,
+    feed: str | None = None,
+    dialect: str | None = None,
+    feed_mode: str | None = None,
+    axes: str | None = None,
+    radius: str | None = None,
+    offset: str | None = None,
+    needle: str | None = None,
+    long_stitches: str | None = None,
+    tolerance: str = "0.1 mm",
+    limits: str = "100 %",
+    shaper: str | None = None,
+    mode: str | None = None,
+    damping: float | str | None = None,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
+    robust: str | None = None,
+    contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
+    table: str | None = None,
+) -> Equality: ...
 def fastest(
     job: PathLike,
     machine: PathLike | Machine,

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from threadline.proof.pipeline import Proof
     from threadline.proof.recorded import Judged
     from threadline.search import Certainty, Comparison, Mismatch
+    from threadline.search.equal import Equality
     from threadline.search.learned_job import LearnedJob, LearnedRuns
 
 
@@ -248,6 +249,7 @@ class FastestResult:
 __all__ = [
     "compare",
     "compile",
+    "equal",
     "fastest",
     "fit",
     "judge",
@@ -487,6 +489,51 @@ def compile(
 
 @with_options
 @checked
+def equal(
+    job: PathLike,
+    machine: PathLike | Machine,
+    targets: Sequence[str] = (),
+    *,
+    files: Sequence[str] = (),
+    slower: bool = False,
+    **words: Word,
+) -> Equality:
+    """Say whether the files of controllers are the plan of a job.
+
+    Each file is read by something that did not write it, and compared with the plan in place and
+    time.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    targets
+        Targets as ``compile`` takes them; without targets and files, all of the kind of machine.
+    files
+        ``"TARGET=FILE"`` each: a file on disk in place of one that is written for this.
+    slower
+        As for ``compile``.
+    **words
+        The options of ``threadline equal``, the same as for ``compile``.
+
+    Raises
+    ------
+    InputError
+        As on the command line: a file is of another job, machine or format, or no target could
+        be compared.
+    """
+    from threadline.proof.pipeline import open_job, plan_job
+    from threadline.search.equal import asked_of, equal_targets
+
+    asked = Words.of("equal", Door.PYTHON, words)
+    chosen, options = asked.machine(machine), asked.options()
+    wanted = asked_of(chosen, options, targets, files, slower=slower)
+    plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
+    return equal_targets(plan, options, wanted)
+
+
+@with_options
+@checked
 def learn(
     job: PathLike,
     machine: PathLike | Machine,
@@ -498,7 +545,7 @@ def learn(
     runs: Sequence[PathLike] = (),
     **words: Word,
 ) -> LearnedJob | LearnedRuns:
-    """Repeat a job and let its references learn from the error of every run.
+    """Repeat a job and correct its references by the error of every run.
 
     Parameters
     ----------

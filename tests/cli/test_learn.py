@@ -9,6 +9,7 @@ import pytest
 
 from threadline.cli.main import main
 from threadline.files.formats import read_table
+from threadline.report.learn import table_name
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SEAM = """
@@ -146,3 +147,8 @@ def test_another_machine_is_simulated_by_the_simulated_link_alone(
     )
     assert code == 2
     assert "--actual is simulated" in said
+
+
+def test_the_row_called_plan_is_called_plan_below_the_table_too() -> None:
+    assert table_name(0) == "table of the plan, unchanged"
+    assert table_name(2) == "table of run 2"

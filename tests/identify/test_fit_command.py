@@ -138,7 +138,10 @@ def test_a_gain_needs_an_absolute_magnitude(capsys, tmp_path):
         ("axes.X.counts", "axes.X.counts cannot be fitted"),
         ("controllers.x.dac.bits", "cannot be fitted"),
         ("links.x_belt.damping", "has no number"),
-        ("links.y_belt.stiffness", "the data determines 0 combinations: none"),
+        (
+            "links.y_belt.stiffness",
+            "the data tells nothing of links.y_belt.stiffness. Name",
+        ),
         (" ,", "no number is named"),
     ],
 )

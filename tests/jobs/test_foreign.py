@@ -112,6 +112,7 @@ def test_an_x_winder_program_goes_to_other_axes(tmp_path: Path, axy: Machine) ->
     [
         ("(Fusion LinuxCNC post)\nG90 G17 G91.1\nG1 X1 F60\nM30\n", "linuxcnc", "LinuxCNC"),
         ("T0\nG21\nG90\nG1 X5 F600\n", "marlin", "T0"),
+        ("; for RepRapFirmware 3\nG1 X5 F600 G1 X6\n", "reprapfirmware", "RepRapFirmware"),
         ("; made by grbl-plot for GRBL\nG1 X5 F600\n", "grbl", "grbl"),
         ("G21\nM3 S200\nG1 X5 F600\nM5\n", "grbl", "M3 S2"),
         ("G17 G21\nG1 X5 F600\nG2 X9 Y4 I4\nM2\n", "linuxcnc", "G17"),

@@ -24,12 +24,15 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return made_machine(tmp_path_factory.mktemp("xyza"), "XYZ", "A")
 
 
-@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc", "marlin", "klipper"])
+@pytest.mark.parametrize(
+    "dialect", ["grbl", "fluidnc", "linuxcnc", "marlin", "klipper", "reprapfirmware"]
+)
 def test_a_block_behind_a_semicolon_is_a_comment_for_controls(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
     """Posts write ``M0 ;T102``, and people put a block aside with a semicolon."""
-    text = "G21\nG90\nG1 X5 F600 ;G1 X9\nM0 ;T102\nG1 X7 ; Y3\nM30\n"
+    stop = "M226" if dialect == "reprapfirmware" else "M0"
+    text = f"G21\nG90\nG1 X5 F600 ;G1 X9\n{stop} ;T102\nG1 X7 ; Y3\nM30\n"
     job = read(tmp_path, xyza, text, dialect)
     assert [p[:2] for p in millimetres(job)] == [(5, 0), (7, 0)]
 
@@ -320,6 +323,81 @@ def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(
     assert [d.duration_s for d in job if isinstance(d, Dwell)] == [pytest.approx(0.1509)]
 
 
+# --- RepRapFirmware ---
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("if move.axes[0].homed", "if is a meta command of reprapfirmware"),
+        ("  while iterations < 3", "while is a meta command"),
+        ("var a=1", "var is a meta command"),
+        ('echo >"a.g" "G1 X5"', "echo is a meta command"),
+        ("G1 X{1+1}", "expressions in braces are not read"),
+        ("G1 X9 (see Y20)", "letters in parentheses as words, unless M453"),
+        ("G1 'a9", "an apostrophe names an axis with a small letter"),
+        ("G1 X9 G 1 Y2", "answers to 'G 1 Y2' with an error"),
+        ("X9", "answers to 'X9' with an error"),
+        ("N 5 G1 X9", "answers to '5 ' with an error"),
+        ("PRINT_START", "answers to 'PRINT_START' with an error"),
+        ("G1 X9 T0", "passes over T behind G1"),
+        ("G90 X9", "axis words without a G word"),
+        ("G90 F50 G1 X9", "does not read F50 beside G90"),
+        ("N5 G1 X9*1", "the checksum of the line is 1 and must be 108"),
+        ("G1 X9" + " " * 250 + "Y1", "the line has 257 characters; reprapfirmware takes 255"),
+        ("G1 X9 M0 G1 X8", "a block after the end of a program is never run"),
+        ("M2", "a block after the end of a program is never run"),
+        ('M98 P"home.g"', "M98 is a macro file"),
+        ("M121", "takes back the feed and modes"),
+        ("M204 P500", "M204 is what sets the steps, limits"),
+        ("M220 S50", "M220 is a share of every feed"),
+        ("G20", "scales the words of turning axes, too"),
+        ("G1 H1 X9", "H1 is a move to an endstop"),
+        ("M8", "runs a macro file of this name"),
+        ('M42 P"out1" S1', "the text in quotes beside M42 is not read"),
+    ],
+)  # fmt: skip
+def test_what_reprapfirmware_runs_otherwise_is_refused(
+    tmp_path: Path, xyza: Machine, line: str, said: str
+) -> None:
+    with pytest.raises(InputError, match=said) as refused:
+        moves(read(tmp_path, xyza, f"G1 X5 F600\n{line}\nG1 X1\n", "reprapfirmware"))
+    assert "\n" not in str(refused.value)
+
+
+def test_reprapfirmware_runs_every_command_of_a_line(tmp_path: Path, xyza: Machine) -> None:
+    """``StringParser.cpp``: each in its order; behind M42 P and S are the words of M42."""
+    text = (
+        "g21 G90g1x5\nn9 G0 X6 m42 P1 S1 G91 G1 X1 F600 ; (Y9\n"
+        f"{numbered(4, 'G4 P150.9 G4 S2 P7')}\n  G90 G2 X9 R1 M117 (G1 X99\n"
+        'M117 "a;b" G1 X10\nT0 M104 T0 S9 M226 G1 X11\necho "G1 X99"\nN12\nG1 X12 M0\n'
+    )
+    job = read(tmp_path, xyza, text, "reprapfirmware")
+    ends = {move.source.line: move.target[0] * 1e3 for move in moves(job)}
+    assert ends == pytest.approx({1: 5, 2: 7, 4: 9, 5: 10, 6: 11, 9: 12})
+    first, second, third = moves(job)[:3]
+    assert [move.feed.value for move in (first, second, third) if move.feed] == pytest.approx(
+        [0.05, 0.05, 0.01]  # DefaultFeedRate, 3000 mm/min, before the first F
+    )
+    assert [act.words for act in third.acts] == ["M42 P1 S1"] and third.source.line == 2
+    assert [d.duration_s for d in job if isinstance(d, Dwell)] == pytest.approx([0.15, 2.0])
+    stops = [(stop.final, stop.source.line) for stop in job if isinstance(stop, Stop)]
+    assert stops == [(False, 6), (True, 9)]
+
+
+def test_a_long_program_of_reprapfirmware_has_every_command(tmp_path: Path, xyza: Machine) -> None:
+    """Beyond the lines that the compiled reader leaves to the other one."""
+    lines = [f"G1 X{k}" + (f" G1 Y{k}" if k % 7 == 0 else "") for k in range(600)]
+    job = read(tmp_path, xyza, "\n".join(["G1 F600", *lines]), "reprapfirmware")
+    ends = [(round(x), round(y)) for x, y, *_ in millimetres(job)]
+    wanted = []
+    for k in range(600):
+        wanted.append((k, wanted[-1][1] if wanted else 0))
+        if k % 7 == 0:
+            wanted.append((k, k))
+    assert ends == wanted
+
+
 # --- FluidNC --------------------------------------------------------------------------------------
 
 
@@ -348,7 +426,9 @@ def test_linuxcnc_reads_the_position_of_the_program(tmp_path: Path, xyza: Machin
 # --- the compiled reader --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc", "marlin", "klipper"])
+@pytest.mark.parametrize(
+    "dialect", ["grbl", "fluidnc", "linuxcnc", "marlin", "klipper", "reprapfirmware"]
+)
 def test_the_compiled_reader_has_the_same_grammar(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
@@ -357,6 +437,7 @@ def test_the_compiled_reader_has_the_same_grammar(
     for seed in range(60):
         made = {
             "marlin": random_commands, "klipper": partial(random_commands, klipper=True),
+            "reprapfirmware": partial(random_commands, klipper=True),
         }.get(dialect, random_blocks)  # fmt: skip
         text = "\n".join([*made(seed, 0.1), *(["M2"] if dialect == "linuxcnc" else [])])
 

@@ -15,7 +15,7 @@ from threadline.errors import JobError
 from threadline.jobs.winding.circuit import Site, traced, turn_of
 from threadline.jobs.winding.closing import patterns, wrap_of
 from threadline.jobs.winding.eye_path import eye_path
-from threadline.jobs.winding.laid import Laid, design
+from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import read_layers
 from threadline.winding.shapes import ellipse
 from threadline.winding.surface import line, surface_of
@@ -227,3 +227,113 @@ def test_a_layer_keeps_the_volume_of_its_fibre(tmp_path: Path, layer: str) -> No
     if one.by == "friction" and abs(one.circuit.right.ratio) < 0.01:
         wanted = 0.1 * math.cos(one.circuit.angle) / (r * math.sqrt(1.0 - (constant / r) ** 2))
         assert spread.at(u)[0] / middle == pytest.approx(wanted, rel=0.02)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("ratio", [0.15, -0.08])
+def test_steering_on_a_cone_keeps_its_invariant(side: int, ratio: float) -> None:
+    """Along a path of constant ratio l on a cone of slope b, (1 / sin a - l cot b) / r is kept.
+
+    From da/ds = (l cos(b) sin(a)^2 - sin(b) sin(a)) / r and dr/ds = sin(b) cos(a).
+    """
+    surface = surface_of([line(0.0, 0.04, 0.3, 0.1)], 1e-3)
+    begin, end = (0.05, 0.2) if side > 0 else (0.2, 0.05)
+    at = float(surface.at(np.array([begin]))[1][0, 0])
+    rows = traced(surface, (begin, at * math.sin(math.radians(20.0))), ratio, side, end)
+    assert rows is not None and len(rows) > 50
+    radius = surface.at(rows[:, 1])[1][:, 0]
+    kept = (1.0 / np.sin(rows[:, 3]) - ratio * side / 0.2) / radius
+    assert kept == pytest.approx(kept[0], rel=1e-9)
+
+
+BAND = """
+[band]
+width = "6 mm"
+thickness = "0.25 mm"
+[friction]
+value = "0.25"
+"""
+
+
+def cone_part(radius: float, end: float, length: float) -> str:
+    return (
+        f'[[part]]\nkind = "cone"\nradius = "{radius} mm"\nend_radius = "{end} mm"\n'
+        f'length = "{length} mm"\n'
+    )
+
+
+def cylinder_part(radius: float, length: float) -> str:
+    return f'[[part]]\nkind = "cylinder"\nradius = "{radius} mm"\nlength = "{length} mm"\n'
+
+
+def covered(begin: float, end: float) -> str:
+    return f'[coverage]\nbegin = "{begin} mm"\nend = "{end} mm"\n'
+
+
+def test_a_cone_turns_by_clairaut_at_its_narrow_end(tmp_path: Path) -> None:
+    """Developed, a geodesic on a cone is a straight line: closed forms of length and angle."""
+    layer = '[[layer]]\nangle = "45 deg"\n'
+    (one,) = laid(tmp_path, cone_part(40, 60, 300) + BAND + covered(100, 200) + layer)
+    left, right = one.wrap.sites
+    assert (left.dome, right.dome) == (True, False)
+    base = one.wrap.base
+    constant = 0.06 * math.sin(math.radians(45.0))
+    assert base.left.radius_m == pytest.approx(constant, abs=1e-12)
+    slope = math.atan(20.0 / 300.0)
+    joint = float(base.surface.at(np.array([left.joint]))[1][0, 0])
+    angle = math.acos(constant / joint)  # in the developed plane, from the turn
+    assert base.left.round == pytest.approx(angle / math.sin(slope), rel=1e-9)
+    way = math.sqrt(joint**2 - constant**2) / math.sin(slope)
+    assert base.left.length_m == pytest.approx(way, rel=1e-9)
+    course = one.circuit.course()
+    assert np.abs(np.diff(course[:, 3])).max() < 0.02
+    spread = one.spread()
+    assert spread is not None
+    fibre = one.length_m * 0.006 * 0.25e-3
+    assert spread.volume_m3(one.circuit.surface) == pytest.approx(fibre, rel=0.01)
+
+
+def test_a_cone_between_cylinders(tmp_path: Path) -> None:
+    """It turns by friction on both cylinders, and the angle goes on over the joints."""
+    text = cylinder_part(40, 300) + cone_part(40, 60, 150) + cylinder_part(60, 300)
+    layer = '[[layer]]\nangle = "35 deg"\n'
+    (one,) = laid(tmp_path, text + BAND.replace('0.25"\n', '0.5"\n') + covered(200, 550) + layer)
+    assert not one.wrap.domes
+    rows = one.circuit.middle
+    radius = one.circuit.surface.at(rows[:, 1])[1][:, 0]
+    assert np.ptp(radius * np.sin(rows[:, 3])) < 1e-12
+    assert math.degrees(rows[0, 3]) == pytest.approx(
+        math.degrees(math.asin(1.5 * math.sin(math.radians(35.0)))), abs=1e-9
+    )
+    assert one.circuit.left.radius_m == pytest.approx(0.04, abs=1e-12)
+    # The foot of the cone is a hollow corner: that is said before winding.
+    said = bridged(one)
+    assert said is not None and "bridges the hollow of the mandrel at 299" in said
+
+
+def test_a_nose_cone_says_the_build_up_at_its_tip(tmp_path: Path) -> None:
+    nose = (
+        '[[part]]\nkind = "nose"\nradius = "50 mm"\nheight = "150 mm"\nopening = "8 mm"\n'
+        'pole = "left"\n'
+    )
+    text = nose + cylinder_part(50, 250) + BAND + covered(200, 280)
+    (one,) = laid(tmp_path, text + '[[layer]]\nturn = "35 mm"\n')
+    assert [site.dome for site in one.wrap.sites] == [True, False]
+    assert one.wrap.base.left.radius_m == pytest.approx(0.035, abs=1e-12)
+    assert bridged(one) is None
+    assert one.most_m is not None and one.thickness_m is not None
+    assert one.most_m > 2.0 * one.thickness_m
+
+
+def test_the_second_layer_of_a_tube_has_its_angle_on_the_tube(tmp_path: Path) -> None:
+    """Where the first layer turned it stands higher; that is not where the angle is meant."""
+    layer = '[[layer]]\nangle = "55 deg"\n'
+    first, second = laid(tmp_path, cylinder_part(50, 600) + BAND + covered(200, 400) + 2 * layer)
+    assert first.most_m is not None and first.thickness_m is not None
+    assert first.most_m > 3.0 * first.thickness_m
+    base = second.wrap.base
+    radius = 0.05 + first.thickness_m
+    assert base.constant_m == pytest.approx(radius * math.sin(math.radians(55.0)), rel=1e-3)
+    assert math.degrees(base.angle) == pytest.approx(55.0, abs=0.05)
+    assert second.circuit.widest_m == pytest.approx(0.05 + first.thickness_m, abs=1e-4)
+    assert second.pattern.coverage == pytest.approx(1.05, abs=0.06)

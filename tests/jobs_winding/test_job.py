@@ -20,6 +20,7 @@ from threadline.proof.options import options_of
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.verdict.replayed import programmed_fibre, wound_job
 from threadline.winding.product import product_of_text
+from threadline.winding.surface import Surface
 
 ROOT = Path(__file__).parents[2]
 VESSEL_FILE = ROOT / "examples" / "vessel.wind.toml"
@@ -108,6 +109,17 @@ def test_other_eyes_lay_the_same_fibre(name: str) -> None:
     assert job.axes == machine.axis_names
 
 
+def test_the_fibre_comes_up_to_speed_from_rest() -> None:
+    """Three tenths of the speed at first; behind a second of full speed, all circuits are alike."""
+    first, full = (
+        np.array([feed.value for _, feed in run.feeds if feed is not None])
+        for run in _runs(read_job(VESSEL_FILE, WINDER))[:2]
+    )
+    share, away = first / full, np.cumsum(1.0 / full)
+    assert share[0] == pytest.approx(0.3) and (np.diff(share) >= -1e-12).all()
+    assert share[away > 1.1] == pytest.approx(1.0) and share[away <= 1.0].mean() < 0.8
+
+
 def _written(folder: Path, text: str) -> Path:
     file = folder / "bad.wind.toml"
     file.write_text(text, encoding="utf-8")
@@ -183,3 +195,63 @@ def test_too_little_friction_says_how_much_would_do(tmp_path: Path) -> None:
 def test_a_machine_without_an_eye_is_refused() -> None:
     with pytest.raises(OptionError, match="a winding needs the eye of a winder, and stitcher"):
         read_job(VESSEL_FILE, load_machine("stitcher"))
+
+
+STACK = VESSEL.replace("100 mm", "50 mm").replace("400 mm", "120 mm").replace("15 mm", "10 mm")
+"""A small vessel: 8 mm band, a helical layer, a hoop layer and another helical one."""
+LAYERS = '[[layer]]\nturn = "20 mm"\n[[layer]]\nkind = "hoop"\n[[layer]]\nturn = "30 mm"\n'
+
+
+def test_layers_grow_by_the_volume_of_their_fibre(tmp_path: Path) -> None:
+    """Bodies of revolution by the disc method, against fibre length times its cross-section."""
+    text = f'[mandrel]\nat = "100 mm"\n{STACK.replace("6 mm", "8 mm")}{LAYERS}'
+    laid = design(read_layers(_written(tmp_path, text)))
+
+    def discs_m3(surface: Surface) -> float:
+        x, r = surface.at(np.linspace(0.0, surface.length_m, 20_001))
+        inside = (x[:, 0] > 1e-3) & (x[:, 0] < 0.217)
+        return float(np.trapezoid(math.pi * r[inside, 0] ** 2, x[inside, 0]))
+
+    sizes = [discs_m3(one.circuit.surface) for one in laid]
+    for one, low, high in zip(laid, sizes, sizes[1:], strict=False):
+        fibre = (one.length_m + one.dwells_m) * 8e-3 * 0.25e-3
+        # The step beside the hoops is drawn out over three times its height.
+        hoops = one.layer.kind == "hoop"
+        step = 3.0 * (one.thickness_m or 0.0) ** 2 * 2.0 * math.pi * 0.05 if hoops else 0.0
+        assert high - low == pytest.approx(fibre + step, rel=0.01)
+    for one in laid:
+        spread = one.spread()
+        assert spread is not None
+        fibre = one.length_m * 8e-3 * 0.25e-3
+        assert spread.volume_m3(one.circuit.surface) == pytest.approx(fibre, rel=1e-3)
+    radius = 0.05 + sum(one.thickness_m or 0.0 for one in laid[:2])
+    # Hoops reach half a band beyond their turns, so they are a little thinner.
+    assert laid[2].circuit.widest_m == pytest.approx(radius, abs=5e-5)
+
+
+def test_the_way_over_a_join_is_continuous(tmp_path: Path) -> None:
+    text = f"{STACK.replace('6 mm', '18 mm')}{LAYERS[:25]}{LAYERS[-25:]}"
+    file = _written(tmp_path, text)
+    laid = design(read_layers(file))
+    assert [one.layer.kind for one in laid] == ["helical", "helical"]
+    job = read_job(file, WINDER)
+    runs = [run for run in _runs(job) if run.line[0] == laid[1].layer.line]
+    assert len(runs) == laid[1].pattern.circuits + 1  # the join is the first
+    every = _positions(job)
+    # The mandrel never stops or turns back.
+    assert (np.diff(every[:, 0]) > 0.0).all()
+    eye = np.vstack([runs[0].targets[-1], runs[1].targets])
+    assert eye[-1, 0] - eye[0, 0] == pytest.approx(laid[1].circuit.advance, abs=1e-9)
+    # Where the join ends, the first circuit begins: the eye is where it is after each circuit.
+    assert eye[-1, 1:] == pytest.approx(eye[0, 1:], abs=1e-6)
+
+
+def test_layers_that_outgrow_a_fixed_eye_are_refused(tmp_path: Path) -> None:
+    machine = load_machine("stepper-winder+xab")
+    text = TUBE.replace("50 mm", "78 mm").replace("200 mm", "500 mm")
+    text = text.replace('width = "5 mm"', 'width = "5 mm"\nthickness = "1 mm"')
+    text += '[coverage]\nbegin = "150 mm"\nend = "350 mm"\n' + '[[layer]]\nangle = "55 deg"\n' * 2
+    with pytest.raises(JobError, match="envelope with a radius of 80 mm") as caught:
+        read_job(_written(tmp_path, text), machine)
+    assert caught.value.remedy.startswith("The machine cannot move its eye across: ")
+    assert "\n" not in str(caught.value)

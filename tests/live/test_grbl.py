@@ -171,7 +171,11 @@ def test_a_stop_is_ahead_of_what_was_sent_and_drops_it() -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("T7\n", r"refused 'T7': error:20"), ("alarm", "ALARM:1"), ("beside", "beside the lines")],
+    [
+        ("T7\n", r"refused 'T7': error:20, it does not know this command"),
+        ("alarm", "ALARM:1, a limit switch was hit, and its position is lost"),
+        ("beside", "beside the lines"),
+    ],
 )
 def test_what_goes_wrong_stops_it_and_is_a_fault(text: str, said: str) -> None:
     model = GrblModel(settings())

@@ -18,7 +18,7 @@ from threadline.files import RunEnd
 from threadline.live import grbl_controller, grbl_run
 from threadline.live import guards as lateness
 from threadline.live.grbl_run import GrblRun
-from threadline.live.grbl_words import status_of
+from threadline.live.grbl_words import in_words, status_of
 from threadline.live.guards import clock_s
 from threadline.live.links import link_of
 from threadline.live.sim_process import SLOWER
@@ -394,3 +394,19 @@ def test_a_hold_by_the_button_before_a_stop_stays() -> None:
         go_on(one, lambda: time.monotonic() > until)
         assert one.state is State.HOLDING
         assert b"~" not in model.heard
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("ALARM:9", "ALARM:9, homing found no limit switch: raise the travel"),
+        ("error:22", "error:22, no feed is set"),
+        ("error:15\r", "error:15, the jog would leave its travel"),
+        ("error:77", "error:77"),
+        ("ALARM", "ALARM"),
+        ("error: Bad number format", "error: Bad number format"),
+    ],
+)
+def test_alarms_and_refusals_in_words(line: str, says: str) -> None:
+    assert in_words(line).startswith(says)
+    assert (in_words(line) == line) == (says == line)

@@ -121,7 +121,7 @@ def machine(folder: Path, text: str, *more: str) -> Machine:
         (KLIPPER, ["rotary=Y"], {"X": 80e3, "Y": 200 * 16 * 3 / 360}, {"X": 0.3, "Y": 300.0},
          {"X": 3.0, "Y": 3000.0}, {"X": 0.9}, "klipper"),
         (REPRAPFIRMWARE, ["rotary=A"], {"X": 80e3, "A": 26.67}, {"X": 0.1, "A": 600.0},
-         {"X": 0.5, "A": 2000.0}, {"X": 0.6}, "marlin"),
+         {"X": 0.5, "A": 2000.0}, {"X": 0.6}, "reprapfirmware"),
     ],
 )  # fmt: skip
 def test_a_firmware_becomes_a_machine(

@@ -69,7 +69,7 @@ def proven(folder: Path, machine: str = "lathe-winder") -> tuple[dict[str, Any],
     if asked.program.startswith("there."):
         text = PROGRAM if asked.program.endswith(".prg") else GCODE
         (folder / asked.program).write_text(text, "utf-8")
-    else:
+    elif not (folder / asked.program).exists():
         shutil.copy(EXAMPLES / asked.program, folder)
     if asked.program == "strap.seam.toml":
         shutil.copy(EXAMPLES / "strap.csv", folder)

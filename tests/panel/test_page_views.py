@@ -2,13 +2,70 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
+from tests.panel import bench
 from tests.panel.browsing import Browser, calculate, expect, opened, part, press, ready, shot, state
 from tests.panel.test_panel_killed import Plant
+from tests.panel.test_wound import PRODUCT, PROGRAM
+from threadline.panel.protocol import Calculate
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Request
 
 SPACE = True
+
+
+@pytest.fixture
+def helix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program with a product, in place of the winder's."""
+    (tmp_path / "helix.prg").write_text(PROGRAM, "utf-8")
+    (tmp_path / "tube.wind.toml").write_text(PRODUCT, "utf-8")
+    words = {"program": "helix.prg", "product": "tube.wind.toml", "interpolation": "linear"}
+    asked = Calculate.model_validate({"what": "calculate", "level": "nominal", **words})
+    monkeypatch.setitem(bench.CASES, "lathe-winder", asked)
+
+
+@pytest.mark.parametrize("plant", [("lathe-winder", 2.0)], indirect=True)
+def test_the_bands_of_a_product_are_seen_as_they_are_laid(
+    browser: Browser, helix: None, plant: Plant
+) -> None:
+    """All of them before a run; in a run each place is asked for once, and nothing after it."""
+    page = opened(browser, plant)
+    ready(page)
+    expect(page.locator("#legend")).not_to_contain_text("fibre")
+    asked: list[int] = []
+
+    def note(one: Request) -> None:
+        if "/api/wound" in one.url:
+            asked.append(int(one.url.split("after=")[1]))
+
+    page.on("request", note)
+    calculate(page)
+    expect(page.locator("#legend")).to_contain_text("fibre laid so far")
+    whole = int(page.locator("#space > div").get_attribute("data-laid") or 0)
+    assert whole > 100 and asked == [0]
+    shot(page, "17-product")
+    part(page, "Prepare")
+    page.locator("#override").fill("a test")
+    part(page, "Run")
+    press(page, "Start")
+    state(page, "running")
+    laid = "Number(document.querySelector('#space > div').dataset.laid)"
+    page.wait_for_function(f"() => {laid} > 5 && {laid} < {whole}")
+    shot(page, "18-wound")
+    page.keyboard.press("Escape")
+    state(page, "idle")
+    part_laid, last = int(page.evaluate(laid)), len(asked)
+    assert 5 < part_laid < whole
+    assert asked[1] == whole and asked[2:] == sorted(asked[2:]) and asked[-1] > 0
+    page.wait_for_timeout(1000)
+    assert len(asked) == last and page.evaluate(laid) == part_laid
+    page.close()
 
 
 def test_a_winding_is_seen_before_and_while_it_is_wound(browser: Browser, plant: Plant) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,14 +19,14 @@ from tools import long_winding
 from threadline.cli.found import settings_words
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
-from threadline.jobs import Job, read_job
+from threadline.jobs import Job, own_product, read_job
 from threadline.jobs.operations import Feed, FeedMode, Move
-from threadline.machine import Machine
+from threadline.machine import Machine, load_machine
 from threadline.machine.motion_planner import GrblPlanner
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.proof.options import Options
-from threadline.proof.pipeline import plan_job, try_plan
-from threadline.search import fastest_job
+from threadline.proof.options import Options, options_of
+from threadline.proof.pipeline import open_job, plan_job, try_plan, with_product
+from threadline.search import fastest_job, least_limits
 from threadline.search import paced as search_paced
 from threadline.search.allowance import FastestJob, Rung
 from threadline.search.distinct import distinct_parts, moves_in
@@ -34,6 +35,7 @@ from threadline.search.feed import fastest_feed
 from threadline.search.paced import Question
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, Until
 from threadline.verdict import Verdict, load_spec
+from threadline.winding.product import product_of_text
 
 ROOT = Path(__file__).parents[2]
 
@@ -299,3 +301,47 @@ def test_settings_are_in_the_words_of_the_controller(tmp_path: Path, machine: Ma
     assert told[0].startswith("to set: F 30000, ")
     assert f"$120={1e3 * x:.3f} (X, mm/s^2)" in told[1]
     assert f"$123={math.degrees(a):.3f} (A, deg/s^2)" in told[1]
+
+
+def test_coverage_and_tie_are_judged_on_the_whole_winding(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its parts begin where the fibre is not tied, and leave gaps."""
+    vessel = ROOT / "src/threadline/cli/projects/winding/vessel.wind.toml"
+    machine = load_machine("lathe-winder")
+    options = options_of(interpolation="linear", product=own_product(vessel))
+    job = open_job(vessel, machine, options)
+    spec = with_product(load_spec(None, machine), machine, options)
+    of_parts: list[Question] = []
+    of_whole: list[Question] = []
+
+    def searched(asked: Question, _grid: object, parts: tuple[Any, ...], _seen: object) -> Any:
+        assert parts != (job,)
+        of_parts.append(asked)
+        fastest = Interval(low=0.05, high=0.05)
+        return SimpleNamespace(
+            best=0.05, fastest=fastest, complete=True, intervals=(fastest,), verdict=None
+        )
+
+    def whole(best: least_limits.Rung, asked: Question) -> least_limits.Rung:
+        of_whole.append(asked)
+        return best
+
+    monkeypatch.setattr(least_limits, "fastest_feed", searched)
+    monkeypatch.setattr(least_limits, "_of_whole", whole)
+    monkeypatch.setattr(
+        least_limits, "planned_at", lambda *_: SimpleNamespace(duration_s=10.0, tick_s=1e-3)
+    )
+    fastest_job(Question(job=job, machine=machine, spec=spec, options=options))
+
+    coverage = {"coverage_gap", "planned_coverage_gap"}
+    assert of_parts and len(of_whole) == 1
+    for asked in of_parts:
+        assert asked.options.product is not None
+        assert product_of_text(asked.options.product).tied is None
+        names = {one.name for one in asked.spec.criteria}
+        assert not coverage & names and "slip_tendency" in names
+    (asked,) = of_whole
+    assert asked.options.product is not None
+    assert product_of_text(asked.options.product).tied is not None
+    assert coverage <= {one.name for one in asked.spec.criteria}

@@ -19,7 +19,7 @@ from tests.jobs.controls_themselves import interpreted
 from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
 from threadline.commands import firmware_program
-from threadline.commands.boards import BOARDS, dialect_of
+from threadline.commands.boards import BOARDS
 from threadline.commands.plan import Plan
 from threadline.errors import PlanError
 from threadline.jobs import read_job
@@ -99,7 +99,7 @@ def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str)
     milliseconds = ("marlin", "klipper", "reprapfirmware")
     pause = {"fanuc": "G4 X0.5"} | dict.fromkeys(milliseconds, "G4 P500")
     assert pause.get(target, "G4 P0.5") in text and ("M0" in text) == BOARDS[target].stops
-    again = read_job(out, xya, dialect=dialect_of(target))
+    again = read_job(out, xya, dialect=target)
     assert again.axes == ("X", "Y", "A")
 
 
@@ -321,10 +321,14 @@ def test_one_shaper_lies_between_two_modes() -> None:
     assert shortest_for_all(far) is None
 
 
-def test_klipper_is_refused_what_it_has_no_word_for(tmp_path: Path, xya: Machine) -> None:
+@pytest.mark.parametrize("target", ["klipper", "reprapfirmware"])
+def test_a_firmware_is_refused_what_it_has_no_word_for(
+    tmp_path: Path, xya: Machine, target: str
+) -> None:
+    """M0 is no word of Klipper, and ends the job in RepRapFirmware (``GCodes2.cpp``)."""
     made = plan(tmp_path, xya, "G1 X30 F1200\nM0\nG1 X0\nM30\n")
-    with pytest.raises(PlanError, match=r"program for klipper: M0 \(line 2\)"):
-        write(made, "klipper", tmp_path / "out.gcode")
+    with pytest.raises(PlanError, match=rf"program for {target}: M0 \(line 2\)"):
+        write(made, target, tmp_path / "out.gcode")
     assert not (tmp_path / "out.gcode").exists()
 
 

@@ -44,7 +44,11 @@ const toLine = (line: number): void => {
   by("listing").scrollIntoView({ block: "nearest" });
 };
 const margins = new Margins(toLine);
-const view = new View(by("space"), () => session.machineMoves());
+const view = new View(
+  by("space"),
+  () => session.machineMoves(),
+  (path) => session.ask(path),
+);
 const program = new Program(session, previewed, toLine);
 const teach = new Teach(session, program);
 new Draw(session, program);

@@ -8,6 +8,7 @@ import { View3d } from "./view3d";
 
 /** What is drawn of a job: its path, without times before it is calculated. */
 export interface Shown {
+  proof: string;
   planned: Record<string, number[]>;
   times_s: number[];
   duration_s: number;
@@ -45,6 +46,7 @@ export class View {
   constructor(
     private readonly place: HTMLElement,
     private readonly moves: () => boolean,
+    private readonly ask: (path: string) => Promise<Response>,
   ) {
     by("simulate").onclick = () => {
       const may = this.playing === null && this.times && !moves();
@@ -62,7 +64,7 @@ export class View {
   show(figures: Figures | null, preview: Preview | null, bare: Mandrel | null): void {
     this.playing = null;
     this.times = figures !== null;
-    this.shown = figures ?? (preview && { ...preview, times_s: [], duration_s: 0, lanes: [] });
+    this.shown = figures ?? (preview && { ...preview, proof: "", times_s: [], duration_s: 0, lanes: [] });
     const kind = this.shown?.stitches ? "cloth" : this.shown?.steps.length ? "steps" : "space";
     const next = this.of(kind);
     document.body.dataset.view = kind;
@@ -73,7 +75,11 @@ export class View {
     put(by("seen-from"), "hidden", !next?.turns);
     next?.show(this.shown, this.shown?.mandrel ?? bare);
     next?.resize();
-    const legend = next?.legend() ?? [];
+    this.tellLegend();
+  }
+
+  private tellLegend(): void {
+    const legend = this.picture?.legend() ?? [];
     by("legend").replaceChildren(
       ...legend.map(([colour, text]) => {
         const found = document.createElement("span");
@@ -90,12 +96,16 @@ export class View {
     if (known !== undefined) return known;
     let found: Picture | null = null;
     try {
-      found = kind === "cloth" ? new Cloth() : kind === "steps" ? new Steps() : new View3d();
+      found = kind === "cloth" ? new Cloth() : kind === "steps" ? new Steps() : this.inSpace();
     } catch {
       tell("seen", "this browser has no WebGL: it cannot show the view in three dimensions");
     }
     this.made.set(kind, found);
     return found;
+  }
+
+  private inSpace(): View3d {
+    return new View3d(this.ask, () => this.tellLegend());
   }
 
   /** Show the live position of the machine. */

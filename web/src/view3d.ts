@@ -8,6 +8,7 @@ import { bySoftware, onScreen, sizeOf } from "./seen";
 import { colour, onTheme } from "./theme";
 import type { Picture, Shown } from "./view";
 import { before } from "./wording";
+import { inSpace, Wound } from "./wound";
 
 type At = Record<string, number>;
 
@@ -25,7 +26,8 @@ export class View3d implements Picture {
     new three.LineBasicMaterial({ linewidth: 2 }),
   );
   private job: Shown | null = null;
-  private mandrel: Mandrel | null = null;
+  private bare: Mandrel | null = null; // of the machine or its job
+  private mandrel: Mandrel | null = null; // which is shown: a product's own, if there is one
   private size = 0.1; // m
   private dirty = true;
   private shown = ""; // the state last drawn
@@ -33,7 +35,21 @@ export class View3d implements Picture {
   /** Whether the processor draws: then without smoothed edges, and fewer frames. */
   readonly slow = bySoftware();
 
-  constructor() {
+  /** The bands of a product on its mandrel. */
+  private readonly wound: Wound;
+
+  /**
+   * @param ask a request to the panel
+   * @param told called when the legend changes
+   */
+  constructor(ask: (path: string) => Promise<Response>, told: () => void) {
+    this.wound = new Wound(ask, (other, laid) => {
+      this.shown = "";
+      this.element.dataset.laid = String(laid);
+      if (!other) return;
+      this.show(this.job, this.bare);
+      told();
+    });
     this.renderer = new three.WebGLRenderer({ antialias: !this.slow, alpha: true });
     this.element.append(this.renderer.domElement);
     this.camera.up.set(0, 0, 1);
@@ -46,13 +62,16 @@ export class View3d implements Picture {
     this.scene.add(new three.AmbientLight(0xffffff, 1.4), lamp, this.product, this.head);
     by<HTMLSelectElement>("seen-from").onchange = () => this.look();
     this.seen = onScreen(this.element);
-    onTheme(() => this.show(this.job, this.mandrel));
+    onTheme(() => this.show(this.job, this.bare));
   }
 
   /** Show the path of a job; without one the bare machine. */
   show(job: Shown | null, mandrel: Mandrel | null): void {
     this.job = job;
-    this.mandrel = mandrel;
+    this.bare = mandrel;
+    this.wound.show(job?.proof ?? "");
+    this.wound.recolour();
+    this.mandrel = this.wound.mandrel ?? mandrel;
     this.head.material.color.set(colour("--ink"));
     this.done.material.color.set(colour("--done"));
     this.shown = "";
@@ -60,11 +79,15 @@ export class View3d implements Picture {
     this.done.geometry.dispose();
     this.done.geometry = new three.BufferGeometry();
     const count = Object.values(job?.planned ?? {})[0]?.length ?? 0;
-    const points = Array.from({ length: count }, (_, k) => this.onProduct(this.planned(k)));
+    // Where the fibre lies is shown in place of the path of the eye that lays it.
+    const points = this.wound.mandrel
+      ? []
+      : Array.from({ length: count }, (_, k) => this.onProduct(this.planned(k)));
     const box = new three.Box3().setFromPoints(
       points.length ? points : [new three.Vector3(-0.1, -0.1, 0), new three.Vector3(0.1, 0.1, 0)],
     );
-    if (mandrel) this.product.add(this.body(mandrel, box));
+    if (this.wound.mandrel) this.product.add(...this.onShaft(this.wound.mandrel), this.wound.group);
+    else if (mandrel) this.product.add(this.body(mandrel, box));
     else this.product.add(this.bed(box));
     if (points.length) {
       this.product.add(
@@ -80,7 +103,7 @@ export class View3d implements Picture {
     }
     this.size = Math.max(
       box.getSize(new three.Vector3()).length(),
-      mandrel ? 2 * Math.max(...mandrel.radius) : 0,
+      this.mandrel ? 2 * Math.max(...this.mandrel.radius) : 0,
       0.01,
     );
     this.head.scale.setScalar(this.size / 60);
@@ -93,11 +116,13 @@ export class View3d implements Picture {
     for (const [name, where] of Object.entries(state.axes))
       at[name] = where.measured ?? where.load ?? where.commanded ?? 0;
     const run = state.progress?.ended === null ? state.progress : null; // the run's time does not advance in a hold
+    this.wound.live(state);
     this.put(at, run ? this.step(run.time_s) : 0);
   }
 
   at(time_s: number): void {
     const k = this.step(time_s);
+    this.wound.at(time_s);
     this.put(this.planned(k), k + 1);
   }
 
@@ -106,7 +131,11 @@ export class View3d implements Picture {
       ["var(--planned)", "planned path"],
       ["var(--done)", "done so far"],
     ];
-    return this.job ? path : [];
+    const fibre: [string, string][] = [
+      ["var(--done)", "fibre laid so far (before a run: all of it)"],
+      ["var(--measured)", "fibre that slips"],
+    ];
+    return this.wound.mandrel ? fibre : this.job ? path : [];
   }
 
   private planned(k: number): At {
@@ -133,20 +162,49 @@ export class View3d implements Picture {
     const along = at[this.mandrel.along] ?? 0,
       turn = at[this.mandrel.axis] ?? 0,
       radius = this.radius(along) * 1.002;
-    return new three.Vector3(along, -radius * Math.sin(turn), radius * Math.cos(turn));
+    return new three.Vector3(...inSpace(along, radius, -turn)); // under the eye at that turn
   }
 
   private body(mandrel: Mandrel, box: three.Box3): three.Object3D {
     const low = Math.min(box.min.x, mandrel.at[0] ?? 0) - 0.02,
       high = Math.max(box.max.x, mandrel.at[mandrel.at.length - 1] ?? 0) + 0.02;
     const places = [low, ...mandrel.at.filter((place) => place > low && place < high), high];
-    const lathe = new three.LatheGeometry(
-      places.map((place) => new three.Vector2(this.radius(place), place)),
-      48,
+    return this.turned(
+      places.map((place) => [this.radius(place), place]),
+      colour("--line"),
     );
+  }
+
+  /** The mandrel of a product on a shaft that is as thick as half of its ends. */
+  private onShaft({ at, radius }: Mandrel): three.Object3D[] {
+    const [low, high] = [at[0]!, at[at.length - 1]!];
+    const beyond = (high - low) / 6;
+    const thin = Math.max(Math.min(radius[0]!, radius[radius.length - 1]!) / 2, this.size / 100);
+    return [
+      this.turned(
+        at.map((place, k) => [radius[k]!, place]),
+        colour("--line"),
+      ),
+      this.turned(
+        [
+          [0, low - beyond],
+          [thin, low - beyond],
+          [thin, high + beyond],
+          [0, high + beyond],
+        ],
+        colour("--edge"),
+      ),
+    ];
+  }
+
+  /** A body that a profile of radius and place sweeps round the axis. */
+  private turned(profile: [number, number][], ink: string): three.Object3D {
     const found = new three.Mesh(
-      lathe,
-      new three.MeshLambertMaterial({ color: colour("--line"), side: three.DoubleSide }),
+      new three.LatheGeometry(
+        profile.map(([radius, place]) => new three.Vector2(radius, place)),
+        48,
+      ),
+      new three.MeshLambertMaterial({ color: ink, side: three.DoubleSide }),
     );
     found.rotation.z = -Math.PI / 2; // from y, the axis of a lathe geometry, to x
     return found;
@@ -185,7 +243,8 @@ export class View3d implements Picture {
     if (this.mandrel) {
       const along = at[this.mandrel.along] ?? 0;
       this.product.rotation.x = at[this.mandrel.axis] ?? 0;
-      this.head.position.set(along, 0, this.radius(along) + this.size / 20);
+      const radius = this.wound.mandrel ? Math.max(...this.mandrel.radius) : this.radius(along);
+      this.head.position.set(along, 0, radius + this.size / 20);
     } else this.head.position.copy(this.onProduct(at)).add(new three.Vector3(0, 0, this.size / 40));
     this.head.rotation.x = -Math.PI / 2;
     this.done.geometry.setDrawRange(0, points);

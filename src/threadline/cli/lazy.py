@@ -40,9 +40,12 @@ COMMANDS = {
     "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
     "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
     "yield": LazyCommand("yield_", "Say how many machines within the tolerances are in spec."),
-    "learn": LazyCommand("learn", "Repeat a job and let its references learn from every run."),
+    "learn": LazyCommand(
+        "learn", "Repeat JOB and correct its references by the error of every run."
+    ),
     "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
     "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
+    "equal": LazyCommand("equal_", "Say whether the files of controllers are the plan."),
     "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
     "panel": LazyCommand("panel_", "Serve the operator's panel in a browser."),
     "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),
@@ -50,13 +53,13 @@ COMMANDS = {
     "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
     "animate": LazyCommand("animate", "Show a job on the machine: a page, a gif or a film."),
     "measure": LazyCommand(
-        "measure_", "Move one axis of MACHINE so that a fit can tell its numbers, and record it."
+        "measure_", "Move one axis of MACHINE and record it, for a fit of its numbers."
     ),
     "fit": LazyCommand("fit_", "Fit numbers of MACHINE to measured data, with their certainty."),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
     "size": LazyCommand("size", "Size a machine from what its product asks for."),
-    "wind": LazyCommand("wind", "Tell the patterns, lengths and thickness of a winding."),
+    "wind": LazyCommand("wind", "List the patterns, lengths and thickness of a winding."),
     "machines": LazyCommand("machines", "List the machines of the library, or print one."),
     "guide": LazyCommand("guide_", "Write the guide to a machine: axes, wiring, calibration."),
     "law": LazyCommand("law", "Show a motion law, rank laws on a mode, make one for it."),

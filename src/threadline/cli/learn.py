@@ -1,4 +1,4 @@
-"""``threadline learn``: a job that is repeated, and better after every run."""
+"""``threadline learn``: repeat a job and learn from the error of every run."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def learn(
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Repeat JOB and let its references learn from the error of every run.
+    """Repeat JOB and correct its references by the error of every run.
 
     After each run the references move by a share of the error, through the inverse of the machine's
     model. A run that got worse is undone. With -o the best table is written: prove, run and compile
@@ -149,12 +149,18 @@ def learn(
 
 def show(found: LearnedJob) -> None:
     """Print the repeats and the verdict on every best table."""
-    from threadline.report.learn import HEADER, filter_facts, repeat_rows, verdicts
+    from threadline.report.learn import (
+        HEADER,
+        filter_facts,
+        repeat_rows,
+        table_name,
+        verdicts,
+    )
 
     for at, (name, one) in enumerate(found.machines):
         title = f"{found.base.job.name} on {found.base.machine.name}, learned on {name}"
         print_table(title, HEADER, repeat_rows(found, at))
-        say(f"table of run {one.best}: {closing(one.proof.verdict)}")
+        say(f"{table_name(one.best)}: {closing(one.proof.verdict)}")
     for subject, text in filter_facts(found):
         say(f"{subject}: {text}")
     if len(found.machines) > 1:

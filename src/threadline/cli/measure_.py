@@ -51,7 +51,7 @@ def measure_axis(
     ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Move one axis of MACHINE so that a fit can tell its numbers, and record it.
+    """Move one axis of MACHINE and record it, for a fit of its numbers.
 
     The experiment is simulated first; if it would leave the travel, exceed the speed of the axis or
     reach the limit of the current, nothing moves. The file has the raw run and, of a sweep, the

@@ -19,6 +19,7 @@ from threadline.base.wording import plain
 from threadline.cli.messages import STARTING, at_work, in_full
 
 _SHOW_AFTER_S = 1.0
+_BETWEEN = 3  # characters that a column takes beside its text
 _WRAPPED = 40  # characters: a narrower column breaks a note too often
 
 
@@ -42,22 +43,51 @@ def laid_out(
         named = 2 if len(header) > 1 and header[1] == "axis" else 1
         notes = [(" ".join(row[:named]).strip(), row[-1]) for row in rows if row[-1]]
         header, rows = header[:-1], [row[:-1] for row in rows]
+    widths: Sequence[int | None] | None = _widths(header, rows, console.width)
+    if widths is None:
+        turned = [list(column) for column in zip(header, *rows, strict=True)]
+        widths = _widths(turned[0], turned[1:], console.width)
+        if widths is not None:
+            header, *rows = turned
     # Text, not str: rich would read "[/b]" as markup, and ":x:" as an emoji.
     table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     # Text that does not fit is cut unless it wraps, and 0.5 mm would be read as 0.5 m.
-    wide = [max(len(line[k]) for line in [header, *rows]) + 3 for k in range(len(header))]
-    whole = sum(wide) + 1 <= console.width
+    first = max(len(line[0]) for line in [header, *rows]) + _BETWEEN
     for index, name in enumerate(header):
         text = index == 0 or name == "note"
         table.add_column(
             Text(name),
             justify="left" if text else "right",
-            no_wrap=name != "note" and (whole or (index == 0 and 2 * wide[0] <= console.width)),
+            no_wrap=widths is None and index == 0 and 2 * first <= console.width,
+            width=None if widths is None else widths[index],
             overflow="fold",
         )
     for row in rows:
         table.add_row(*map(Text, row))
     return console, table, notes
+
+
+def _widths(
+    header: Sequence[str], rows: Sequence[Sequence[str]], width: int
+) -> list[int | None] | None:
+    """Return widths at which cells wrap between words alone; None if there are no such widths.
+
+    A column called note takes what the others leave.
+    """
+    columns = list(zip(header, *rows, strict=True))
+    full = [max(map(len, column)) for column in columns]
+    found = [max(len(word) for cell in column for word in cell.split(" ")) for column in columns]
+    note = len(header) - 1 if header[-1] == "note" else None
+    if note is not None:
+        found[note] = min(full[note], _WRAPPED)
+    left = width - 1 - sum(found) - _BETWEEN * len(header)
+    if left < 0:
+        return None
+    for k in sorted(range(len(header)), key=lambda k: (k == note, full[k] - found[k])):
+        more = min(full[k] - found[k], left)
+        found[k] += more
+        left -= more
+    return list(found)
 
 
 def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> bool:

@@ -12,6 +12,14 @@ import typer
 from threadline.cli.arguments import JsonOption, ReportOption, ratio
 from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, progress_bar, say, say_lines
+from threadline.cli.shaper_measured import (
+    Measured,
+    measured_content,
+    measured_power,
+    measured_tables,
+    measured_warnings,
+    read_measured,
+)
 from threadline.cli.shaper_move import rest_to_rest, study_content, study_tables
 from threadline.cli.shaper_text import (
     BANDED,
@@ -69,16 +77,28 @@ class _Answer:
     firmware: tuple[str, FirmwareExport] | None
     warnings: tuple[str, ...]
     study: MoveStudy | None = None
+    measured: Measured | None = None
 
 
 def shaper(
     mode: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             help='Undamped frequency, "3.04 Hz"; optionally with damping ratio, band and '
             'tolerance: "3.04Hz:0.0089:20%:5%". Repeat for each mode.'
         ),
-    ],
+    ] = None,
+    measured: Annotated[
+        Path | None,
+        typer.Option(
+            help="Design for the mode in this file of an accelerometer (CSV of Klipper, Kalico, a "
+            "phone or an ADXL), instead of --mode."
+        ),
+    ] = None,
+    axis: Annotated[
+        str | None,
+        typer.Option(help="With --measured: the axis that was shaken, x, y or z (the strongest)."),
+    ] = None,
     damping: Annotated[
         list[float] | None,
         typer.Option(
@@ -155,14 +175,19 @@ def shaper(
     --band (default 20 %). With --tick too, an on/off command is searched within 10 % of that
     optimum, and the trade-off between ringing and time is listed.
 
+    With --measured the damping and the frequency of the strongest mode are found with their 95 %
+    intervals, and Klipper's own choice is shown beside the design.
+
     Example: threadline shaper --mode 3.04Hz --damping 0.17 --tolerance 0.05 --kind um-2ei
 
     Example: threadline shaper --mode 3.04Hz --kind zv --move "200 mm" --acceleration "1 m/s^2"
     --tick "10 ms"
     """
-    asked = modes_of(mode, damping)
-    modes = tuple(one.mode for one in asked)
     moving = move is not None or acceleration is not None
+    seen = _measured(measured, mode, axis, damping)
+    wide = band is None and (moving or tick is not None or kind in BANDED)
+    asked = modes_of(mode or [], damping) if seen is None else (seen.given(banded=wide),)
+    modes = tuple(one.mode for one in asked)
     if still is not None and not moving:
         raise OptionError(
             "--still needs a move", remedy="Add --move and --acceleration, or leave it out."
@@ -219,6 +244,8 @@ def shaper(
     for one in modes if bool((made.amplitudes < 0.0).any()) else ():
         others = [other for other in modes if other is not one]
         warnings += [w for w in check_higher_modes(made, one, others).warnings if w not in warnings]
+    if seen is not None:
+        warnings += measured_warnings(seen, made, chosen=axis is not None)
     studied = None
     if moving:
         made_for = rest_to_rest(move, acceleration, modes)
@@ -240,14 +267,23 @@ def shaper(
         widths=tuple(
             insensitivity(made, one, own) for one, own in zip(modes, tolerances, strict=True)
         ),
-        firmware=None if firmware is None else (firmware, _EXPORTS[firmware](made, modes[0])),
+        firmware=None if firmware is None else (firmware, _export(firmware, made, modes[0], seen)),
         warnings=tuple(warnings),
         study=studied,
+        measured=seen,
     )
     written = (
         None
         if report is None
-        else write_shaper(made, modes, tolerances, _tables(answer), warnings, report)
+        else write_shaper(
+            made,
+            modes,
+            tolerances,
+            _tables(answer),
+            warnings,
+            report,
+            None if seen is None else measured_power(seen, made),
+        )
     )
     if json:
         print_json(_content(answer, written))
@@ -290,6 +326,7 @@ def _tables(answer: _Answer) -> list[Table]:
         for m, width in zip(answer.modes, answer.widths, strict=True)
     ]
     return [
+        *([] if answer.measured is None else measured_tables(answer.measured, train)),
         Table(
             title=f"Shaper {train.name}",
             header=("impulse", "time s", "amplitude", "level after"),
@@ -364,6 +401,8 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
         content["time_price_s"] = answer.realised.time_price_s
         content["vibration_price"] = answer.realised.vibration_price
         content["bands"] = price_content(answer.realised)
+    if answer.measured is not None:
+        content["measured"] = measured_content(answer.measured, train)
     if answer.study is not None:
         content["move"] = study_content(answer.study)
     if answer.firmware is not None:
@@ -373,6 +412,27 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
     if written is not None:
         content["report"] = str(written)
     return content
+
+
+def _measured(
+    path: Path | None, mode: list[str] | None, axis: str | None, damping: list[float] | None
+) -> Measured | None:
+    """Return what ``--measured`` holds; None where modes are given."""
+    if path is None:
+        if axis is not None:
+            raise OptionError("--axis names the axis of --measured", remedy="Leave it out.")
+        if not mode:
+            raise OptionError("no mode is given", remedy="Give --mode or --measured.")
+        return None
+    if mode:
+        raise OptionError("--mode and --measured both give a mode", remedy="Leave one out.")
+    return read_measured(path, axis, damping)
+
+
+def _export(name: str, made: Shaper, mode: FlexibleMode, seen: Measured | None) -> FirmwareExport:
+    if name == "klipper" and seen is not None and seen.found.axis in "xy":
+        return klipper_export(made, mode, axes=seen.found.axis)
+    return _EXPORTS[name](made, mode)
 
 
 def _firmware(name: str | None, klipper: bool, modes: int) -> str | None:

@@ -9,9 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from threadline.cli.arguments import JsonOption
+from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, say
 from threadline.jobs.winding.closing import Pattern
-from threadline.jobs.winding.laid import Laid, design, mass_kg
+from threadline.jobs.winding.laid import Laid, bridged, design, mass_kg
 from threadline.jobs.winding.layers import Winding, read_layers
 
 _SHOWN = 12
@@ -24,7 +25,7 @@ def wind(
     ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Tell the patterns, lengths and thickness of a winding.
+    """List the patterns, lengths and thickness of a winding.
 
     No machine is needed.
 
@@ -43,10 +44,9 @@ def wind(
         shown = one.table if every else one.table[:_SHOWN]
         print_table(
             f"Layer {one.layer.number}: patterns that close, the nearest to a geodesic first",
-            ("circuits", "shift", "beside", "ahead", "turns", "coverage", "off a circuit",
-             "closed by friction", "by turning at", "by a dwell"),
+            ("circuits/shift", "beside", "ahead", "turns", "coverage", "off a circuit", "note"),
             [_row(one, pattern) for pattern in shown],
-        )  # fmt: skip
+        )
         if len(shown) < len(one.table):
             say(f"{len(one.table) - len(shown)} more: --all")
     print_table(
@@ -55,6 +55,8 @@ def wind(
          "mass", "thickness", "at most"),
         [_summary(winding, one) for one in laid],
     )  # fmt: skip
+    for said in filter(None, map(bridged, laid)):
+        warning(said)
     total = sum(one.length_m + one.dwells_m for one in laid)
     mass = mass_kg(winding, total)
     say(
@@ -64,14 +66,18 @@ def wind(
 
 
 def _row(laid: Laid, pattern: Pattern) -> list[str]:
-    friction = "" if math.isnan(pattern.ratio) else f"{pattern.ratio:+.5f}"
-    turn = "" if math.isnan(pattern.constant_m) else f"{1e3 * pattern.constant_m:.3f} mm"
-    dwell = "" if math.isnan(pattern.dwell) else f"{math.degrees(pattern.dwell):.4g} deg"
+    ways = [
+        ("friction {:+.5f}", pattern.ratio),
+        ("turning at {:.3f} mm", 1e3 * pattern.constant_m),
+        ("a dwell of {:.4g} deg", math.degrees(pattern.dwell)),
+    ]
+    closed = " or ".join(text.format(value) for text, value in ways if not math.isnan(value))
     mark = "*" if pattern is laid.pattern else ""
     return [
-        f"{pattern.circuits}{mark}", f"{pattern.shift}", f"{pattern.beside}",
+        f"{pattern.circuits}/{pattern.shift}{mark}", f"{pattern.beside}",
         "leading" if pattern.leading else "lagging", f"{pattern.turns}",
-        f"{pattern.coverage:.2%}", f"{math.degrees(pattern.off):+.4f} deg", friction, turn, dwell,
+        f"{pattern.coverage:.2%}", f"{math.degrees(pattern.off):+.4f} deg",
+        closed and f"closed by {closed}",
     ]  # fmt: skip
 
 

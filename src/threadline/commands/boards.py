@@ -38,10 +38,8 @@ class Board:
         Word of a dwell, and its units per second.
     planner
         Kind of the ``[planner]`` of machines with this firmware; empty if none is known.
-    dialect
-        Dialect of the program; empty for the dialect named like the target.
     stops
-        Whether the firmware knows M0.
+        Whether M0 is a stop for the firmware.
     head
         Function that returns comments about a machine and the axes of a job, for the first lines.
     """
@@ -52,7 +50,6 @@ class Board:
     bytes_s: int = 0
     pause: tuple[str, int] = ("P", 1)
     planner: str = ""
-    dialect: str = ""
     stops: bool = True
     head: Callable[[Machine, Sequence[str]], list[str]] | None = None
 
@@ -103,7 +100,6 @@ BOARDS: Mapping[str, Board] = {
         longest=255,
         pause=("P", 1000),
         planner="reprapfirmware",
-        dialect="marlin",
         stops=False,
         head=_shaper_lines("reprap_command"),
     ),
@@ -117,18 +113,13 @@ BOARDS: Mapping[str, Board] = {
 """Board of each target. Serial ports run at 115200 baud."""
 
 
-def dialect_of(target: str) -> str:
-    """Return the dialect of a target's programs."""
-    return BOARDS[target].dialect or target
-
-
 _SHOWN = 5
 _CNC = frozenset({"grbl", "fluidnc", "linuxcnc", "fanuc"})
 _TURNS_BACK = frozenset({"linuxcnc", "fanuc"})
 _PRINTERS = frozenset({"marlin", "klipper", "reprapfirmware"})
 _CHANGES = frozenset({"linuxcnc", "fanuc", "fluidnc"})
 _SAME: Mapping[str, tuple[frozenset[str], ...]] = {
-    "M0": (frozenset({"winder", *_CNC, "marlin", "reprapfirmware"}),),
+    "M0": (frozenset({"winder", *_CNC, "marlin"}),),
     "M1": (_TURNS_BACK,),
     "M3": (_CNC,),
     "M4": (_TURNS_BACK, frozenset({"grbl", "fluidnc"})),

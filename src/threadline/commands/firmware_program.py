@@ -19,7 +19,7 @@ from typing import IO, NamedTuple
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, dialect_of, refuse_lost
+from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, refuse_lost
 from threadline.commands.nc_blocks import operation_words
 from threadline.commands.planned_job import (
     CHORD_TOLERANCE_M,
@@ -118,7 +118,7 @@ def _written_once(
     file.writelines(f"{line}\n".encode() for line in _Lines(chords))
     file.flush()
     told, again = _read_back(chords, Path(file.name))
-    as_run_s = _as_run_s(target, programmed, again, machine)
+    as_run_s = as_run_times_s(target, programmed, again, machine)
     planned_by = "which the firmware makes itself"
     if as_run_s is not None:
         planned_by = (
@@ -219,7 +219,7 @@ class _Stretch:
 
     def __init__(self, chords: Chords) -> None:
         job, machine = chords.job, chords.machine
-        dialect = DIALECTS[dialect_of(chords.target)]
+        dialect = DIALECTS[chords.target]
         mode, _ = RULES[dialect.feed_rule]
         self._unit, self._override = Feed(mode, 1.0), chords.override
         self._own_feeds = chords.own_feeds
@@ -303,7 +303,7 @@ class _Lines:
         self._merged = merged
         self._target, self._job, self._machine = merged.target, merged.job, merged.machine
         self._board = BOARDS[merged.target]
-        self._dialect = DIALECTS[dialect_of(merged.target)]
+        self._dialect = DIALECTS[merged.target]
         axes = merged.machine.axes
         self._linear = [axes[name].kind == "linear" for name in merged.job.axes]
 
@@ -410,7 +410,7 @@ def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
         If a block leaves the plan by more than a chord may.
     """
     target, job, machine = merged.target, merged.job, merged.machine
-    again = read_part_program(path, machine=machine, dialect=dialect_of(target))
+    again = read_part_program(path, machine=machine, dialect=target)
     column = [machine.axis_names.index(axis) for axis in job.axes]
     radius_m = machine.radius_m[column]
     order = [again.axes.index(axis) for axis in job.axes]
@@ -457,7 +457,7 @@ def _rate_words(target: str, path: Path, again: Job, machine: Machine) -> str:
     )
 
 
-def _as_run_s(
+def as_run_times_s(
     target: str, programmed: ProgrammedPath, again: Job, machine: Machine
 ) -> tuple[float, float] | None:
     """Return the time of the firmware's planner for the job and for its program, s.

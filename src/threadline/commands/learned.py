@@ -1,8 +1,8 @@
-"""Learned tables: the planned rows of a job, changed by what its repeats have shown.
+"""Learned tables: the planned rows of a job, corrected by the errors of its repeats.
 
 A learned table belongs to a job, a machine and the planned table from which it was learned, and is
-refused with any other. In an option, a recording or a proof it is one text, so that these stay
-complete without the file.
+refused with any other. Options, recordings and proofs contain it as one text, so that they need no
+other file.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ def learning_filter(
     machines
         Machines within its tolerances on which the error must become smaller.
     of_load
-        Whether the error is the load's; if not, the error of the controller's own sensor.
+        True: the error of the load. False: the error at the controller's own sensor.
     low_pass_hz
         Frequency at which the low-pass halves; None: the lowest at which the loop answers with less
         than a tenth of its reference.

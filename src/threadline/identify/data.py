@@ -71,6 +71,8 @@ def _response_in(path: Path) -> MeasuredResponse:
 
 def _is_trace(path: Path) -> bool:
     """Return whether a table begins with a column of time: a recording, not a response."""
-    _, rows = rows_of(read_text(path, MAX_BYTES, RecordingError, "measured data", "utf-8-sig"))
+    _, rows = rows_of(
+        read_text(path, MAX_BYTES, RecordingError, "file of measured data", "utf-8-sig")
+    )
     _, header = next(rows, (1, []))
     return any(cell.strip('" ').lower().startswith("time") for cell in header)

@@ -279,12 +279,18 @@ def _refuse_unknown(
         value = np.prod(np.abs(start * np.exp(found.log_factor)) ** exponents)
         text = combination_text(found.names, exponents)
         known.append(f"{text} = {value:.4g} SI +- {196.0 * deviation:.2g} %")
+    if not known:
+        raise OptionError(
+            f"the data tells nothing of {', '.join(found.names)}",
+            place=machine.place,
+            remedy="Name numbers that act on what was measured, or measure another axis or output.",
+        )
     remedy = f"Leave out {len(found.names) - len(known)} of the {len(found.names)} numbers"
     if any(one.normalised for one in data):
         remedy += ", or give responses with an absolute magnitude"
     raise OptionError(
         f"{len(found.names)} numbers, of which the data determines {len(known)} "
-        f"combination{'s' * (len(known) != 1)}: {'; '.join(known) or 'none'}",
+        f"combination{'s' * (len(known) != 1)}: {'; '.join(known)}",
         place=machine.place,
         remedy=f"{remedy}.",
     )

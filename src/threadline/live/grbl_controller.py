@@ -23,6 +23,7 @@ from threadline.live.grbl_words import (
     RX_BYTES,
     STATUS,
     Status,
+    in_words,
     numbers,
     settings_of,
     status_of,
@@ -181,7 +182,9 @@ class Controller:
             if heard == "ok":
                 return found
             if heard is not None and heard.startswith(("error", "ALARM")):
-                raise LinkFaultError(f"the controller refused {line.strip().decode()!r}: {heard}")
+                raise LinkFaultError(
+                    f"the controller refused {line.strip().decode()!r}: {in_words(heard)}"
+                )
             if heard is not None:
                 found.append(heard)
         raise LinkFaultError(

@@ -16,7 +16,7 @@ from threadline.live.executor import LEASE_S
 from threadline.live.grbl_controller import Controller, GrblJog, fastest_by_hand
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_run import POLL_S, GrblRun
-from threadline.live.grbl_words import Status
+from threadline.live.grbl_words import Status, in_words
 from threadline.live.guards import clock_s
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load
@@ -278,12 +278,12 @@ class GrblOperated(GrblRun):
         if jog is None and self.under_way:
             super()._hear(line)
         elif jog is not None and (line == "ok" or line.startswith("error")):
-            jog.answered("" if line == "ok" else line)
+            jog.answered("" if line == "ok" else in_words(line))
             jog.feed(float(self._at[jog.column]))
         elif line.startswith("<"):
             super()._hear(line)
         elif line.startswith("ALARM") and self.state is not State.FAULT:
-            self._fault(f"the controller is in alarm: {line}")
+            self._fault(f"the controller is in alarm: {in_words(line)}")
         elif line.lower().startswith("grbl") and self.state not in _AT_REST:
             self._fault("the controller was reset")
 

@@ -26,6 +26,7 @@ from threadline.live.grbl_words import (
     CharacterCount,
     Program,
     Status,
+    in_words,
     program_of,
     status_of,
 )
@@ -327,9 +328,9 @@ class GrblRun:
             text = self._program.lines[at] if at < len(self._program.lines) else b""
             self._count.answered()
             self.acknowledged += 1
-            self._fault(f"the controller refused {text.decode('latin-1').strip()!r}: {line}")
+            self._fault(f"the controller refused {text.decode().strip()!r}: {in_words(line)}")
         elif line.startswith("ALARM"):
-            self._fault(f"the controller is in alarm: {line}")
+            self._fault(f"the controller is in alarm: {in_words(line)}")
         elif line.lower().startswith("grbl") and not (self._braking and self._settled_s):
             self._fault("the controller was reset")
 

@@ -37,6 +37,51 @@ _MEANINGS = {
     "Jog": "it is moved by hand, without a command from here",
     "Run": "it moves, without a command from here",
 }
+_ALARMS = {
+    1: "a limit switch was hit, and its position is lost: home it",
+    2: "a move would have left its travel",
+    3: "it was reset while it moved, and its position is lost: home it",
+    4: "the probe was not in its expected state at the beginning",
+    5: "the probe touched nothing within its travel",
+    6: "it was reset while it homed",
+    7: "its safety door was opened while it homed",
+    8: "homing did not come free of a limit switch: raise the pull-off ($27), or check the wiring",
+    9: "homing found no limit switch: raise the travel ($130 to $132), or check the wiring",
+}
+_ERRORS = {
+    1: "a letter was expected",
+    2: "a number is missing or invalid",
+    3: "it does not know this $ command",
+    4: "a value is negative",
+    5: "homing is switched off in its settings ($22)",
+    7: "its settings could not be read, and have their defaults now",
+    8: "it takes $ commands only at rest",
+    9: "it is in alarm or in a jog",
+    10: "soft limits need homing ($22)",
+    11: "the line is too long",
+    13: "its safety door is open",
+    15: "the jog would leave its travel",
+    16: "the jog is not valid",
+    20: "it does not know this command",
+    21: "two commands of one modal group",
+    22: "no feed is set",
+    23: "the command needs a whole number",
+    24: "two commands use the axis words",
+    25: "a word is repeated",
+    26: "axis words are missing",
+    27: "the line number is not valid",
+    28: "a value is missing",
+    30: "G53 needs G0 or G1",
+    31: "axis words have no use here",
+    32: "the arc has no axis word in its plane",
+    33: "the target of the move is not valid",
+    34: "the radius of the arc is not valid",
+    35: "the arc has no offset in its plane",
+    36: "words have no use here",
+    38: "the tool number is too large",
+}
+"""Codes of alarms and refusals in grbl 1.1 ("Grbl v1.1 Interface"); others have no words here."""
+_CODE = re.compile(r"(ALARM|error):(\d{1,3})")
 _REALTIME = re.compile(rb"[?!~\x00-\x1f\x7f-\xff]")
 _REPORT = re.compile(r"<([A-Za-z]+)(?::(\d{1,4}))?\|(.*)>")
 _SETTING = re.compile(r"\$(\d{1,5})=([^\s(]*).*")
@@ -74,6 +119,18 @@ class Status:
         """The state in words, for people."""
         means = _MEANINGS.get(f"{self.state}:{self.detail}", _MEANINGS.get(self.state, ""))
         return f"the controller tells {self.state}{f': {means}' if means else ''}"
+
+
+def in_words(line: str) -> str:
+    """Return an alarm or a refusal with its meaning: ``ALARM:2, a move would have left ...``.
+
+    A line without a code of grbl 1.1 is returned as it is.
+    """
+    form = _CODE.fullmatch(line.strip())
+    if form is None:
+        return line
+    means = (_ALARMS if form[1] == "ALARM" else _ERRORS).get(int(form[2]), "")
+    return f"{form[0]}, {means}" if means else line
 
 
 def status_of(line: str) -> Status | None:

@@ -222,7 +222,8 @@ FeedRule = Literal[
 ]  # fmt: skip
 """Rules for the meaning of an F word; ``threadline.jobs.gcode.feeds`` defines each."""
 DialectName = Literal[
-    "winder", "linuxcnc", "grbl", "fluidnc", "marlin", "klipper", "fanuc", "x-winder",
+    "winder", "linuxcnc", "grbl", "fluidnc", "marlin", "klipper", "reprapfirmware", "fanuc",
+    "x-winder",
 ]  # fmt: skip
 """Dialects of part programs; ``threadline.jobs.gcode.dialects`` defines each."""
 

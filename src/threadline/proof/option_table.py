@@ -58,12 +58,13 @@ from threadline.proof.option_words import (
 from threadline.winding.product import product_text
 
 PLANNERS = (
-    "prove", "run", "compile", "compare", "fastest", "yield", "design", "animate", "judge", "learn",
+    "prove", "run", "compile", "equal", "compare", "fastest", "yield", "design", "animate", "judge",
+    "learn",
     "panel",
 )  # fmt: skip
 """The verbs that plan a job; ``panel`` is a calculation on the panel."""
 _TYPED = tuple(verb for verb in PLANNERS if verb != "panel")
-PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile", "learn")
+PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile", "equal", "learn")
 """The verbs of ``import threadline as tl``."""
 PROGRAMMED = "programmed"
 """Feed written into a recording whose plan keeps the feeds of its job."""
@@ -102,7 +103,8 @@ TABLE: tuple[Option, ...] = (
         help="FW-CNC.PAR whose settings replace those of the machine file.",
         helps={"judge": "FW-CNC.PAR; default: the one that the recording names."},
         verbs=(
-            "prove", "run", "compile", "compare", "fastest", "yield", "animate", "judge", "learn",
+            "prove", "run", "compile", "equal", "compare", "fastest", "yield", "animate", "judge",
+            "learn",
         ),
         doors=(Door.LINE, Door.PYTHON),
     ),
@@ -125,7 +127,7 @@ TABLE: tuple[Option, ...] = (
         "b-spline, b-spline-pulled, law:NAME. Default: firmware if the machine file names a motion "
         "planner, else auto; compile, which writes another program, has auto.",
         helps={"compare": _EACH, "judge": _AS_GIVEN},
-        default=DEFAULT_INTERPOLATION, defaults={"compile": AUTO},
+        default=DEFAULT_INTERPOLATION, defaults={"compile": AUTO, "equal": AUTO},
         attribute="interpolation", parse=str,
         recorded=FileForm(key="interpolation", write=_same, read=str, required=True),
         label="Interpolation",
@@ -191,7 +193,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="product", group=Group.PLAN, kinds=(TICKS,),
-        verbs=tuple(verb for verb in PLANNERS if verb != "compile"),
+        verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "equal"}),
         help="Product of a winder (NAME.wind.toml, or a file of FiberPath or CADFIL): where its "
         "fibre lies is judged as well.",
         helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
@@ -260,14 +262,14 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="mode", group=Group.PLAN, unit="Hz", kinds=(SWITCHES,),
-        verbs=("prove", "run", "compile", "compare", "yield", "animate", "judge"),
+        verbs=("prove", "run", "compile", "equal", "compare", "yield", "animate", "judge"),
         help='On an on/off machine: design mode of its shaper, "3.04 Hz"; default: the machine\'s.',
         attribute="shaper_mode", parse=str,
         recorded=FileForm(key="mode", write=_same, read=str),
     ),
     Option(
         name="damping", group=Group.PLAN, type=Type.RATIO, kinds=(SWITCHES,),
-        verbs=("prove", "run", "compile", "compare", "yield", "animate", "judge"),
+        verbs=("prove", "run", "compile", "equal", "compare", "yield", "animate", "judge"),
         help="Damping ratio of that mode; default: the machine's.",
         attribute="shaper_damping", parse=parse_damping,
         recorded=FileForm(
@@ -364,7 +366,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="table", group=Group.PLAN, kinds=(TICKS,),
-        verbs=("prove", "run", "compile", "yield", "animate", "judge", "learn"),
+        verbs=("prove", "run", "compile", "equal", "yield", "animate", "judge", "learn"),
         help="Play this table, which threadline learn has written, in place of the planned one. It "
         "belongs to its job, machine file and options of planning.",
         helps={

@@ -1,4 +1,4 @@
-"""The report of a job that was learned: error and used limits over the repeats."""
+"""The report of a learned job: error and used limits over the repeats."""
 
 from __future__ import annotations
 
@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 
 HEADER = ("run", "in spec", "of the limit", "tightest", "error", "current", "gain", "note")
 _COLOURS = ("C0", "C1", "C2", "C3", "C4", "C5", "C6", "C7")
+
+
+def table_name(best: int) -> str:
+    """Return a name for the table with which run ``best`` was made; run 0 is the plan."""
+    return f"table of run {best}" if best else "table of the plan, unchanged"
 
 
 def repeat_rows(found: LearnedJob, machine: int) -> list[list[str]]:
@@ -87,7 +92,7 @@ def write_learning(found: LearnedJob, folder: Path, command: str) -> Path:
             )
             header, rows = verdict_rows(one.proof.verdict)
             tables.append(
-                Table(title=f"The table of run {one.best}: {name}", header=header, rows=rows)
+                Table(title=f"The {table_name(one.best)}: {name}", header=header, rows=rows)
             )
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}, learned",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from threadline.base.arrays import FloatArray
 from threadline.motion.shaping import FlexibleMode, Shaper, residual_vibration
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
@@ -18,8 +20,37 @@ if TYPE_CHECKING:
 
 _SPAN = (0.4, 1.6)
 _POINTS = 601
+_MOST_HZ = 200.0  # of the picture of a measurement
 _NAME_WIDE = 0.12  # width of the name of a mode, as a share of the figure
 _READABLE: Any = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredPower:
+    """Power of a measured vibration, the mode fitted to it, and trains to compare on it.
+
+    Parameters
+    ----------
+    axis
+        Name of the axis.
+    lines_hz, power, fitted
+        (k,) power around the mode, and the fit.
+    spectrum_hz, spectrum
+        (m,) power of all axes over the whole range, weighted as Klipper does.
+    trains
+        Their residual vibration is drawn at ``damping_ratio``.
+    damping_ratio
+        The mode's.
+    """
+
+    axis: str
+    lines_hz: FloatArray
+    power: FloatArray
+    fitted: FloatArray
+    spectrum_hz: FloatArray
+    spectrum: FloatArray
+    trains: tuple[Shaper, ...]
+    damping_ratio: float
 
 
 def write_shaper(
@@ -29,8 +60,14 @@ def write_shaper(
     tables: Sequence[Table],
     warnings: Sequence[str],
     folder: Path,
+    measured: MeasuredPower | None = None,
 ) -> Path:
     """Write the report of ``shaper`` into ``folder``; return the path of the HTML page.
+
+    Parameters
+    ----------
+    measured
+        The measurement that the modes are from; None if they were given.
 
     Raises
     ------
@@ -39,6 +76,8 @@ def write_shaper(
     """
     with figure_style():
         figures = {"sensitivity": _sensitivity(shaper, modes, tolerances), "step": _step(shaper)}
+        if measured is not None:
+            figures = {"measured": _measured(measured), **figures}
         named = ", ".join(f"{m.frequency_hz:g} Hz at {m.damping_ratio:g}" for m in modes)
         document = Document(
             title=f"Shaper {shaper.name}",
@@ -48,6 +87,9 @@ def write_shaper(
             tables=tables,
             figures=figures,
             captions={
+                "measured": "Above: the measured power around the mode, and the mode fitted to it. "
+                "Below: what each shaper leaves, over the power of all axes as Klipper weighs it, "
+                "as a share of its peak.",
                 "sensitivity": "Residual vibration over frequency, 1 being what one unit impulse "
                 "leaves; the damping ratio is held. Dashed upright: the modes.",
                 "step": "The impulses, and the levels that a unit step passes through.",
@@ -59,6 +101,30 @@ def write_shaper(
             ],
         )
         return write_document(document, folder, "shaper")
+
+
+def _measured(measured: MeasuredPower) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 6.0))
+    above, below = figure.subplots(2, 1)
+    top = float(measured.fitted.max())
+    above.plot(measured.lines_hz, measured.power / top, label="measured", **PROGRAMMED)
+    above.plot(measured.lines_hz, measured.fitted / top, label="fitted mode", **ACTUAL)
+    above.set(xlabel="frequency, Hz", ylabel="power, share of the peak", yscale="log")
+    above.set_title(f"Power along {measured.axis}")
+    above.legend()
+    seen = measured.spectrum_hz <= _MOST_HZ
+    f, power = measured.spectrum_hz[seen], measured.spectrum[seen]
+    below.fill_between(f, power / power.max(), color="0.85", label="power, all axes")
+    fine = np.linspace(max(float(f[0]), 1.0), float(f[-1]), _POINTS)
+    for train, style in zip(measured.trains, (ACTUAL, PLANNED), strict=False):
+        left = residual_vibration(train, fine, measured.damping_ratio)
+        below.plot(fine, left, label=train.name, **style)
+    below.set(xlabel="frequency, Hz", ylabel="residual vibration V", ylim=(0.0, 1.05))
+    below.set_title("What the shapers leave")
+    below.legend()
+    return figure
 
 
 def _sensitivity(

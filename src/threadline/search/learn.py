@@ -1,9 +1,9 @@
-"""A job that is repeated: after each run its references move by what the run has shown.
+"""A repeated job: each run's error corrects the references of the next run.
 
 Iterative learning control. The learning filter of each axis (``dynamics/learning.py``) turns the
 error of a run into a change of its references. A run that got worse is undone: learning goes on
 from the best run, with half the gain. Every new table is first played by the simulated machine of
-the file: a change that asks more of a drive than it has is halved.
+the file: a change that brings a drive to its limit, or an axis out of its travel, is halved.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Rules:
     gain
         Share of the error that is corrected after a run, in (0, 1].
     low_pass_hz
-        As ``learning_filter`` takes it.
+        Frequency at which the low-pass halves, Hz; None: chosen by ``learning_filter``.
     sensed
         Where the error is measured: at the head (the load) or at the motor's encoder.
     """
@@ -82,7 +82,7 @@ class Repeat:
     error_si
         (axes,) root mean square of the error, m or rad.
     error_m
-        The same over all axes at the tool, m.
+        Root mean square of the error over all axes at the tool, m.
     peak_si
         (axes,) largest error, m or rad.
     current
@@ -92,7 +92,7 @@ class Repeat:
     followed
         Whether learning went on from this run; if not, it was undone.
     note
-        What stopped or shortened the change before this run; empty for nothing.
+        Limit that shortened or stopped the change before this run; empty if there is none.
     """
 
     number: int
@@ -124,7 +124,7 @@ class Tried:
     passed
         Whether the run was in specification.
     error_m
-        As ``Repeat`` has it.
+        Root mean square of the error over all axes at the tool, m.
     """
 
     offset: FloatArray
@@ -150,9 +150,9 @@ class Learned:
     filters
         The learning filter of each axis.
     rules
-        How it was learned.
+        Gain, low-pass and sensor of the learning.
     proof
-        Proof of the best table, in as many runs as were asked for.
+        Proof of the best table, at the given level.
     """
 
     plan: Plan
@@ -188,14 +188,15 @@ class Learner:
     plan
         The plan: its table, the motion of the loads, and the machine.
     rules
-        How it is learned.
+        Gain, low-pass and sensor of the learning.
 
     Raises
     ------
     OptionError
-        If the machine has no loops, the job is too long, or its needle is set to a head that lags.
+        If the machine has no control loops, the job is too long, or its needle is timed for a head
+        that lags behind its references.
     MachineError
-        If an axis shares bodies with the drives of others.
+        If an axis shares bodies with another drive.
     """
 
     def __init__(self, plan: Plan, rules: Rules) -> None:
@@ -262,7 +263,7 @@ class Learner:
         return np.stack(columns, axis=1)
 
     def tried(self, recording: Recording, offset: FloatArray, *, passed: bool) -> Tried:
-        """Return what a run has shown.
+        """Return a run with its offset and its error.
 
         Raises
         ------

@@ -66,7 +66,7 @@ class Cause:
     by
         Its change: its tolerance, else a small one. In m, or as a share of the turn.
     toleranced
-        Whether that is its tolerance.
+        Whether ``by`` is its tolerance.
     mean_m, largest_m
         Change of the mean gap and of the largest one.
     left_m, right_m
@@ -95,7 +95,7 @@ class Causes:
     Parameters
     ----------
     laid
-        The programmed winding, of the product as its file has it.
+        The programmed winding on the product of the file.
     width_m
         Width of the band.
     causes
@@ -113,7 +113,7 @@ class Causes:
         return int(np.round(np.maximum(self.laid.gaps_m, 0.0) / band).sum())
 
     def words(self) -> str:
-        """Return in words how large the gaps are, and what they point to."""
+        """Return the sizes of the gaps and their likely cause, in words."""
         gaps, largest = self.laid.gaps_m, self.laid.largest_m
         if largest <= _SMALL * self.width_m:
             shape = "the bands leave no gap"

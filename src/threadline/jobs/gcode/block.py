@@ -9,17 +9,19 @@ from threadline.jobs.gcode.dialects import (
     CANCEL,
     SILENT,
     Reading,
-    refuse_number,
-    refuse_without_point,
-    refuse_word,
-    whole,
 )
 from threadline.jobs.gcode.grammar import (
     PLAIN,
     check_first_alone,
     check_line,
     check_words,
-    one_command,
+)
+from threadline.jobs.gcode.printer_lines import commands_of
+from threadline.jobs.gcode.refused_words import (
+    refuse_number,
+    refuse_without_point,
+    refuse_word,
+    whole,
 )
 from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, RawBlock, exact, split_words
 
@@ -118,8 +120,10 @@ class Block(NamedTuple):
         return bool(self.axes) and self.action != 920
 
 
-def parse_block(text: str, line: int, reading: Reading) -> Block | None:
-    """Return the block on a line, None when the line has no words.
+def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
+    """Return the blocks on a line, none when the line has no words.
+
+    A line is one block, except where the firmware runs every command of a line.
 
     Raises
     ------
@@ -128,11 +132,14 @@ def parse_block(text: str, line: int, reading: Reading) -> Block | None:
     """
     dialect, place = reading.dialect, Place(reading.file, line)
     if dialect.one_command:
-        text = one_command(text, dialect.name, place)
+        texts = commands_of(text, dialect.name, place)
     else:
         check_line(text, dialect.grammar, dialect.name, place)
-    raw = split_words(text, reading.file, line, one_block=not dialect.semicolon_ends)
-    return block_of(raw, line, reading) if raw.words else None
+        texts = [text]
+    raws = [
+        split_words(one, reading.file, line, one_block=not dialect.semicolon_ends) for one in texts
+    ]
+    return tuple(block_of(raw, line, reading) for raw in raws if raw.words)
 
 
 def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the reader
@@ -143,7 +150,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     Raises
     ------
     JobError
-        If ``parse_block`` would refuse the line.
+        If ``parse_line`` would refuse the line.
     """
     dialect = reading.dialect
     words, tags = raw

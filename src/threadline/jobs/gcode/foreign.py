@@ -100,6 +100,7 @@ _NAMES: Mapping[str, str] = {
     "fluidnc": r"\bfluidnc\b",
     "grbl": r"\bgrbl(?:hal)?\b|\b(?:lightburn|laserGRBL)\b",
     "klipper": r"\bklipper\b",
+    "reprapfirmware": r"\b(?:reprapfirmware|duet[23]?)\b",
     "marlin": r"\b(?:marlin|reprap|smoothie|cura|slic3r|prusaslicer|repetier)\b"
     r"|Parameters \{.*\"mandrel\"",  # FiberPath and Cyclone, two planners of windings
     "fanuc": r"\bfanuc\b",
@@ -109,6 +110,7 @@ _WORDS: Mapping[str, str] = {
     "linuxcnc": r"^[^(;\n]*(?:\bo\s*<|#\s*<|\bo\d+\s+(?:sub|if|while|do|repeat|call)\b|G64\s*P"
     r"|G43(?![.\d])|G91\.1|M6[2-8]\b)",
     "klipper": r"^[ \t]*(?:SET_VELOCITY_LIMIT|SET_GCODE_OFFSET|SET_PRESSURE_ADVANCE)\b",
+    "reprapfirmware": r"^[ \t]*M(?:566|568|572)\b",
     "marlin": r"^[ \t]*(?:T\d+[ \t]*$|(?:M(?:82|83|84|104|106|107|109|140|190|201|203|204|205|400)"
     r"|G29)\b|G0?[01][ \t][^(;\n]*\bE[-+.\d])",
     "fanuc": r"^[ \t]*O\d{4}\b",

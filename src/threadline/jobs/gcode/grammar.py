@@ -5,8 +5,8 @@ word, or give it to another word; this file refuses such a block, so that the pl
 the motion that the control makes.
 
 Sources: grbl 1.1 (``gcode.c``, ``protocol.c``, ``motion_control.c``), FluidNC 4 (``GCode.cpp``,
-``MotionControl.cpp``), Marlin 2.1 as its files configure it (``parser.cpp``, ``queue.cpp``, the
-files of each command), LinuxCNC 2.9 (``rs274``).
+``MotionControl.cpp``), Marlin 2.1 as its files configure it (the files of each command),
+RepRapFirmware 3.5 (``GCodes.cpp``), LinuxCNC 2.9 (``rs274``).
 """
 
 from __future__ import annotations
@@ -19,28 +19,6 @@ from typing import Literal
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.words import ONE, exact
 
-_NUMBER_OF_LINE = re.compile(r" *N *([0-9]+) *")
-_CHECKSUM = re.compile(r"\*[ \t]*([0-9]{1,3})[ \t]*$")
-_TEXT = re.compile(
-    r" *(?:N *[0-9]+ *)?M *"
-    r"(?:(?:11[78]|23|28|30|32|928)(?![0-9.])|[01](?![0-9.])(?: *[PS] *[0-9]+)*)"
-)
-_FLAGS = re.compile(r" *(?:N *[0-9]+ *)?(?:G *28|M *(?:1[78]|84))(?![0-9.])")
-_ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
-_COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
-_MACRO = re.compile(r" *([A-Z_][A-Z_]+[0-9]*(?:_[A-Z0-9_]*)?)(?![-+.])")
-_NOT_OF_KLIPPER = re.compile(r"[^A-Z0-9+\-. ]|[A-Z_]{2,}")
-_KLIPPER_DOES = {
-    "SET_VELOCITY_LIMIT": "sets the limits of velocity and acceleration anew",
-    "SET_INPUT_SHAPER": "sets the input shaper anew",
-    "SET_GCODE_OFFSET": "moves the zero",
-    "SAVE_GCODE_STATE": "keeps the zero and the feed for later",
-    "RESTORE_GCODE_STATE": "takes back the zero and the feed of before",
-    "MANUAL_STEPPER": "moves or renames a motor beside the axes",
-    "FORCE_MOVE": "moves a motor beside the axes",
-    "SET_KINEMATIC_POSITION": "moves the zero",
-}
-"""What commands of klipper with a name do that changes time or motion."""
 _MOVES = re.compile(r"G0*[0-3](?:\.0*)?")
 _COMMENTS = re.compile(r"\([^()]*\)|[ \t]")
 _SPLIT_COMMENT = re.compile(r"\([^()]*;")
@@ -180,6 +158,10 @@ MARLIN = Grammar(
     whole_ms=True,
     numbers_up=True,
 )
+REPRAPFIRMWARE = Grammar(
+    longest=255, letters="LO", idle_centre=True, round_arcs=True, single=True, exact_circles=True,
+    whole_ms=True,
+)  # fmt: skip
 
 
 def check_line(text: str, grammar: Grammar, name: str, place: Place) -> None:
@@ -219,137 +201,6 @@ def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
                 place=place,
                 remedy="Write its words in two blocks, or fewer decimals.",
             )
-
-
-def one_command(text: str, name: str, place: Place) -> str:
-    """Return a line of a one-command firmware as words with numbers.
-
-    The text of M0, M117 and similar words, the line number and the checksum are removed; the
-    checksum is compared first. Letters without a number, which name axes behind G28, M17, M18 and
-    M84, get the number 0.
-
-    >>> here = Place("a.gcode", 1)
-    >>> one_command("N3 G28 X Y*17", "marlin", here), one_command("M117 hello", "marlin", here)
-    (' G28 X0 Y0', 'M117')
-    >>> one_command("n3 g28 x*9", "klipper", here)
-    ' G28 X0'
-
-    Raises
-    ------
-    JobError
-        If a checksum is wrong or missing, or the firmware would run other words than written.
-    """
-    code, mark, comment = text.partition(";")
-    if name == "klipper":
-        return f"{_for_klipper(code, place)}{mark}{comment}"
-    code = _without_checksum(code, place)
-    said = _TEXT.match(code)
-    if said is not None:
-        return said[0]
-    if "(" in code or ")" in code:
-        raise JobError(
-            "marlin reads the letters in parentheses as words, unless it is built with "
-            "PAREN_COMMENTS",
-            place=place,
-            remedy="Write a comment behind a semicolon.",
-        )
-    if not code.isascii() or code != code.upper():
-        raise JobError(
-            "marlin knows capital letters alone, unless it is built with GCODE_CASE_INSENSITIVE",
-            place=place,
-            remedy="Write the line in capital letters, and a comment behind a semicolon.",
-        )
-    if "\t" in code:
-        raise JobError(
-            "the line has a tab, where marlin looks for a blank alone",
-            place=place,
-            remedy="Write a blank.",
-        )
-    if len(code) > MARLIN.longest:
-        raise JobError(
-            f"the line has {len(code)} characters; marlin cuts it off behind {MARLIN.longest}",
-            place=place,
-            remedy="Write fewer blanks or decimals.",
-        )
-    if code.strip(" \t%") and _COMMAND.match(code) is None:
-        raise JobError(
-            "the line does not begin with a command (G, M or T and a number), which marlin passes "
-            "over",
-            place=place,
-            remedy="Write the command in front, like G1 X5 F600.",
-        )
-    if _FLAGS.match(code):
-        code = _ALONE.sub(r"\g<1>0", code)
-    return f"{code}{mark}{comment}"
-
-
-def _for_klipper(code: str, place: Place) -> str:
-    """Return a line as words with numbers, as ``klippy/gcode.py`` splits it.
-
-    Small letters count as capital ones, a line number is passed over, a checksum is not compared.
-    """
-    code = _CHECKSUM.sub("", code.upper().replace("\t", " ").strip())
-    number = _NUMBER_OF_LINE.match(code)
-    code = code if number is None else f" {code[number.end() :]}"
-    said = _TEXT.match(code)
-    if said is not None:
-        return said[0]
-    if not code.strip(" %"):
-        return code
-    macro = _MACRO.match(code)
-    if macro is not None:
-        name = macro[1]
-        does = _KLIPPER_DOES.get(name)
-        what = f"{name} runs a macro, whose moves are not in the program"
-        raise JobError(
-            what if does is None else f"{name} {does}",
-            place=place,
-            remedy="Take the line out, or write the moves of the macro in its place."
-            if does is None
-            else "Have the program written without it, or take it out if it changes nothing.",
-        )
-    odd = _NOT_OF_KLIPPER.search(code)
-    if odd is not None or _COMMAND.match(code) is None:
-        raise JobError(
-            f"klipper cannot read {code.strip()[:40]!r} as a command (G, M or T and a number) with "
-            "a number behind each letter" + (f", for {odd[0]!r} in it" if odd is not None else ""),
-            place=place,
-            remedy="Write it like G1 X5 F600, and a comment behind a semicolon.",
-        )
-    return _ALONE.sub(r"\g<1>0", code) if _FLAGS.match(code) else code
-
-
-def number_of_line(text: str) -> int | None:
-    """Return the line number (N) at the front of a line, None without one."""
-    found = _NUMBER_OF_LINE.match(text)
-    return None if found is None else int(found[1])
-
-
-def _without_checksum(code: str, place: Place) -> str:
-    """Return a line without its checksum and without its line number."""
-    number, checksum = _NUMBER_OF_LINE.match(code), _CHECKSUM.search(code)
-    if number is None and checksum is None:
-        return code
-    if number is not None and checksum is None:
-        raise JobError(
-            f"the line has the number N{number[1]} and no checksum: marlin asks for it again",
-            place=place,
-            remedy="Take the number out: the program that sends the file writes its own.",
-        )
-    assert checksum is not None
-    body = code[: checksum.start()]
-    right = 0
-    for byte in body.lstrip(" ").encode():
-        right ^= byte
-    if number is not None and int(checksum[1]) != right:
-        raise JobError(
-            f"the checksum of the line is {checksum[1]} and must be {right}: marlin does not run "
-            "the line",
-            place=place,
-            remedy="Have the program written again: the line was changed, or take the N word and "
-            "the checksum out.",
-        )
-    return body if number is None else body[number.end() - 1 :]
 
 
 def check_first_alone(words: Sequence[tuple[str, str]], name: str, place: Place) -> None:

@@ -131,9 +131,13 @@ class Interpreter(Modal):
                     continue
                 if not lines.more():
                     continue
-            block = self._text.next_block(lines, looping=bool(self._passes))
-            if block is None:
+            blocks = self._text.next_line(lines, looping=bool(self._passes))
+            if not blocks:
                 continue
+            *before, block = blocks
+            for other in before:  # the scan refuses a line that goes on behind an end
+                for operation in self._step(other):
+                    yield operation, frame.times, frame.line
             for operation in self._step(block):
                 yield operation, frame.times, frame.line
             if block.program == 98:

@@ -193,7 +193,8 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             while at < end and (data[at] == BLANK or data[at] == TAB):
                 at += 1
             if state[ONE_COMMAND] != 0 and (
-                data[at - 1] == TAB or (letter == _G and at < end and data[at] < ZERO)
+                data[at - 1] == TAB
+                or (letter == _G and (data[at - 1] == BLANK or (at < end and data[at] < ZERO)))
             ):
                 plain = False
                 break

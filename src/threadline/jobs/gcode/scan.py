@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import CHANGE, Block, parse_block
+from threadline.jobs.gcode.block import CHANGE, Block, parse_line
 from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.feeds import FeedNotes
-from threadline.jobs.gcode.grammar import number_of_line
 from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS, plain_reader
+from threadline.jobs.gcode.printer_lines import number_of_line
 from threadline.jobs.gcode.subprograms import Call, Collector, Program, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE, TAPE, Tapes
@@ -129,8 +129,7 @@ class Scanner:
                 continue
             self._tapes.pass_by(text)
             self._check_number(text, number)
-            block = parse_block(text, number, self._reading)
-            if block is not None:
+            for block in parse_line(text, number, self._reading):
                 self._take(block, offset, lines.offset)
         number = max(1, lines.number - 1)
         program = self._programs.current

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import Block, parse_block
+from threadline.jobs.gcode.block import Block, parse_line
 from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.textfile import Chunk, Lines, SourceFile
 from threadline.jobs.gcode.words import TAPE
@@ -278,7 +278,7 @@ class KeptText:
         self._reading = reading
         self._kept: dict[int | None, Chunk] = {}
         self._kept_bytes = 0
-        self._parsed: dict[int, Block | None] = {}
+        self._parsed: dict[int, tuple[Block, ...]] = {}
 
     def lines_of(self, program: Program) -> Lines:
         """Return the lines of a program."""
@@ -291,8 +291,8 @@ class KeptText:
             self._kept_bytes += size
         return Lines(self._file, program.offset, program.line, kept)
 
-    def next_block(self, lines: Lines, looping: bool) -> Block | None:
-        """Return the block on the next line, None for a line without words.
+    def next_line(self, lines: Lines, looping: bool) -> tuple[Block, ...]:
+        """Return the blocks on the next line, none for a line without words.
 
         Raises
         ------
@@ -304,9 +304,7 @@ class KeptText:
             lines.skip()
             return self._parsed[offset]
         number, _, text = lines.take()
-        block = None
-        if text.strip() != TAPE:
-            block = parse_block(text, number, self._reading)
+        blocks = () if text.strip() == TAPE else parse_line(text, number, self._reading)
         if looping and len(self._parsed) < _KEPT_BLOCKS:
-            self._parsed[offset] = block
-        return block
+            self._parsed[offset] = blocks
+        return blocks

@@ -117,8 +117,10 @@ class Circuit:
 
     @property
     def widest_m(self) -> float:
-        """Largest radius of the mandrel."""
-        return widest(self.surface)[0]
+        """Largest radius of the mandrel between the joints."""
+        if self.left.rows[0, 1] >= self.right.rows[0, 1]:  # a cone: it turns over all of it
+            return widest(self.surface)[0]
+        return float(self.surface.at(self.middle[:, 1])[1][:, 0].max())
 
     @property
     def angle(self) -> float:
@@ -169,7 +171,8 @@ class Circuit:
         for rows in (self.middle, right):
             moved = rows[1:].copy()
             moved[:, (0, 2)] += parts[-1][-1, (0, 2)]
-            parts.append(moved)
+            if len(moved):
+                parts.append(moved)
         return np.vstack(parts)
 
 

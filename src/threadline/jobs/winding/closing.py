@@ -32,6 +32,7 @@ _HALVINGS = 14  # of the range of friction ratios in search of its end
 _MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
 _MOST_SHOWN = 1000
 _FLAT = 1e-12
+_BETWEEN = 1025  # places between begin and end
 _ROUNDS = 40
 _CLOSED = 1e-13  # rad
 _HOOP_ROWS = 100
@@ -179,36 +180,36 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     most, first, last = widest(surface, level)
     if layer.kind == "hoop":
         return _hoops(winding, layer, surface)
+    begin, end = _full(winding, layer)
+    if surface is not product.surface and begin is not None and end is not None:
+        most, first, last = _between(surface, (begin, end), (most, first, last))
     bottoms = [_least(surface, first, -1), _least(surface, last, 1)]
-    open_m = [surface.at(np.array([u]))[1][0, 0] for u in (0.0, surface.length_m)]
-    domes_m = [
-        float(end) + 0.5 * width for end, low in zip(open_m, bottoms, strict=True)
-        if low < 0.95 * most
-    ]  # fmt: skip
+    rims = [_rim(surface, side, width, winding.friction) for side in (-1, 1)]
+    narrow = [low < 0.95 * most for low in bottoms]
+    domes_m = [rim.band_m for rim, one in zip(rims, narrow, strict=True) if one and rim.steep]
     if layer.turn_m is not None:
         constant = layer.turn_m
     elif layer.angle is not None:
         constant = most * math.sin(layer.angle)
-    elif domes_m and len(domes_m) == sum(low < 0.95 * most for low in bottoms):
+    elif domes_m and len(domes_m) == sum(narrow):
         constant = max(domes_m)
     else:
         winding.refuse(layer, "the mandrel has no dome that gives an angle", 'angle = "55 deg"')
-    least = max((m for m in domes_m if m - 0.5 * width < constant), default=0.0)
+    turned = [rim for rim, one in zip(rims, narrow, strict=True) if one and rim.end_m < constant]
+    least = max((rim.band_m for rim in turned), default=0.0)
     if constant >= most * math.cos(math.radians(0.5)):
         winding.refuse(
             layer, f"a turn at {1e3 * constant:.4g} mm leaves no angle on a mandrel of "
             f"{1e3 * most:.4g} mm", "Give a smaller turn, or a hoop layer.",
         )  # fmt: skip
-    if domes_m and constant < min(domes_m) - 1e-9:
+    wanted = max([min(domes_m, default=0.0), *(rim.band_m for rim in turned)])
+    if constant < wanted - 1e-9:
         winding.refuse(
             layer,
             f"a turn at {1e3 * constant:.4g} mm: the opening and half a band are "
-            f"{1e3 * min(domes_m):.4g} mm",
+            f"{1e3 * wanted:.4g} mm",
             "Give a larger turn or angle, or a narrower band.",
         )
-    covered = product.covered
-    begin = layer.begin_m if layer.begin_m is not None else covered[0] if covered else None
-    end = layer.end_m if layer.end_m is not None else covered[1] if covered else None
     sites = []
     for side, low, joint, at in ((-1, bottoms[0], first, begin), (1, bottoms[1], last, end)):
         dome = low < constant
@@ -221,6 +222,11 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
             )
         place = joint if dome else float(surface.place_of(np.array([at]))[0])
         sites.append(Site(side, place, dome))
+    # On a cone the widest place lies beyond what is covered.
+    if sites[0].dome and not sites[1].dome:
+        sites[0] = replace(sites[0], joint=min(sites[0].joint, sites[1].joint))
+    if sites[1].dome and not sites[0].dome:
+        sites[1] = replace(sites[1], joint=max(sites[1].joint, sites[0].joint))
     if not sites[0].joint <= sites[1].joint:
         winding.refuse(layer, "begin is not left of end", "Correct begin and end.")
     both = (sites[0], sites[1])
@@ -259,6 +265,65 @@ def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     rows = base.middle
     base = replace(base, middle=np.vstack([rows[:-1:_HOOP_ROWS], rows[-1:]]))
     return Wrap(winding, layer, surface, sites, base, 0.0, width, friction)
+
+
+def _full(winding: Winding, layer: Layer) -> tuple[float | None, float | None]:
+    """Return the places between which a layer has its full angle, m; None where none is given."""
+    covered = winding.product.covered or (None, None)
+    return (
+        covered[0] if layer.begin_m is None else layer.begin_m,
+        covered[1] if layer.end_m is None else layer.end_m,
+    )
+
+
+def _between(
+    surface: Surface, ends_m: tuple[float, float], whole: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Return what ``widest`` returns, between two places, if the rest of the mandrel is wider.
+
+    Where the layers below turned on an open end, they stand higher than the product.
+    """
+    places = surface.place_of(np.array(ends_m))
+    between = np.linspace(float(places[0]), float(places[1]), _BETWEEN)
+    radii = surface.at(between)[1][:, 0]
+    most = float(radii.max())
+    if most >= whole[0] * (1.0 - ROUGH_LEVEL):
+        return whole
+    wide = between[radii >= most * (1.0 - ROUGH_LEVEL)]
+    return most, float(wide[0]), float(wide[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class _Rim:
+    """An end of the mandrel.
+
+    Parameters
+    ----------
+    end_m
+        Radius there.
+    band_m
+        Smallest radius at which a band has room: its centre is half a band from the end.
+    steep
+        Whether the end is a dome: no friction holds a parallel there.
+    """
+
+    end_m: float
+    band_m: float
+    steep: bool
+
+
+def _rim(surface: Surface, side: int, width_m: float, friction: float) -> _Rim:
+    """Return the right (``side`` 1) or the left end of a mandrel.
+
+    On a dome half a band counts in radius, as where the meridian is square to the axis; on a cone
+    it counts along the meridian.
+    """
+    end = surface.length_m if side > 0 else 0.0
+    inside = min(max(end - side * 0.5 * width_m, 0.0), surface.length_m)
+    x, r = surface.at(np.array([end, inside]))
+    steep = bool(abs(r[0, 1]) > friction * abs(x[0, 1]))
+    radius = float(r[0, 0])
+    return _Rim(radius, radius + 0.5 * width_m if steep else float(r[1, 0]), steep)
 
 
 def _least(surface: Surface, begin: float, side: int) -> float:

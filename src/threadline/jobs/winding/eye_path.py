@@ -165,7 +165,12 @@ def eye_path(surface: Surface, course: FloatArray, far_m: float, round_: bool) -
         raise JobError(
             f"at {1e3 * x:.4g} mm along the mandrel (radius {1e3 * r:.4g} mm) the fibre's tangent "
             f"does not meet the envelope with a {what} of {1e3 * far_m:.4g} mm",
-            remedy="Take the eye farther away: [fibre] envelope.",
+            remedy=(
+                "The machine cannot move its eye across: fewer layers, a smaller mandrel, or "
+                "a [tool] farther away."
+                if round_
+                else "Take the eye farther away: [fibre] envelope."
+            ),
         )
     xs, rs = surface.at(course[:, 1])
     slope = np.hypot(xs[:, 1], rs[:, 1])

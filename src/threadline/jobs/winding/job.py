@@ -29,7 +29,7 @@ from threadline.jobs.operations import (
 from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, positions
 from threadline.jobs.winding.joins import Join, join
-from threadline.jobs.winding.laid import Laid, design
+from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import Winding, read_layers
 from threadline.machine import Machine
 from threadline.machine.tool import Tool
@@ -51,6 +51,7 @@ _CHORD_M = 5e-4  # of the replay's check
 _TIED_M = 1e-3  # a tied place within this of the turn is the turn
 _APPROACH_M_S = 0.02  # of eye to the first point
 _REST_S = 0.5
+_RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as what full speed draws in so many seconds
 _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
 _LEAST_S = 1e-4  # of a move
 
@@ -240,9 +241,11 @@ def _laps(
     kept, off = _checked(winding, circuit, path, tool)
     said = []
     at = Place(str(winding.path), laid.layer.line)
+    if (hollow := bridged(laid)) is not None:
+        said.append(hollow)
     if off > winding.tolerance_m:
-        hollow = "" if circuit.surface.convex else ": the layers below leave hollows"
-        said.append(f"{at}: the fibre is laid up to {1e3 * off:.3g} mm beside its design{hollow}.")
+        why = "" if circuit.surface.convex else ": the surface below has hollows"
+        said.append(f"{at}: the fibre is laid up to {1e3 * off:.3g} mm beside its design{why}.")
     take_up = winding.product.take_up
     if path.slack_m > 1e-6 and path.slack_m > (take_up or 0.0):
         held = (
@@ -401,6 +404,16 @@ def _approach(tool: Tool) -> tuple[str, ...]:
     return tuple(first)
 
 
+def _from_rest(seconds: FloatArray) -> tuple[tuple[int, Feed | None], ...]:
+    """Return the feeds of the first circuit.
+
+    Axes that start at full speed lag behind unequally at first, and the fibre would slip.
+    """
+    middle = np.cumsum(seconds) - 0.5 * seconds
+    feeds = (np.clip(middle / _RAMP_S, _RAMP_FROM, 1.0) / seconds).tolist()
+    return tuple((k, Feed(FeedMode.INVERSE_TIME, feed)) for k, feed in enumerate(feeds))
+
+
 def _runs(
     laps: tuple[Laps, ...], file: str, axes: tuple[str, ...], approach: tuple[str, ...]
 ) -> Iterator[Operation | MoveRun]:
@@ -432,7 +445,7 @@ def _runs(
             yield MoveRun(
                 targets=one.points[1:] + lap * one.further + shift,
                 line=lines,
-                feeds=tuple(feeds),
+                feeds=_from_rest(one.seconds) if number == 1 else tuple(feeds),
                 file=file,
                 passes=(number,),
             )

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from threadline.errors import Place
 from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.closing import (
     Pattern,
@@ -18,6 +21,7 @@ from threadline.jobs.winding.layers import Closing, Layer, Winding
 from threadline.jobs.winding.thickness import Thickness, grown, hoops, thickness
 
 _KG_PER_TEX_M = 1e-6
+_HOLLOW = 1e-6  # of 1 / r, of a curvature that points outwards
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +87,24 @@ class Laid:
             return hoops(self.circuit.surface, ends, self.wrap.width_m, volume)
         return thickness(self.circuit, self.wrap.sites, self.wrap.width_m, self.fibre_m2)
 
+    def hollow_m(self) -> tuple[float, float] | None:
+        """Return the ends of the hollows of the mandrel, m along it, that the fibre bridges.
+
+        The fibre leaves the surface where its normal curvature ``k cos(a)^2 + cos(b) sin(a)^2 / r``
+        points outwards. None without such a place, and above the first layer.
+        """
+        surface = self.circuit.surface
+        if surface is not self.wrap.winding.product.surface:
+            return None
+        course = self.circuit.course()
+        x, r = surface.at(course[:, 1])
+        speed = np.hypot(x[:, 1], r[:, 1])
+        bend = (r[:, 1] * x[:, 2] - x[:, 1] * r[:, 2]) / speed**3
+        round_ = x[:, 1] / (speed * r[:, 0])
+        normal = bend * np.cos(course[:, 3]) ** 2 + round_ * np.sin(course[:, 3]) ** 2
+        places = x[normal * r[:, 0] < -_HOLLOW, 0]
+        return (float(places.min()), float(places.max())) if len(places) else None
+
     @property
     def most_m(self) -> float | None:
         """Largest thickness, at a turn; None if unknown."""
@@ -128,6 +150,19 @@ def design(winding: Winding) -> tuple[Laid, ...]:
         if spread is not None and layer is not winding.layers[-1]:
             surface = grown(surface, spread)
     return tuple(found)
+
+
+def bridged(laid: Laid) -> str | None:
+    """Return a warning about hollows of the mandrel under a layer; None without one."""
+    hollow = laid.hollow_m()
+    if hollow is None:
+        return None
+    place = Place(str(laid.wrap.winding.path), laid.layer.line)
+    begin, end = (1e3 * one for one in hollow)
+    return (
+        f"{place}: the fibre bridges the hollow of the mandrel at {begin:.4g} to {end:.4g} mm. "
+        "An angle nearer to 90 deg lies closer; threadline prove tells the height."
+    )
 
 
 def degrees(angle: float) -> str:

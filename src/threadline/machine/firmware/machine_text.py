@@ -85,7 +85,6 @@ def parse_answers(texts: Sequence[str]) -> Answers:
 
 
 _FULL_STEPS = 200
-_DIALECTS = {"reprapfirmware": "marlin"}
 _PLANNERS = {
     "grbl": "grbl", "fluidnc": "grbl", "marlin": "marlin", "klipper": "klipper",
     "reprapfirmware": "reprapfirmware", "linuxcnc": "linuxcnc",
@@ -208,7 +207,6 @@ def machine_text(
             f"{Place(settings.file)} does not give all numbers of the machine",
             remedy=f"Add: {'; '.join(_asked(missing))}.{lighter}",
         )
-    dialect = _DIALECTS.get(settings.firmware, settings.firmware)
     driven = "with limits alone" if limits_only else "with steppers"
     parts = [
         f'name = "{name}"',
@@ -222,7 +220,7 @@ def machine_text(
         'pulse = "1 ms exact, assumed: the segment within which pulses come evenly"',
         "",
         "[programs]",
-        f'dialect = "{dialect}"',
+        f'dialect = "{settings.firmware}"',
     ]
     parts += ["", *_planner(settings, turning)]
     if turning:

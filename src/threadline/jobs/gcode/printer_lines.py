@@ -1,0 +1,303 @@
+"""The lines of printers' firmwares: their numbers, checksums, texts and commands.
+
+Marlin and Klipper run one command of a line, RepRapFirmware every command. These functions return
+the commands as words with numbers; what the firmware would run otherwise is refused.
+
+Sources: Marlin 2.1 (``parser.cpp``, ``queue.cpp``), Klipper (``gcode.py``), RepRapFirmware 3.5
+(``StringParser.cpp``, ``GCodes2.cpp``).
+"""
+
+from __future__ import annotations
+
+import re
+
+from threadline.errors import JobError, Place
+from threadline.jobs.gcode.grammar import MARLIN, REPRAPFIRMWARE
+
+_NUMBER_OF_LINE = re.compile(r" *N *([0-9]+) *")
+_CHECKSUM = re.compile(r"\*[ \t]*([0-9]{1,3})[ \t]*$")
+_TEXT = re.compile(
+    r" *(?:N *[0-9]+ *)?M *"
+    r"(?:(?:11[78]|23|28|30|32|928)(?![0-9.])|[01](?![0-9.])(?: *[PS] *[0-9]+)*)"
+)
+_FLAGS = re.compile(r" *(?:N *[0-9]+ *)?(?:G *28|M *(?:1[78]|84))(?![0-9.])")
+_ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
+_COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
+_MACRO = re.compile(r" *([A-Z_][A-Z_]+[0-9]*(?:_[A-Z0-9_]*)?)(?![-+.])")
+_NOT_OF_KLIPPER = re.compile(r"[^A-Z0-9+\-. ]|[A-Z_]{2,}")
+_KLIPPER_DOES = {
+    "SET_VELOCITY_LIMIT": "sets the limits of velocity and acceleration anew",
+    "SET_INPUT_SHAPER": "sets the input shaper anew",
+    "SET_GCODE_OFFSET": "moves the zero",
+    "SAVE_GCODE_STATE": "keeps the zero and the feed for later",
+    "RESTORE_GCODE_STATE": "takes back the zero and the feed of before",
+    "MANUAL_STEPPER": "moves or renames a motor beside the axes",
+    "FORCE_MOVE": "moves a motor beside the axes",
+    "SET_KINEMATIC_POSITION": "moves the zero",
+}
+"""What commands of klipper with a name do that changes time or motion."""
+_CODE = re.compile(r'(?:[^;"]|"[^"]*"?)*')
+_QUOTED = re.compile(r'"[^"]*"?')
+_NUMBERED = re.compile(r"[ \t]*[Nn][0-9]*[ \t]*")
+_META = re.compile(
+    r"[ \t]*(if|elif|else|while|break|continue|var|global|set|abort|echo|skip)(?=[ \t{\"(]|$)"
+)
+_SAYS = re.compile(r'[ \t]*(?:skip(?:[ \t].*)?|echo[ \t]*"[^"]*"[ \t]*)')
+_BEGINS = re.compile(r"[GM](?:-?[0-9]+(?:\.[0-9])?)?|T-?[0-9]+")
+_TAKES_LINE = re.compile(r'[Mm](?:23|28|30|32|36|38|117)(?![0-9.])(?=[ \t]*[^" \t])')
+_TAKES_TEXT = frozenset({"M23", "M28", "M30", "M32", "M36", "M38", "M98", "M117", "M118"})
+_REPRAP_CHECKSUM = re.compile(r"\*([0-9]{1,3})(?![0-9])")
+
+
+def commands_of(text: str, name: str, place: Place) -> list[str]:
+    """Return the commands that a firmware runs of a line, each as words with numbers.
+
+    Parameters
+    ----------
+    name
+        Name of the firmware's dialect.
+
+    Raises
+    ------
+    JobError
+        If the firmware would run other words than written.
+    """
+    if name == "reprapfirmware":
+        return _for_reprapfirmware(text, place)
+    return [one_command(text, name, place)]
+
+
+def number_of_line(text: str) -> int | None:
+    """Return the line number (N) at the front of a line, None without one."""
+    found = _NUMBER_OF_LINE.match(text)
+    return None if found is None else int(found[1])
+
+
+def one_command(text: str, name: str, place: Place) -> str:
+    """Return a line of a one-command firmware as words with numbers.
+
+    The text of M0, M117 and similar words, the line number and the checksum are removed; the
+    checksum is compared first. Letters without a number, which name axes behind G28, M17, M18 and
+    M84, get the number 0.
+
+    >>> here = Place("a.gcode", 1)
+    >>> one_command("N3 G28 X Y*17", "marlin", here), one_command("M117 hello", "marlin", here)
+    (' G28 X0 Y0', 'M117')
+    >>> one_command("n3 g28 x*9", "klipper", here)
+    ' G28 X0'
+
+    Raises
+    ------
+    JobError
+        If a checksum is wrong or missing, or the firmware would run other words than written.
+    """
+    code, mark, comment = text.partition(";")
+    if name == "klipper":
+        return f"{_for_klipper(code, place)}{mark}{comment}"
+    code = _without_checksum(code, place)
+    said = _TEXT.match(code)
+    if said is not None:
+        return said[0]
+    if "(" in code or ")" in code:
+        raise JobError(
+            "marlin reads the letters in parentheses as words, unless it is built with "
+            "PAREN_COMMENTS",
+            place=place,
+            remedy="Write a comment behind a semicolon.",
+        )
+    if not code.isascii() or code != code.upper():
+        raise JobError(
+            "marlin knows capital letters alone, unless it is built with GCODE_CASE_INSENSITIVE",
+            place=place,
+            remedy="Write the line in capital letters, and a comment behind a semicolon.",
+        )
+    if "\t" in code:
+        raise JobError(
+            "the line has a tab, where marlin looks for a blank alone",
+            place=place,
+            remedy="Write a blank.",
+        )
+    if len(code) > MARLIN.longest:
+        raise JobError(
+            f"the line has {len(code)} characters; marlin cuts it off behind {MARLIN.longest}",
+            place=place,
+            remedy="Write fewer blanks or decimals.",
+        )
+    if code.strip(" \t%") and _COMMAND.match(code) is None:
+        raise JobError(
+            "the line does not begin with a command (G, M or T and a number), which marlin passes "
+            "over",
+            place=place,
+            remedy="Write the command in front, like G1 X5 F600.",
+        )
+    if _FLAGS.match(code):
+        code = _ALONE.sub(r"\g<1>0", code)
+    return f"{code}{mark}{comment}"
+
+
+def _for_klipper(code: str, place: Place) -> str:
+    """Return a line as words with numbers, as ``klippy/gcode.py`` splits it.
+
+    Small letters count as capital ones, a line number is passed over, a checksum is not compared.
+    """
+    code = _CHECKSUM.sub("", code.upper().replace("\t", " ").strip())
+    number = _NUMBER_OF_LINE.match(code)
+    code = code if number is None else f" {code[number.end() :]}"
+    said = _TEXT.match(code)
+    if said is not None:
+        return said[0]
+    if not code.strip(" %"):
+        return code
+    macro = _MACRO.match(code)
+    if macro is not None:
+        name = macro[1]
+        does = _KLIPPER_DOES.get(name)
+        what = f"{name} runs a macro, whose moves are not in the program"
+        raise JobError(
+            what if does is None else f"{name} {does}",
+            place=place,
+            remedy="Take the line out, or write the moves of the macro in its place."
+            if does is None
+            else "Have the program written without it, or take it out if it changes nothing.",
+        )
+    odd = _NOT_OF_KLIPPER.search(code)
+    if odd is not None or _COMMAND.match(code) is None:
+        raise JobError(
+            f"klipper cannot read {code.strip()[:40]!r} as a command (G, M or T and a number) with "
+            "a number behind each letter" + (f", for {odd[0]!r} in it" if odd is not None else ""),
+            place=place,
+            remedy="Write it like G1 X5 F600, and a comment behind a semicolon.",
+        )
+    return _ALONE.sub(r"\g<1>0", code) if _FLAGS.match(code) else code
+
+
+def _without_checksum(code: str, place: Place) -> str:
+    """Return a line without its checksum and without its line number."""
+    number, checksum = _NUMBER_OF_LINE.match(code), _CHECKSUM.search(code)
+    if number is None and checksum is None:
+        return code
+    if number is not None and checksum is None:
+        raise JobError(
+            f"the line has the number N{number[1]} and no checksum: marlin asks for it again",
+            place=place,
+            remedy="Take the number out: the program that sends the file writes its own.",
+        )
+    assert checksum is not None
+    body = code[: checksum.start()]
+    right = 0
+    for byte in body.lstrip(" ").encode():
+        right ^= byte
+    if number is not None and int(checksum[1]) != right:
+        raise JobError(
+            f"the checksum of the line is {checksum[1]} and must be {right}: marlin does not run "
+            "the line",
+            place=place,
+            remedy="Have the program written again: the line was changed, or take the N word and "
+            "the checksum out.",
+        )
+    return body if number is None else body[number.end() - 1 :]
+
+
+def _for_reprapfirmware(text: str, place: Place) -> list[str]:
+    """Return the commands of a line, as ``StringParser.cpp`` decodes them one after the other.
+
+    A G or M outside quotes begins a command. Small letters count as capital ones; N needs no
+    checksum, and a line with a wrong one is not run. The comment of a line belongs to each command.
+
+    >>> _for_reprapfirmware("n5 g21 G90G1 X5 ; (a", Place("a.g", 1))
+    ['G21 ; (a', 'G90; (a', 'G1 X5; (a']
+    >>> _for_reprapfirmware('M117 "G1 X9" M400', Place("a.g", 1))
+    ['M117', 'M400']
+    """
+    found = _CODE.match(text)
+    assert found is not None
+    code, comment = found[0], text[found.end() :]
+    code = _numbered_for_reprapfirmware(code, place).strip(" \t\r")
+    if not code.strip("% \t") or _SAYS.fullmatch(code):
+        return []
+    bare = _QUOTED.sub(lambda quoted: '"' * len(quoted[0]), code)
+    text_of_line = _TAKES_LINE.search(bare)
+    if text_of_line is not None:  # the rest of the line is a name or a message
+        code, bare = code[: text_of_line.end()], bare[: text_of_line.end()]
+    _refuse_for_reprapfirmware(code, bare, place)
+    starts = [at for at, letter in enumerate(bare) if letter in "GMgm" or at == 0]
+    pieces = []
+    for start, end in zip(starts, [*starts[1:], len(code)], strict=True):
+        piece = code[start:end].upper()
+        begins = _BEGINS.match(piece)
+        if begins is None or begins[0] in {"G", "M"}:
+            raise JobError(
+                f"reprapfirmware answers to {piece[:40]!r} with an error: a command is G, M or T "
+                "with its number directly behind",
+                place=place,
+                remedy="Write it like G1 X5 F600, and a comment behind a semicolon.",
+            )
+        word, rest = begins[0], piece[begins.end() :].lstrip()
+        if word in _TAKES_TEXT:
+            pieces.append(word)
+            continue
+        if '"' in piece:
+            raise JobError(
+                f"the text in quotes beside {word} is not read",
+                place=place,
+                remedy="Take the command out, or write it without a text.",
+            )
+        if word[0] == "G" and "T" in rest:
+            raise JobError(
+                f"reprapfirmware passes over T behind {word}: it is a command in front of a line "
+                "alone",
+                place=place,
+                remedy="Write T on a line of its own, or take it out.",
+            )
+        pieces.append(_ALONE.sub(r"\g<1>0", piece) if _FLAGS.match(piece) else piece)
+    return [f"{piece}{comment}" for piece in pieces]
+
+
+def _refuse_for_reprapfirmware(code: str, bare: str, place: Place) -> None:
+    """Refuse a line that RepRapFirmware evaluates, or reads otherwise than it looks.
+
+    ``bare`` is the line with quotes in place of its texts.
+    """
+    meta = _META.match(code)
+    why, remedy = "", "Have the program written with numbers and commands alone."
+    if meta is not None:
+        why = f"{meta[1]} is a meta command of reprapfirmware, which is not run here"
+    elif "{" in bare or "}" in bare:
+        why = "expressions in braces are not read: what they are worth only the firmware knows"
+    elif "(" in bare or ")" in bare:
+        why = (
+            "reprapfirmware reads the letters in parentheses as words, unless M453 has made it a "
+            "CNC machine"
+        )
+        remedy = "Write a comment behind a semicolon."
+    elif "'" in bare:
+        why = "an apostrophe names an axis with a small letter, which no machine here has"
+        remedy = "Name the axis by a capital letter, without the apostrophe."
+    elif len(code) > REPRAPFIRMWARE.longest:
+        why = f"the line has {len(code)} characters; reprapfirmware takes {REPRAPFIRMWARE.longest}"
+        remedy = "Write its commands on lines of their own, or fewer decimals."
+    if why:
+        raise JobError(why, place=place, remedy=remedy)
+
+
+def _numbered_for_reprapfirmware(code: str, place: Place) -> str:
+    """Return a line without its number, and without its checksum, which must be right."""
+    number = _NUMBERED.match(code)
+    if number is None:
+        return code
+    end = _QUOTED.sub(lambda quoted: '"' * len(quoted[0]), code).find("*")
+    if end < 0:
+        return code[number.end() :]
+    right = 0
+    for byte in code[:end].lstrip(" \t").encode():
+        right ^= byte
+    told = _REPRAP_CHECKSUM.match(code, end)
+    if told is None or int(told[1]) != right:
+        raise JobError(
+            f"the checksum of the line is {code[end + 1 :].strip()[:20] or 'missing'} and must be "
+            f"{right}: reprapfirmware does not run the line",
+            place=place,
+            remedy="Have the program written again: the line was changed, or take the N word and "
+            "the checksum out.",
+        )
+    return code[number.end() : end]

@@ -1,0 +1,195 @@
+"""Words that are refused, each by its meaning for the control and with a remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NoReturn
+
+from threadline.errors import JobError, Place
+from threadline.jobs.gcode.dialects import DIALECTS, Reading
+from threadline.jobs.gcode.words import ONE
+
+_CYCLE = "a canned cycle, whose moves are not modelled"
+_RADIUS = "compensation of the cutter's radius, by which the tool would leave the programmed path"
+_ANALOGUE = "an analogue output, which no machine here has"
+_BUILT = "what marlin knows only where it is built with"
+WHY: Mapping[int, str] = {
+    410: _RADIUS, 420: _RADIUS, 100: "setting what the control keeps (offsets, tool tables)",
+    430: "compensation of the tool's length", 431: "compensation of the tool's length",
+    **dict.fromkeys((382, 383, 384, 385), "probing, whose end nobody knows before"),
+    **dict.fromkeys((730, *range(810, 900, 10)), _CYCLE),
+}  # fmt: skip
+"""Meaning of the G words that no dialect here has, by ten times their number."""
+WHY_IN: Mapping[str, Mapping[str, str]] = {
+    "grbl": {
+        "G64": "no word of grbl, which blends by its own settings",
+    },
+    "fluidnc": {
+        "G64": "no word of fluidnc, which blends by its own settings",
+        **dict.fromkeys(("M67", "M68"), _ANALOGUE),
+    },
+    "linuxcnc": dict.fromkeys(("M67", "M68"), _ANALOGUE),
+    "klipper": {
+        "G20": "the inch, which klipper refuses",
+        "G91.1": "no word of klipper, which passes it over",
+        "G92.1": "no word of klipper, which passes it over",
+        **dict.fromkeys(("M204",), "what sets the acceleration anew"),
+        "M220": "a share of every feed behind it",
+        "S": "no word of klipper's G4, whose time is P in ms",
+    },
+    "reprapfirmware": {
+        **dict.fromkeys(
+            ("G5", "G91.1", "G92.1", "M7", "M8", "M9"),
+            "no command of reprapfirmware, which runs a macro file of this name if there is one",
+        ),
+        "G20": "the inch, by which reprapfirmware scales the words of turning axes, too",
+        "G53": "a move in machine coordinates, which is not read for reprapfirmware",
+        "G93": "the inverse of a move's time, which is not read for reprapfirmware",
+        **dict.fromkeys(("G29", "G30", "G32"), "probing, whose end nobody knows before"),
+        **dict.fromkeys(
+            ("M92", "M201", "M203", "M204", "M205", "M501", "M502", "M566", "M593", "M669"),
+            "what sets the steps, limits, jerks or shaper of the firmware anew",
+        ),
+        "M98": "a macro file, whose moves are not in the program",
+        "M120": "what keeps feed and modes for M121 to take back",
+        "M121": "what takes back the feed and modes that M120 kept",
+        "M220": "a share of every feed behind it",
+        "M290": "a shift of the zero (baby steps)",
+        **dict.fromkeys(("M451", "M452", "M453"), "another kind of machine, which moves G0 anew"),
+        "H": "a move to an endstop, or of motors without the axes",
+        "S": "a move to an endstop in old programs, or the power of a laser",
+        "T": "no word of a machine with one tool, which is T0 on a line of its own",
+    },
+    "marlin": {
+        "G5": f"{_BUILT} BEZIER_CURVE_SUPPORT, and passes over otherwise",
+        **dict.fromkeys(
+            ("G18", "G19"), f"{_BUILT} CNC_WORKSPACE_PLANES, and passes over otherwise"
+        ),
+        "G20": f"{_BUILT} INCH_MODE_SUPPORT; otherwise all numbers stay millimetres",
+        "G92.1": f"{_BUILT} CNC_COORDINATE_SYSTEMS, and reads as G92 otherwise",
+        "G91.1": "read as G91 by marlin",
+        "M420": "the compensation of the bed by a mesh, which changes the path",
+        **dict.fromkeys(
+            ("M92", "M201", "M203", "M204", "M205", "M501", "M502"),
+            "what sets the steps, limits or jerks of the firmware anew",
+        ),
+        "M220": "a share of every feed behind it",
+        "M810": "a macro, whose moves only the firmware knows",
+        "T": "no word of a machine with one tool, which is T0 on a line of its own",
+    },
+}
+"""Meaning of the words that one control reads differently, by dialect and word."""
+
+
+def knowing(letter: str, code: int) -> list[str]:
+    """Return the dialects that have a G word (ten times its number) or an M word."""
+    return [d.name for d in DIALECTS.values() if code in (d.g if letter == "G" else d.m)]
+
+
+AXIS_LETTERS = "ABCXYZ"
+_FILAMENT = (
+    "the filament of a 3D print, and 3D prints are not read: their time depends on the extruder, "
+    "whose limits no machine file here has"
+)
+
+
+def whole(letter: str, number: str, value: int, limit: int, line: int, reading: Reading) -> int:
+    """Return a whole number from 0 to ``limit``.
+
+    Raises
+    ------
+    JobError
+        If the number is not whole, or is out of this range.
+    """
+    if value % ONE or not 0 <= value // ONE <= limit:
+        raise JobError(
+            f"{letter} {_short(number)} must be a whole number from 0 to {limit}",
+            place=Place(reading.file, line),
+            remedy="Correct it.",
+        )
+    return value // ONE
+
+
+def refuse_number(
+    letter: str, number: str, value: int | None, line: int, reading: Reading
+) -> NoReturn:
+    """Refuse a number that is too fine or too large."""
+    fine = value is None and len(number.partition(".")[0].lstrip("+-").lstrip("0")) <= 12
+    what = "has more than 17 decimals" if fine else "is beyond 10^12"
+    raise JobError(
+        f"the number of {letter} {_short(number)} {what}",
+        place=Place(reading.file, line),
+        remedy="Write a number that a machine can use.",
+    )
+
+
+def refuse_without_point(letter: str, number: str, line: int, reading: Reading) -> NoReturn:
+    """Refuse a number without a decimal point: a parameter of the control sets its unit."""
+    raise JobError(
+        f"{letter}{_short(number)} has no decimal point: by its parameter DPI a Fanuc control "
+        "reads it in millimetres (degrees) or in thousandths of them",
+        place=Place(reading.file, line),
+        remedy=f"Write {letter}{_short(number)}. or the thousandths with a point.",
+    )
+
+
+def refuse_axis(letter: str, number: str, place: Place, reading: Reading) -> NoReturn:
+    """Refuse the word of an axis that the machine lacks; the error says how axes are renamed."""
+    called = [
+        name if reading.names[index] == name else f"{reading.names[index]} (here {name})"
+        for name, index in reading.axes.items()
+    ]
+    raise JobError(
+        f"{letter} {_short(number)}: the machine {reading.machine!r} has no axis {letter}",
+        place=place,
+        remedy=f"Its axes are {', '.join(called)}; choose another machine (-m), or rename the "
+        f'program\'s (--axes "{letter}={reading.names[-1]}"; {letter}=none leaves words out).',
+    )
+
+
+def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading) -> NoReturn:
+    """Refuse an unknown word; the error lists the known words and the dialects that have it."""
+    place = Place(reading.file, line)
+    dialect = reading.dialect
+    if letter in AXIS_LETTERS:
+        refuse_axis(letter, number, place, reading)
+    if letter == "G" and code in WHY:
+        raise JobError(
+            f"G{_short(number)} is {WHY[code]}",
+            place=place,
+            remedy="Have the program written without it, or take it out if it changes nothing.",
+        )
+    if letter == "E":
+        raise JobError(
+            f"E{_short(number)} is {_FILAMENT}",
+            place=place,
+            remedy="Take the E words out: the way of the head alone is then planned, without "
+            "extrusion.",
+        )
+    whole = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
+    why = WHY_IN.get(dialect.name, {}).get(f"{letter}{whole}")
+    if why is not None:
+        raise JobError(
+            f"{letter}{_short(number)} is {why}",
+            place=place,
+            remedy="Have the program written without it, or take it out if it changes nothing.",
+        )
+    known = {
+        "G": f"Known G words are {_list('G', [c / 10 for c in dialect.g])}.",
+        "M": f"Known M words are {_list('M', list(dialect.m))}.",
+    }.get(
+        letter,
+        f"Known letters are {' '.join(sorted('FGLMNOP' + dialect.idle_letters))} and the axes "
+        f"{' '.join(reading.axes)}.",
+    )
+    others = [name for name in knowing(letter, code) if name != dialect.name] if code >= 0 else []
+    also = f" The dialect {' or '.join(others)} has it (--dialect)." if others else ""
+    raise JobError(f"unknown word {letter}{_short(number)}", place=place, remedy=f"{known}{also}")
+
+
+def _list(letter: str, codes: list[float]) -> str:
+    return " ".join(f"{letter}{code:g}" for code in sorted(codes))
+
+
+def _short(number: str) -> str:
+    return number if len(number) <= 24 else number[:24] + "..."

@@ -1,0 +1,349 @@
+"""Part programs read for ``equal``: the path and the clock of a program beside its plan."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.commands.boards import BOARDS
+from threadline.commands.firmware_program import as_run_times_s
+from threadline.commands.plan import Plan
+from threadline.errors import OptionError, Place, RecordingError
+from threadline.jobs.gcode.part_program import read_part_program
+from threadline.jobs.operations import Job, Move
+
+PLACE_M = 20e-6
+"""Largest distance between a program and its plan: two tolerances of a chord."""
+TIME_SHARE = 1e-3
+"""Share of the plan's time by which the clock of a program with times may differ."""
+_SAMPLED_M = 1e-6  # a sampled plan leaves the plan by at most this
+_SLACK_M = 1e-3
+_RS274 = "rs274"
+_TRIES = 5  # it dies of SIGBUS now and then while others share its memory
+_TIMEOUT_S = 300.0
+_CALL = re.compile(r"(?:N(\S*)\s+)?\b([A-Z_]+)\(([^()]*)\)")
+_TIMED = re.compile(r"^N(\d+)\b.*\bF(\d+\.?\d*)", re.MULTILINE)
+_LETTERS = "XYZABC"
+_COARSE = 0.01
+"""Length in mm or degrees below which the four decimals of rs274 are too coarse for a time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramDifference:
+    """Largest distance in m and clock difference in s, where they are, and a note.
+
+    ``time_s`` is None where a firmware makes its own time.
+    """
+
+    place_m: float
+    time_s: float | None
+    at: str
+    note: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Points:
+    """The ends of a program's moves.
+
+    Parameters
+    ----------
+    ends
+        (n, axes) in m, rotary axes at their radius.
+    end_s
+        (n,) clock at each end; None where a firmware makes the time.
+    where
+        Line or block of each.
+    """
+
+    ends: FloatArray
+    end_s: FloatArray | None
+    where: list[str]
+
+
+def compare_program(target: str, plan: Plan, path: Path) -> ProgramDifference:
+    """Compare the program in a file with ``plan``, in order along the path.
+
+    Programs for LinuxCNC are read by its own ``rs274``, others by the reader of their dialect.
+
+    Raises
+    ------
+    JobError, RecordingError
+        If the program cannot be read.
+    OptionError
+        If its reader is not installed: see ``missing_reader``.
+    """
+    note = ""
+    if target in {"nc", "linuxcnc"}:
+        found = _by_rs274(plan, path, timed=target == "nc")
+    else:
+        own = replace(plan.machine, operator=None)
+        again = read_part_program(path, machine=own, dialect=target)
+        found = _of_job(plan, again)
+    if target != "nc":
+        note = _firmware_note(target, plan, path)
+    return _compared(plan, found, note)
+
+
+def missing_reader(target: str) -> str:
+    """Return why a target's reader is missing on this computer; empty if it is there."""
+    if target in {"nc", "linuxcnc"} and shutil.which(_RS274) is None:
+        return f"{_RS274} of LinuxCNC is not installed"
+    return ""
+
+
+def _firmware_note(target: str, plan: Plan, path: Path) -> str:
+    """Return the firmware's own time beside the plan's, where its planner is known."""
+    planned_s = f"planned {plan.duration_s:.4g} s"
+    own = replace(plan.machine, operator=None)
+    again = read_part_program(path, machine=own, dialect=target)
+    run_s = as_run_times_s(target, plan.motion.programmed, again, plan.machine)
+    if run_s is None:
+        kind = BOARDS[target].planner or target
+        return f"{planned_s}; the machine file has no [planner] of {kind}, so its time is unknown"
+    return f"{planned_s}; {run_s[1]:.4g} s by the planner of {BOARDS[target].planner}"
+
+
+def _of_job(plan: Plan, job: Job) -> _Points:
+    trajectory = plan.motion.trajectory
+    order = [job.axes.index(axis) for axis in trajectory.axes]
+    moves = [item for item in job if isinstance(item, Move)]
+    ends = np.array([move.target for move in moves]).reshape(-1, len(job.axes))[:, order]
+    return _Points(
+        ends=ends * _radius_m(plan),
+        end_s=None,
+        where=[f"line {move.source.line}" for move in moves],
+    )
+
+
+def _by_rs274(plan: Plan, path: Path, *, timed: bool) -> _Points:
+    """Return the ends and the clock of a program by the canonical calls of LinuxCNC."""
+    axes = plan.motion.trajectory.axes
+    columns = [_LETTERS.index(axis) for axis in axes]
+    output = _interpreted(path)
+    times_s = _BlockTimes(path)
+    scale, rate, now_s = 1.0, 0.0, 0.0
+    at = [0.0] * len(_LETTERS)
+    ends, clock, where = [], [], []
+    for number, (block, name, told) in enumerate(_CALL.findall(output), 1):
+        if name == "USE_LENGTH_UNITS":
+            scale = 25.4 if "INCHES" in told else 1.0
+        elif name == "SET_FEED_RATE":
+            rate = float(told) * scale
+        elif name == "DWELL":
+            now_s += float(told)
+        elif name == "ARC_FEED":
+            raise RecordingError(
+                "the program has an arc, which compile never writes",
+                place=Place(str(path)),
+                remedy="Give a file that compile wrote.",
+            )
+        elif name in {"STRAIGHT_FEED", "STRAIGHT_TRAVERSE"}:
+            before, numbers = at, [float(text) for text in told.split(",")]
+            at = [n * (scale if k < 3 else 1.0) for k, n in enumerate(numbers)]
+            step = [a - b for a, b in zip(at, before, strict=True)]
+            length = math.hypot(*step[:3]) or math.hypot(*step[3:])
+            stated_s = times_s.of(block)
+            if stated_s is not None and length < _COARSE:
+                now_s += stated_s
+            elif length and rate:
+                now_s += 60.0 * length / rate
+            ends.append([at[k] for k in columns])
+            clock.append(now_s)
+            where.append(f"N{block}" if block.strip(".") else f"call {number} of {_RS274}")
+    if "PROGRAM_END()" not in output:
+        last = (output.strip().splitlines() or ["nothing"])[-1]
+        raise RecordingError(
+            f"{_RS274} does not come to the end of the program: {' '.join(last.split())[:120]}",
+            place=Place(str(path)),
+            remedy="Compile it again.",
+        )
+    kinds = [plan.machine.axes[axis].kind for axis in axes]
+    to_si = np.array([1e-3 if kind == "linear" else math.pi / 180.0 for kind in kinds])
+    return _Points(
+        ends=np.array(ends).reshape(-1, len(axes)) * to_si * _radius_m(plan),
+        end_s=np.array(clock) if timed else None,
+        where=where,
+    )
+
+
+class _BlockTimes:
+    """Times of blocks with N and F of G93, s, asked for in the order of the program."""
+
+    def __init__(self, path: Path) -> None:
+        text = path.read_text(encoding="utf-8", errors="replace")
+        self._blocks = iter(_TIMED.findall(text) if "G93" in text and "G94" not in text else ())
+        self._last: tuple[str, float | None] = ("", None)
+
+    def of(self, number: str) -> float | None:
+        """Return the time of the block N ``number``; None if it has none."""
+        if number != self._last[0]:
+            found = (float(f) for n, f in self._blocks if n == number)
+            rate = next(found, 0.0)
+            self._last = (number, 60.0 / rate if rate else None)
+        return self._last[1]
+
+
+def _interpreted(path: Path) -> str:
+    program = shutil.which(_RS274)
+    if program is None:
+        raise OptionError(missing_reader("nc"), remedy="Install linuxcnc-uspace.")
+    for _ in range(_TRIES):
+        try:
+            done = subprocess.run(  # noqa: S603
+                [program, "-g", f"./{path.name}"],
+                cwd=path.resolve().parent,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=_TIMEOUT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise RecordingError(
+                f"{_RS274} takes longer than {_TIMEOUT_S:g} s over the program",
+                place=Place(str(path)),
+            ) from error
+        if done.returncode >= 0:
+            return done.stdout + done.stderr
+    raise OptionError(f"{_RS274} dies of signal {-done.returncode}", remedy="Try again.")
+
+
+def _radius_m(plan: Plan) -> FloatArray:
+    axes = plan.motion.trajectory.axes
+    radius_m: FloatArray = plan.machine.radius_m[
+        [plan.machine.axis_names.index(axis) for axis in axes]
+    ]
+    return radius_m
+
+
+def _sampled(plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """Return (n,) instants and (n, axes) places in m of the plan; chords leave it by 1 um."""
+    radius_m = _radius_m(plan)
+    times: list[FloatArray] = []
+    points: list[FloatArray] = []
+    for block in plan.motion.trajectory:
+        looked = (np.arange(9) / 8.0)[None] * block.duration_s[:, None] + block.start_s[:, None]
+        # The ends of a piece belong to its neighbour; inside it they are safe.
+        looked[:, -1] -= 1e-9 * block.duration_s
+        bent = np.linalg.norm(block.evaluate(looked.ravel(), 2) * radius_m, axis=1)
+        most = bent.reshape(looked.shape).max(axis=1)
+        parts = np.ceil(block.duration_s * np.sqrt(1.2 * most / (8.0 * _SAMPLED_M)))
+        parts = np.maximum(parts, 1.0).astype(np.int64)
+        first = np.repeat(np.cumsum(parts) - parts, parts)
+        share = (np.arange(int(parts.sum())) - first) / np.repeat(parts, parts)
+        at = np.repeat(block.start_s, parts) + share * np.repeat(block.duration_s, parts)
+        times.append(at)
+        points.append(block.evaluate(at) * radius_m)
+        last = np.array([block.end_s])
+        end = block.evaluate(last) * radius_m
+    return np.concatenate([*times, last]), np.concatenate([*points, end])
+
+
+@dataclass(slots=True)
+class _Worst:
+    value: float = 0.0
+    at: str = ""
+
+    def take(self, value: float, at: str) -> None:
+        if abs(value) > abs(self.value):
+            self.value, self.at = value, at
+
+
+def _compared(plan: Plan, found: _Points, note: str) -> ProgramDifference:
+    """Follow the plan from end to end of the program's moves."""
+    times, points = _sampled(plan)
+    place, clock = _Worst(), _Worst()
+    before = points[0]
+    for k, match in enumerate(_matches(times, points, found.ends)):
+        end = found.ends[k]
+        # The plan's own points between two ends lie beside the straight move.
+        passed = points[match.first : match.last + 1]
+        off = float(_from_segment(passed, before, end).max()) if len(passed) else 0.0
+        place.take(max(match.off_m, off), found.where[k])
+        if found.end_s is not None:
+            told = float(found.end_s[k])
+            clock.take(told - min(max(told, match.from_s), match.to_s), found.where[k])
+        before, rest = end, match.last
+    if not len(found.ends):
+        rest = 0
+    left = float(np.linalg.norm(points[min(rest + 1, len(points) - 1) :] - before, axis=1).max())
+    if left > place.value:
+        place.take(left, "its end")
+    worst_at = place.at if place.value > PLACE_M or not clock.at else clock.at
+    return ProgramDifference(
+        place_m=place.value,
+        time_s=None if found.end_s is None else clock.value,
+        at=worst_at,
+        note=note,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Match:
+    """Where the plan passes an end: first and last point on the way, distance, time from and to."""
+
+    first: int
+    last: int
+    off_m: float
+    from_s: float
+    to_s: float
+
+
+def _matches(times: FloatArray, points: FloatArray, ends: FloatArray) -> Iterator[_Match]:
+    """Yield where the plan first comes by each end, always onwards from the one before."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    at = 0
+    for end in ends:
+        reach = 2.0 * float(np.linalg.norm(end - points[at])) + _SLACK_M
+        stop = max(int(np.searchsorted(way, way[at] + reach, side="right")), at + 2)
+        stop = min(stop, len(points))
+        window = points[at:stop]
+        off = _from_segments(end, window)
+        inside = off <= PLACE_M
+        enters, leaves = 0, len(off)
+        if inside.any():
+            enters = int(np.argmax(inside))
+            leaves = enters + int(np.argmin(np.append(inside[enters:], False)))
+        # Where the path turns back, the way there and the way back are equally near.
+        near = off <= off[enters:leaves].min() + 2.0 * _SAMPLED_M
+        low = enters + int(np.argmax(near[enters:leaves]))
+        high = low + int(np.argmin(np.append(near[low:leaves], False))) - 1
+        best = low + int(np.argmin(off[low : high + 1]))
+        span = times[at : stop + 1]
+        behind = min(high + 1, len(span) - 1)
+        yield _Match(at + 1, at + low, float(off[best]), float(span[low]), float(span[behind]))
+        at += low
+
+
+def _from_segments(point: FloatArray, chain: FloatArray) -> FloatArray:
+    """Return the distances of a point from the segments of a chain; of its one point if alone."""
+    off: FloatArray
+    if len(chain) < 2:
+        off = np.linalg.norm(chain - point, axis=1)
+        return off
+    begin, way = chain[:-1], np.diff(chain, axis=0)
+    squared = (way**2).sum(axis=1)
+    along = ((point - begin) * way).sum(axis=1)
+    share = np.clip(np.divide(along, squared, out=np.zeros_like(along), where=squared > 0), 0, 1)
+    off = np.linalg.norm(begin + share[:, None] * way - point, axis=1)
+    return off
+
+
+def _from_segment(points: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the (n,) distances of points from one segment."""
+    way = end - begin
+    squared = float(way @ way)
+    share = (
+        np.clip((points - begin) @ way / squared, 0.0, 1.0) if squared else np.zeros(len(points))
+    )
+    off: FloatArray = np.linalg.norm(begin + share[:, None] * way - points, axis=1)
+    return off
