@@ -213,7 +213,7 @@ def test_searches_of_different_seeds_find_the_worst_of_all_corners(landscape: in
     ends[:, :12] = np.where((np.arange(1 << 12)[:, None] >> np.arange(12)) & 1, 1.0, -1.0)
     most = rugged.shares(ends).max()
     for seed in range(5):
-        search = WorstSearch(rugged, seed=seed)  # type: ignore[arg-type]
+        search = WorstSearch(rugged, 1000, seed=seed)  # type: ignore[arg-type]
         search.begin()
         search.go_on()
         assert rugged.shares(search.parts[[search.worst()]])[0] > most - 0.02 * most

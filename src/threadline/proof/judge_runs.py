@@ -310,15 +310,16 @@ class _SoFar:
         self._count, self._plan, self._told, self._share = count, plan, told, 0.0
 
     def tell(self, share: float) -> None:
-        """Tell that a share of the motion was judged."""
-        self._told(self._count * (share - self._share))
-        self._share = share
+        """Tell that a share of the motion was judged, if it is more than was told."""
+        if share > self._share:
+            self._told(self._count * (share - self._share))
+            self._share = share
 
     def read(self, block: RecordingBlock) -> None:
         """Tell that a block was judged; a second reading tells nothing new."""
         clock = self._plan.commands.clock
         done_s = float(clock.time_s(block.first_tick.get(clock.name, 0)))
-        self.tell(max(self._share, min(done_s / max(self._plan.duration_s, 1e-9), 1.0)))
+        self.tell(min(done_s / max(self._plan.duration_s, 1e-9), 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,16 +12,16 @@ from threadline.proof.judge_runs import Done
 from threadline.proof.worst_machine import WithinTolerances, row_shares, shares_of
 from threadline.verdict import EachRun
 
-SEARCHED, SEARCHED_ALONE = 1000, 60
+SEARCHED, SEARCHED_ALONE = 1200, 60
 """Most machines that a search tries after both ends of each number, where machines are simulated in
 batches, and where they are simulated one by one."""
-_CORNERS, _LEANING, _LEAN = 100, 100, 0.75
+_CORNERS, _LEANING, _LEAN = 200, 200, 0.75
 """Corners that are drawn, all alike; that lean to the slopes of one criterion; and the share of the
 numbers that follow them."""
 _CORNER_SEED = 1941
 _NEAR, _ROWS = 0.7, 3
 """Criteria that are climbed use at least this part of the worst share; the most of them."""
-_STARTS, _APART, _AT_ONCE = 16, 3, 4
+_STARTS, _APART, _AT_ONCE = 16, 2, 4
 """Machines from which climbs start, least numbers that tell two of them apart, climbs at once."""
 _MOST_KICKS, _KICKED, _KICK = 40, 4, 4
 """Climbs that start from an ended one; ended climbs that they start from; numbers changed first."""
@@ -48,12 +48,13 @@ class WorstSearch:
 
     Both ends of each number alone give the slopes of every criterion. Then come the corners of the
     numbers that matter: by the signs of the slopes, by those of a linear fit to all machines, and
-    next to the worst ones. Where machines are simulated in batches, 200 corners are drawn, half of
-    them leaning to the slopes of a criterion that comes near the worst share: what a machine comes
+    next to the worst ones. Where machines are simulated in batches, 400 corners are drawn, half of
+    them leaning to the slopes of the criteria that are worst at the ends: what a machine comes
     to may jump from corner to corner, and a few machines in a thousand may be far worse than all
     others. So many short climbs find more than one long one: up to 16 start from the worst machines
     of these criteria that are apart. One number after the other goes to its other end, then all
-    that make it worse together, as long as that helps. When all have ended, further climbs start
+    that make it worse together, as long as that helps. Numbers that changed nothing are left out
+    until a climb ends, and are tried then. When all have ended, further climbs start
     from the worst of their ends with four numbers changed at random. A fifth of the machines is
     kept for the last steps: each number goes to the middle and half-way there. Each round is one
     batch.
@@ -169,7 +170,7 @@ class WorstSearch:
         order = self._in_order()
         if not self._within.together or self.ended:
             return int(order[0])
-        some = self._told_apart(order.tolist(), _CONTENDERS, _TELLS)
+        some = self._told_apart(order.tolist(), _CONTENDERS, _TELLS, self._moving)
         found = self._within.in_days(self.parts[some], days)
         if self.done is not None:
             self.done(found.runs)
@@ -184,9 +185,11 @@ class WorstSearch:
         hard = np.where(self._bad, self._shares.max(axis=0, initial=0.0), shares)
         return np.lexsort((-np.minimum(hard, 1e9), ~self._bad))
 
-    def _told_apart(self, order: Sequence[int], most: int, least: int) -> list[int]:
-        """Return the first machines of ``order`` of which any two differ in ``least`` numbers."""
-        signs = np.sign(self.parts[:, self._moving] if len(self._moving) else self.parts)
+    def _told_apart(
+        self, order: Sequence[int], most: int, least: int, numbers: IntArray
+    ) -> list[int]:
+        """Return the first of ``order`` of which any two differ in ``least`` of ``numbers``."""
+        signs = np.sign(self.parts[:, numbers] if len(numbers) else self.parts)
         found: list[int] = []
         for at in order:
             if all((signs[at] != signs[known]).sum() >= least for known in found):
@@ -204,7 +207,7 @@ class WorstSearch:
         order = self._worst_rows()
         self._try_some(self._slopes[order] * self._within.ends)
         if self._within.together and not self.ended:
-            self._try_some(self._drawn_corners())
+            self._try_some(self._drawn_corners(order[:_ROWS]))
 
     def go_on(self) -> None:
         """Search on from all machines that are known, until no machine is worse or none is left."""
@@ -255,14 +258,14 @@ class WorstSearch:
             order = self._worst_rows()
             self._try_some(np.concatenate([table[order] for table in tables]))
 
-    def _drawn_corners(self) -> FloatArray:
-        """Return random corners, half of them leaning to the slopes of the near rows by turns."""
+    def _drawn_corners(self, rows: IntArray) -> FloatArray:
+        """Return random corners, half of them leaning to the slopes of ``rows`` by turns."""
         assert self._slopes is not None
         ends = self._within.ends
         random = self._random
         alike = np.where(random.random((_CORNERS, len(ends))) < 0.5, -1.0, 1.0)
         follow = random.random((_LEANING, len(ends))) < _LEAN
-        of_rows = self._slopes[np.resize(np.array(self._near_rows()), _LEANING)]
+        of_rows = self._slopes[np.resize(rows, _LEANING)]
         leaning = np.where(follow, of_rows, -of_rows)
         other = np.where(random.random(leaning.shape) < 0.5, -1.0, 1.0)
         leaning = np.where(leaning == 0.0, other, leaning)
@@ -291,14 +294,20 @@ class WorstSearch:
                 climbs += more
             if not climbs:
                 break
+            short = {one for one in climbs if self._idle.get(one)}
             climbs, stuck = self._round(climbs, self._flips)
-            ended += stuck
+            ended += [one for one in stuck if one not in short]
+            # What changed nothing where a climb began may matter where it ends.
+            again = [one for one in stuck if one in short]
+            self._idle.update(dict.fromkeys(again, frozenset()))
+            climbs += again
         inner = self._best([*ended, *climbs])[:_INNER]
         while inner and self._left > 0 and not self.ended:
             inner, _ = self._round(inner, self._inside)
 
     def _starts(self) -> list[_Climb]:
-        """Return the worst machines of each near row that are apart, row by row in turns."""
+        """Return the worst machine of each near row, then others that are apart, row by row."""
+        assert self._slopes is not None
         if not self._within.together:
             row = int(self._worst_rows()[0])
             return [(row, int(np.argmax(_clipped(self._shares[row]))))]
@@ -306,8 +315,11 @@ class WorstSearch:
         of_rows = []
         for row in rows:
             order = np.argsort(-_clipped(self._shares[row]), kind="stable").tolist()
-            of_rows.append([(row, at) for at in self._told_apart(order, _STARTS, _APART)])
-        return [one for some in zip(*of_rows, strict=False) for one in some][:_STARTS]
+            # Machines that differ in numbers of other criteria alone lead to the same end.
+            own = np.flatnonzero(self._slopes[row])
+            of_rows.append([(row, at) for at in self._told_apart(order, _STARTS, _APART, own)])
+        first, others = [some[0] for some in of_rows], [one for some in of_rows for one in some[1:]]
+        return [*first, *others][:_STARTS]
 
     def _best(self, climbs: Sequence[_Climb]) -> list[_Climb]:
         """Return distinct climbs, those at the largest shares first."""
