@@ -164,7 +164,7 @@ class Share:
         share = sum(self._done) / len(self._done)
         # The plan is measured after its runs: its fibre takes as long as that of a run.
         over = self._doing == _DOING and share >= 1.0 and block is None
-        self._progress(*((_MEASURING, 0.0) if over else (self._doing, share)))
+        self._progress(_MEASURING if over else self._doing, share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
