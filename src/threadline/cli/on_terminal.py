@@ -21,6 +21,7 @@ from threadline.cli.messages import STARTING, at_work, in_full
 _SHOW_AFTER_S = 1.0
 _BETWEEN = 3  # characters that a column takes beside its text
 _WRAPPED = 40  # characters: a narrower column breaks a note too often
+_NARROW = 24  # characters of a note, for which the other columns stay on one line
 
 
 def laid_out(
@@ -72,14 +73,14 @@ def _widths(
 ) -> list[int | None] | None:
     """Return widths at which cells wrap between words alone; None if there are no such widths.
 
-    A column called note takes what the others leave.
+    The other columns stay on one line as long as a column called note has room for a few words.
     """
     columns = list(zip(header, *rows, strict=True))
     full = [max(map(len, column)) for column in columns]
     found = [max(len(word) for cell in column for word in cell.split(" ")) for column in columns]
     note = len(header) - 1 if header[-1] == "note" else None
     if note is not None:
-        found[note] = min(full[note], _WRAPPED)
+        found[note] = max(found[note], min(full[note], _NARROW))
     left = width - 1 - sum(found) - _BETWEEN * len(header)
     if left < 0:
         return None
