@@ -43,7 +43,13 @@ from threadline.verdict.fibre import (
 )
 from threadline.verdict.finding import Finding
 from threadline.verdict.laid_error import off_design
-from threadline.verdict.replayed import Wound, WoundJob, programmed_fibre, wound_job
+from threadline.verdict.replayed import (
+    Wound,
+    WoundJob,
+    product_at_random,
+    programmed_fibre,
+    wound_job,
+)
 from threadline.winding.clearance import Clearance
 from threadline.winding.fit import fitting_radius
 from threadline.winding.product import Product, Toleranced, product_of_text, product_text
@@ -459,7 +465,8 @@ def test_a_level_over_tolerances_draws_slip_and_friction(vessel: Product, machin
     """200 products: every draw within its tolerance, both ways, and different from the next."""
     assert machine.tool is not None
     product = replace(vessel, slip=Toleranced(0.0, 1e-3))
-    jobs = [WoundJob(product, machine.tool, machine.axis_names, number) for number in range(200)]
+    drawn = product_at_random(np.arange(200))
+    jobs = [WoundJob(product, machine.tool, machine.axis_names, tuple(parts)) for parts in drawn]
     slips = np.array([job.slip for job in jobs])
     frictions = np.array([job.friction for job in jobs])
     assert np.abs(slips).max() <= 1e-3 and slips.min() < -8e-4 and slips.max() > 8e-4
