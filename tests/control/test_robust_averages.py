@@ -54,7 +54,7 @@ def response(factor: float, omega: np.ndarray) -> CornerResponse:
     above, below = believed_and(factor)
     s = 1j * omega
     load = np.polyval(above, s) / np.polyval(below, s)
-    return CornerResponse(load=load, current_s_a_m=None)
+    return CornerResponse(load=load, sensor=load, current_s_a_m=None)
 
 
 def answer(weights: np.ndarray, factor: float, t: np.ndarray) -> np.ndarray:
@@ -190,7 +190,11 @@ def start_of_y(share_of_limit: float, seed: int) -> RobustWeights | None:
             room=4.2e-4 * np.sqrt(0.5),
             current_limit_a=share_of_limit * 0.95 * 27.0,
             machines=[
-                CornerResponse(load=exact.load * off[0], current_s_a_m=exact.current_s_a_m * off[1])
+                CornerResponse(
+                    load=exact.load * off[0],
+                    sensor=exact.sensor,
+                    current_s_a_m=exact.current_s_a_m * off[1],
+                )
             ],
         ),
         [

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.blank_pictures import blank_pictures
+from tests.conftest import NO_FIRMWARE
 from tests.identify.shaken import (
     RATE_HZ,
     klipper_psd,
@@ -249,7 +250,7 @@ def test_klippers_choice_is_klippers(tmp_path: Path, command: FloatArray, second
     """Equal to Klipper itself on the same run."""
     named = os.environ.get("THREADLINE_KLIPPER")
     if not named:
-        pytest.skip("THREADLINE_KLIPPER names no checkout of Klipper")
+        pytest.skip(f"{NO_FIRMWARE}THREADLINE_KLIPPER names a checkout of Klipper")
     along = shaken(command, 45.0, 0.06) + second * shaken(command, 78.0, 0.04)
     noisy = three_axes(along, 300.0, 5)
     np.save(tmp_path / "run.npy", np.column_stack([np.arange(len(noisy)) / RATE_HZ, noisy]))
