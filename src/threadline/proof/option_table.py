@@ -158,8 +158,8 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="dialect", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
-        help="Dialect of a part program: winder, linuxcnc, grbl, fluidnc, marlin, klipper, reprapfirmware, "
-        "fanuc, x-winder. Default: the machine file's.",
+        help="Dialect of a part program: winder, linuxcnc, grbl, fluidnc, marlin, klipper, "
+        "reprapfirmware, fanuc, x-winder. Default: the machine file's.",
         attribute="dialect", parse=str,
         recorded=FileForm(key="dialect", write=_same, read=str),
         label="Dialect", placeholder="the machine's",
