@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,7 +58,8 @@ def test_the_bands_of_a_product_are_seen_as_they_are_laid(
     state(page, "running")
     laid = "Number(document.querySelector('#space > div').dataset.laid)"
     page.wait_for_function(f"() => {laid} > 5 && {laid} < {whole}")
-    shot(page, "18-wound")
+    with page.expect_request(re.compile(r"/api/wound.*after=[1-9]")):
+        shot(page, "18-wound")
     page.keyboard.press("Escape")
     state(page, "idle")
     part_laid, last = int(page.evaluate(laid)), len(asked)
