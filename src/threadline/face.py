@@ -1,4 +1,6 @@
-"""What the functions of the face answer: a verdict, a proof, or what a search found.
+"""The face: every question of the command line as a function, and the answers.
+
+The file is long because it is read as a whole, and nearly half of its lines are docstrings.
 
 ``import threadline as tl`` has all of it: ``tl.prove("x.prg", "lathe-winder").passed``. Options are
 the words of the command line, with the same defaults: ``option_table`` declares them,

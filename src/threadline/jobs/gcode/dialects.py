@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -253,6 +253,24 @@ SILENT = frozenset(
 )
 """M words that only show, report or store something: a program works the same without them.
 M30 deletes a file in Marlin, and ends a program elsewhere; in neither case does it drive a tool."""
+_MARLIN = Dialect(
+    name="marlin",
+    feed_rule="marlin",
+    g={
+        **_MOTION, 20: "motion", 30: "motion", 170: "plane", 210: "units", 900: "distance",
+        910: "distance", 920: "action", 940: "feed", 40: "action", 280: "action",
+        540: "system", 800: "motion",
+    },
+    m=_MARLIN_M,
+    idle_letters="T",
+    needs_end=False,
+    rapid_is_feed=True,
+    each_g=True,
+    homes=True,
+    dwell_s={"P": (1e-3, 1e-3), "S": (1.0, 1.0)},
+    one_command=True,
+    grammar=grammar.MARLIN,
+)  # fmt: skip
 DIALECTS: Mapping[str, Dialect] = {
     "winder": Dialect(
         name="winder",
@@ -280,58 +298,27 @@ DIALECTS: Mapping[str, Dialect] = {
         name="fluidnc", feed_rule="fluidnc", g=_GRBL_G, m={**_CNC_M, **_OUTPUTS}, idle_letters="ST",
         needs_end=False, flavour=FLUIDNC, grammar=grammar.FLUIDNC,
     ),
-    "marlin": Dialect(
-        name="marlin",
-        feed_rule="marlin",
-        g={
-            **_MOTION, 20: "motion", 30: "motion", 170: "plane", 210: "units", 900: "distance",
-            910: "distance", 920: "action", 940: "feed", 40: "action", 280: "action",
-            540: "system", 800: "motion",
-        },
-        m=_MARLIN_M,
-        idle_letters="T",
-        needs_end=False,
-        rapid_is_feed=True,
-        each_g=True,
-        homes=True,
-        dwell_s={"P": (1e-3, 1e-3), "S": (1.0, 1.0)},
-        one_command=True,
-        grammar=grammar.MARLIN,
-    ),
-    "klipper": Dialect(
+    "marlin": _MARLIN,
+    "klipper": replace(
+        _MARLIN,
         name="klipper",
-        feed_rule="marlin",
         g={
             **_MOTION, **_ARCS, 210: "units", 900: "distance", 910: "distance", 920: "action",
             940: "feed", 40: "action", 280: "action", 540: "system", 800: "motion",
         },
-        m=_MARLIN_M,
-        idle_letters="T",
-        needs_end=False,
-        rapid_is_feed=True,
-        each_g=True,
-        homes=True,
         dwell_s={"P": (1e-3, 1e-3)},
-        one_command=True,
         grammar=grammar.KLIPPER,
         first_feed_m_s=0.025,
     ),
-    "reprapfirmware": Dialect(
+    "reprapfirmware": replace(
+        _MARLIN,
         name="reprapfirmware",
-        feed_rule="marlin",
         g={
             **_MOTION, 20: "motion", 30: "motion", 170: "plane", 180: "plane", 190: "plane",
             210: "units", 900: "distance", 910: "distance", 920: "action", 940: "feed",
             40: "action", 280: "action", 540: "system",
         },
         m=_REPRAP_M,
-        idle_letters="T",
-        needs_end=False,
-        rapid_is_feed=True,
-        each_g=True,
-        homes=True,
-        dwell_s={"P": (1e-3, 1e-3), "S": (1.0, 1.0)},
-        one_command=True,
         grammar=grammar.REPRAPFIRMWARE,
         first_feed_m_s=0.05,
     ),

@@ -31,9 +31,8 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
     "linuxcnc": dict.fromkeys(("M67", "M68"), _ANALOGUE),
     "klipper": {
         "G20": "the inch, which klipper refuses",
-        "G91.1": "no word of klipper, which passes it over",
         "G92.1": "no word of klipper, which passes it over",
-        **dict.fromkeys(("M204",), "what sets the acceleration anew"),
+        "M204": "what sets the acceleration anew",
         "M220": "a share of every feed behind it",
         "S": "no word of klipper's G4, whose time is P in ms",
     },
