@@ -211,7 +211,7 @@ def test_a_centre_of_0_along_the_third_axis_is_idle_but_for_linuxcnc(
         ("G92", "G92 names no axis"),
         ("G41 D1", "G41 is compensation of the cutter's radius"),
         ("G43 H1", "G43 is compensation of the tool's length"),
-        ("G81 X1 Z1 R1", "G81 is a canned cycle"),
+        ("G86 X1 Z1 R1 P0", "G86 is a canned cycle"),
         ("G59.4 X1", "unknown word G59.4"),
     ],
 )

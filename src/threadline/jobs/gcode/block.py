@@ -29,8 +29,14 @@ MAX_PASSES = 10**12
 _MAX_LABEL = 10**9
 _LIMIT = MAX_MAGNITUDE * ONE
 
-_MOTIONS = {0: 0, 10: 1, 20: 2, 30: 3, 50: 5, 800: CANCEL}
-_MODES = frozenset({"units", "distance", "feed", "blending", "plane", "system", "machine"})
+DRILLING = frozenset({73, 81, 82, 83, 85, 89})
+"""G words of the drilling cycles that are read; the other cycles stop or turn back the spindle."""
+_MOTIONS = {
+    0: 0, 10: 1, 20: 2, 30: 3, 50: 5, 800: CANCEL, **{10 * code: code for code in DRILLING},
+}  # fmt: skip
+_MODES = frozenset(
+    {"units", "distance", "feed", "blending", "plane", "system", "machine", "retract"}
+)
 _FIRST_SYSTEM = 540  # no effect when it is the only system used
 _LENGTH, _NO_LENGTH = 430, 490
 _OUTPUTS = (62, 63, 64, 65)
@@ -54,12 +60,13 @@ class Block(NamedTuple):
     line
         Line number, from 1.
     motion
-        Number of the motion's G word (0, 1, 2, 3, 5), ``CANCEL`` for G80, else -1.
+        Number of the motion's G word (0, 1, 2, 3, 5, or one of ``DRILLING``), ``CANCEL`` for G80,
+        else -1.
     action
         Ten times the number of G4, G28, G28.1 or G92 to G92.3, else -1.
     settings
-        Ten times the numbers of the G words for units, distance, feed, blending, plane and
-        coordinate system.
+        Ten times the numbers of the G words for units, distance, feed, blending, plane,
+        coordinate system, and the end of drilling cycles (G98, G99).
     axes
         Index of each axis and its exact number, in the order written.
     feed
@@ -285,7 +292,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         )
     length += tool
     acts = (length, *acts) if length else acts
-    if curve and 640 in settings and not axes and motion not in _CURVED:
+    if curve and 640 in settings and not axes and motion not in (*_CURVED, *DRILLING):
         # G64 P Q sets how far LinuxCNC's planner may leave the path; the reader ignores it.
         curve = tuple(one for one in curve if one[0] != "Q")
     if action == 40 and dwell_s is None and p is not None:  # P stands before G4
@@ -294,7 +301,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         p is not None or action != -1 or feed is not None or program == 98 or passes is not None
         or curve
     ):  # fmt: skip
-        curved = bool(motion in _CURVED or (motion == -1 and curve))
+        curved = bool(motion in _CURVED or motion in DRILLING or (motion == -1 and curve))
         _check_use(
             action,
             motion,
@@ -362,10 +369,12 @@ def _check_use(
             place=place,
             remedy="Write M98 P 999 L 3 for three passes of O 999.",
         )
-    if passes is not None and program != 98:
+    drills = motion in DRILLING or (motion == -1 and axes and 810 in reading.dialect.g)
+    if passes is not None and program != 98 and not drills:
         raise JobError("L has no use in this block", place=place, remedy="L belongs to M98.")
     if passes == 0:
-        raise JobError("L 0 calls the subroutine no times", place=place, remedy="Give L 1 or more.")
+        what = "calls the subroutine" if program == 98 else "drills"
+        raise JobError(f"L 0 {what} no times", place=place, remedy="Give L 1 or more.")
     if action == 920 and not axes:
         raise JobError(
             "G92 names no axis", place=place, remedy="Write the axes that get other positions."

@@ -185,8 +185,6 @@ class Dialect:
         ``one_command`` T is a command, and T0 is the only tool.
     streams
         Whether the lines behind M2 or M30 run, too: in grbl only the sender ends the file.
-    idle_groups
-        Groups whose G words only cancel or select a default, and have no effect on motion.
     needs_end
         Whether a program must end with M2, M30 or M99.
     rapid_is_feed
@@ -223,9 +221,6 @@ class Dialect:
     g: Mapping[int, Group]
     m: Mapping[int, MMode]
     idle_letters: str = ""
-    idle_groups: frozenset[str] = field(
-        default_factory=lambda: frozenset({"cutter", "length", "system", "centres", "canned"})
-    )
     needs_end: bool = True
     streams: bool = False
     rapid_is_feed: bool = False
@@ -285,11 +280,11 @@ DIALECTS: Mapping[str, Dialect] = {
         feed_rule="linuxcnc",
         g={
             **_CNC, **_SYSTEMS, 50: "motion", 611: "blending", 922: "action", 923: "action",
-            970: "speed", 430: "length", 980: "return", 990: "return",
+            970: "speed", 430: "length", 980: "retract", 990: "retract",
+            **dict.fromkeys((730, 810, 820, 830, 850, 890), "motion"),
         },
         m={**_CNC_M, **_CALLS, **_OUTPUTS, 48: "idle", 49: "idle"},
         idle_letters="ST",
-        idle_groups=frozenset({"cutter", "length", "system", "centres", "speed", "return"}),
         flavour=LINUXCNC,
         grammar=grammar.LINUXCNC,
     ),
@@ -333,9 +328,6 @@ DIALECTS: Mapping[str, Dialect] = {
         },
         m={**_CNC_M, **_CALLS},
         idle_letters="ST",
-        idle_groups=frozenset(
-            {"cutter", "length", "system", "centres", "rotation", "polar", "speed", "return"}
-        ),
         dwell_s={"P": (1e-3, 1.0), "X": (1.0, 1.0), "U": (1.0, 1.0)},
         points=True,
         off_behind=True,

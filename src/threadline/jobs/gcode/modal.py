@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import DWELL, RESET, TAKES_AXES, Block
+from threadline.jobs.gcode.block import DRILLING, DWELL, RESET, TAKES_AXES, Block
 from threadline.jobs.gcode.curves import CURVED, Curves
+from threadline.jobs.gcode.cycles import Cycles, Frame
 from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.feeds import FRule, KeptFeeds, travelling, value_of
 from threadline.jobs.gcode.textfile import SourceFile
@@ -76,6 +77,8 @@ class Modal:
         self._exact = [0] * len(program.linear)
         self._zeros = Zeros(len(program.linear), program.systems)
         self._curves = Curves(program.reading, program.linear)
+        self._cycles = Cycles()
+        self._axes = program.reading.axes
         self._position = [0.0] * len(program.linear)
         self._motion = -1
         self._cancelled = False  # by G80
@@ -111,6 +114,7 @@ class Modal:
         """Return the operations of one block, in the order of RS274/NGC."""
         if block.settings:
             self._set(block.settings)
+        self._cycles.take(block.settings, block.motion)
         if block.feed is not None:
             told = value_of(block.feed, self._tenth_mm, inverse_time=self._inverse_time)
             self._feed = self._feed_of(told)
@@ -202,7 +206,14 @@ class Modal:
     def _check_modes(self, block: Block) -> None:
         """Refuse words that the modes in force forbid or leave without use."""
         grammar = self._dialect.grammar
-        if block.curve and not (
+        drills = self._motion in DRILLING and block.action not in (*TAKES_AXES, DWELL)
+        if block.passes > 1 and block.program != 98 and not drills:
+            raise self._error(
+                block.line, "L has no use in this block", "L belongs to M98 and to drilling cycles."
+            )
+        if drills:
+            self._check_drilling(block)
+        elif block.curve and not (
             self._motion in CURVED and block.action not in (*TAKES_AXES, DWELL)
         ):
             raise self._error(
@@ -241,6 +252,22 @@ class Modal:
                 block.line,
                 f"{self._dialect.name} takes no G{block.motion} without axis words",
                 "Write the end of the arc, that of a full circle, too.",
+            )
+
+    def _check_drilling(self, block: Block) -> None:
+        """Refuse a block of a drilling cycle that the control would refuse."""
+        name = f"G{self._motion}"
+        if self._inverse_time:
+            raise self._error(
+                block.line,
+                f"{name} in G93, which {self._dialect.name} refuses",
+                "Write G94 and a feed in mm/min before it.",
+            )
+        if not block.axes and (block.motion != -1 or block.curve or block.p is not None):
+            raise self._error(
+                block.line,
+                f"{name} without the place of a hole",
+                "Write X or Y into its block.",
             )
 
     def _check_feed(self, block: Block) -> None:
@@ -324,10 +351,13 @@ class Modal:
                 f"in G93 every G{self._motion} block needs its own F",
                 "Give F as 1 / minutes of the move.",
             )
-        before = tuple(self._exact)
-        self._go(block)
         source = self._source(block)
         tags = dict(block.tags) if block.tags else NO_TAGS
+        if self._motion in DRILLING:
+            yield from self._drill(block, feed, source, tags)
+            return
+        before = tuple(self._exact)
+        self._go(block)
         if self._motion in CURVED:
             yield from self._along(block, before, feed, source, tags)
             return
@@ -360,6 +390,20 @@ class Modal:
         for index, exact in enumerate(after):
             self._put(index, exact)
         yield self._to(feed, source, tags)
+
+    def _drill(self, block: Block, feed: Feed, source: Source, tags: Tags) -> Iterator[Operation]:
+        """Return the moves and dwells of a drilling cycle."""
+        frame = Frame(
+            tuple(self._exact), tuple(self._zeros.offset), self._axes, self._curves.plane,
+            self._relative, self._tenth_mm, self._file.place(block.line),
+        )  # fmt: skip
+        for step in self._cycles.steps(self._motion, block, frame):
+            if step.kind == "dwell":
+                yield from self._rest(Dwell(step.dwell_s, source))
+                continue
+            for index, exact in step.to:
+                self._put(index, exact)
+            yield self._to(RAPID if step.kind == "rapid" else feed, source, tags)
 
     def _return_to_start(self, block: Block) -> Iterator[Operation]:
         """Return the moves of G28: to the axis words of the block, then to the home position.

@@ -201,6 +201,7 @@ class Interpreter(Modal):
         self._relative = bool(state[kernel.RELATIVE])
         if count == 0:
             return None
+        self._cycles.take((), self._motion)
         self._exact = [exact * _FINE for exact in plain.exact.tolist()]
         self._position = plain.position.tolist()
         value = float(plain.feed[0])

@@ -9,7 +9,8 @@ from threadline.errors import JobError, Place
 from threadline.jobs.gcode.dialects import DIALECTS, Reading
 from threadline.jobs.gcode.words import ONE
 
-_CYCLE = "a canned cycle, whose moves are not modelled"
+_CYCLE = "a canned cycle (drilling, boring or tapping), which is read for linuxcnc alone"
+_SPINDLE_CYCLE = "a canned cycle that stops, turns or locks the spindle, which is not read"
 _RADIUS = "compensation of the cutter's radius, by which the tool would leave the programmed path"
 _ANALOGUE = "an analogue output, which no machine here has"
 _BUILT = "what marlin knows only where it is built with"
@@ -17,7 +18,8 @@ WHY: Mapping[int, str] = {
     410: _RADIUS, 420: _RADIUS, 100: "setting what the control keeps (offsets, tool tables)",
     430: "compensation of the tool's length", 431: "compensation of the tool's length",
     **dict.fromkeys((382, 383, 384, 385), "probing, whose end nobody knows before"),
-    **dict.fromkeys((730, *range(810, 900, 10)), _CYCLE),
+    **dict.fromkeys((730, 810, 820, 830, 850, 890), _CYCLE),
+    **dict.fromkeys((740, 760, 840, 860, 870, 880), _SPINDLE_CYCLE),
 }  # fmt: skip
 """Meaning of the G words that no dialect here has, by ten times their number."""
 WHY_IN: Mapping[str, Mapping[str, str]] = {
