@@ -501,3 +501,13 @@ def test_a_3d_print_is_refused_as_one(tmp_path: Path, xyza: Machine) -> None:
         assert "Take the E words out: the way of the head alone is then planned" in str(
             refused.value
         )
+
+
+def test_marlin_sets_the_place_of_an_axis_by_g92_9(tmp_path: Path, xyza: Machine) -> None:
+    """The place becomes the number; later numbers count from there. Behind G92 it is refused."""
+    text = "G21\nG90\nG1 A700 F600\nG92.9 A340\nG1 A350\n"
+    assert [round(p[3]) for p in millimetres(read(tmp_path, xyza, text, "marlin"))] == [700, 710]
+    with pytest.raises(JobError, match=r"G92\.9 behind a G92 of the same axis"):
+        list(read(tmp_path, xyza, f"{text}G92 A0\nG92.9 A1\n", "marlin"))
+    with pytest.raises(JobError, match=r"G92\.9 names no axis"):
+        read(tmp_path, xyza, f"{text}G92.9\n", "marlin")

@@ -40,6 +40,9 @@ class Board:
         Kind of the ``[planner]`` of machines with this firmware; empty if none is known.
     stops
         Whether M0 is a stop for the firmware.
+    rezero
+        Word that sets the place which the firmware keeps of an axis; empty if it has none. G92 of
+        grbl, FluidNC and Marlin only shifts the numbers of the program.
     head
         Function that returns comments about a machine and the axes of a job, for the first lines.
     """
@@ -51,6 +54,7 @@ class Board:
     pause: tuple[str, int] = ("P", 1)
     planner: str = ""
     stops: bool = True
+    rezero: str = ""
     head: Callable[[Machine, Sequence[str]], list[str]] | None = None
 
 
@@ -83,6 +87,7 @@ BOARDS: Mapping[str, Board] = {
         bytes_s=11_520,
         pause=("P", 1000),
         planner="marlin",
+        rezero="G92.9",
         head=_shaper_lines("marlin_commands"),
     ),
     "klipper": Board(
@@ -100,6 +105,7 @@ BOARDS: Mapping[str, Board] = {
         longest=255,
         pause=("P", 1000),
         planner="reprapfirmware",
+        rezero="G92",
         stops=False,
         head=_shaper_lines("reprap_command"),
     ),

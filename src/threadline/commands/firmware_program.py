@@ -20,6 +20,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, refuse_lost
+from threadline.commands.endless_numbers import EndlessNumbers
 from threadline.commands.nc_blocks import operation_words
 from threadline.commands.planned_job import (
     CHORD_TOLERANCE_M,
@@ -319,6 +320,7 @@ class _Lines:
     def timed(self) -> Iterator[tuple[float, str]]:
         """Yield each line after the instant of the plan at which the line begins, s."""
         at, feed, now_s = _written_position(np.array(self._job.start), self._linear), "", 0.0
+        turning = EndlessNumbers(self._target, self._job.axes, self._machine)
         if self._board.head is not None:
             told = self._board.head(self._machine, self._job.axes)
             yield from ((now_s, f"; {line}") for line in told)
@@ -332,14 +334,18 @@ class _Lines:
                 waiting = []
                 now_s += item.duration_s if isinstance(item, Dwell) else 0.0
                 yield from ((begins_s, line) for line in self._other(item))
+                if not (isinstance(item, Stop) and item.final):
+                    yield from ((now_s, line) for line in turning.taken_off(at))
                 continue
             now_s += item.duration_s
             waiting += item.acts
             now = _written_position(item.points[-1], self._linear)
             words = [
                 f"{name}{self._number(text)}"
-                for name, text, before in zip(self._job.axes, now, at, strict=True)
-                if text != before
+                for name, text, new, before in zip(
+                    self._job.axes, turning.written(now), now, at, strict=True
+                )
+                if new != before
             ]
             if not words:
                 continue

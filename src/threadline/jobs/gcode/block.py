@@ -48,7 +48,8 @@ _CURVED = (2, 3, 5)
 DWELL, RESET = 40, 921
 CHANGE = 6
 """Number of the M word that changes the tool."""
-TAKES_AXES = (280, 920)
+SHIFT, SET_NATIVE = 920, 929
+TAKES_AXES = (280, SHIFT, SET_NATIVE)
 """Actions that take the axis words of their block; otherwise the motion takes them."""
 
 
@@ -63,7 +64,7 @@ class Block(NamedTuple):
         Number of the motion's G word (0, 1, 2, 3, 5, or one of ``DRILLING``), ``CANCEL`` for G80,
         else -1.
     action
-        Ten times the number of G4, G28, G28.1 or G92 to G92.3, else -1.
+        Ten times the number of G4, G28, G28.1, G92 to G92.3 or G92.9, else -1.
     settings
         Ten times the numbers of the G words for units, distance, feed, blending, plane,
         coordinate system, and the end of drilling cycles (G98, G99).
@@ -124,7 +125,7 @@ class Block(NamedTuple):
     @property
     def goes(self) -> bool:
         """Whether the block moves the axes."""
-        return bool(self.axes) and self.action != 920
+        return bool(self.axes) and self.action not in (SHIFT, SET_NATIVE)
 
 
 def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
@@ -375,7 +376,9 @@ def _check_use(
     if passes == 0:
         what = "calls the subroutine" if program == 98 else "drills"
         raise JobError(f"L 0 {what} no times", place=place, remedy="Give L 1 or more.")
-    if action == 920 and not axes:
+    if action in (SHIFT, SET_NATIVE) and not axes:
         raise JobError(
-            "G92 names no axis", place=place, remedy="Write the axes that get other positions."
+            f"G{action / 10:g} names no axis",
+            place=place,
+            remedy="Write the axes that get other positions.",
         )

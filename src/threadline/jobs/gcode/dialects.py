@@ -253,7 +253,7 @@ _MARLIN = Dialect(
     feed_rule="marlin",
     g={
         **_MOTION, 20: "motion", 30: "motion", 170: "plane", 210: "units", 900: "distance",
-        910: "distance", 920: "action", 940: "feed", 40: "action", 280: "action",
+        910: "distance", 920: "action", 929: "action", 940: "feed", 40: "action", 280: "action",
         540: "system", 800: "motion",
     },
     m=_MARLIN_M,

@@ -7,7 +7,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import DRILLING, DWELL, RESET, TAKES_AXES, Block
+from threadline.jobs.gcode.block import (
+    DRILLING,
+    DWELL,
+    RESET,
+    SET_NATIVE,
+    SHIFT,
+    TAKES_AXES,
+    Block,
+)
 from threadline.jobs.gcode.curves import CURVED, Curves
 from threadline.jobs.gcode.cycles import Cycles, Frame
 from threadline.jobs.gcode.dialects import CANCEL, Reading
@@ -31,7 +39,7 @@ from threadline.jobs.operations import (
 RAPID = Feed(FeedMode.RAPID, 0.0)
 MILLIMETRE = 10  # tenths of a millimetre
 _MM_PER_M = 1000 * ONE
-_SHIFT, _CHANGE = 920, 6  # G92, M6
+_CHANGE = 6  # M6
 _SPINDLE = frozenset({"M3", "M4", "M5"})
 _OFF = ("M5", "M9")
 _ALL_OFF = "M5 M9"
@@ -136,7 +144,7 @@ class Modal:
             later = block.action == RESET and self._dialect.grammar.reset_last
             if block.action != -1 and not later:
                 given = {index: self._scaled(index, value) for index, value in block.axes}
-                if block.action == _SHIFT and not self._moved:
+                if block.action == SHIFT and not self._moved:
                     # The plan begins at 0, whatever position the control shows.
                     named = " ".join(f"{self._letters[index]}0" for index in given)
                     shift = ToolEvent("G92", 0.0, self._source(block), f"G92 {named}")
@@ -226,6 +234,14 @@ class Modal:
                 block.line,
                 f"axis words while G80 is in force, which {self._dialect.name} refuses",
                 "Write G0 or G1 before them.",
+            )
+        if block.action == SET_NATIVE and self._zeros.shifted.intersection(
+            index for index, _ in block.axes
+        ):
+            raise self._error(
+                block.line,
+                "G92.9 behind a G92 of the same axis, whose shift then counts twice",
+                "Use one of the two words for an axis.",
             )
         if MACHINE in block.settings and not (block.axes and self._motion in (0, 1)):
             raise self._error(

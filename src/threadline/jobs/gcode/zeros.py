@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import Block
+from threadline.jobs.gcode.block import SET_NATIVE, SHIFT, Block
 from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.textfile import SourceFile
 from threadline.jobs.gcode.words import ONE
@@ -167,7 +167,7 @@ def _exact(value: float) -> int:
     return round(value * _FINE) * (ONE // _FINE)
 
 
-_HOME, _SHIFT, _SUSPEND, _RESTORE = 281, 920, 922, 923
+_HOME, _SUSPEND, _RESTORE = 281, 922, 923
 
 
 class Zeros:
@@ -183,6 +183,8 @@ class Zeros:
         Zero of the machine coordinates.
     kept
         Shift of G92, which G92.3 restores; G92.2 suspends the shift and keeps it here.
+    shifted
+        Indices of the axes that a G92 has named.
 
     Parameters
     ----------
@@ -198,6 +200,7 @@ class Zeros:
         self._system = (0,) * axes
         self.home = [0] * axes
         self.kept = [0] * axes
+        self.shifted: set[int] = set()
 
     def take(self, code: int, at: Sequence[int], given: Mapping[int, int]) -> None:
         """Apply a G word (ten times its number) at the position ``at``.
@@ -209,7 +212,9 @@ class Zeros:
         """
         if code == _HOME:
             self.home = list(at)
-        elif code == _SHIFT:
+        elif code in (SHIFT, SET_NATIVE):
+            if code == SHIFT:
+                self.shifted.update(given)
             self.offset = [
                 at[index] - given[index] if index in given else offset
                 for index, offset in enumerate(self.offset)
