@@ -38,6 +38,8 @@ class GrblModel(threading.Thread):
         How far beside the place where X is it is reported.
     ahead_s
         The most time in s, at the feeds, that it has held in jogs.
+    overrides
+        Feed, rapids and spindle in %, reported once after each change.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class GrblModel(threading.Thread):
         self.blocks: deque[tuple[np.ndarray, float]] = deque()
         self.target, self.feed = np.zeros(4), 0.0
         self.ahead_s = 0.0
+        self.overrides = self.told_overrides = (100, 100, 100)
         self.at_stop = False
         self.client: socket.socket | None = None
         self.over = False
@@ -127,7 +130,11 @@ class GrblModel(threading.Thread):
             place = ",".join(f"{value:.3f}" for value in shown)
             if not self.stuck:
                 free = f"{self.room - len(self.blocks)},{self.characters}"
-                self._say(f"<{state}|MPos:{place}|Bf:{free}|FS:0,0>")
+                told = ""
+                if self.overrides != self.told_overrides:
+                    self.told_overrides = self.overrides
+                    told = f"|Ov:{','.join(map(str, self.overrides))}"
+                self._say(f"<{state}|MPos:{place}|Bf:{free}|FS:0,0{told}>")
         elif byte in (0x85, ord("!")) and self.state == "Jog":  # lines in the buffer stay there
             self.blocks.clear()
             self.state, self.target = "Idle", self.at.copy()
@@ -139,6 +146,7 @@ class GrblModel(threading.Thread):
             if self.state in {"Run", "Jog"} or self.homed_at_s < np.inf:
                 self._say("ALARM:3")
             self.homed_at_s = np.inf
+            self.overrides = (100, 100, 100)
             self.rx.clear()
             self.blocks.clear()
             self.state, self.target, self.feed = "Idle", self.at.copy(), 0.0
@@ -235,6 +243,7 @@ class GrblModel(threading.Thread):
         moved = bool(self.blocks)
         while self.blocks and left_s > 0.0:
             target, speed = self.blocks[0]
+            speed *= self.overrides[0] / 100.0
             way = target - self.at
             need_s = float(np.linalg.norm(way)) / speed
             if need_s <= left_s:

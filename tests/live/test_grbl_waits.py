@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.live.grbl_model import GrblModel
-from tests.live.test_grbl import EXAMPLES, MACHINE, START, go_on, meeting, program, ready, settings
+from tests.live.test_grbl import (
+    EXAMPLES,
+    MACHINE,
+    PATIENCE_S,
+    START,
+    go_on,
+    meeting,
+    program,
+    ready,
+    settings,
+)
 from threadline.cli import operator_keys
+from threadline.cli.main import main
 from threadline.cli.operator_keys import AtTheKeys
 from threadline.errors import CommandError, LinkFaultError, OptionError
 from threadline.files import RunEnd
 from threadline.live import grbl_controller, grbl_run
 from threadline.live import guards as lateness
+from threadline.live.grbl_operated import GrblOperated
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import in_words, status_of
 from threadline.live.guards import clock_s
@@ -394,6 +408,91 @@ def test_a_hold_by_the_button_before_a_stop_stays() -> None:
         go_on(one, lambda: time.monotonic() > until)
         assert one.state is State.HOLDING
         assert b"~" not in model.heard
+
+
+# --- what is changed at the controller -----------------------------------------------------
+
+
+def noted(kept: Kept) -> list[tuple[str, str]]:
+    return [(e.kind, e.name) for block in kept.blocks for e in block.events]
+
+
+def test_an_override_set_at_the_controller_is_written_down() -> None:
+    """Grbl v1.1 Interface: ``Ov:`` of a report is feed, rapids and spindle in percent."""
+    model = GrblModel(settings(), faster=2.0)
+    with meeting(model) as (one, _, kept):
+        ready(one, program())
+        go_on(one, moving(model))
+        model.overrides = (50, 25, 100)
+        go_on(one, lambda: kept.log[-1][2] is Cause.OVERRIDE)
+        assert kept.log[-1][1:] == (
+            State.RUNNING, Cause.OVERRIDE,
+            "overrides set at the controller: feed 50 %, rapids 25 %",
+        )  # fmt: skip
+        model.overrides = (100, 100, 100)
+        go_on(one)
+        assert one.ended == (RunEnd.COMPLETED, "")
+        assert noted(kept) == [
+            ("override", "feed 50 %, rapids 25 %"), ("override", "none"), ("completed", ""),
+        ]  # fmt: skip
+
+
+@pytest.mark.parametrize("lasts", [True, False])
+def test_an_override_from_before_a_run_is_one_of_it_unless_a_reset_ended_it(lasts: bool) -> None:
+    model = GrblModel(settings(), faster=4.0)
+    with meeting(model) as (plain, desk, kept):
+        one = GrblOperated(plain.controller, desk, kept)
+        one.connect()
+        one.enable()
+        one.home()
+        model.overrides = (120, 100, 100)
+        until = time.monotonic() + PATIENCE_S
+        while model.told_overrides != model.overrides and time.monotonic() < until:
+            one.stand(0.05)
+        for _ in range(5):  # it reads the report
+            one.stand(0.05)
+        if not lasts:
+            model._say("ALARM:1")
+            while one.state is not State.FAULT and time.monotonic() < until:
+                one.stand(0.05)
+            one.reset()
+            one.enable()
+            one.home()
+        one.start(program(), START)
+        assert noted(kept) == ([("override", "feed 120 %")] if lasts else [])
+
+
+def test_holds_and_overrides_of_the_controller_are_named_in_the_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = tmp_path / "short.gcode"
+    job.write_text("G21\nG90\nG1 X200 A40 F3000\nX400 A60\nM30\n", "utf-8")
+
+    class Turned(GrblModel):
+        """Somebody turns its knob, presses its hold button, and lets it go on."""
+
+        held_s = 0.0
+
+        def _move(self, left_s: float) -> None:
+            super()._move(left_s)
+            if self.at[0] > 60.0 and self.overrides[0] == 100 and b"~" not in self.heard:
+                self.overrides = (80, 100, 100)
+            if self.at[0] > 120.0 and not self.held_s:
+                self.held_s, self.state = time.monotonic(), "Hold"
+            if self.state == "Hold" and time.monotonic() > self.held_s + 2.0:
+                self.state = "Run"
+
+    model = Turned(settings())
+    model.start()
+    with pytest.raises(SystemExit):
+        main(["run", str(job), "-m", "stepper-winder", "--nominal", "--link",
+              f"grbl:{model.address}", "--store", str(tmp_path / "runs"), "--json"])  # fmt: skip
+    model.close()
+    events = json.loads(capsys.readouterr().out)["events"]
+    assert [one["kind"] for one in events] == ["override", "hold"]
+    assert events[0]["text"] == "overrides set at the controller: feed 80 %"
+    assert events[1]["text"].startswith("it was held, the controller tells Hold: by its own hold")
+    assert all(one["time_s"] > 0.0 and one["job_line"] == 3 for one in events)
 
 
 @pytest.mark.parametrize(

@@ -172,6 +172,8 @@ def test_words_of_a_line_go_over_as_they_are(tmp_path: Path, machines: dict[str,
         ("klipper", "marlin", "G1 X9 F600\nM300 S9\n", "1 word .* marlin: M300 S9 (line 2)"),
         ("marlin", "klipper", "M106 P1 S9\nG1 X9 F600\n", "1 word .* klipper: M106 P1 S9 (line 1)"),
         ("marlin", "grbl", "M3 S128\nG1 X9 F600\nM5\n", "1 word .* grbl: M3 S128 (line 1)"),
+        ("marlin", "grbl", "M0 Turn it\nG1 X9 F600\n", "1 word .* grbl: M0 Turn it (line 1)"),
+        ("marlin", "nc", "G1 X9 F600\nM0 Set it\n", "1 word .* linuxcnc: M0 Set it (line 2)"),
         ("klipper", "grbl", "G1 X9 F600\n" + "M300 S1\n" * 9, "9 words .* (line 6) and 4 more"),
     ],
 )
@@ -242,6 +244,16 @@ def test_words_that_mean_the_same_go_over(tmp_path: Path, machines: dict[str, Ma
     )
 
 
+def test_marlin_shows_the_text_of_a_stop(tmp_path: Path, machines: dict[str, Machine]) -> None:
+    """``M0 [S] [P] text`` of Marlin shows the text and waits for the operator."""
+    stops = ["M0 Dreh das Teil für 2!", "M0 S2.5 go on", "M1 now", "M0"]
+    text = "".join(f"G1 X{5 + k} F600\n{stop}\n" for k, stop in enumerate(stops))
+    lines = compiled(tmp_path, machines["marlin"], text, "marlin").splitlines()
+    assert [line for line in lines if line[:2] in {"M0", "M1"}] == stops
+    with pytest.raises(PlanError, match=r"a line of 103 characters: marlin takes 95"):
+        compiled(tmp_path, machines["marlin"], f"M0 {'x' * 100}\nG1 X5 F600\n", "marlin")
+
+
 def test_the_command_ends_with_2_and_writes_nothing(
     tmp_path: Path, machines: dict[str, Machine], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -283,6 +295,8 @@ def acting(job: Job) -> list[str]:
         # The zero is where the job begins, and in which system, is said once.
         ("grbl", "G55\nG92 X7\nG1 X9 F600\nG92 X0\nX1\n", "G92 X0,G55,2,3,end"),
         ("marlin", "M280 P0 S90\nG28 X\nG1 X5 F600\n", "M280 P0 S90,0,G28 X,5,end"),
+        ("marlin", "M0 Turn the part ; (2)\nM1 S5\nG1 X5 F600\n", "M0 Turn the part,M1 S5,5,end"),
+        ("marlin", "M0 S1.5 M5 is off\nM0P9 X\nG1 X5 F600\n", "M0 S1.5 M5 is off,M0 P9 X,5,end"),
         ("marlin", "M117 M3\nM105\nG1 X5 F600\nM109 S60\nG1 X6\n", "5,M109 S60,6,end"),
         ("linuxcnc", "#1=7\nM62 P1\nG1 X5 F600 S#1\nM2\n", "M62 P1,S7,5,end"),
     ],

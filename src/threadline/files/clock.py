@@ -68,7 +68,7 @@ def common_period_s(periods_s: list[Fraction]) -> Fraction:
 
 EventKind = Literal[
     "output", "wait", "stop", "dwell", "tool", "end",
-    "hold", "resume", "late", "completed", "stopped", "fault", "plan",
+    "hold", "resume", "late", "override", "completed", "stopped", "fault", "plan",
 ]  # fmt: skip
 """Commands contain the kinds of the first line; recordings contain all kinds."""
 
@@ -85,8 +85,9 @@ class Event:
         ``output`` sets ``name`` to ``value``; ``wait`` waits for input ``name`` to be ``value``;
         ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action;
         ``end`` is the end of the job. In recordings ``hold`` and ``resume`` stop and continue the
-        rows, ``late`` means that rows were missing for ``value`` ticks, and ``completed``,
-        ``stopped`` or ``fault`` ends the run, with the reason in ``name``. ``plan`` maps this tick
+        rows, ``late`` means that rows were missing for ``value`` ticks, ``override`` gives the
+        speed overrides set at the controller itself in ``name``, and ``completed``, ``stopped`` or
+        ``fault`` ends the run, with the reason in ``name``. ``plan`` maps this tick
         to the plan time ``value`` in s. After it plan time runs with the clock; it stands still if
         the preceding ``plan`` event has the same ``value``.
     operation

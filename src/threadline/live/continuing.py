@@ -26,7 +26,9 @@ from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Cause, Sink, State
 from threadline.machine import Machine
 
-_OF_RUNS = frozenset(("hold", "resume", "late", "completed", "stopped", "fault", "plan"))
+_OF_RUNS = frozenset(
+    ("hold", "resume", "late", "override", "completed", "stopped", "fault", "plan")
+)
 """Kinds of events that belong to a run and not to its commands."""
 
 

@@ -16,7 +16,7 @@ from threadline.live.executor import LEASE_S
 from threadline.live.grbl_controller import Controller, GrblJog, fastest_by_hand
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_run import POLL_S, GrblRun
-from threadline.live.grbl_words import Status, in_words
+from threadline.live.grbl_words import AS_IS, Status, in_words
 from threadline.live.guards import clock_s
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load
@@ -119,6 +119,7 @@ class GrblOperated(GrblRun):
         if self.under_way:
             raise CommandError("the machine is still braking", remedy="Wait until it stands.")
         self.controller.unlock()
+        self._overrides = np.full(3, AS_IS)
         self._go(Cause.RESET)
 
     def stand(self, patience_s: float) -> None:
@@ -147,6 +148,7 @@ class GrblOperated(GrblRun):
     def _note(self, found: Status) -> None:
         self._at = self.controller.position(found)
         self._heard_s = clock_s()
+        self._knows_overrides(found)
         self._keep_latest()
 
     def _keep_latest(self) -> None:

@@ -16,7 +16,16 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.firmware_program import planned_instants
 from threadline.commands.plan import Plan
 from threadline.errors import CommandError
-from threadline.files import Channel, ChannelKind, Clock, Event, RecordingBlock, RunEnd, tick_table
+from threadline.files import (
+    Channel,
+    ChannelKind,
+    Clock,
+    Event,
+    EventKind,
+    RecordingBlock,
+    RunEnd,
+    tick_table,
+)
 from threadline.live.derived import Rest, rest_from_row
 from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_words import Program, program_of, runs_out
@@ -243,7 +252,11 @@ class ReportTrace:
 
     def end(self, ended: RunEnd, text: str) -> None:
         """Record how the run ended."""
-        event = Event(tick=self.tick, kind=ended.value, operation=-1, name=text)
+        self.note(ended.value, text)
+
+    def note(self, kind: EventKind, text: str, operation: int = -1) -> None:
+        """Record an event at the next sample, with its text and operation."""
+        event = Event(tick=self.tick, kind=kind, operation=operation, name=text)
         self._put({channel.name: np.empty(0) for channel in self.channels}, event)
 
     def _put(self, samples: dict[str, FloatArray], *events: Event) -> None:

@@ -18,6 +18,7 @@ from threadline.live.at_rest import OPERATOR
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_program import ReportTrace, way_passed
 from threadline.live.grbl_words import (
+    AS_IS,
     HOLD,
     PAUSES,
     RESET,
@@ -27,6 +28,7 @@ from threadline.live.grbl_words import (
     Program,
     Status,
     in_words,
+    override_words,
     program_of,
     status_of,
 )
@@ -93,6 +95,7 @@ class GrblRun:
         self.why = ""
         self._at: FloatArray = np.zeros(len(machine.axes))
         self._asked_s = self._heard_s = 0.0
+        self._overrides: FloatArray = np.full(3, AS_IS)
         self._none = program_of(b"", machine.axis_names, np.ones(len(machine.axes)), self._at)
         self._trace = ReportTrace(machine, sink)
         self._forget()
@@ -187,6 +190,8 @@ class GrblRun:
         self._go(Cause.START)
         self._sent_from = starts
         self._begun_s = self._heard_s = clock_s()
+        if (self._overrides != AS_IS).any():
+            self._note_overrides()
         self._feed()
 
     def refuse_program(self, program: Program, starts: FloatArray) -> None:
@@ -331,8 +336,10 @@ class GrblRun:
             self._fault(f"the controller refused {text.decode().strip()!r}: {in_words(line)}")
         elif line.startswith("ALARM"):
             self._fault(f"the controller is in alarm: {in_words(line)}")
-        elif line.lower().startswith("grbl") and not (self._braking and self._settled_s):
-            self._fault("the controller was reset")
+        elif line.lower().startswith("grbl"):
+            self._overrides = np.full(3, AS_IS)
+            if not (self._braking and self._settled_s):
+                self._fault("the controller was reset")
 
     def _report(self, found: Status) -> None:
         was_at, was = self._at, self.executed
@@ -347,6 +354,8 @@ class GrblRun:
             if self.over:
                 self._leave()
             return
+        if self._knows_overrides(found):
+            self._note_overrides()
         if found.state != "Idle":
             self._stood_s = np.inf
         if name := self.controller.beyond(self._at):
@@ -362,6 +371,27 @@ class GrblRun:
             self._end()
         elif not self._braking:
             self._follow(found)
+
+    def _knows_overrides(self, found: Status) -> bool:
+        """Keep the overrides in a report; return whether they differ from those before."""
+        before, told = self._overrides, found.overrides
+        if told is None or np.array_equal(told, before):
+            return False
+        self._overrides = told
+        return True
+
+    def _note_overrides(self) -> None:
+        """Write the overrides, set at the controller itself, into recording and log."""
+        text = override_words(self._overrides)
+        self._trace.note("override", text, self._operation)
+        text = f"overrides set at the controller: {text}"
+        self._sink.state(self._trace.tick, self.state, Cause.OVERRIDE, text)
+
+    @property
+    def _operation(self) -> int:
+        """Operation of the job that is executed; -1 if unknown."""
+        of = self._program.operations
+        return int(of[min(self.executed, len(of) - 1)]) if len(of) else -1
 
     def _follow(self, found: Status) -> None:
         """Follow the controller's own changes: hold, resume, or end if it cannot go on."""
@@ -497,4 +527,8 @@ class GrblRun:
         self.state = next_state(self.state, cause)
         self.homed = homed_after(cause, self.homed)
         self.why = text
+        if cause is Cause.HOLD:
+            self._trace.note("hold", text, self._operation)
+        elif cause is Cause.RESUME:
+            self._trace.note("resume", text, self._operation)
         self._sink.state(self._trace.tick, self.state, cause, text)

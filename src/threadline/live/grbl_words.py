@@ -20,6 +20,8 @@ STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
 """Bytes that grbl executes at once, wherever they come; they take no room in its buffer."""
 RX_BYTES = 128
 """Characters that grbl's receive buffer holds, unless it reports fewer (``$I``)."""
+AS_IS = 100.0
+"""An override that changes nothing, %; grbl has it after each reset."""
 _STANDS = frozenset({"Idle", "Alarm", "Sleep", "Check"})
 _STANDING = {"Hold": (-1, 0), "Door": (-1, 0, 1)}
 """Details after states in which the machine stands; -1 is none."""
@@ -102,12 +104,15 @@ class Status:
         (letters,) machine position, mm or degrees; None if the report has none.
     offset
         (letters,) work coordinate offset; None if the report has none.
+    overrides
+        (3,) overrides of feed, rapids and spindle, %; None if the report has none, as most have.
     """
 
     state: str
     detail: int
     position: FloatArray | None
     offset: FloatArray | None
+    overrides: FloatArray | None = None
 
     @property
     def stands(self) -> bool:
@@ -146,8 +151,22 @@ def status_of(line: str) -> Status | None:
         return None
     state, detail, rest = form.groups()
     fields = dict(part.partition(":")[::2] for part in rest.split("|"))
-    place, offset = (numbers(fields[name]) if name in fields else None for name in ("MPos", "WCO"))
-    return Status(state, -1 if detail is None else int(detail), place, offset)
+    place, offset, overrides = (
+        numbers(fields[name]) if name in fields else None for name in ("MPos", "WCO", "Ov")
+    )
+    return Status(state, -1 if detail is None else int(detail), place, offset, overrides)
+
+
+def override_words(overrides: FloatArray) -> str:
+    """Return the overrides of a status report in words.
+
+    >>> override_words(np.array([50.0, 100.0, 90.0]))
+    'feed 50 %, spindle 90 %'
+    >>> override_words(np.full(3, 100.0))
+    'none'
+    """
+    each = zip(("feed", "rapids", "spindle"), overrides.tolist(), strict=False)
+    return ", ".join(f"{what} {share:g} %" for what, share in each if share != AS_IS) or "none"
 
 
 def numbers(text: str) -> FloatArray:

@@ -47,6 +47,7 @@ class Cause(StrEnum):
     AT_REST_UNHOMED = "at rest, not homed"  # reported, after a stop of homing
     COMPLETED = "completed"  # reported: every row was played
     FAULT = "fault"  # reported by the machine, the link or a guard
+    OVERRIDE = "override"  # reported: speeds were changed at the controller; the state stays
     RESET = "reset"
 
 
@@ -87,7 +88,9 @@ TRANSITIONS: dict[tuple[State, Cause], State] = {
 MOVING = frozenset({_S.HOMING, _S.JOGGING, _S.RUNNING, _S.HOLDING, _S.STOPPING})
 """States in which the machine may be moving."""
 
-COMMANDS = frozenset(_C) - {_C.HOMED, _C.AT_REST, _C.AT_REST_UNHOMED, _C.COMPLETED, _C.FAULT}
+COMMANDS = frozenset(_C) - {
+    _C.HOMED, _C.AT_REST, _C.AT_REST_UNHOMED, _C.COMPLETED, _C.FAULT, _C.OVERRIDE,
+}  # fmt: skip
 """Causes that are commands of the operator; the others are reported."""
 
 

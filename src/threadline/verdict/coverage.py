@@ -257,6 +257,7 @@ class _Events:
         self._holds = 0
         self._late: Event | None = None
         self._late_ticks = 0
+        self._overrides = 0
         self._brakes = (0, -1)  # first and last tick of the latest hold
         self.stopped_s: float | None = None
 
@@ -269,6 +270,10 @@ class _Events:
         elif event.kind == "late":
             self._late = self._late or event
             self._late_ticks += int(event.value)
+        elif event.kind == "override":
+            self._overrides += 1
+            if self._overrides <= MOST_NAMED:
+                self._add(Change.OVERRIDE, f"overrides set at the controller: {event.name}", event)
         elif event.kind in _ENDS:
             if event.kind == "stopped" and self._clock is not None:
                 held, until = self._brakes
@@ -294,6 +299,9 @@ class _Events:
                     time_s=None,
                 )
             )
+        if self._overrides > MOST_NAMED:
+            times = f"overrides were set at the controller {self._overrides} times in all"
+            self._found.append(Disturbance(change=Change.OVERRIDE, text=times, time_s=None))
         if self._late is not None:
             ticks = f"{self._late_ticks} tick{'s' if self._late_ticks > 1 else ''}"
             self._add(Change.LATE, f"rows came late, at {ticks} in all, first", self._late)

@@ -16,7 +16,7 @@ from threadline.jobs.gcode.grammar import (
     check_line,
     check_words,
 )
-from threadline.jobs.gcode.printer_lines import commands_of
+from threadline.jobs.gcode.printer_lines import commands_of, text_of_stop
 from threadline.jobs.gcode.refused_words import (
     refuse_number,
     refuse_without_point,
@@ -147,7 +147,11 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
     raws = [
         split_words(one, reading.file, line, one_block=not dialect.semicolon_ends) for one in texts
     ]
-    return tuple(block_of(raw, line, reading) for raw in raws if raw.words)
+    blocks = tuple(block_of(raw, line, reading) for raw in raws if raw.words)
+    said = text_of_stop(text) if dialect.one_command and len(blocks) == 1 else ""
+    if said and blocks[0].ends == "stop" and blocks[0].acts:
+        return (blocks[0]._replace(acts=(*blocks[0].acts, said)),)
+    return blocks
 
 
 def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the reader

@@ -18,8 +18,9 @@ _NUMBER_OF_LINE = re.compile(r" *N *([0-9]+) *")
 _CHECKSUM = re.compile(r"\*[ \t]*([0-9]{1,3})[ \t]*$")
 _TEXT = re.compile(
     r" *(?:N *[0-9]+ *)?M *"
-    r"(?:(?:11[78]|23|28|30|32|928)(?![0-9.])|[01](?![0-9.])(?: *[PS] *[0-9]+)*)"
+    r"(?:(?:11[78]|23|28|30|32|928)(?![0-9.])|[01](?![0-9.])(?: *[PS] *[0-9]+(?:\.[0-9]*)?)*)"
 )
+_STOP = re.compile(r" *(?:N *[0-9]+ *)?M *[01](?![0-9.])(?: *[PS] *[0-9]+(?:\.[0-9]*)?)*", re.I)
 _FLAGS = re.compile(r" *(?:N *[0-9]+ *)?(?:G *28|M *(?:1[78]|84))(?![0-9.])")
 _ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
 _COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
@@ -71,6 +72,17 @@ def number_of_line(text: str) -> int | None:
     """Return the line number (N) at the front of a line, None without one."""
     found = _NUMBER_OF_LINE.match(text)
     return None if found is None else int(found[1])
+
+
+def text_of_stop(text: str) -> str:
+    """Return the text behind M0 or M1, which a one-command firmware shows at the stop.
+
+    >>> text_of_stop("N3 M0 S5 Turn the part*17"), text_of_stop("M117 hello")
+    ('Turn the part', '')
+    """
+    code = _CHECKSUM.sub("", text.partition(";")[0])
+    stop = _STOP.match(code)
+    return "" if stop is None else code[stop.end() :].strip()
 
 
 def one_command(text: str, name: str, place: Place) -> str:

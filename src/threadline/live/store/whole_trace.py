@@ -227,8 +227,9 @@ def _blocks(
     worked = False
     for block in rest:
         if not worked and not max(map(len, block.samples.values()), default=0):
-            # On the program's way to that place, only late ticks count.
-            joint += [replace(event, tick=at) for event in block.events if event.kind == "late"]
+            # On the program's way to that place, only late ticks and overrides count.
+            kept_kinds = {"late", "override"}
+            joint += [replace(e, tick=at) for e in block.events if e.kind in kept_kinds]
             continue
         if not worked:
             yield RecordingBlock(first_tick={clock.name: at}, samples=nothing, events=tuple(joint))
