@@ -22,7 +22,7 @@ from threadline.base.option_defaults import DEFAULT_INTERPOLATION
 from threadline.base.wording import plain
 from threadline.errors import OptionError
 from threadline.files.recording import columns_of
-from threadline.identify.verbs import fit, measure
+from threadline.identify.commissioning import fit, measure
 from threadline.machine import Machine
 from threadline.motion.timing.retime import retime
 from threadline.proof.asked import (

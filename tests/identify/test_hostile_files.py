@@ -7,8 +7,8 @@ import random
 import numpy as np
 
 from threadline.errors import InputError
-from threadline.identify.data import open_data
-from threadline.identify.of_responses import ResponseData
+from threadline.identify.frequency_domain import ResponseData
+from threadline.identify.measured_data import open_data
 from threadline.identify.read_response import read_response, write_response
 
 from . import forward

@@ -11,7 +11,7 @@ import threadline as tl
 from threadline.cli.main import main
 from threadline.errors import OptionError
 from threadline.files.formats import read_recording
-from threadline.identify.measuring import response_of
+from threadline.identify.experiment_run import response_of
 from threadline.machine import load_machine
 from threadline.machine.numbers import number_at
 

@@ -12,8 +12,8 @@ from threadline.cli.main import main
 from threadline.errors import RecordingError
 from threadline.files import ChannelKind, Recording, RecordingBlock
 from threadline.files.formats import write_recording
-from threadline.identify.fitted import fit
-from threadline.identify.of_recordings import recording_data
+from threadline.identify.parameter_fit import fit
+from threadline.identify.time_domain import recording_data
 from threadline.machine import load_machine
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.proof.options import options_of

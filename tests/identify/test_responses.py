@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from threadline.identify.estimate import Problem, estimate, jacobian
-from threadline.identify.fitted import fit
+from threadline.identify.frequency_domain import ResponseData
 from threadline.identify.measured_response import MeasuredResponse
-from threadline.identify.of_responses import ResponseData
+from threadline.identify.parameter_fit import fit
 from threadline.machine import load_machine
 from threadline.machine.numbers import number_at, with_numbers
 

@@ -12,7 +12,7 @@ from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.errors import LinkFaultError, OptionError
 from threadline.files import RunEnd
 from threadline.files.formats import write_recording
-from threadline.identify.measuring import LINKS, Measurement, Prediction, measure, predict
+from threadline.identify.experiment_run import LINKS, Measurement, Prediction, measure, predict
 from threadline.identify.planned_experiment import EXPERIMENTS, experiment, parse_band
 from threadline.live.sim_machine import parse_fault
 from threadline.machine import Machine, load_machine

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from threadline.base.wording import ascii_only, toml_string
 from threadline.files.formats.common import atomic_file
-from threadline.identify.fitted import Fit, FittedNumber
+from threadline.identify.parameter_fit import Fit, FittedNumber
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_tables
 from threadline.units import unit_factor

@@ -8,12 +8,12 @@ from pathlib import Path
 from threadline.base.reading import read_text
 from threadline.errors import OptionError, Place, RecordingError
 from threadline.files.formats import read_recording
-from threadline.identify.fitted import Data
+from threadline.identify.experiment_run import response_of
+from threadline.identify.frequency_domain import ResponseData
 from threadline.identify.measured_response import MeasuredResponse
-from threadline.identify.measuring import response_of
-from threadline.identify.of_recordings import recording_data
-from threadline.identify.of_responses import ResponseData
+from threadline.identify.parameter_fit import Data
 from threadline.identify.read_response import MAX_BYTES, read_response, rows_of
+from threadline.identify.time_domain import recording_data
 from threadline.machine import load_machine
 
 _OF_SWEEP = "response:"

@@ -11,8 +11,8 @@ from threadline.machine import Machine, load_machine
 from threadline.units import parse_quantity
 
 if TYPE_CHECKING:
-    from threadline.identify.fitted import Fit
-    from threadline.identify.measuring import Measurement
+    from threadline.identify.experiment_run import Measurement
+    from threadline.identify.parameter_fit import Fit
 
 
 @checked
@@ -45,10 +45,10 @@ def fit(
     InputError
         As on the command line.
     """
-    from threadline.identify.data import open_data
-    from threadline.identify.fitted import fit as fitted
-    from threadline.identify.fitted import parse_numbers
     from threadline.identify.machine_file import write_fitted
+    from threadline.identify.measured_data import open_data
+    from threadline.identify.parameter_fit import fit as fitted
+    from threadline.identify.parameter_fit import parse_numbers
 
     files = [data] if isinstance(data, str | Path) else list(data)
     chosen = load_machine(str(machine))
@@ -99,8 +99,8 @@ def measure(
         If the machine does not answer.
     """
     from threadline.files.formats import write_recording
-    from threadline.identify.measuring import measure as measured
-    from threadline.identify.measuring import predict
+    from threadline.identify.experiment_run import measure as measured
+    from threadline.identify.experiment_run import predict
     from threadline.identify.planned_experiment import experiment as planned_of
     from threadline.identify.planned_experiment import parse_band
 
