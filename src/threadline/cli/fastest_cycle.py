@@ -9,6 +9,7 @@ from typing import Any
 from threadline.base.writing import together
 from threadline.cli.fastest_output import SearchOutput, verdict_content
 from threadline.cli.found import limit_words
+from threadline.machine import Machine
 from threadline.proof.pipeline import Proof
 from threadline.report.document import Printed
 from threadline.report.switching import write_switching
@@ -26,12 +27,13 @@ from threadline.verdict.rendering import continuous
 
 def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
     """Return the moves of the cycle found for a band of modes; ``band`` is the half width."""
-    header = ["step", "axis", "mm", "unshaped s", "bound s", "found s", "over the bound"]
+    machine = robust.proof.plan.machine
+    header = ["step", "axis", _usual(machine), "unshaped s", "bound s", "found s", "over the bound"]
     rows = [
         [
             move.step,
             move.axis,
-            f"{move.distance_m * 1e3:g}",
+            f"{move.distance_m * machine.cylinders[move.axis].usual[0]:g}",
             f"{move.unshaped_s:.3f}",
             f"{move.bound_s:.3f}",
             f"{move.command_s:.3f}",
@@ -246,8 +248,18 @@ def write_move_list(found: Answer, file: Path) -> Path | None:
 
 def moves_table(found: FastestCycle, title: str) -> Printed:
     """Return the moves of the fastest cycle, with unshaped and time-optimal commands to compare."""
-    header = ["step", "axis", "mm", "unshaped s", "optimal s", "found s", "wait s", "how"]
-    rows = [_row(move) for move in found.moves]
+    machine = found.proof.plan.machine
+    header = [
+        "step",
+        "axis",
+        _usual(machine),
+        "unshaped s",
+        "optimal s",
+        "found s",
+        "wait s",
+        "how",
+    ]
+    rows = [_row(move, machine) for move in found.moves]
     sums = [
         sum(move.unshaped_s for move in found.moves),
         sum(move.time_optimal_s for move in found.moves),
@@ -258,11 +270,16 @@ def moves_table(found: FastestCycle, title: str) -> Printed:
     return f"{title}: commands, move by move", header, rows
 
 
-def _row(move: MoveChoice) -> list[str]:
+def _usual(machine: Machine) -> str:
+    """Return the units of the column of distances: ``mm``, ``deg`` or both."""
+    return ", ".join(dict.fromkeys(one.usual[1] for one in machine.cylinders.values()))
+
+
+def _row(move: MoveChoice, machine: Machine) -> list[str]:
     return [
         move.step,
         move.axis,
-        f"{move.distance_m * 1e3:g}",
+        f"{move.distance_m * machine.cylinders[move.axis].usual[0]:g}",
         f"{move.unshaped_s:.3f}",
         f"{move.time_optimal_s:.3f}",
         f"{move.command_s:.3f}",

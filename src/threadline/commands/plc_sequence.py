@@ -123,6 +123,8 @@ class Guarded:
         Constant for an unknown position.
     known
         Constant of every way (from, to) in m of the cycle; from and to are equal at rest.
+    usual
+        Factor from m or rad to the unit of notes, and that unit.
     """
 
     axis: str
@@ -131,6 +133,7 @@ class Guarded:
     gone: str
     unknown: str
     known: Mapping[tuple[float, float], str]
+    usual: tuple[float, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,11 +230,9 @@ class Sequence:
         for one in self.guarded:
             yield Variable(name=one.unknown, type="INT", initial="0", note="anywhere")
             for code, ((begin, end), name) in enumerate(one.known.items(), start=1):
-                way = (
-                    f"{begin * 1e3:g} mm"
-                    if begin == end
-                    else f"{begin * 1e3:g} to {end * 1e3:g} mm"
-                )
+                factor, unit = one.usual
+                first = "" if begin == end else f"{begin * factor:g} to "
+                way = f"{first}{end * factor:g} {unit}"
                 yield Variable(name=name, type="INT", initial=str(code), note=way)
         for code, jog in enumerate(self.jogs, start=1):
             yield Variable(name=jog.name, type="INT", initial=str(code), note=jog.note)
@@ -390,7 +391,8 @@ def _what(
     for move in scheduled.moves:
         way = "forward" if move.forward else "back"
         if move.first_tick <= tick < move.last_tick:
-            return f"{move.axis} {move.levels.wanted_m * 1e3:g} mm {way}"
+            distance = machine.cylinders[move.axis].place(move.levels.wanted_m)
+            return f"{move.axis} {distance} {way}"
     scan_s = float(scheduled.commands.clock.period_s)
     stays_s = 1e-3 * place.due_ms - (tick - place.origin_tick) * scan_s
     for move in scheduled.moves:
@@ -441,10 +443,11 @@ def _guarded(machine: Machine, places: tuple[NamedPlace, ...], names: Names) -> 
         if not ways:
             continue
         known: dict[tuple[float, float], str] = {}
+        factor, unit = machine.cylinders[axis].usual
         for way in ways:
             key = round(way.begin_m, 9), round(way.end_m, 9)
             if key not in known:
-                begin, end = (f"{value * 1e3:g}" for value in key)
+                begin, end = (f"{value * factor:g}" for value in key)
                 text = f"{axis}_at_{begin}" if way.stands else f"{axis}_{begin}_to_{end}"
                 known[key] = names.give(text.lower())
         low = axis.lower()
@@ -455,4 +458,5 @@ def _guarded(machine: Machine, places: tuple[NamedPlace, ...], names: Names) -> 
             gone=names.give(f"{low}_must_be_gone"),
             unknown=names.give(f"{low}_anywhere"),
             known=known,
+            usual=(factor, unit),
         )

@@ -115,7 +115,7 @@ def compile_cycles(
 
 def _check_again(job: Job, single: Scheduled) -> None:
     """Refuse a cycle that leaves outputs or cylinders otherwise than a further one finds them."""
-    place = Place(job.file)
+    place, machine = Place(job.file), single.machine
     commands = single.commands
     row = int(np.searchsorted(commands.ticks, single.again_tick)) - 1
     begin = commands.levels[row] if row >= 0 else np.zeros_like(commands.levels[-1])
@@ -131,8 +131,8 @@ def _check_again(job: Job, single: Scheduled) -> None:
         ends = [move.end_m for move in single.moves if move.axis == axis]
         if ends and abs(ends[-1] - start) > _SAME_M:
             raise PlanError(
-                f"{axis} is at {ends[-1] * 1e3:g} mm at the end of the list, and at "
-                f"{start * 1e3:g} mm where every further cycle begins",
+                f"{axis} is at {machine.cylinders[axis].place(ends[-1])} at the end of the list, "
+                f"and at {machine.cylinders[axis].place(start)} where every further cycle begins",
                 place=place,
                 remedy="Bring it back within the list.",
             )
@@ -294,7 +294,10 @@ class _Builder:
             abs(to - self.position[axis]) > _SAME_M
             for axis, to in zip(self.job.axes, target, strict=True)
         ):
-            where = ", ".join(f"{axis} at {at * 1e3:g} mm" for axis, at in self.position.items())
+            where = ", ".join(
+                f"{axis} at {self.machine.cylinders[axis].place(at)}"
+                for axis, at in self.position.items()
+            )
             self.warnings.append(
                 f"{source.place}: this move moves nothing: the list has {where} already; a list "
                 "begins at 0, and the way home from elsewhere is in the PLC program of its own"
@@ -393,7 +396,7 @@ class _Builder:
         self.moves.append(move)
         self.unconfirmed[axis] = move
         period_s = float(self.clock.period_s)
-        tell_distance(self.warnings, levels, axis, period_s, source, written="levels" in how)
+        tell_distance(self.warnings, levels, cylinder, axis, period_s, source, "levels" in how)
         return last + self._ticks(float(how.get(REST, cylinder.rest_s(distance > 0))))
 
     def _levels(
@@ -414,13 +417,9 @@ class _Builder:
         own = levels_by_axis(text).get(axis, "" if "=" in text else text)
         for dwell_s in (0.0, need):
             if own:
-                levels = written_levels(
-                    own, abs(distance), cylinder.speed.si, tick_s, source.place, valves
-                )
+                levels = written_levels(own, abs(distance), cylinder, tick_s, source.place, valves)
             else:
-                levels = move_levels(
-                    abs(distance), cylinder.speed.si, tick_s, shaping, dwell_s, valves
-                )
+                levels = move_levels(abs(distance), cylinder, tick_s, shaping, dwell_s, valves)
             chosen = [open_flows(v, way, self.machine, source.place) for v in levels.levels]
             shortest = min(
                 ((flow, shortest_ticks(flow, chosen, levels.ticks)) for flow in way.flows),

@@ -18,7 +18,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import Place, PlanError, UnitError
 from threadline.machine import Machine
-from threadline.machine.pneumatics import Way
+from threadline.machine.pneumatics import Cylinder, Way
 from threadline.motion.shaping import ControllerLimits, FlexibleMode, Realised, Shaper, realise
 from threadline.motion.shaping.designs import DEFAULT_TOLERANCE
 from threadline.motion.shaping.onoff.switched import Valves
@@ -191,13 +191,13 @@ class Levels:
 
 def move_levels(
     distance_m: float,
-    speed_m_s: float,
+    cylinder: Cylinder,
     tick_s: float,
     shaping: AxisShaping | None,
     dwell_s: float = 0.0,
     valves: Valves = AT_ONCE,
 ) -> Levels:
-    """Return the levels that cover ``distance_m``, a positive length, at ``speed_m_s`` per level.
+    """Return the levels that cover ``distance_m``, a positive length, at the cylinder's speed.
 
     ``dwell_s`` is the shortest time between impulses of the shaper. If ``valves`` close later than
     they open, each stretch of flow is longer than its command, so the commands are made shorter.
@@ -207,12 +207,13 @@ def move_levels(
     PlanError
         If the distance is shorter than one scan of travel.
     """
+    speed_m_s = cylinder.speed.si
     on_scans = distance_m / (speed_m_s * tick_s)
     on = round(on_scans - valves.longer)
     if on < 1:
         raise PlanError(
-            f"a move of {distance_m * 1e3:g} mm takes less than a scan of {tick_s * 1e3:g} ms at "
-            f"{speed_m_s:g} m/s",
+            f"a move of {cylinder.place(distance_m)} takes less than a scan of "
+            f"{tick_s * 1e3:g} ms at {cylinder.pace(speed_m_s)}",
             remedy="Lower the speed or the scan.",
         )
     realised = None
@@ -255,7 +256,7 @@ def _convolved(
 def written_levels(
     text: str,
     distance_m: float,
-    speed_m_s: float,
+    cylinder: Cylinder,
     tick_s: float,
     place: Place,
     valves: Valves = AT_ONCE,
@@ -312,11 +313,12 @@ def written_levels(
         if valves.at_once
         else valves.covered((*ticks, now), (*levels, 0.0))
     )
+    speed_m_s = cylinder.speed.si
     commanded_m = covered * tick_s * speed_m_s
     if abs(commanded_m - distance_m) >= speed_m_s * tick_s:
         raise PlanError(
-            f"the levels move the piston by {commanded_m * 1e3:.2f} mm of "
-            f"{distance_m * 1e3:.2f} mm",
+            f"the levels move the piston by {cylinder.place(commanded_m, '.2f')} of "
+            f"{cylinder.place(distance_m, '.2f')}",
             place=place,
             remedy="Level times duration must add up to distance over speed."
             if valves.at_once

@@ -13,7 +13,7 @@ from threadline.dynamics.pneumatic import flow_mode
 from threadline.errors import OptionError, Place, PlanError
 from threadline.jobs.operations import Source
 from threadline.machine import Machine
-from threadline.machine.pneumatics import Contact
+from threadline.machine.pneumatics import Contact, Cylinder
 from threadline.motion.shaping import FlexibleMode, ShaperKind, convolve, design, parse_mode_hz
 from threadline.motion.shaping.designs import DEFAULT_TOLERANCE
 
@@ -182,12 +182,12 @@ def check_wait(
     contact = machine.contacts[name]
     if contact.cylinder is None or contact.at is None:
         return []
-    place_m = position[contact.cylinder]
+    place_m, cylinder = position[contact.cylinder], machine.cylinders[contact.cylinder]
     if reads_on(contact, place_m) != value:
         raise PlanError(
             f"the input {name!r} would never {'come' if value else 'go'}: "
-            f"{contact.cylinder} stands at {place_m * 1e3:g} mm then, and {name} is on "
-            f"{contact.beyond} {contact.at.si * 1e3:g} mm",
+            f"{contact.cylinder} stands at {cylinder.place(place_m)} then, and {name} is on "
+            f"{contact.beyond} {cylinder.place(contact.at.si)}",
             place=source.place,
             remedy="Wait for another input, or move there first.",
         )
@@ -195,8 +195,9 @@ def check_wait(
         return []
     return [
         f"{source.place}: the input {name!r} may never {'come' if value else 'go'}: "
-        f"{contact.cylinder} stands at {place_m * 1e3:g} mm then, and {name} switches at "
-        f"{contact.at.si * 1e3:g} mm +- {contact.at.tolerance_si * 1e3:g} mm; move beyond it"
+        f"{contact.cylinder} stands at {cylinder.place(place_m)} then, and {name} switches at "
+        f"{cylinder.place(contact.at.si)} +- {cylinder.place(contact.at.tolerance_si)}; "
+        "move beyond it"
     ]
 
 
@@ -233,9 +234,11 @@ def check_interlocks(
             contact = machine.contacts[name]
             other = str(contact.cylinder)
             if not (reads_on(contact, before[other]) and reads_on(contact, after[other])):
-                ends = dict.fromkeys(f"{m[other] * 1e3:g}" for m in (before, after))
+                factor, unit = machine.cylinders[other].usual
+                ends = dict.fromkeys(f"{m[other] * factor:g}" for m in (before, after))
                 raise PlanError(
-                    f"{what} only with {name} on, and {other} is at {' to '.join(ends)} mm then",
+                    f"{what} only with {name} on, and {other} is at {' to '.join(ends)} {unit} "
+                    "then",
                     place=source.place,
                     remedy=f"Move {other} first, or change needs in the machine file.",
                 )
@@ -250,10 +253,10 @@ def check_interlocks(
 def tell_distance(
     warnings: list[str],
     levels: Levels,
+    cylinder: Cylinder,
     axis: str,
     tick_s: float,
     source: Source,
-    *,
     written: bool,
 ) -> None:
     """Add a warning if whole scans do not give the requested distance.
@@ -266,16 +269,16 @@ def tell_distance(
     if off_m <= (_MEANT * tick_s * levels.speed_m_s if written else _SEEN_M):
         return
     told = (
-        f"{axis} is told {levels.commanded_m * 1e3:.2f} mm instead of "
-        f"{levels.wanted_m * 1e3:.2f} mm: "
+        f"{axis} is told {cylinder.place(levels.commanded_m, '.2f')} instead of "
+        f"{cylinder.place(levels.wanted_m, '.2f')}: "
     )
     if written:
         told += "so much its levels cover"
     else:
         meets_m_s = levels.speed_m_s * levels.wanted_m / levels.commanded_m
         told += (
-            f"whole scans of {tick_s * 1e3:g} ms at {levels.speed_m_s:g} m/s; set the flow to "
-            f"{meets_m_s:.6g} m/s to meet it"
+            f"whole scans of {tick_s * 1e3:g} ms at {cylinder.pace(levels.speed_m_s)}; set the "
+            f"flow to {cylinder.pace(meets_m_s, '.6g')} to meet it"
         )
     for index, one in enumerate(warnings):
         if one.endswith(f": {told}"):

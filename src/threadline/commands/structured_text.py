@@ -199,7 +199,8 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
         "It is no safety function: what protects people has to cut the air without it.",
         *(f"{axis}: {_shaped(scheduled, axis)}" for axis in scheduled.machine.cylinders),
         *(
-            f"{axis} creeps to a late end switch: {1e3 * one['opening_m']:.2g} mm each "
+            f"{axis} creeps to a late end switch: "
+            f"{scheduled.machine.cylinders[axis].place(one['opening_m'], '.2g')} each "
             f"{one['every_s']:.3g} s, until it is there or its time limit is over."
             for axis, one in scheduled.creeping.items()
         ),

@@ -14,6 +14,7 @@ of the network, as in every other machine.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ from threadline.dynamics.network import PiecewiseLinear, piecewise_linear
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine
+from threadline.machine.pneumatics import ATMOSPHERE_PA, SPRING_OF_FORCE
 from threadline.machine.quantity import Quantity
 
 
@@ -56,6 +58,8 @@ class CylinderEquations:
         (variants,) in kg.
     air_stiffness, air_damping
         (variants,) in N/m and N s/m.
+
+    Of a rotary cylinder the stroke is in rad, its forces are torques in N m, inertias in kg m^2.
     """
 
     axis: str
@@ -197,9 +201,28 @@ def cylinder_equations(
         housing=states.index(f"{cylinder.reacts_on}'"),
         piston_share=piston_inertia / (piston_inertia + inertia[cylinder.reacts_on]),
         piston_inertia=piston_inertia,
-        air_stiffness=number(f"{where}.air_stiffness", cylinder.air_stiffness),
+        air_stiffness=_air_stiffness(machine, axis, number),
         air_damping=number(f"{where}.air_damping", cylinder.air_damping),
     )
+
+
+def _air_stiffness(
+    machine: Machine, axis: str, number: Callable[[str, Quantity | None], FloatArray]
+) -> FloatArray:
+    """Return the (variants,) stiffness of the air, as given or from what makes the torque."""
+    cylinder, where = machine.cylinders[axis], f"cylinders.{axis}"
+    torque = cylinder.torque
+    if torque is None:
+        return number(f"{where}.air_stiffness", cylinder.air_stiffness)
+    pistons: FloatArray | float = 1.0
+    if torque.pistons is not None:
+        pistons = number(f"{where}.torque.pistons", torque.pistons)
+    lever = number(f"{where}.torque.area", torque.area) * number(
+        f"{where}.torque.radius", torque.radius
+    )
+    absolute = number(f"{where}.torque.pressure", torque.pressure) + ATMOSPHERE_PA
+    stroke = number(f"{where}.stroke", cylinder.stroke)
+    return np.asarray(SPRING_OF_FORCE * absolute * lever * pistons / stroke)
 
 
 def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:

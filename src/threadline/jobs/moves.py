@@ -259,11 +259,13 @@ class _Reader:
             if axis not in self.machine.cylinders:
                 remedy = nearest(axis, self.machine.cylinders)
                 self.refuse(f"there is no cylinder {axis[:40]!r}", index, "move", remedy)
-            value = self._number(text, "m", index, "move")
-            stroke = self.machine.cylinders[axis].stroke.si
+            cylinder = self.machine.cylinders[axis]
+            stroke = cylinder.stroke.si
+            value = self._number(text, cylinder.stroke.unit, index, "move")
             if not 0.0 <= value <= stroke:
+                ends = f"0 ... {cylinder.place(stroke)}"
                 self.refuse(
-                    f"{axis} would move to {value * 1e3:g} mm of 0 ... {stroke * 1e3:g} mm",
+                    f"{axis} would move to {cylinder.place(value)} of {ends}",
                     index,
                     "move",
                     "Stay within the stroke.",
@@ -312,7 +314,7 @@ class _Reader:
         return value
 
     def _number(self, text: Any, unit: str, index: int, key: str) -> float:
-        example = {"m": "120 mm", "s": "300 ms"}[unit]
+        example = {"m": "120 mm", "rad": "90 deg", "s": "300 ms"}[unit]
         if not isinstance(text, str):
             self.refuse(f"{key}: {text!r} has no unit", index, key, f'Write it like "{example}".')
         try:

@@ -297,6 +297,7 @@ class Machine(AxisArrays):
             check_known([cylinder.pushes], self.bodies, f"{where}.pushes", "body")
             check_known([cylinder.reacts_on], self.bodies, f"{where}.reacts_on", "body")
             check_known(cylinder.frame, self.bodies, f"{where}.frame", "body")
+            self._check_kinds(where, cylinder)
             for sense in ("forward", "back"):
                 way = cylinder.way(sense == "forward")
                 for output, kind in ((way.valve, "direction"), *((f, "flow") for f in way.flows)):
@@ -313,6 +314,24 @@ class Machine(AxisArrays):
                 check_known([contact.cylinder], self.cylinders, at, "cylinder")
         check_contacts(self.cylinders, self.outputs, self.contacts)
         check_addresses(self.outputs, self.contacts)
+
+    def _check_kinds(self, where: str, cylinder: Cylinder) -> None:
+        """Check that a cylinder and its bodies both turn or both slide, and its frame is in m."""
+        for key in ("pushes", "reacts_on"):
+            body = getattr(cylinder, key)
+            if self.bodies[body].kind != cylinder.kind:
+                raise ValueError(
+                    f"{where}.{key}: {body!r} is a {self.bodies[body].kind} body, and the cylinder "
+                    f"is {cylinder.kind}"
+                )
+        for body, weight in cylinder.frame.items():
+            wanted = "m/rad" if self.bodies[body].kind == "rotary" else ""
+            if weight.unit != wanted:
+                raise ValueError(
+                    f"{where}.frame.{body}: the weight of a {self.bodies[body].kind} body "
+                    + (f"is in {wanted}" if wanted else "has no unit")
+                    + f", not {weight.unit or 'without unit'}"
+                )
 
     def _stitching_references(self) -> None:
         if (self.shaft is None) != (self.tables is None):
@@ -363,8 +382,18 @@ class Machine(AxisArrays):
 
     @property
     def rotary(self) -> frozenset[str]:
-        """Names of the rotary axes; all other axes and all cylinders are linear."""
-        return frozenset(name for name, axis in self.axes.items() if axis.kind == "rotary")
+        """Names of the rotary axes and cylinders; all others are linear."""
+        kinds = {name: axis.kind for name, axis in self.axes.items()}
+        kinds |= {name: cylinder.kind for name, cylinder in self.cylinders.items()}
+        return frozenset(name for name, kind in kinds.items() if kind == "rotary")
+
+    def acts_at_m(self, axis: str) -> float:
+        """Return the distance at which a rotary axis or cylinder does its work, m."""
+        if axis in self.cylinders:
+            radius = self.cylinders[axis].radius
+            assert radius is not None
+            return radius.si
+        return float(self.radius_m[self.axis_names.index(axis)])
 
     @property
     def motors(self) -> dict[str, DcMotor]:

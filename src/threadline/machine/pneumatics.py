@@ -3,10 +3,14 @@
 A flow control behind an open valve lets the exhaust out at a set rate. The open valves therefore
 set the *speed* of the piston, not its force: ``speed`` times the sum of their flows, because flow
 controls of one direction work in parallel. Every subset of them gives a speed level.
+
+A rotary cylinder (a vane, or pistons on a rack) is the same with angles: its stroke, speed and
+switches are in rad, its forces are torques.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from itertools import combinations
 from typing import Annotated, Literal
@@ -17,9 +21,13 @@ from pydantic.dataclasses import dataclass
 from threadline.machine.parts import STRICT, PositiveTime, Weights
 from threadline.machine.quantity import Quantity, Units
 
-Length = Annotated[Quantity, Units(("m",), positive=True)]
+Length = Annotated[Quantity, Units(("m", "rad"), positive=True)]
 ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
 """A delay or lag of compressed air, of at most 100 s; one second is long."""
+ATMOSPHERE_PA = 101_325.0
+SPRING_OF_FORCE = 5.6
+"""Stiffness of the air in the middle of a stroke, times the stroke, over the force that the
+absolute pressure gives: 1.4 p A (1/l1 + 1/l2) with both lengths half of the stroke."""
 REST_LAGS = 4.0
 """Time after the end of the flow, in lags, until a cylinder is at rest within 2 %."""
 MOST_SCANS = 100
@@ -74,7 +82,7 @@ class Contact:
     """Address in the PLC, ``%IX0.1``: byte and bit, 0 to 7, without leading zeros."""
     cylinder: str | None = None
     """The cylinder of an end switch, with ``at`` and ``beyond``."""
-    at: Annotated[Quantity, Units(("m",), not_negative=True)] | None = None
+    at: Annotated[Quantity, Units(("m", "rad"), not_negative=True)] | None = None
     """Position at which the end switch closes: inside the stroke by more than its tolerance, and
     never where a switch of the other end is closed."""
     beyond: Literal["below", "above"] | None = None
@@ -148,22 +156,51 @@ class Cushion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Torque:
+    """Torque of a rotary cylinder, by a vane or by pistons on a rack: pressure, area, radius."""
+
+    pressure: Annotated[Quantity, Units(("Pa",), positive=True, most=5e6)]
+    """Pressure of the supply above that of the atmosphere."""
+    area: Annotated[Quantity, Units(("m^2",), positive=True)]
+    """Area of the vane, or of one piston on the rack."""
+    radius: Annotated[Quantity, Units(("m",), positive=True)]
+    """Distance of the middle of the vane from the shaft, or pitch radius of the pinion."""
+    pistons: Annotated[Quantity, Units(("",), positive=True)] | None = None
+    """Vanes, or pistons on racks, that push together. Without it: 1."""
+
+    @property
+    def lever_m3(self) -> float:
+        """Torque over pressure, m^3."""
+        return self.area.si * self.radius.si * (1.0 if self.pistons is None else self.pistons.si)
+
+    @property
+    def torque_n_m(self) -> float:
+        """Torque at standstill, the exhaust empty, N m."""
+        return self.pressure.si * self.lever_m3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Cylinder:
     """A pneumatic axis: valves set the speed of a flow, which moves the piston by an air spring.
 
     The air is a spring with a damper between flow and piston.
     """
 
+    kind: Literal["linear", "rotary"] = "linear"
+    """``rotary`` for a vane, or pistons on a rack: its stroke is an angle, and the bodies that it
+    pushes and reacts on are rotary. Without it: linear."""
+    radius: Annotated[Quantity, Units(("m",), positive=True)] | None = None
+    """Distance from its shaft at which a rotary cylinder does its work. A linear one has none."""
     pushes: str
     """The body that the piston pushes."""
     reacts_on: str
     """The body that the cylinder is fixed to. A link, or a chain of links, joins it with
     ``pushes``; the stiffness of a link between the two may be 0."""
     frame: Weights
-    """Position whose vibration is judged: weights of the bodies."""
+    """Position whose vibration is judged, m: weights of the bodies, in m/rad of rotary ones."""
     stroke: Length
     """The piston moves from 0 to here."""
-    speed: Annotated[Quantity, Units(("m/s",), positive=True)]
+    speed: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)]
     """Speed of the piston with all flow controls of a direction open (level 1)."""
     forward: Way
     """Valve and flow controls of the outward stroke."""
@@ -173,17 +210,21 @@ class Cylinder:
     """Time from a valve's command to the first flow."""
     lag: ShortTime
     """Time constant with which the speed follows."""
-    air_stiffness: Annotated[Quantity, Units(("N/m",), positive=True)]
-    """Stiffness of the air between flow and piston."""
-    air_damping: Annotated[Quantity, Units(("N*s/m",), not_negative=True)]
+    air_stiffness: Annotated[Quantity, Units(("N/m", "N*m/rad"), positive=True)] | None = None
+    """Stiffness of the air between flow and piston. A rotary cylinder may give ``torque`` instead.
+    """
+    torque: Torque | None = None
+    """What makes the torque of a rotary cylinder. Its air has the stiffness of the absolute
+    pressure in the middle of the stroke, ``5.6 p A r / stroke``."""
+    air_damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)]
     """Damping of that air."""
     air_ramp: Length | None = None
     """Distance over which the damping builds up after a standstill. Without it: 0."""
     cushion: Cushion | None = None
     """End cushioning."""
-    friction: Annotated[Quantity, Units(("N",), not_negative=True)] | None = None
+    friction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
     """Friction between piston and housing. Without it: 0."""
-    stiction: Annotated[Quantity, Units(("N",), not_negative=True)] | None = None
+    stiction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
     """Force at breakaway, at least ``friction``. Without it: ``friction``."""
     needs: tuple[str, ...] = ()
     """Interlock: end switches of other cylinders that are on while this one moves."""
@@ -195,6 +236,67 @@ class Cylinder:
         ):
             raise ValueError("stiction must come with a friction that is not larger")
         return self
+
+    @model_validator(mode="after")
+    def _of_its_kind(self) -> Cylinder:
+        turns = self.kind == "rotary"
+        length = "rad" if turns else "m"
+        spring, damper = ("N*m/rad", "N*m*s/rad") if turns else ("N/m", "N*s/m")
+        cushion = None if self.cushion is None else self.cushion.length
+        for name, part, wanted in (
+            ("stroke", self.stroke, length),
+            ("speed", self.speed, f"{length}/s"),
+            ("air_stiffness", self.air_stiffness, spring),
+            ("air_damping", self.air_damping, damper),
+            ("air_ramp", self.air_ramp, length),
+            ("cushion.length", cushion, length),
+            ("friction", self.friction, "N*m" if turns else "N"),
+            ("stiction", self.stiction, "N*m" if turns else "N"),
+        ):
+            if part is not None and part.unit != wanted:
+                raise ValueError(
+                    f"{name} of a {self.kind} cylinder is in {wanted}, not {part.unit}"
+                    + ("" if turns else '; one that turns has kind = "rotary"')
+                )
+        if turns != (self.radius is not None):
+            raise ValueError(
+                "radius is missing: a rotary cylinder does its work at some distance from its shaft"
+                if turns
+                else "a linear cylinder has no radius"
+            )
+        if self.torque is not None and not turns:
+            raise ValueError("torque belongs to a rotary cylinder; a linear one has air_stiffness")
+        if (self.air_stiffness is None) == (self.torque is None):
+            either = " or torque" if turns else ""
+            raise ValueError(
+                f"air_stiffness{either} is missing"
+                if self.torque is None
+                else "air_stiffness and torque both give the stiffness of the air: remove one"
+            )
+        return self
+
+    @property
+    def spring(self) -> float:
+        """Stiffness of its air, N/m or N m/rad."""
+        if self.air_stiffness is not None:
+            return self.air_stiffness.si
+        assert self.torque is not None
+        absolute = self.torque.pressure.si + ATMOSPHERE_PA
+        return SPRING_OF_FORCE * absolute * self.torque.lever_m3 / self.stroke.si
+
+    @property
+    def usual(self) -> tuple[float, str]:
+        """Factor from SI to the usual unit of its places, and that unit: mm or deg."""
+        return (1e3, "mm") if self.kind == "linear" else (180.0 / math.pi, "deg")
+
+    def pace(self, speed: float, form: str = "g") -> str:
+        """Return words for a speed: ``0.43 m/s``, ``180 deg/s``."""
+        return f"{speed:{form}} m/s" if self.kind == "linear" else f"{self.place(speed, form)}/s"
+
+    def place(self, at: float, form: str = "g") -> str:
+        """Return words for a place of its stroke in the usual unit: ``200 mm``, ``90 deg``."""
+        factor, unit = self.usual
+        return f"{at * factor:{form}} {unit}"
 
     def way(self, forward: bool) -> Way:
         """Return the valve and flow controls of one direction."""
@@ -262,11 +364,17 @@ def check_contacts(
     for name, contact in contacts.items():
         if contact.cylinder is None or contact.at is None:
             continue
-        stroke, at = cylinders[contact.cylinder].stroke.si, contact.at.si
+        one = cylinders[contact.cylinder]
+        if contact.at.unit != one.stroke.unit:
+            raise ValueError(
+                f"contacts.{name}.at is in {contact.at.unit}, and the stroke of "
+                f"{contact.cylinder}, a {one.kind} cylinder, in {one.stroke.unit}"
+            )
+        stroke, at = one.stroke.si, contact.at.si
         if at > stroke or (at == stroke and contact.beyond == "below"):
             raise ValueError(
-                f"contacts.{name}.at: {at * 1e3:g} mm is not within the stroke of "
-                f"{contact.cylinder}, {stroke * 1e3:g} mm, so that the switch would always be "
+                f"contacts.{name}.at: {one.place(at)} is not within the stroke of "
+                f"{contact.cylinder}, {one.place(stroke)}, so that the switch would always be "
                 f"{'on' if contact.beyond == 'below' else 'off'}"
             )
     parts = [(f"cylinders.{name}", name, one.needs) for name, one in cylinders.items()]
@@ -297,14 +405,15 @@ def switch_faults(
     for name, contact in contacts.items():
         if contact.cylinder is None or contact.at is None:
             continue
-        stroke = cylinders[contact.cylinder].stroke.si
+        one = cylinders[contact.cylinder]
+        stroke = one.stroke.si
         low, high = contact.at.least <= 0.0, contact.at.most >= stroke
         if contact.at.tolerance_si and (low or high):
             always = low == (contact.beyond == "above")
             yield (
                 f"contacts.{name}.at",
-                f"{_in_mm(contact.at)} reaches the end of the stroke of {contact.cylinder} at "
-                f"{0.0 if low else stroke * 1e3:g} mm, so that the switch may "
+                f"{_within(one, contact.at)} reaches the end of the stroke of {contact.cylinder} "
+                f"at {one.place(0.0 if low else stroke)}, so that the switch may "
                 f"{'always' if always else 'never'} be on",
                 "Move the switch into the stroke by more than its tolerance.",
             )
@@ -315,12 +424,13 @@ def switch_faults(
             if ends and contact.at.most >= far.at.least:
                 yield (
                     f"contacts.{name}.at",
-                    f"on below {_in_mm(contact.at)}, and {other} above {_in_mm(far.at)}: both end "
-                    f"switches of {contact.cylinder} can be on at once",
+                    f"on below {_within(one, contact.at)}, and {other} above "
+                    f"{_within(one, far.at)}: both end switches of {contact.cylinder} can be on "
+                    "at once",
                     "Move them apart by more than their tolerances.",
                 )
 
 
-def _in_mm(place: Quantity) -> str:
-    within = f" +- {place.tolerance_si * 1e3:g} mm" if place.tolerance_si else ""
-    return f"{place.si * 1e3:g} mm{within}"
+def _within(cylinder: Cylinder, at: Quantity) -> str:
+    tolerance = f" +- {cylinder.place(at.tolerance_si)}" if at.tolerance_si else ""
+    return f"{cylinder.place(at.si)}{tolerance}"

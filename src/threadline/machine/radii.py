@@ -43,7 +43,7 @@ def with_radii(machine: Machine, text: str | None) -> Machine:
         name, equals, written = (piece.strip() for piece in part.partition("="))
         axis = machine.axes.get(name)
         if not equals or axis is None or axis.kind != "rotary":
-            turning = ", ".join(sorted(machine.rotary)) or "none"
+            turning = ", ".join(sorted(machine.rotary & machine.axes.keys())) or "none"
             raise OptionError(
                 f"--radius {part.strip()[:40]!r} is not the radius of a rotary axis of "
                 f"{machine.name!r}",

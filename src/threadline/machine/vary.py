@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from threadline.errors import OptionError
 from threadline.machine.model import Drive, Machine
 from threadline.machine.numbers import number_at
 from threadline.machine.parts import Axis, DcMotor
+from threadline.machine.pneumatics import Cylinder
 from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.sources import Stepper
 
@@ -115,7 +117,7 @@ def vary(
             cylinder,
             friction=_scaled(cylinder.friction, friction),
             stiction=_scaled(cylinder.stiction, friction),
-            air_stiffness=replace(cylinder.air_stiffness, si=cylinder.air_stiffness.si * supply),
+            **_air(cylinder, lambda number: replace(number, si=number.si * supply)),
         )
         for name, cylinder in machine.cylinders.items()
     }
@@ -192,7 +194,7 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
         for name, link in machine.links.items()
     }
     cylinders = {
-        name: replace(cylinder, air_stiffness=_off(cylinder.air_stiffness, stiffness))
+        name: replace(cylinder, **_air(cylinder, lambda number: _off(number, stiffness)))
         for name, cylinder in machine.cylinders.items()
     }
     return replace(machine, bodies=bodies, links=links, cylinders=cylinders)
@@ -389,6 +391,15 @@ def _carrying(machine: Machine, axis: str) -> Iterable[str]:
     if load is not None:
         return load
     return machine.drive_of(axis).acts_on if source is None else (source.body,)
+
+
+def _air(cylinder: Cylinder, changed: Callable[[Quantity], Quantity]) -> dict[str, Any]:
+    """Return the changed number that gives the stiffness of a cylinder's air: it, or a pressure."""
+    if cylinder.torque is not None:
+        torque = replace(cylinder.torque, pressure=changed(cylinder.torque.pressure))
+        return {"torque": torque}
+    assert cylinder.air_stiffness is not None
+    return {"air_stiffness": changed(cylinder.air_stiffness)}
 
 
 def _off(quantity: Quantity, parts: float) -> Quantity:

@@ -26,8 +26,8 @@ def cylinder_rows(machine: Machine) -> Iterator[tuple[str, ...]]:
         yield (
             f"{name}, cylinder",
             f"valves {cylinder.forward.valve}, {cylinder.back.valve}",
-            f"{1e3 * cylinder.stroke.si:.4g} mm",
-            f"{1e3 * cylinder.speed.si:.4g} mm/s ({cylinder.speed.provenance.value})",
+            cylinder.place(cylinder.stroke.si, ".4g"),
+            f"{cylinder.place(cylinder.speed.si, '.4g')}/s ({cylinder.speed.provenance.value})",
             "-",
             "-",
         )
@@ -42,7 +42,8 @@ def cylinder_signals(machine: Machine) -> Iterator[tuple[str, ...]]:
         what, note = str(contact.kind), ""
         if contact.cylinder is not None and contact.at is not None:
             what = f"end switch of {contact.cylinder}"
-            note = f"on at {1e3 * contact.at.si:g} mm and {contact.beyond}"
+            at = machine.cylinders[contact.cylinder].place(contact.at.si)
+            note = f"on at {at} and {contact.beyond}"
         yield name, what, f"PLC {contact.address}", note
 
 
@@ -52,10 +53,11 @@ def cylinder_steps(machine: Machine) -> Iterator[tuple[str, str]]:
         if contact.cylinder is None or contact.at is None:
             yield f"Work the input {name} ({contact.kind}).", f"{contact.address} follows it."
             continue
+        cylinder = machine.cylinders[contact.cylinder]
         yield (
-            f"Without air, push {contact.cylinder} by hand past {1e3 * contact.at.si:g} mm.",
+            f"Without air, push {contact.cylinder} by hand past {cylinder.place(contact.at.si)}.",
             f"{name} ({contact.address}) is on there and {contact.beyond}, within "
-            f"{1e3 * contact.at.tolerance_si:g} mm.",
+            f"{cylinder.place(contact.at.tolerance_si)}.",
         )
     for name, output in machine.outputs.items():
         yield (

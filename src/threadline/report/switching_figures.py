@@ -77,8 +77,9 @@ def cycle_figure(proof: Proof, recording: Recording) -> Figure:
     ).ravel()
     for panel, axis in zip(panels, axes, strict=False):
         time_s, values = _thinned(*recording.samples(f"{axis}.load"))
-        panel.plot(time_s, values * 1e3, **ACTUAL)
-        panel.set_ylabel(f"{axis} mm")
+        factor, unit = proof.plan.machine.cylinders[axis].usual
+        panel.plot(time_s, values * factor, **ACTUAL)
+        panel.set_ylabel(f"{axis} {unit}")
         _mark_steps(panel, run, names=axis == axes[0])
     lanes = panels[-1]
     for row in range(len(outputs)):

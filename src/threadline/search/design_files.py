@@ -102,8 +102,7 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
         if criterion.hard:
             lines.append('limit = "machine"')
         elif criterion.limit is not None:
-            moved = machine.axes.get(criterion.axis)
-            unit = kind.unit("linear" if moved is None else moved.kind)
+            unit = kind.unit("rotary" if criterion.axis in machine.rotary else "linear")
             limit = f"{criterion.limit!r} {unit}"
             if not unit and criterion.limit > 1.0:  # more than 100 %: readable only with its unit
                 limit = f"{100.0 * criterion.limit!r} %"

@@ -206,7 +206,9 @@ def _operation_lines(
             shown = moved or dict(zip(axes, target, strict=True))
             position.update(shown)
             places = ", ".join(
-                f"{axis} = {_text(at, 'm', 1e3, 'mm')}" for axis, at in shown.items()
+                f"{axis} = {_text(at, cylinder.stroke.unit, *cylinder.usual)}"
+                for axis, at in shown.items()
+                for cylinder in (machine.cylinders[axis],)
             )
             return [
                 f"move = {{ {places} }}",

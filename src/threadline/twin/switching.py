@@ -148,10 +148,11 @@ def simulate_switchings(
 def switching_channels(outputs: Sequence[str], machine: Machine) -> Iterator[Channel]:
     """Yield the channels of a recording, in the order of its columns."""
     clock = Clock("twin", SAMPLE_S)
-    for axis in machine.cylinders:
+    for axis, cylinder in machine.cylinders.items():
+        length = "m" if cylinder.kind == "linear" else "rad"
         for name, kind, unit in (
-            ("load", ChannelKind.LOAD, "m"),
-            ("commanded", ChannelKind.COMMANDED, "m"),
+            ("load", ChannelKind.LOAD, length),
+            ("commanded", ChannelKind.COMMANDED, length),
             ("level", ChannelKind.OUTPUT, ""),
             ("frame", ChannelKind.FRAME, "m"),
         ):

@@ -29,7 +29,7 @@ SLIDES, STICKS, AT_START, AT_END = 0, 1, 2, 3
 RAMP_STEPS = 8
 HALVINGS = 12
 STROKE, RATE, FRAME, STOP, STICK, ROWS = 0, 1, 2, 3, 4, 5
-LENGTH, RAMP, CUSHION, FRICTION, BREAK, SHARE, SPEED, NUMBERS = 0, 1, 2, 3, 4, 5, 6, 7
+LENGTH, RAMP, CUSHION, FRICTION, BREAK, SHARE, SPEED, ADHESION, NUMBERS = 0, 1, 2, 3, 4, 5, 6, 7, 8
 
 
 class Bank(NamedTuple):
@@ -200,6 +200,8 @@ def _tables(
     numbers[:, BREAK] = stiction
     numbers[:, SHARE] = plant.piston_share
     numbers[:, SPEED] = number("speed", cylinder.speed)
+    full = plant.air_stiffness * _EMPTY * numbers[:, LENGTH]
+    numbers[:, ADHESION] = _ADHESION_N if cylinder.kind == "linear" else _ADHESION_SHARE * full
     return np.stack(rates, axis=1), rows, numbers, (plant.piston, plant.housing, n - 2, n - 1)
 
 
@@ -213,9 +215,9 @@ def _full(matrix: FloatArray, level: FloatArray, push: FloatArray) -> FloatArray
 
 PARTS = 1 << HALVINGS
 _STANDSTILL_M_S = 1e-3
-_ADHESION_N = 1.0
-"""N. A piston leaves its stop only under a larger force; under a smaller one it would leave the
-stop and return to it at every step."""
+_ADHESION_N, _ADHESION_SHARE = 1.0, 1e-3
+"""A piston leaves its stop only under a larger force; under a smaller one it would leave the stop
+and return to it at every step. In N; of a rotary cylinder a share of the force of its full air."""
 _TAYLOR = 8
 _EMPTY = 1.0 / (4.0 * 1.4)
 """Strain of the air when the exhaust of a piston pressed against its stop is empty, as a fraction
@@ -298,7 +300,7 @@ def _released(c: int, bank: Bank, motion: Motion) -> float:
     mode, least = motion.mode[c], bank.numbers[c, BREAK]
     row = STICK
     if mode in (AT_START, AT_END):
-        row, least = STOP, max(least, _ADHESION_N)
+        row, least = STOP, max(least, bank.numbers[c, ADHESION])
     holding = dot(bank.rows, c, row, motion.state)
     if holding < -least and mode != AT_END:
         return 1.0

@@ -153,8 +153,7 @@ def limit_of(criterion: Criterion, plan: Plan) -> float | None:
 
 def unit_of(kind: MeasureKind, axis: str, plan: Plan) -> str:
     """Return the SI unit of a measure for ``axis``; for the tool if it is empty."""
-    moved = plan.machine.axes.get(axis)
-    return kind.unit("linear" if moved is None else moved.kind)
+    return kind.unit("rotary" if axis in plan.machine.rotary else "linear")
 
 
 def criterion_row(

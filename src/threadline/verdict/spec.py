@@ -265,16 +265,14 @@ class _Reader:
             return None
         if text == _OWN:
             return self._machine_limit(kind, axis, index)
-        of_axis = self._machine.axes.get(axis)
-        axis_kind = "linear" if of_axis is None else of_axis.kind
+        axis_kind = "rotary" if axis in self._machine.rotary else "linear"
         unit = kind.unit(axis_kind)
         factor = 1.0
         if axis_kind == "rotary" and kind.dimension.startswith("axis"):
             # A length given for a rotary axis is a length at the tool.
             length = "m" + unit.removeprefix("rad")
             if isinstance(text, str) and _is_of(text, length):
-                column = self._machine.axis_names.index(axis)
-                unit, factor = length, 1.0 / float(self._machine.radius_m[column])
+                unit, factor = length, 1.0 / self._machine.acts_at_m(axis)
         value = factor * self._number(text, unit, index, "limit")
         if not unit and value > 1.0 and not _has_unit(text):
             self._refuse(

@@ -19,7 +19,8 @@ _INSTANT_S = 1e-9
 _STOP_GIVES_M = 1.5e-4
 """Depth by which a piston presses in its end stop at most; it then swings with its cylinder.
 
-7 kg at 0.43 m/s press a beam of 1e8 N/m in by v sqrt(m / k) = 0.114 mm.
+7 kg at 0.43 m/s press a beam of 1e8 N/m in by v sqrt(m / k) = 0.114 mm. A rotary one has this
+depth at its radius.
 """
 
 
@@ -204,6 +205,8 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
 def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Sequence[Finding]:
     """Largest distance of a piston's place after a move from the mean over all runs, m.
 
+    Angles of a rotary cylinder count at its radius.
+
     Each run is read at its own instants: one that waited longer is compared at the same place.
     """
     wanted = max(int(options["recordings"]), 2)
@@ -219,7 +222,10 @@ def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Se
         places.append(ends)
     if not places[0]:
         return [Finding(value=None, note="no cylinder moves")]
-    stands = np.array([[place for place, _ in ends] for ends in places])
+    cylinders = runs[0].plan.machine.cylinders
+    radii = (cylinders[move.planned.axis].radius for move in runs[0].moves)
+    at_tool = np.array([1.0 if radius is None else radius.si for radius in radii])
+    stands = at_tool * np.array([[place for place, _ in ends] for ends in places])
     away = np.abs(stands - stands.mean(axis=0))
     worst, move = np.unravel_index(int(np.argmax(away)), away.shape)
     planned = runs[int(worst)].moves[int(move)].planned
@@ -245,9 +251,11 @@ def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
             note = run.why(ChannelKind.LOAD, axis)
             found.append(Finding(value=None, axis=axis, note=note))
             continue
-        beyond = np.maximum(load[1] - run.plan.machine.cylinders[axis].stroke.si, -load[1])
+        cylinder = run.plan.machine.cylinders[axis]
+        beyond = np.maximum(load[1] - cylinder.stroke.si, -load[1])
         at = int(np.argmax(beyond))
-        value = 0.0 if 0.0 <= beyond[at] <= _STOP_GIVES_M else float(beyond[at])
+        gives = _STOP_GIVES_M / (1.0 if cylinder.radius is None else cylinder.radius.si)
+        value = 0.0 if 0.0 <= beyond[at] <= gives else float(beyond[at])
         why = run.ends_too_early(load[0], run.end_s) if run.followed else ""
         note = "beyond an end of its stroke" if value > 0.0 else ""
         found.append(
