@@ -43,6 +43,17 @@ def compiled(file: Path, out: Path, machine=MACHINE) -> Path:
     return out
 
 
+@pytest.fixture
+def short_and_long(tmp_path: Path) -> Path:
+    """A design of 30 short stitches and 30 long ones, farther along X than along Y."""
+    numbers = np.random.default_rng(5)
+    ways = np.concatenate([numbers.integers(3, 12, (30, 2)), numbers.integers(40, 90, (30, 2))])
+    units = ways * np.where(np.arange(60) % 3 == 0, -1, 1)[:, None] + [[7, 0]]
+    file = tmp_path / "short-and-long.dst"
+    file.write_bytes(dst_bytes(units, np.ones(60, dtype=np.int64), {}, "x"))
+    return file
+
+
 @pytest.mark.parametrize("name", ["rosette.dst", "Star.u01", "peace.dst"])
 def test_a_compiled_dst_reads_back_as_the_job_that_it_was(
     name: str, examples: Path, tmp_path: Path
@@ -96,19 +107,18 @@ def test_a_u01_has_its_marks_needles_and_stitches(tmp_path: Path) -> None:
 
 
 def test_the_marks_of_a_design_follow_its_planned_speeds(
-    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short_and_long: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "a.u01"
     with pytest.raises(SystemExit) as left:
-        main(["compile", str(examples / "rosette.dst"), "-m", "schiffli-frame", "--target", "u01",
+        main(["compile", str(short_and_long), "-m", "schiffli-frame", "--target", "u01",
               "-o", str(out)])  # fmt: skip
     assert not left.value.code
     said = capsys.readouterr().out
-    plan = plan_job(
-        open_job(examples / "rosette.dst", MACHINE, Options()), MACHINE, Options()
-    ).stitched
+    plan = plan_job(open_job(short_and_long, MACHINE, Options()), MACHINE, Options()).stitched
     slow, facts = two_speeds(plan.turns.turn_s)
     assert facts[0] in said
+    assert 0 < slow.sum() < len(slow)
     paces, now = [], False
     for item in told(read_job(out, MACHINE)):
         if isinstance(item, str):
@@ -128,7 +138,9 @@ def test_no_other_pair_of_speeds_is_sooner() -> None:
     assert not two_speeds(np.full(5, 0.5))[0].any()
 
 
-def test_a_machine_with_y_before_x_writes_the_same_design(examples: Path, tmp_path: Path) -> None:
+def test_a_machine_with_y_before_x_writes_the_same_design(
+    short_and_long: Path, tmp_path: Path
+) -> None:
     """The T15 card of such a machine was mirrored at the diagonal."""
     text = library_file("schiffli-frame").read_text(encoding="utf-8")
     x, y = text.index("[axes.X]"), text.index("[axes.Y]")
@@ -137,10 +149,10 @@ def test_a_machine_with_y_before_x_writes_the_same_design(examples: Path, tmp_pa
     file.write_text(text[:x] + text[y:end] + text[x:y] + text[end:])
     turned = load_machine(str(file))
     for suffix in ("dst", "t15"):
-        a = compiled(examples / "rosette.dst", tmp_path / f"a.{suffix}")
-        b = compiled(examples / "rosette.dst", tmp_path / f"b.{suffix}", turned)
+        a = compiled(short_and_long, tmp_path / f"a.{suffix}")
+        b = compiled(short_and_long, tmp_path / f"b.{suffix}", turned)
         sewn = [[m[:2] for m in told(read_job(f, MACHINE)) if m[1:] and m[1]] for f in (a, b)]
-        assert sewn[0] == sewn[1]
+        assert sewn[0] == sewn[1] and len(sewn[0]) >= 60
 
 
 def test_what_dst_lacks_is_told(tmp_path: Path) -> None:
@@ -154,7 +166,7 @@ def test_what_dst_lacks_is_told(tmp_path: Path) -> None:
 
 
 def test_a_design_that_reads_back_otherwise_is_not_written(
-    examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short_and_long: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from threadline.commands import step_files
 
@@ -164,5 +176,5 @@ def test_a_design_that_reads_back_otherwise_is_not_written(
     monkeypatch.setattr(step_files, "dst_bytes", wrong)
     out = tmp_path / "a.dst"
     with pytest.raises(PlanError, match="reads back from DST with other stitches"):
-        compiled(examples / "rosette.dst", out)
+        compiled(short_and_long, out)
     assert not out.exists()

@@ -189,8 +189,7 @@ def test_homing_within_a_list_ends_at_the_start_on_the_twin(tmp_path: Path) -> N
     assert [(m.begin_m, m.end_m) for m in scheduled.moves] == [(0.0, 0.15), (0.0, 0.15)]
     assert [h.axis for h in scheduled.homings] == ["Z", "X"]
     recording = simulate_switching(scheduled.commands, machine)
-    _, stroke = recording.samples("X.load")
-    times, level = recording.samples("X.level")
+    (_, stroke), (times, level) = recording.samples_of(["X.load", "X.level"]).values()
     assert level.min() == -0.37
     back = np.flatnonzero(level < 0.0)
     assert stroke[back[0]] == pytest.approx(0.15, abs=0.003)

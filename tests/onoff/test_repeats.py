@@ -60,9 +60,10 @@ def test_another_day_differs_in_friction_and_stiffness_alone() -> None:
 
     cylinders = {name: varied(part) for name, part in machine.cylinders.items()}
     wanted = simulate(plan.commands, replace(machine, cylinders=cylinders))
-    for axis in plan.axes:
-        ours, theirs = (r.samples(f"{axis}.frame")[1] for r in (day, wanted))
-        assert np.array_equal(ours, theirs)
+    frames = [f"{axis}.frame" for axis in plan.axes]
+    ours, theirs = (r.samples_of(frames) for r in (day, wanted))
+    for name in frames:
+        assert np.array_equal(ours[name][1], theirs[name][1])
 
 
 def test_runs_are_held_one_by_one() -> None:
@@ -204,8 +205,8 @@ def test_scans_jitter_from_run_to_run_and_not_in_the_nominal_one() -> None:
     kind, even = kind_of(plan.machine), plan_of(OWN)
 
     def switched(recording: Recording) -> list[int]:
-        outputs = [recording.samples(name)[1] for name in plan.machine.outputs]
-        return [int(at) for one in outputs for at in np.flatnonzero(np.diff(one))]
+        outputs = recording.samples_of(plan.machine.outputs).values()
+        return [int(at) for _, one in outputs for at in np.flatnonzero(np.diff(one))]
 
     nominal, day, other = (
         switched(run) for run in kind.days(plan.commands, plan.machine, 3, np.random.default_rng(3))

@@ -195,8 +195,9 @@ def test_a_broken_beam_shuts_everything_in_the_next_scan(examples: Path) -> None
     made = cycle(examples, TRIMMED, "zv")
     options = SwitchOptions(break_s=2.345, after_s=1.0)
     recording = simulate_switching(made.commands, made.machine, options)
-    times, _ = recording.samples("operation")
-    total = sum(recording.samples(name)[1] for name in made.commands.outputs)
+    samples = recording.samples_of(["operation", *made.commands.outputs])
+    times, _ = samples["operation"]
+    total = sum(samples[name][1] for name in made.commands.outputs)
     assert total[times < 2.345].max() >= 2
     assert (total[times >= 2.355] == 0).all()
 

@@ -136,9 +136,11 @@ def test_variants_do_what_machines_with_their_numbers_do() -> None:
     for k, recording in enumerate(many):
         own = variant(machine, parts[k])
         alone = simulate_switching(replace(commands, machine_sha256=own.sha256), own)
-        for channel in ("X.load", "X.frame", "Z.frame", "x_is_right"):
-            np.testing.assert_array_equal(recording.samples(channel)[1], alone.samples(channel)[1])
-        ends.add(len(recording.samples("X.load")[1]))
+        channels = ("X.load", "X.frame", "Z.frame", "x_is_right")
+        ours, theirs = recording.samples_of(channels), alone.samples_of(channels)
+        for channel in channels:
+            np.testing.assert_array_equal(ours[channel][1], theirs[channel][1])
+        ends.add(len(ours["X.load"][1]))
     assert len(ends) > 1  # each waits for its own switch
 
 
@@ -158,12 +160,14 @@ def test_every_number_of_a_cylinder_can_vary(path: str) -> None:
     rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (110, ())]
     commands = schedule(machine, Fraction(1, 100), rows, 130, (wait,))
     own = number_at(machine, path).si
-    same, other = simulate_switchings(commands, machine, {path: np.array([own, 0.9 * own])})
-    ends = [len(r.samples("X.load")[1]) for r in (same, other)]
+    channels = ("X.load", "X.frame", "x_is_right")
+    same, other = (
+        one.samples_of(channels)
+        for one in simulate_switchings(commands, machine, {path: np.array([own, 0.9 * own])})
+    )
+    ends = [len(one["X.load"][1]) for one in (same, other)]
     moved = any(
-        not np.array_equal(a.samples(c)[1][: min(ends)], b.samples(c)[1][: min(ends)])
-        for a, b in [(same, other)]
-        for c in ("X.load", "X.frame", "x_is_right")
+        not np.array_equal(same[c][1][: min(ends)], other[c][1][: min(ends)]) for c in channels
     )
     assert moved or ends[0] != ends[1]
 

@@ -26,11 +26,12 @@ def test_a_table_made_by_hand_is_judged_as_the_recording_is(
 ) -> None:
     """Outputs, an input and frames as columns of a spreadsheet: what was proved comes out."""
     switched = shaped.plan.commands.outputs
-    columns = {f"{name}.output": shaped.recording.samples(name)[1] for name in switched}
-    columns["x_is_left.input"] = shaped.recording.samples("x_is_left")[1]
+    samples = shaped.recording.samples_of([*switched, "x_is_left", "X.frame", "Z.frame"])
+    columns = {f"{name}.output": samples[name][1] for name in switched}
+    columns["x_is_left.input"] = samples["x_is_left"][1]
     for axis in "XZ":
-        columns[f"{axis}.frame [um]"] = 1e6 * shaped.recording.samples(f"{axis}.frame")[1]
-    times_s, _ = shaped.recording.samples("X.frame")
+        columns[f"{axis}.frame [um]"] = 1e6 * samples[f"{axis}.frame"][1]
+    times_s, _ = samples["X.frame"]
     trace = tmp_path / "trace.csv"
     table = np.column_stack([times_s, *columns.values()])
     head = ";".join(["time [s]", *columns])

@@ -6,6 +6,7 @@ import pickle
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 
@@ -14,17 +15,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.made import Made
 from threadline.errors import OptionError, RecordingError
 from threadline.files import (
     ChannelKind,
     Clock,
     KeptStream,
+    RecordingBlock,
     Stream,
     SwitchSchedule,
     TickBlock,
     TickTable,
     common_period_s,
 )
+from threadline.files.recording import columns_of
 
 from .makers import SERVO, recording_of, table_of
 
@@ -129,6 +133,26 @@ def test_a_recording_finds_its_channels_and_names_them() -> None:
     assert values.tolist() == [5.0, 6.0, 7.0]
     with pytest.raises(RecordingError, match=r"no channel 'Y.load'. It has X.load, A.load"):
         recording.samples("Y.load")
+
+
+def test_channels_of_a_recording_are_read_together() -> None:
+    """Each reading of a simulated recording simulates it again: it is read once for all."""
+    kept = recording_of({"X.load": [0.0, 1.0, 2.0], "A.load": [5.0, 6.0, 7.0]}, rows=2)
+    readings: list[int] = []
+
+    def blocks() -> Iterator[RecordingBlock]:
+        readings.append(1)
+        return iter(kept)
+
+    recording = replace(kept, blocks=Made(blocks))
+    found = recording.samples_of(["A.load", "X.load"])
+    assert list(found) == ["A.load", "X.load"] and len(readings) == 1
+    assert [times.tolist() for times, _ in found.values()] == [[0.0, 0.005, 0.01]] * 2
+    assert [values.tolist() for _, values in found.values()] == [[5.0, 6.0, 7.0], [0.0, 1.0, 2.0]]
+    assert list(columns_of(recording)) == ["time [s]", "X.load [m]", "A.load [rad]"]
+    assert len(readings) == 2
+    with pytest.raises(RecordingError, match=r"no channel 'Y.load'"):
+        recording.samples_of(["X.load", "Y.load"])
 
 
 def test_streams_begin_anew() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from tests.made import read_once
 from threadline.commands.step_tables import step_tables
 from threadline.errors import MachineError, RecordingError
 from threadline.files import Clock, Event, StepPlay, StepTable, StitchBlock, Stream
@@ -144,10 +145,10 @@ def test_it_is_the_same_however_it_is_cut_and_ends_where_it_was_sent() -> None:
     )  # fmt: skip
     table = [[k % 20, -1 if k % 3 == 0 else (k * 7) % 20] for k in range(30)]
     sign = [[1 if k % 2 else -1, 0 if k % 3 == 0 else 1] for k in range(30)]
-    whole = simulate_stitching(commands(tables, table, sign), MACHINE)
+    whole = read_once(simulate_stitching(commands(tables, table, sign), MACHINE))
     for chunk in (30, 7, 1):
         play = commands(tables, table, sign, chunk=chunk)
-        cut = simulate_stitching(play, MACHINE)
+        cut = read_once(simulate_stitching(play, MACHINE))
         for name in ("X.load", "Y.load", "X.torque_share", "needle", "operation", "Y.commanded"):
             assert np.array_equal(whole.samples(name)[1], cut.samples(name)[1])
         end = play.end_steps() / play.steps_per_unit
@@ -164,9 +165,9 @@ def test_a_long_stretch_is_recorded_in_short_blocks(monkeypatch: pytest.MonkeyPa
     )  # fmt: skip
     table = [[k % 20, (k * 7) % 20] for k in range(12)]
     play = commands(tables, table, [[1 if k % 2 else -1, 1] for k in range(12)], chunk=7)
-    whole = simulate_stitching(play, MACHINE)
+    whole = read_once(simulate_stitching(play, MACHINE))
     monkeypatch.setattr(stitching, "AT_ONCE", 101)
-    cut = simulate_stitching(play, MACHINE)
+    cut = read_once(simulate_stitching(play, MACHINE))
     assert max(len(block.samples["needle"]) for block in cut) == 101
     assert [e for block in cut for e in block.events] == [e for b in whole for e in b.events]
     for block in cut:

@@ -278,16 +278,28 @@ class Recording:
 
     def samples(self, name: str) -> tuple[FloatArray, FloatArray]:
         """Return times in s and values of a whole channel, both (n,); for short recordings."""
-        channel = self.channel(name)
-        times, values = [], []
+        return self.samples_of([name])[name]
+
+    def samples_of(self, names: Iterable[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Return times in s and values of whole channels by name, as ``samples`` does.
+
+        The blocks are read once: each reading of a recording that is not kept simulates it again.
+        """
+        channels = {name: self.channel(name) for name in names}
+        times: dict[str, list[FloatArray]] = {name: [] for name in channels}
+        values: dict[str, list[FloatArray]] = {name: [] for name in channels}
         for block in self:
-            part = block.samples[name]
-            first = block.first_tick[channel.clock.name]
-            times.append(channel.clock.times_s(first, len(part), channel.stride))
-            values.append(part)
-        if not times:
-            return np.empty(0), np.empty(0)
-        return np.concatenate(times), np.concatenate(values)
+            for name, channel in channels.items():
+                part = block.samples[name]
+                first = block.first_tick[channel.clock.name]
+                times[name].append(channel.clock.times_s(first, len(part), channel.stride))
+                values[name].append(part)
+        return {
+            name: (np.concatenate(times[name]), np.concatenate(values[name]))
+            if times[name]
+            else (np.empty(0), np.empty(0))
+            for name in channels
+        }
 
 
 def columns_of(recording: Recording) -> dict[str, FloatArray]:
@@ -296,7 +308,7 @@ def columns_of(recording: Recording) -> dict[str, FloatArray]:
     Keys are ``time [s]``, then the name of each channel with its unit: ``X.load [m]``. A channel
     with fewer samples holds each value until its next one, and is NaN before its first.
     """
-    found = {channel.name: recording.samples(channel.name) for channel in recording.channels}
+    found = recording.samples_of(channel.name for channel in recording.channels)
     times_s = max((times for times, _ in found.values()), key=len, default=np.empty(0))
     columns = {"time [s]": times_s}
     for channel in recording.channels:

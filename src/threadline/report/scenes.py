@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Motion, Scheduled, Stitched
-from threadline.files import Recording
 from threadline.machine import Machine
 from threadline.proof.pipeline import Proof
 from threadline.verdict import closing
@@ -164,20 +163,23 @@ def _sampled(proof: Proof) -> _Run:
     frames = int(min(MOST_FRAMES, max(24.0, min(end_s, _LONGEST_S) * _PER_SECOND)))
     time_s = np.linspace(0.0, end_s, frames * _TRAIL_PER_FRAME)
     known = {channel.name for channel in recording.channels}
-    actual, planned = {}, {}
-    for name in plan.axes:
-        scale = 1.0 if _is_turning(plan.machine, name) else _MM
-        commanded = scale * _at(recording, f"{name}.commanded", time_s)
-        load = f"{name}.load" if f"{name}.load" in known else f"{name}.measured"
-        planned[name] = commanded
-        actual[name] = scale * _at(recording, load, time_s) if load in known else commanded
     names = [one for one in known if one.endswith(".frame") or one == "needle"]
-    other = {name: _at(recording, name, time_s) for name in names}
+    loads = {
+        name: f"{name}.load" if f"{name}.load" in known else f"{name}.measured"
+        for name in plan.axes
+    }
+    wanted = {*names, *(load for load in loads.values() if load in known)}
+    wanted |= {f"{name}.commanded" for name in plan.axes}
+    at = {
+        name: np.interp(time_s, *samples) for name, samples in recording.samples_of(wanted).items()
+    }
+    actual, planned = {}, {}
+    for name, load in loads.items():
+        scale = 1.0 if _is_turning(plan.machine, name) else _MM
+        planned[name] = scale * at[f"{name}.commanded"]
+        actual[name] = scale * at[load] if load in known else planned[name]
+    other = {name: at[name] for name in names}
     return _Run(time_s, actual, planned, np.arange(frames) * _TRAIL_PER_FRAME, other)
-
-
-def _at(recording: Recording, name: str, time_s: FloatArray) -> FloatArray:
-    return np.interp(time_s, *recording.samples(name))
 
 
 def _swing(_proof: Proof, run: _Run) -> _Error:

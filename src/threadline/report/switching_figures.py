@@ -75,8 +75,9 @@ def cycle_figure(proof: Proof, recording: Recording) -> Figure:
         squeeze=False,
         height_ratios=[*(1.3 for _ in axes), 0.19 * len(outputs)],
     ).ravel()
+    loads = recording.samples_of(f"{axis}.load" for axis in axes)
     for panel, axis in zip(panels, axes, strict=False):
-        time_s, values = _thinned(*recording.samples(f"{axis}.load"))
+        time_s, values = _thinned(*loads[f"{axis}.load"])
         factor, unit = proof.plan.machine.cylinders[axis].usual
         panel.plot(time_s, values * factor, **ACTUAL)
         panel.set_ylabel(f"{axis} {unit}")
@@ -105,14 +106,14 @@ def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> 
     axes = proof.plan.job.axes
     figure = Figure(figsize=(7.2, 1.9 * len(axes) + 0.6))
     panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
+    frames = [f"{axis}.frame" for axis in axes]
+    drawn = [(recording.samples_of(frames), ACTUAL, shaper_words(proof.plan))]
+    if unshaped is not None:
+        drawn.insert(0, (unshaped.recording.samples_of(frames), PLANNED, "without a shaper"))
     for panel, axis in zip(panels, axes, strict=True):
-        for other, look, label in (
-            (None if unshaped is None else unshaped.recording, PLANNED, "without a shaper"),
-            (recording, ACTUAL, shaper_words(proof.plan)),
-        ):
-            if other is not None:
-                time_s, values = _thinned(*other.samples(f"{axis}.frame"))
-                panel.plot(time_s, values * MICRO, label=label, **look)
+        for samples, look, label in drawn:
+            time_s, values = _thinned(*samples[f"{axis}.frame"])
+            panel.plot(time_s, values * MICRO, label=label, **look)
         panel.set_ylabel(f"frame along {axis}, um")
         _mark_steps(panel, run, names=axis == axes[0])
     panels[-1].set_xlabel("s")

@@ -149,8 +149,7 @@ def stepped_sine(
         parts.append(amplitude_counts * np.sin(2 * np.pi * hertz * tick * np.arange(count)))
         at += count
     recording = _simulate(machine, index, np.rint(np.concatenate(parts)).astype(np.int64))
-    _, volts = recording.samples(f"{axis}.voltage")
-    _, measured = recording.samples(f"{axis}.measured")
+    (_, volts), (_, measured) = _channels(recording, axis, "voltage", "measured")
     answers = []
     for hertz, (first, last) in zip(frequency_hz, spans, strict=True):
         kept = slice(first + int(_SETTLE_SHARE * (last - first)), last)
@@ -216,8 +215,7 @@ def constant_speed_gain(machine: Machine, axis: str, speed_si: float, run_s: flo
     ticks = int(np.ceil(run_s / tick))
     position = np.rint(counts * np.arange(1, ticks + 1)).astype(np.int64)
     recording = _simulate(machine, index, position)
-    _, volts = recording.samples(f"{axis}.voltage")
-    times, measured = recording.samples(f"{axis}.measured")
+    (_, volts), (times, measured) = _channels(recording, axis, "voltage", "measured")
     kept = slice(ticks // 2, ticks)
     speed = float(np.polyfit(times[kept], measured[kept], 1)[0])
     return speed / float(np.mean(volts[kept]))
@@ -232,9 +230,9 @@ def position_step(machine: Machine, axis: str, size_si: float, run_s: float = 0.
     tick = float(machine.tick_clock.period_s)
     position = np.full(int(np.ceil(run_s / tick)), counts, dtype=np.int64)
     recording = _simulate(machine, index, position)
-    times, measured = recording.samples(f"{axis}.measured")
-    _, load = recording.samples(f"{axis}.load")
-    _, current = recording.samples(f"{axis}.current_peak")
+    (times, measured), (_, load), (_, current) = _channels(
+        recording, axis, "measured", "load", "current_peak"
+    )
     amplifier = machine.drive_of(axis).amplifier
     peak = float(np.abs(current).max())
     size = counts / machine.axes[axis].counts.si
@@ -263,6 +261,15 @@ def _axis(machine: Machine, axis: str) -> int:
             remedy=f"It has: {', '.join(machine.axes)}.",
         )
     return machine.axis_names.index(axis)
+
+
+def _channels(
+    recording: Recording, axis: str, *kinds: str
+) -> tuple[tuple[FloatArray, FloatArray], ...]:
+    """Return times in s and values of channels of an axis."""
+    names = [f"{axis}.{kind}" for kind in kinds]
+    samples = recording.samples_of(names)
+    return tuple(samples[name] for name in names)
 
 
 def _simulate(machine: Machine, index: int, position: IntArray) -> Recording:

@@ -250,7 +250,7 @@ class Learner:
 
     def _read(self, recording: Recording) -> FloatArray:
         """Return the (n + 1, axes) sensor readings at the beginning of each tick."""
-        columns = []
+        names = []
         for axis in self.plan.axes:
             channel = recording.find(self._kind, axis)
             if channel is None:
@@ -258,9 +258,9 @@ class Learner:
                     f"the recording has no {self._kind} channel of axis {axis}",
                     remedy="Give --measured motor, which reads the encoder.",
                 )
-            time_s, values = recording.samples(channel.name)
-            columns.append(np.interp(self._time_s, time_s, values))
-        return np.stack(columns, axis=1)
+            names.append(channel.name)
+        samples = recording.samples_of(names)
+        return np.stack([np.interp(self._time_s, *samples[name]) for name in names], axis=1)
 
     def tried(self, recording: Recording, offset: FloatArray, *, passed: bool) -> Tried:
         """Return a run with its offset and its error.
@@ -337,7 +337,7 @@ class Learner:
 
     def _demand(self, recording: Recording) -> dict[str, float]:
         """Return the largest voltage and current of each axis as shares of their limits."""
-        found = {}
+        limits = {}
         for axis in self.plan.axes:
             controller = self.plan.machine.controller_of(axis)
             limit = self.plan.machine.drive_of(axis).amplifier.current_limit
@@ -347,9 +347,11 @@ class Learner:
             ):
                 channel = recording.find(kind, axis)
                 if channel is not None and most is not None:
-                    values = recording.samples(channel.name)[1]
-                    found[f"{kind} of axis {axis}"] = float(np.abs(values).max()) / most
-        return found
+                    limits[channel.name] = f"{kind} of axis {axis}", most
+        return {
+            limits[name][0]: float(np.abs(values).max()) / limits[name][1]
+            for name, (_, values) in recording.samples_of(limits).items()
+        }
 
     def account(
         self, run: Tried, recording: Recording, verdict: Verdict, step: tuple[int, float, str]
