@@ -18,10 +18,11 @@ COUNTS = 4000 / (2 * np.pi)
 KT, KE, R = 0.082, 8.6 / (1000 * 2 * np.pi / 60), 0.4
 
 
-def reference_winder(rows, inertia, limit, quantised, gain=0.45, kp=2.0, kd=4.0):
+def reference_winder(rows, inertia, limit, quantised, gain=0.45, kp=2.0, kd=4.0, parts=4):
     """Integrate one axis of the winder tick by tick with DOP853.
 
-    Return (n,) angles in rad, (n,) speeds, and (n, 3) angles at the quarters of each tick.
+    Return (n,) angles in rad, (n,) speeds, and (n, parts - 1) angles between the ``parts`` of each
+    tick.
 
     The clipped current is a function of the speed, continuous with a kink; the kinks are events
     at which the integration starts anew, so that its order holds.
@@ -63,8 +64,8 @@ def reference_winder(rows, inertia, limit, quantised, gain=0.45, kp=2.0, kd=4.0)
                 slope, (at, TICK), [theta, omega], "DOP853", rtol=1e-12, atol=1e-13,
                 events=events, dense_output=True,
             )  # fmt: skip
-            while len(quarters) < 3 and (len(quarters) + 1) * TICK / 4 <= done.t[-1]:
-                quarters.append(done.sol((len(quarters) + 1) * TICK / 4)[0])
+            while len(quarters) < parts - 1 and (len(quarters) + 1) * TICK / parts <= done.t[-1]:
+                quarters.append(done.sol((len(quarters) + 1) * TICK / parts)[0])
             theta, omega = done.y[:, -1]
             at = done.t[-1]
         between.append(quarters)

@@ -10,6 +10,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.motion.timing import TrajectoryReader
 from threadline.verdict.blocks import judged_blocks
+from threadline.verdict.bow import NO_VELOCITY, WaysBetween
 from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
@@ -35,7 +36,8 @@ class _Progress(SweptMeasure):
 
     Lengths are at the tool, over all axes, rotary ones times their radius. Tool and command are
     taken as straight between samples, so that on a straight piece of the path the result does not
-    depend on the sampling rate.
+    depend on the sampling rate. Where the velocities of the loads are known, the most by which the
+    tool may have left such a line is added: a tool that moves on along it at any speed has not.
 
     With many runs, places far behind all of them are dropped while the recording is read. If one of
     them might have been the better match, the recording is read again with every place kept.
@@ -58,6 +60,7 @@ class _Progress(SweptMeasure):
         self._at: IntArray = np.zeros(runs, dtype=np.int64)
         self._side: FloatArray = np.zeros(runs)
         self._worst = Worst(runs, axes, note="the recording is empty")
+        self._ways, self._charge = WaysBetween(setting), np.zeros(runs)
         self._trajectory = setting.plan.motion.trajectory
         self._columns = [self._trajectory.axes.index(axis) for axis in setting.axes]
         self._planned: TrajectoryReader | None = None
@@ -91,6 +94,8 @@ class _Progress(SweptMeasure):
             side=self._side,
             ceiling=self._ceiling,
             dropped=self._dropped,
+            between=self._ways.part(block),
+            charge=self._charge,
         )
 
     def feed(self, block: Block) -> None:
@@ -113,9 +118,13 @@ class _Progress(SweptMeasure):
 
     def finish(self) -> Sequence[RunFindings]:
         """Return the least error with which the tool can have reached any place by the end."""
+        if self._ways.lost:
+            return [RunFindings.alike(Finding(value=None, note=NO_VELOCITY), len(self._charge))]
         if (self._dropped <= self._squared).any():
             return self._again()
-        found = self._worst.found()
+        whole = self._worst.copy()
+        whole.value += self._charge
+        found = whole.found()
         if self._planned is None:
             return [found]
         return [found.each(_by_time)]
@@ -129,6 +138,7 @@ class _Progress(SweptMeasure):
         for block in judged_blocks(setting.recording, axes, lag, path, resolution):
             move_on(block.at_tool, NO_BOXES, block.nearest[0], 0, every.part(block))
             every.feed(block)
+        every._charge[:] = self._charge
         return every.finish()
 
     def _commanded(self, block: Block) -> tuple[FloatArray, FloatArray]:

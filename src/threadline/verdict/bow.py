@@ -17,7 +17,18 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.files import ChannelKind
 from threadline.verdict.nearest import weighed_to_segment
+from threadline.verdict.samples import Block, Setting, lanes
+
+NO_VELOCITY = "the velocity of a load has fewer samples than its position"
+"""Why nothing is measured where velocities end before the places do."""
+
+FOLLOWED = {
+    "contour_error", "progress_error", "turning_point_error", "stitch_length_error",
+    "stitch_speed_error", "stitch_placement_error", "seam_error",
+}  # fmt: skip
+"""Measures that follow the loads between samples, by their velocities."""
 
 _NOTHING_M2 = 1e-26  # a place this close to the path is on it, up to rounding
 _PARTS = 8  # of a way that is looked along: between them it bows by a 64th of the whole
@@ -287,3 +298,144 @@ def _raise_to_bows(
 
 
 raise_to_bows = njit(nogil=True)(_raise_to_bows)
+
+
+def bows(setting: Setting) -> bool:
+    """Return whether a recording says how the way bows between samples.
+
+    It has the velocities of all loads, at the instants of their places, at each tick of the
+    commands: between ticks no controller acts.
+    """
+    tick_s = float(setting.plan.commands.clock.period_s)
+    if setting.interval_s > tick_s * (1.0 + 1e-9):
+        return False
+    places = setting.recording.find(ChannelKind.LOAD, setting.axes[0])
+    found = [setting.recording.find(ChannelKind.VELOCITY, axis) for axis in setting.axes]
+    return places is not None and all(
+        one is not None and one.clock == places.clock and one.stride == places.stride
+        for one in found
+    )
+
+
+class Between(NamedTuple):
+    """Arrays that a sweep over a block reads for the ways to its samples.
+
+    ``speed``, (n, axes, runs), are velocities, empty if unknown; ``reach``, (axes,), makes ways of
+    them at the tool in a sample interval. ``before`` and ``pace``, (axes, runs), are place and such
+    a way at the sample before, after the previous sweep; ``begun`` is 0 where there is none.
+    """
+
+    speed: FloatArray
+    reach: FloatArray
+    before: FloatArray
+    pace: FloatArray
+    begun: IntArray
+
+
+NO_BETWEEN = Between(
+    np.empty((0, 0, 0)), np.empty(0), np.empty((0, 0)), np.empty((0, 0)), np.zeros(1, np.int64)
+)
+
+
+class WaysBetween:
+    """Makes ``Between`` of each block of a recording that has velocities at its samples."""
+
+    def __init__(self, setting: Setting) -> None:
+        shape = len(setting.axes), setting.runs
+        self.known, self.lost = bows(setting), False
+        self._reach = setting.interval_s * setting.radius_m
+        self._before, self._pace = np.zeros(shape), np.zeros(shape)
+        self._begun = np.zeros(1, dtype=np.int64)
+
+    def part(self, block: Block) -> Between:
+        """Return the arrays of a block; ``NO_BETWEEN`` where velocities are unknown."""
+        if not self.known or block.velocity is None:
+            return NO_BETWEEN
+        speed = lanes(block.velocity)
+        self.lost = self.lost or not np.isfinite(speed[-1]).all()  # none after the last one
+        return Between(speed, self._reach, self._before, self._pace, self._begun)
+
+
+def _turns(step: float, out: float, back: float) -> bool:
+    """Return whether a way of one axis may turn back between its ends.
+
+    Otherwise the cubic with the slopes ``out`` and ``back`` is monotone (Fritsch and Carlson,
+    "Monotone piecewise cubic interpolation", SIAM J. Numer. Anal. 17, 1980).
+    """
+    most = 3.0 * abs(step)
+    # A way that only rounding sets in motion turns by less than any limit sees.
+    on = (out * step >= 0.0) & (back * step >= 0.0) & (abs(out) <= most) & (abs(back) <= most)
+    return not on
+
+
+turns = njit(nogil=True)(_turns)
+
+
+def _turning_places(step: float, out: float, back: float) -> tuple[float, float]:
+    """Return where (0..1) the way of one axis turns, in order; NaN where it does not.
+
+    Source: the roots of the derivative of the cubic,
+    ``3 (out + back - 2 step) s^2 + 2 (3 step - 2 out - back) s + out``.
+    """
+    a, b, c = 3.0 * (out + back - 2.0 * step), 2.0 * (3.0 * step - 2.0 * out - back), out
+    under = b * b - 4.0 * a * c
+    first, second = np.nan, np.nan
+    if under >= 0.0:
+        q = -0.5 * (b + (np.sqrt(under) if b >= 0.0 else -np.sqrt(under)))
+        if q != 0.0 and 0.0 < c / q < 1.0:
+            first = c / q
+        if a != 0.0 and 0.0 < q / a < 1.0:
+            second = q / a
+    if not first <= second:  # either may be no number
+        first, second = second, first
+    return first, second
+
+
+turning_places = njit(nogil=True)(_turning_places)
+
+
+def _charge(points: FloatArray, low: int, between: Between, charge: FloatArray) -> None:
+    """Raise ``charge``, (runs,), to a bound of how far a way leaves the line between its samples.
+
+    ``points``, (n, axes, runs), are samples, the first of them ``low`` of the block. A way that
+    moves on along its line, at whatever speeds, leaves it only across; one that may turn back
+    leaves it by its whole bow at most.
+    """
+    speed, reach, before, pace, begun = between
+    samples, axes, runs = points.shape
+    out, back = np.empty(axes), np.empty(axes)
+    for i in range(samples):
+        if i == 0 and begun[0] == 0:
+            continue
+        for r in range(runs):
+            length, of_out, of_back, first, last = 0.0, 0.0, 0.0, 0.0, 0.0
+            for a in range(axes):
+                start = before[a, r] if i == 0 else points[i - 1, a, r]
+                step = points[i, a, r] - start
+                out[a] = (pace[a, r] if i == 0 else reach[a] * speed[low + i - 1, a, r]) - step
+                back[a] = reach[a] * speed[low + i, a, r] - step
+                length += step * step
+                of_out += out[a] * step
+                of_back += back[a] * step
+                first += out[a] * out[a]
+                last += back[a] * back[a]
+            bow = max(first, last)
+            if not bow > 16.0 * charge[r] * charge[r]:
+                continue
+            # With slopes between 0 and three times the line the way moves on along it.
+            if (
+                length > 0.0
+                and -length <= min(of_out, of_back)
+                and (max(of_out, of_back) <= 2.0 * length)
+            ):
+                bow = max(first - of_out * of_out / length, last - of_back * of_back / length)
+            if bow > 16.0 * charge[r] * charge[r]:
+                charge[r] = 0.25 * np.sqrt(bow)
+    for a in range(axes):
+        for r in range(runs):
+            before[a, r] = points[samples - 1, a, r]
+            pace[a, r] = reach[a] * speed[low + samples - 1, a, r]
+    begun[0] = 1
+
+
+charge_ways = njit(nogil=True)(_charge)

@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.files import ChannelKind
+from threadline.verdict.bow import NO_VELOCITY, bows
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.samples import Block, Setting, lanes
@@ -18,7 +18,6 @@ from threadline.verdict.window import PathWindow
 _UNREACHED = "the recording ends before this point"
 _EMPTY = "the recording is empty"
 _UNKNOWN = np.empty((0, 0, 0))
-_NO_VELOCITY = "the velocity of a load has fewer samples than its position"
 _NOTHING_M = 1e-9
 """A move no longer than this has no sample of its own, and no piece of a planned path."""
 
@@ -199,7 +198,7 @@ class Contour(SweptMeasure):
     def finish(self) -> Sequence[RunFindings]:
         """Return the worst sample and the worst programmed point that the run came to."""
         if self._lost:
-            return [RunFindings.alike(Finding(value=None, note=_NO_VELOCITY), self._runs)]
+            return [RunFindings.alike(Finding(value=None, note=NO_VELOCITY), self._runs)]
         seen = self._worst.copy()
         if self._path is not None:
             point, time_s = self._point, self._time_s
@@ -285,23 +284,6 @@ def _from_rest(chord: int, path: PathWindow) -> int:
     ):
         chord -= 1
     return chord
-
-
-def bows(setting: Setting) -> bool:
-    """Return whether a recording says how the way bows between samples.
-
-    It has the velocities of all loads, at the instants of their places, at each tick of the
-    commands: between ticks no controller acts.
-    """
-    tick_s = float(setting.plan.commands.clock.period_s)
-    if setting.interval_s > tick_s * (1.0 + 1e-9):
-        return False
-    places = setting.recording.find(ChannelKind.LOAD, setting.axes[0])
-    found = [setting.recording.find(ChannelKind.VELOCITY, axis) for axis in setting.axes]
-    return places is not None and all(
-        one is not None and one.clock == places.clock and one.stride == places.stride
-        for one in found
-    )
 
 
 def start_contour(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001

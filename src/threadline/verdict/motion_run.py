@@ -14,8 +14,8 @@ from threadline.commands.plan import Plan
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.machine.parts import Axis
 from threadline.verdict.blocks import find_first, judged_blocks, master_channel, peak_channels
+from threadline.verdict.bow import FOLLOWED, bows
 from threadline.verdict.by_time import WatchedOperations, with_operation
-from threadline.verdict.contour import bows
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Finding, Hidden, RunFindings
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
@@ -228,8 +228,8 @@ class MotionRun(Setting):
     def _hidden(self, one: Running, axis: str) -> Hidden | None:
         """Return what the samples do not show of a measure; None of samples at each tick.
 
-        Of samples at each tick the contour error of a recording from outside has it, where
-        velocities are not recorded.
+        Of samples at each tick a measure that follows the loads between them has it, in a
+        recording from outside without velocities.
         Between samples T apart a position leaves the straight line by at most a T^2 / 8 at an
         acceleration of a. A speed is measured as a mean, over samples that are no further apart.
         """
@@ -246,7 +246,7 @@ class MotionRun(Setting):
         interval_s = sample_interval_s(coarsest)
         tick_s = float(self.plan.commands.clock.period_s)
         at_ticks = interval_s <= tick_s * (1.0 + _ROUNDING)
-        if at_ticks and (one.kind.name != "contour_error" or self._says_between):
+        if at_ticks and (one.kind.name not in FOLLOWED or self._says_between):
             return None
         unit = one.kind.dimension
         over_s = _VELOCITY_S if unit == "axis/s" else one.options.get("over", 0.0)

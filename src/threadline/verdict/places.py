@@ -8,6 +8,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.verdict.bow import NO_BETWEEN, Between
 from threadline.verdict.boxes import MORE, Boxes
 
 _CEILING = 4.0  # times the largest squared error: a worse trailing place is dropped
@@ -145,7 +146,8 @@ class ProgressPart(NamedTuple):
 
     Place ``first`` belongs to the first sample of the block, which has the number ``number``.
     ``inverse`` is 1 over the squared ``length`` of each place. ``places`` are the first and the
-    last place with a value; ``ceiling`` has one entry.
+    last place with a value; ``ceiling`` has one entry. ``charge``, (runs,), is how far the way may
+    leave the line between two samples (``bow.charge_ways``).
     """
 
     command: FloatArray
@@ -163,6 +165,8 @@ class ProgressPart(NamedTuple):
     side: FloatArray
     ceiling: FloatArray
     dropped: FloatArray
+    between: Between = NO_BETWEEN
+    charge: FloatArray = np.empty(0)
 
 
 def _advance(  # noqa: PLR0915 - one loop over the places; each call would be compiled once more
@@ -195,7 +199,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     known, lower, upper, _, _ = boxes
     (
         command, way, inverse, length, heading, first, number, lag, places, value, worst, at, side,
-        ceilings, dropped,
+        ceilings, dropped, _, _,
     ) = part  # fmt: skip
     samples, axes, runs = points.shape
     rows, origin = len(value), number - first

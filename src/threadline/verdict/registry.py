@@ -12,6 +12,7 @@ from threadline.verdict import settling as ripple
 from threadline.verdict import stitch_run as stitch_measures
 from threadline.verdict import stitch_run as stitches
 from threadline.verdict.advance import start_progress
+from threadline.verdict.bow import FOLLOWED
 from threadline.verdict.contour import start_contour
 from threadline.verdict.demands import (
     BRAKING,
@@ -392,5 +393,5 @@ def needed_channels(spec: Spec) -> tuple[ChannelKind, ...]:
     """
     needs = (need for criterion in spec.criteria for need in MEASURES[criterion.name].needs)
     found = {kind for n in needs for kind in ((ChannelKind.LOAD,) if ChannelKind.LOAD in n else n)}
-    bows = any(criterion.name == "contour_error" for criterion in spec.criteria)
+    bows = any(criterion.name in FOLLOWED for criterion in spec.criteria)
     return tuple(sorted(found | {ChannelKind.LOAD} | ({ChannelKind.VELOCITY} if bows else set())))

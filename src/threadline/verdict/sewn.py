@@ -14,6 +14,7 @@ from threadline.commands.plan import Plan
 from threadline.files import ChannelKind, Recording
 from threadline.motion.timing.types import TrajectoryReader
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
+from threadline.verdict.bow import bows
 from threadline.verdict.nearest import nearest_chords
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.samples import Block, Setting, lanes
@@ -124,9 +125,10 @@ class SewnStitches:
 class StitchFollower:
     """Takes the tool's position and returns the stitches that were sewn meanwhile.
 
-    The position is taken as straight between samples: at an acceleration a it is off by at most
-    a T^2 / 8 in a sample interval T. Stitches are returned as soon as they are complete, so that
-    only the samples of a stitch and of a block are kept.
+    Between samples the position is the cubic through the places and velocities of the loads
+    (``bow``). Where velocities are unknown it is taken as straight, and off by at most a T^2 / 8 at
+    an acceleration a in a sample interval T. Stitches are returned as soon as they are complete, so
+    that only the samples of a stitch and of a block are kept.
 
     Parameters
     ----------
@@ -159,6 +161,7 @@ class StitchFollower:
         self._ended = False
         self._time_s: FloatArray = np.empty(0)
         self._points: FloatArray = np.empty((0, len(self._columns), setting.runs))
+        self._bows, self._speeds_m_s = bows(setting), self._points
         self._seam: FloatArray | None = None  # needle points before the pending ones
 
     @property
@@ -173,9 +176,12 @@ class StitchFollower:
         assert actual is not None
         kept = self._kept(time_s)
         self._clock.take(block, kept)
-        points = lanes(actual[kept])[:, self._columns] * self._radius_m[self._columns, None]
+        points = self._at_tool(actual[kept])
         self._time_s = np.concatenate([self._time_s, time_s[kept]])
         self._points = np.concatenate([self._points, points])
+        if self._bows and block.velocity is not None:
+            speeds = self._at_tool(block.velocity[kept])
+            self._speeds_m_s = np.concatenate([self._speeds_m_s, speeds])
         sewn = []
         while True:
             self._pull(1 + _AHEAD)  # the seam ahead of the last stitch
@@ -194,8 +200,13 @@ class StitchFollower:
         keep_s -= self._over_s
         first = max(int(np.searchsorted(self._time_s, keep_s, side="right")) - 2, 0)
         self._time_s, self._points = self._time_s[first:], self._points[first:]
+        self._speeds_m_s = self._speeds_m_s[first:]
         self._clock.drop(keep_s - self._delay_s, float(self._begun_s[0]) - self._over_s)
         return sewn
+
+    def _at_tool(self, values: FloatArray) -> FloatArray:
+        """Return (n, axes, runs) lengths at the tool of (n, runs, axes) values, axes of the job."""
+        return np.asarray(lanes(values)[:, self._columns] * self._radius_m[self._columns, None])
 
     def _kept(self, time_s: FloatArray) -> IntArray:
         """Return the rows of a block to use: all of them, unless ticks are very short.
@@ -218,7 +229,7 @@ class StitchFollower:
                 self._pending.append(run)
 
     def _at(self, time_s: FloatArray) -> FloatArray:
-        """Return (m, axes, runs) tool positions, straight between samples."""
+        """Return (m, axes, runs) tool positions at instants between the buffered samples."""
         last = len(self._time_s) - 1
         # For a few instants np.clip takes three times as long as both its halves.
         after = np.maximum(np.searchsorted(self._time_s, time_s, side="right"), 1)
@@ -228,7 +239,13 @@ class StitchFollower:
         long_s = np.where(after > before, self._time_s[after] - from_s, 1.0)
         part = np.minimum(np.maximum((time_s - from_s) / long_s, 0.0), 1.0)[:, None, None]
         start = self._points[before]
-        return np.asarray(start + part * (self._points[after] - start))
+        step = self._points[after] - start
+        if not self._bows:
+            return np.asarray(start + part * step)
+        long_s = long_s[:, None, None]
+        out, back = (self._speeds_m_s[k] * long_s - step for k in (before, after))
+        bow = part * (1.0 - part) * ((1.0 - part) * out - part * back)
+        return np.asarray(start + part * step + bow)
 
     def _finish(self, run: Stitches) -> SewnStitches:
         down_s = self._clock.when(run.down_s) + self._delay_s

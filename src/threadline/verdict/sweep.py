@@ -14,7 +14,14 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.verdict.bow import NO_BOWS, Bows, bound_bows, raise_to_bows
+from threadline.verdict.bow import (
+    NO_BETWEEN,
+    NO_BOWS,
+    Bows,
+    bound_bows,
+    charge_ways,
+    raise_to_bows,
+)
 from threadline.verdict.boxes import (
     COMPANY,
     NO_BOXES,
@@ -133,6 +140,8 @@ def _sweep(  # noqa: PLR0915 - one loop over parts of a block, whose arrays all 
             if weighed:
                 nearest_chords_each(here, begin, end, *path, share[:0], away, near)
             move_on(here, boxes, away, low, progress)
+            if len(progress.between.speed):
+                charge_ways(here, low, progress.between, progress.charge)
         if leaves:
             if weighed:
                 of_place = share[low:high]
@@ -206,7 +215,7 @@ _NO_CONTOUR = ContourPart(
 _NO_PROGRESS = ProgressPart(
     command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, length=_NONE, heading=_NO_ROWS, first=0,
     number=0, lag=0, places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS,
-    side=_NONE, ceiling=_NONE, dropped=_NONE,
+    side=_NONE, ceiling=_NONE, dropped=_NONE, between=NO_BETWEEN, charge=_NONE,
 )  # fmt: skip
 _NO_TURNING = TurningPart(
     chord=_NO_NUMBERS, first=0, lag=0, values=_NONE, leaves=_NO_NUMBERS, starts=_NO_NUMBERS,
@@ -270,6 +279,8 @@ def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
         nearest_of_one(points, begin, end, path.vertices, way, length, none, squared, chord)
     if len(progress.worst):
         progress_of_one(points, squared, progress)
+        if len(progress.between.speed):
+            charge_ways(block.at_tool, 0, progress.between, progress.charge)
     if not len(contour.worst):
         return
     share = vertex_share = none

@@ -10,8 +10,17 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.verdict.bow import (
+    NO_BETWEEN,
+    NO_VELOCITY,
+    Between,
+    WaysBetween,
+    beside,
+    turning_places,
+    turns,
+)
 from threadline.verdict.boxes import Boxes, ends_of
-from threadline.verdict.finding import RunFindings, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, Option, SweptMeasure
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -158,7 +167,8 @@ class TurningPart(NamedTuple):
     which the command left the turning, or -1; it is the same for all runs. ``real``, (k, 4, runs),
     is the extreme, its time, the extreme of the opposite direction since then and its time. An axis
     without a direction is not followed. ``chord``, (n,), is the command's, and the first sample of
-    the block has the number ``first``.
+    the block has the number ``first``. ``between`` tells the ways between samples, ``interval_s``
+    apart: an axis may turn on one of them.
     """
 
     chord: IntArray
@@ -172,6 +182,21 @@ class TurningPart(NamedTuple):
     errors: FloatArray
     times_s: FloatArray
     closed: IntArray
+    between: Between = NO_BETWEEN
+    interval_s: float = 0.0
+
+
+def _take(real: FloatArray, k: int, r: int, place: float, at_s: float) -> None:
+    """Let a place of an axis, counted in its direction, raise its extremes."""
+    farther = place > real[k, 0, r]
+    back = farther or -place > real[k, 2, r]  # a farther place starts the other direction again
+    real[k, 0, r] = place if farther else real[k, 0, r]
+    real[k, 1, r] = at_s if farther else real[k, 1, r]
+    real[k, 2, r] = -place if back else real[k, 2, r]
+    real[k, 3, r] = at_s if back else real[k, 3, r]
+
+
+_take_fast = njit(nogil=True)(_take)
 
 
 def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compiled once more
@@ -180,20 +205,31 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
     """Follow every axis through its turnings over samples, the first of them ``low``.
 
     If the box of all runs exceeds every run's extreme, the sample is the new extreme of every run:
-    its index is noted, and written out when a box does not decide.
+    its index is noted, and written out when a box does not decide. It does not where any run may
+    turn between two samples.
     """
     samples, _, runs = points.shape
     # Each tuple access would count references.
     known, lower, upper, lows, highs = boxes
-    chord, first, lag, values, leaves, starts, whole, real, errors, times_s, closed = part
+    (
+        chord, first, lag, values, leaves, starts, whole, real, errors, times_s, closed, between,
+        interval_s,
+    ) = part  # fmt: skip
+    speed, reach, before, pace, begun = between
+    bowed = len(speed) > 0
     of_all = np.full(2, -1)  # samples that are the extreme of all runs, in both directions
     bounds = np.empty(4)  # least and most of the extremes, and of the opposite ones
     for k in range(len(closed)):
         due, end = starts[k] + closed[k], starts[k + 1]
         fresh, side = known, whole[k, 0]
         for i in range(samples if side else 0):
-            told = False
-            if known:
+            told, turned = False, 0
+            if bowed and (i > 0 or begun[0] > 0):
+                for r in range(runs):
+                    step = points[i, k, r] - (before[k, r] if i == 0 else points[i - 1, k, r])
+                    out = pace[k, r] if i == 0 else reach[k] * speed[low + i - 1, k, r]
+                    turned += turns(step, out, reach[k] * speed[low + i, k, r])
+            if known and not turned:
                 if fresh:
                     for n in range(2):
                         bounds[2 * n], bounds[2 * n + 1] = ends_of(real, k, 2 * n, lows, highs)
@@ -226,14 +262,20 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
                         real[k, 2 * n, r] = way * points[at, k, r]
                         real[k, 2 * n + 1, r] = time_s[at]
                     of_all[n] = -1
+            for r in range(runs if turned else 0):
+                start = before[k, r] if i == 0 else points[i - 1, k, r]
+                out = pace[k, r] if i == 0 else reach[k] * speed[low + i - 1, k, r]
+                step, back = points[i, k, r] - start, reach[k] * speed[low + i, k, r]
+                if turns(step, out, back):
+                    for s in turning_places(step, out, back):
+                        if s > 0.0:  # or no number
+                            place = start + s * step + beside(s, step, out, back)
+                            at_s = time_s[i] - (1.0 - s) * interval_s
+                            _take_fast(real, k, r, side * place, at_s)
             for r in range(0 if told else runs):
-                y = side * points[i, k, r]
-                farther = y > real[k, 0, r]
-                back = farther or -y > real[k, 2, r]
-                real[k, 0, r] = y if farther else real[k, 0, r]
-                real[k, 1, r] = time_s[i] if farther else real[k, 1, r]
-                real[k, 2, r] = -y if back else real[k, 2, r]
-                real[k, 3, r] = time_s[i] if back else real[k, 3, r]
+                _take_fast(real, k, r, side * points[i, k, r], time_s[i])
+            if turned:
+                fresh = known
             if closing:
                 for r in range(runs):
                     errors[due, r] = real[k, 0, r] - side * values[due]
@@ -245,6 +287,11 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
                 whole[k, 0], whole[k, 1] = side, -1
                 fresh = known
         closed[k] = due - starts[k]
+    for k in range(len(closed) if bowed else 0):
+        for r in range(runs):
+            before[k, r] = points[samples - 1, k, r]
+            pace[k, r] = reach[k] * speed[low + samples - 1, k, r]
+    begun[0] = bowed
 
 
 follow_turnings = njit(nogil=True)(_follow)
@@ -259,11 +306,13 @@ class _Axis:
     def __init__(
         self, column: int, setting: Setting, smallest: float, whole: IntArray, real: FloatArray
     ) -> None:
-        self._column, name = column, setting.axes[column]
+        self._column, self.name = column, setting.axes[column]
         self._scan = ReversalScan(column, smallest, setting.radius_m)
         self.open: list[Turning] = []
         self._whole, self._real = whole, real
-        self._worst = Worst(setting.runs, len(setting.axes), name, note="the recording is empty")
+        self._worst = Worst(
+            setting.runs, len(setting.axes), self.name, note="the recording is empty"
+        )
         self._last_s = 0.0
         self._last: FloatArray = np.zeros(setting.runs)
 
@@ -323,9 +372,10 @@ class _TurningPoints(SweptMeasure):
 
     Lengths at the tool (rotary axes times their radius). A reversal is watched from the previous
     one until the command has left it for the lag, or has left the next one. The end of the job is
-    the last of them. An extreme between two samples can be missed by at most a T^2 / 8, with the
-    acceleration a and the sample interval T. A stroke that takes less time than the machine's lag
-    is charged with the distance that was not yet covered.
+    the last of them. An extreme between two samples is that of the cubic through places and
+    velocities (``bow``); where velocities are unknown it can be missed by at most a T^2 / 8, with
+    the acceleration a and the sample interval T. A stroke that takes less time than the machine's
+    lag is charged with the distance that was not yet covered.
     """
 
     def __init__(self, setting: Setting, smallest: float) -> None:
@@ -338,7 +388,8 @@ class _TurningPoints(SweptMeasure):
             _Axis(column, setting, smallest, self._whole[column], self._real[column])
             for column in range(axes)
         ]
-        self._lag = setting.lag_samples
+        self._lag, self._interval_s = setting.lag_samples, setting.interval_s
+        self._ways = WaysBetween(setting)
         self._path: PathWindow | None = None
         self._last: FloatArray | None = None
         self._part: TurningPart | None = None
@@ -362,6 +413,8 @@ class _TurningPoints(SweptMeasure):
             errors=np.empty(shape),
             times_s=np.empty(shape),
             closed=np.zeros(len(self._axes), dtype=np.int64),
+            between=self._ways.part(block),
+            interval_s=self._interval_s,
         )
         return self._part
 
@@ -376,6 +429,9 @@ class _TurningPoints(SweptMeasure):
             axis.feed(self._last[column], last_s, found.errors[closed], found.times_s[closed])
 
     def finish(self) -> Sequence[RunFindings]:
+        if self._ways.lost:
+            none = [Finding(value=None, axis=axis.name, note=NO_VELOCITY) for axis in self._axes]
+            return [RunFindings.alike(one, self._runs) for one in none]
         return [axis.finish(self._path, self._last) for axis in self._axes]
 
 

@@ -1,0 +1,253 @@
+"""Search a machine within the tolerances, or a day, that breaks a claim: a search of another hand.
+
+    python -m tools.break_claims 600 days 'threadline prove examples/x-180.prg -m lathe-winder'
+    python -m tools.break_claims 3600 machines 'threadline prove ... --needle "24 stitch/s"'
+
+searches for so many seconds of processor time. ``days`` keeps the machine of the file and changes
+friction, supply and the place of every encoder between two counts, all within what runs are drawn
+from. ``machines`` changes every number within its tolerance as well. Each candidate is one run of
+the planned commands, judged by every criterion; ``repeatability``, which needs several runs, is
+left out.
+
+The program's own search (``proof/worst_search.py``) climbs from corner to corner by single changes.
+This one shares no step with it. It takes two methods by turns, each from a new random start:
+
+- an evolution strategy with a full covariance matrix (CMA-ES; Hansen, "The CMA evolution strategy:
+  a tutorial", 2016) over the whole box, with mirrored bounds;
+- the cross-entropy method over the corners of the box (Rubinstein and Kroese, 2004): each number is
+  at its upper end with a probability that follows the worst tenth of the candidates.
+
+What it prints is the largest used share of a limit that is not of the plan alone, and where it is.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.machine import Machine, load_machine
+from threadline.machine.numbers import number_at
+from threadline.machine.variants import numbers_at, uncertain
+from threadline.machine.vary import varied_numbers
+from threadline.proof.asked import Words
+from threadline.proof.judge_runs import RunsJudge
+from threadline.proof.option_form import Door, Word
+from threadline.proof.pipeline import open_job, plan_job
+from threadline.verdict import EachRun
+
+FRICTION, SUPPLY = 0.3, 0.05  # of a day, as shares on either side (docs/specs.md)
+CANDIDATES = 64  # of a generation
+ENDED = 1e-3  # steps of this part of the box end a restart
+GENERATIONS = 40  # of a restart at most
+ELITE, SMOOTHED = 0.1, 0.7  # of the cross-entropy method
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """What a claim holds for: places between -1 and 1 of numbers, then of a day.
+
+    Parameters
+    ----------
+    machine
+        The machine whose numbers vary.
+    numbers
+        (n,) largest part of the tolerance of each number; empty: the machine of the file alone.
+    together
+        (n,) whether all candidates of a restart share the number, as dead times.
+    """
+
+    machine: Machine
+    numbers: FloatArray
+    together: np.ndarray
+
+    @property
+    def size(self) -> int:
+        return len(self.numbers) + 2 + len(self.machine.axis_names)
+
+    def runs(self, places: FloatArray) -> tuple[dict[str, FloatArray], FloatArray]:
+        """Return numbers of the machine file, and (k, axes) encoder phases, of (k, size) places."""
+        count, own = len(self.numbers), places[:, : len(self.numbers)]
+        days = 1.0 + places[:, count : count + 2] * np.array([FRICTION, SUPPLY])
+        found = numbers_at(self.machine, own * self.numbers) if count else {}
+        varied = varied_numbers(self.machine, days[:, 0], days[:, 1])
+        for path, values in varied.items():
+            if path in found:
+                found[path] = found[path] * (values / number_at(self.machine, path).si)
+            else:
+                found[path] = values
+        return found, 0.5 + 0.5 * places[:, count + 2 :]
+
+
+def box_of(machine: Machine, machines: bool) -> Box:
+    """Return the box of days, or of machines and days."""
+    found = uncertain(machine) if machines else ()
+    delays = [any(path.endswith(".delay") for path in one.numbers) for one in found]
+    ends = np.array([one.farthest for one in found])
+    return Box(machine, ends, np.array(delays, dtype=np.bool_))
+
+
+def used(found: EachRun) -> tuple[FloatArray, list[str]]:
+    """Return the largest used share of a limit of each run, and the criterion that has it."""
+    rows = [row for row in found.rows if row.limit and not row.of_plan]
+    limits = [row.limit or 1.0 for row in rows]
+    known = [np.nan_to_num(row.values, nan=0.0, posinf=1e3) for row in rows]
+    shares = np.stack(known) / np.array(limits)[:, None]
+    # A plan uses the machine's own limits to the full: they count where they fail.
+    for share, row in zip(shares, rows, strict=True):
+        if row.hard:
+            share[~row.failed] = 0.0
+    return shares.max(axis=0), [rows[k].text for k in shares.argmax(axis=0).tolist()]
+
+
+class Claim:
+    """A plan, its judge, and the worst that was found so far."""
+
+    def __init__(self, command: str, machines: bool) -> None:
+        job, reference, given = asked(command)
+        words, machine = Words.of("prove", Door.PYTHON, given), load_machine(reference)
+        options = words.options(job)
+        plan = plan_job(open_job(Path(job), machine, options), machine, options)
+        self.box = box_of(machine, machines)
+        self._judge = RunsJudge(plan, words.spec(machine), threads=1)
+        self.tried, self.worst, self.at = 0, 0.0, np.zeros(self.box.size)
+        self.criterion = ""
+
+    def shares(self, places: FloatArray) -> FloatArray:
+        """Return the (k,) used shares of (k, size) places; print what is worse than all before."""
+        numbers, phases = self.box.runs(places)
+        shares, names = used(self._judge.judged(numbers, phases))
+        self.tried += len(places)
+        best = int(np.argmax(shares))
+        if shares[best] > self.worst * (1.0 + 1e-4):
+            self.worst, self.at, self.criterion = float(shares[best]), places[best], names[best]
+            print(f"    {self.tried}: {100.0 * self.worst:.2f} % of {self.criterion}", flush=True)
+        return shares
+
+    def answer(self) -> dict[str, object]:
+        """Return what was found, with the numbers of that machine and day."""
+        numbers, phases = self.box.runs(self.at[None])
+        return {
+            "share": self.worst,
+            "criterion": self.criterion,
+            "tried": self.tried,
+            "numbers": {path: float(values[0]) for path, values in numbers.items()},
+            "phases": phases[0].tolist(),
+        }
+
+
+def asked(command: str) -> tuple[str, str, dict[str, Word]]:
+    """Return job, machine and options of the words of ``threadline prove``; levels are left out."""
+    words = shlex.split(command)[2:]
+    given: dict[str, Word] = {}
+    job, at = words[0], 1
+    while at < len(words):
+        name, value = words[at], words[at + 1] if at + 1 < len(words) else "--"
+        flag = value.startswith("--")
+        given[{"-m": "machine", "-s": "spec"}.get(name, name[2:].replace("-", "_"))] = (
+            True if flag else value
+        )
+        at += 1 if flag else 2
+    for level in ("nominal", "tolerances", "ends", "json"):
+        given.pop(level, None)
+    return job, str(given.pop("machine")), given
+
+
+def mirrored(places: FloatArray) -> FloatArray:
+    """Return places folded back into -1 to 1."""
+    folded = np.mod(places + 1.0, 4.0)
+    return np.asarray(np.where(folded > 2.0, 4.0 - folded, folded) - 1.0)
+
+
+def strategy(claim: Claim, random: np.random.Generator) -> Iterator[None]:
+    """Climb by a CMA-ES from a random place; yield after each generation."""
+    n, kept = claim.box.size, CANDIDATES // 2
+    weights = np.log(kept + 0.5) - np.log(np.arange(1, kept + 1))
+    weights /= weights.sum()
+    mu = 1.0 / (weights**2).sum()
+    rate, damp = (mu + 2.0) / (n + mu + 5.0), 1.0
+    damp += rate + 2.0 * max(0.0, np.sqrt((mu - 1.0) / (n + 1.0)) - 1.0)
+    of_path = (4.0 + mu / n) / (n + 4.0 + 2.0 * mu / n)
+    one = 2.0 / ((n + 1.3) ** 2 + mu)
+    many = min(1.0 - one, 2.0 * (mu - 2.0 + 1.0 / mu) / ((n + 2.0) ** 2 + mu))
+    usual = np.sqrt(n) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n**2))
+    mean, sigma, shape = random.uniform(-1.0, 1.0, n), 0.6, np.eye(n)
+    shared = np.flatnonzero(claim.box.together)
+    mean[shared] = np.sign(mean[shared])
+    step, path = np.zeros(n), np.zeros(n)
+    for _ in range(GENERATIONS):
+        lengths, axes = np.linalg.eigh(shape)
+        lengths = np.sqrt(np.maximum(lengths, 1e-12))
+        drawn = (random.standard_normal((CANDIDATES, n)) * lengths) @ axes.T
+        drawn[:, shared] = 0.0
+        order = np.argsort(-claim.shares(mirrored(mean + sigma * drawn)), kind="stable")
+        yield
+        chosen = drawn[order[:kept]]
+        moved = weights @ chosen
+        mean = mean + sigma * moved
+        white = axes @ ((axes.T @ moved) / lengths)
+        step = (1.0 - rate) * step + np.sqrt(rate * (2.0 - rate) * mu) * white
+        path = (1.0 - of_path) * path + np.sqrt(of_path * (2.0 - of_path) * mu) * moved
+        shape = (
+            (1.0 - one - many) * shape
+            + one * np.outer(path, path)
+            + many * (chosen * weights[:, None]).T @ chosen
+        )
+        sigma *= float(np.exp(rate / damp * (np.linalg.norm(step) / usual - 1.0)))
+        if sigma * lengths.max() < ENDED:
+            break
+        sigma = min(sigma, 1.0)
+
+
+def corners(claim: Claim, random: np.random.Generator) -> Iterator[None]:
+    """Go from random corners to those that the worst have in common; yield after each step."""
+    n = claim.box.size
+    chance = np.full(n, 0.5)
+    shared = np.flatnonzero(claim.box.together)
+    chance[shared] = random.integers(0, 2, len(shared))
+    elite = max(int(ELITE * CANDIDATES), 2)
+    for _ in range(GENERATIONS):
+        places = np.where(random.random((CANDIDATES, n)) < chance, 1.0, -1.0)
+        # Encoders have no ends: anywhere between two counts.
+        phases = len(claim.box.machine.axis_names)
+        places[:, n - phases :] = random.uniform(-1.0, 1.0, (CANDIDATES, phases))
+        order = np.argsort(-claim.shares(places), kind="stable")
+        yield
+        seen = (places[order[:elite]] > 0.0).mean(axis=0)
+        chance = (1.0 - SMOOTHED) * chance + SMOOTHED * seen
+        chance[shared] = np.round(chance[shared])
+        if (np.abs(chance - 0.5) > 0.49).all():
+            break
+
+
+def searched(command: str, machines: bool, limit_s: float, seed: int = 1) -> Mapping[str, object]:
+    """Search until the processor time is spent; return what was found."""
+    claim, random = Claim(command, machines), np.random.default_rng(seed)
+    until_s, turn = time.process_time() + limit_s, 0
+    claim.shares(np.zeros((1, claim.box.size)))
+    while time.process_time() < until_s:
+        method = corners if machines and turn % 2 else strategy
+        for _ in method(claim, random):
+            if time.process_time() >= until_s:
+                break
+        turn += 1
+    return claim.answer()
+
+
+def main(limit_s: str, what: str, *commands: str) -> None:
+    """Search each claim, and print what was found."""
+    for command in commands:
+        print(command, flush=True)
+        found = searched(command, what == "machines", float(limit_s))
+        print(json.dumps(found), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
