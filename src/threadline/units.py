@@ -63,6 +63,8 @@ _FACTORS: dict[str, dict[str, float]] = {
     "count/tick": {},
     "dac/count": {},
     "stitch/s": {"stitch/min": 0.016666666666666666},
+    "Pa": {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "bar": 1e5},
+    "kg/m^3": {},
 }
 """SI unit -> unit -> its value in that SI unit."""
 
@@ -93,6 +95,7 @@ milli- = 1e-3 = m-
 centi- = 1e-2 = c-
 kilo- = 1e3 = k-
 mega- = 1e6 = M-
+giga- = 1e9 = G-
 meter = [length] = m = metre
 second = [time] = s
 gram = [mass] = g

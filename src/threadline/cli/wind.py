@@ -10,10 +10,11 @@ import typer
 
 from threadline.cli.arguments import JsonOption
 from threadline.cli.messages import warning
-from threadline.cli.output import print_json, print_table, say
+from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.jobs.winding.closing import Pattern
-from threadline.jobs.winding.laid import Laid, bridged, design, mass_kg
+from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import Winding, read_layers
+from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate
 
 _SHOWN = 12
 
@@ -23,6 +24,9 @@ def wind(
     every: Annotated[
         bool, typer.Option("--all", help=f"List all patterns that close, not {_SHOWN} of them.")
     ] = False,
+    report: Annotated[
+        Path | None, typer.Option(help="Write the sheet for the shop into this folder.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """List the patterns, lengths and thickness of a winding.
@@ -30,15 +34,22 @@ def wind(
     No machine is needed.
 
     For each layer: the patterns that close with the wanted coverage, the nearest to a geodesic
-    first, and what closes them; the pattern that is wound; fibre, mass and thickness.
+    first, and what closes them; the pattern that is wound; fibre, mass and thickness. Then the
+    sheet for the shop: metres, grams, time and cost; and the stiffness of the laminate.
     Exit status: 0, or 2 for wrong input.
 
     Example: threadline wind examples/vessel.wind.toml
     """
+    check_outputs(folder=report)
     winding = read_layers(product)
     laid = design(winding)
+    written = None
+    if report is not None:
+        from threadline.report.wound import write_sheet
+
+        written = write_sheet(winding, laid, report)
     if json:
-        print_json(_content(winding, laid))
+        print_json(_content(winding, laid) | ({} if written is None else {"report": str(written)}))
         return
     for one in laid:
         shown = one.table if every else one.table[:_SHOWN]
@@ -53,16 +64,18 @@ def wind(
         f"{winding.product.name}: what is wound",
         ("layer", "angle", "turns at", "pattern", "closed by", "slip tendency", "fibre", "dwells",
          "mass", "thickness", "at most"),
-        [_summary(winding, one) for one in laid],
+        [_summary(one) for one in laid],
     )  # fmt: skip
-    for said in filter(None, map(bridged, laid)):
+    sheet = sheet_of(winding, laid)
+    print_table(f"{sheet.title}: the sheet", sheet.header(), sheet.table())
+    say(sheet.note())
+    found = wound_laminate(laid)
+    if found is not None:
+        print_table("Laminate at the largest radius", ("", ""), found.rows())
+    if written is not None:
+        say(f"Report: {written}")
+    for said in [*filter(None, map(bridged, laid)), *sheet_warnings(winding, sheet)]:
         warning(said)
-    total = sum(one.length_m + one.dwells_m for one in laid)
-    mass = mass_kg(winding, total)
-    say(
-        f"{total:.2f} m of fibre with dwells and without joins"
-        + ("" if mass is None else f", {1e3 * mass:.1f} g")
-    )
 
 
 def _row(laid: Laid, pattern: Pattern) -> list[str]:
@@ -81,9 +94,9 @@ def _row(laid: Laid, pattern: Pattern) -> list[str]:
     ]  # fmt: skip
 
 
-def _summary(winding: Winding, laid: Laid) -> list[str]:
+def _summary(laid: Laid) -> list[str]:
     circuit, pattern = laid.circuit, laid.pattern
-    mass = mass_kg(winding, laid.length_m + laid.dwells_m)
+    mass = laid.fibre_kg
     turns = sorted({f"{1e3 * t.radius_m:.3f}" for t in (circuit.left, circuit.right)})
     most = laid.most_m
     return [
@@ -97,6 +110,7 @@ def _summary(winding: Winding, laid: Laid) -> list[str]:
 
 
 def _content(winding: Winding, laid: tuple[Laid, ...]) -> dict[str, Any]:
+    found = wound_laminate(laid)
     return {
         "product": winding.product.name,
         "layers": [
@@ -115,7 +129,7 @@ def _content(winding: Winding, laid: tuple[Laid, ...]) -> dict[str, Any]:
                 "coverage": one.pattern.coverage,
                 "length_m": one.length_m,
                 "dwells_m": one.dwells_m,
-                "mass_kg": mass_kg(winding, one.length_m + one.dwells_m),
+                "mass_kg": one.fibre_kg,
                 "thickness_m": one.thickness_m,
                 "largest_thickness_m": one.most_m,
                 "patterns": [
@@ -129,6 +143,8 @@ def _content(winding: Winding, laid: tuple[Laid, ...]) -> dict[str, Any]:
             }
             for one in laid
         ],
+        "sheet": sheet_of(winding, laid).content(),
+        "laminate": None if found is None else found.content(),
     }  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from threadline.report.strips import binding_lines, binding_of, strips_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.report.unrolled import winding_caption, winding_figures
+from threadline.report.wound import planned_sheet
 from threadline.units import without_noise
 from threadline.verdict import closing, verdict_rows
 
@@ -67,6 +68,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 *of_bands,
+                *planned_sheet(plan),
                 *changes(proof.verdict),
                 Table(
                     title="The job",

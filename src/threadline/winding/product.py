@@ -5,21 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.reading import read_text, within_folder
 from threadline.base.wording import nearest, toml_fault
-from threadline.errors import JobError, Place, UnitError
-from threadline.units import parse_quantity
+from threadline.errors import JobError, Place
 from threadline.winding.meridians import (
     MAX_BYTES,
     read_points,
@@ -28,23 +26,15 @@ from threadline.winding.meridians import (
     stretches_of,
 )
 from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
+from threadline.winding.product_reader import TABLES, KeyReader, Toleranced
 from threadline.winding.shapes import ellipse, isotensoid, nose, table
 from threadline.winding.surface import Stretch, Surface, line, surface_of
 
+if TYPE_CHECKING:
+    from threadline.winding.band import Band
+
 _MOST_FRICTION = 1.0
-_FARTHEST = 1e4  # m, and tex
 _LEAST_M = 1e-6  # of every size of a part: less is no part
-_NOT_NEGATIVE = ("thickness", "tex", "take_up", "clearance", "gap")
-_TABLES: Mapping[str, tuple[str, ...]] = {
-    "": ("name", "mandrel", "part", "boss", "pin", "band", "friction", "fibre", "coverage"),
-    "mandrel": ("at", "radius_error", "edge", "shaft", "slip"),
-    "boss": ("at", "length", "radius"),
-    "pin": ("at", "radius", "diameter"),
-    "band": ("width", "thickness", "tex"),
-    "friction": ("value",),
-    "fibre": ("tied", "take_up", "clearance", "envelope", "speed", "tolerance"),
-    "coverage": ("begin", "end", "gap"),
-}
 _PARTS: Mapping[str, tuple[str, ...]] = {
     "cylinder": ("radius", "length"),
     "cone": ("radius", "end_radius", "length"),
@@ -54,11 +44,9 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
     "nose": ("radius", "height", "opening", "pole"),
     "table": ("file", "layer"),
 }
-_LISTS = ("part", "boss", "pin", "layer")
 _ENDLESS_M = 100.0
 _TURN = 2.0 * math.pi
 _EXAMPLE = '[[part]] kind = "cylinder", radius = "50 mm", length = "200 mm"'
-_NUMBER = re.compile(r"(?P<value>.+?)(?:\s*(?:\+-|\+/-|±)\s*(?P<tolerance>.+))?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +57,6 @@ class Ring:
     begin_m: float
     end_m: float
     radius_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Toleranced:
-    """A number in SI with the half width of its tolerance."""
-
-    si: float
-    tolerance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,6 +86,8 @@ class Product:
         Of the band, m; the thickness is None if unknown.
     friction
         Coefficient of friction between fibre and mandrel.
+    band
+        Cross-section and material of the band.
     tied
         Place on the mandrel, m, where the fibre is tied at the start; None if unknown.
     take_up
@@ -128,6 +110,7 @@ class Product:
     rings: tuple[Ring, ...]
     width: Toleranced
     friction: Toleranced
+    band: Band
     thickness: float | None = None
     tied: float | None = None
     take_up: float | None = None
@@ -210,53 +193,25 @@ def product_of_text(text: str) -> Product:
     return ProductReader(file, "", text).product(content)
 
 
-@dataclass(slots=True)
-class ProductReader:
-    """Reads the content of a product file; knows the line of each key while the file is there."""
-
-    file: str
-    written: str
-    text: str = ""
-    table: str = ""
-    index: int = -1
-    lengths: dict[str, float] = field(default_factory=dict)
-
-    def refuse(self, key: str, message: str, remedy: str) -> NoReturn:
-        """Raise a ``JobError`` at the line of a key."""
-        raise JobError(message, place=Place(self.file, self._line(key)), remedy=remedy)
-
-    def _line(self, key: str) -> int:
-        """Return the line of a key in the present table, of the table without it, or 0."""
-        table, header, count = "", 0, dict.fromkeys(_LISTS, -1)
-        for number, row in enumerate(self.written.splitlines(), start=1):
-            opened = re.match(r"\s*\[\[?\s*([A-Za-z_]+)\s*\]", row)
-            if opened:
-                table = opened[1]
-                if table in count:
-                    count[table] += 1
-            here = table == self.table and (table not in _LISTS or count[table] == self.index)
-            if here and opened:
-                header = number
-            if here and re.match(rf"\s*{re.escape(key)}\s*=", row):
-                return number
-        return header
+class ProductReader(KeyReader):
+    """Reads the content of a product file."""
 
     def product(self, content: Any) -> Product:
         """Return the product of the content of a file."""
         if not isinstance(content, dict):
             self.refuse("", "a product is a table", _EXAMPLE)
-        self._known(content, (*_TABLES[""], "layer"))
+        self.known(content, (*TABLES[""], "layer"))
         name = content.get("name", Path(self.file).name.removesuffix(".wind.toml"))
         if not isinstance(name, str):
             self.refuse("name", "name must be a text", 'Write name = "vessel".')
-        mandrel = self._table(content, "mandrel")
-        at = self._number(mandrel, "at", "m", "0 mm")
-        error = self._number(mandrel, "radius_error", "m", "0 mm")
-        slip = self._number(mandrel, "slip", "rad", "0 deg")
+        mandrel = self.table_of(content, "mandrel")
+        at = self.number(mandrel, "at", "m", "0 mm")
+        error = self.number(mandrel, "radius_error", "m", "0 mm")
+        slip = self.number(mandrel, "slip", "rad", "0 deg")
         if abs(slip.si) + slip.tolerance > 0.5 * math.pi:
             self.refuse("slip", "slip is above 90 deg a turn", 'Like "0 deg +- 0.05 deg".')
-        shaft = self._number(mandrel, "shaft", "m", "0 mm").si
-        edge = self._number(mandrel, "edge", "m", "1 mm").si
+        shaft = self.number(mandrel, "shaft", "m", "0 mm").si
+        edge = self.number(mandrel, "edge", "m", "1 mm").si
         if edge <= 0.0:
             self.refuse("edge", "edge must be above 0: no mandrel is sharper", 'Like "1 mm".')
         parts = content.get("part")
@@ -266,8 +221,8 @@ class ProductReader:
         surface = self._surface(parts, edge)
         self.index = -1
         rings = self._rings(content, shaft, surface)
-        band = self._table(content, "band")
-        width = self._number(band, "width", "m", None)
+        band = self.table_of(content, "band")
+        width = self.number(band, "width", "m", None)
         smallest = surface.least_radius_m
         if abs(error.si) + error.tolerance >= smallest:
             self.table = "mandrel"
@@ -286,9 +241,13 @@ class ProductReader:
                 f"{2e3 * smallest:.4g} mm",
                 "Correct the width, or end the mandrel at a larger opening.",
             )
-        thickness = self._number(band, "thickness", "m", "0 mm").si or None
-        self._number(band, "tex", "", "0")
-        friction = self._number(self._table(content, "friction"), "value", "", None)
+        # Imported only here: a proof of a part program reads no materials.
+        from threadline.winding.band import read_band, read_materials
+
+        known = read_materials(self, content)
+        made = read_band(self, band, known, width.si)
+        self.table_of(content, "cost")
+        friction = self.number(self.table_of(content, "friction"), "value", "", None)
         if not 0.0 < friction.si <= _MOST_FRICTION or friction.tolerance >= friction.si:
             self.refuse(
                 "value",
@@ -296,10 +255,10 @@ class ProductReader:
                 f"and at most {_MOST_FRICTION:g}",
                 'Dry glass on a mandrel has 0.2 to 0.4: value = "0.25 +- 0.05".',
             )
-        fibre = self._table(content, "fibre")
-        tied = self._number(fibre, "tied", "m", "0 mm").si if "tied" in fibre else None
-        take_up = self._number(fibre, "take_up", "m", "0 mm").si if "take_up" in fibre else None
-        apart = self._number(fibre, "clearance", "m", "0 mm").si if "clearance" in fibre else None
+        fibre = self.table_of(content, "fibre")
+        tied = self.number(fibre, "tied", "m", "0 mm").si if "tied" in fibre else None
+        take_up = self.number(fibre, "take_up", "m", "0 mm").si if "take_up" in fibre else None
+        apart = self.number(fibre, "clearance", "m", "0 mm").si if "clearance" in fibre else None
         ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
         if tied is not None and not ends[0] <= tied <= ends[1]:
             self.refuse("tied", f"tied = {1e3 * tied:g} mm is beside the mandrel", _within(ends))
@@ -307,19 +266,19 @@ class ProductReader:
         return Product(
             name=name, file=self.file, text=self.text, surface=surface, at=at, radius_error=error,
             slip=Toleranced(slip.si / _TURN, slip.tolerance / _TURN), rings=rings,
-            width=width, friction=friction, thickness=thickness, tied=tied, take_up=take_up,
-            clearance=apart, covered=covered, gap=gap,
+            width=width, friction=friction, thickness=made.thickness, band=made, tied=tied,
+            take_up=take_up, clearance=apart, covered=covered, gap=gap,
         )  # fmt: skip
 
     def _coverage(
         self, content: Mapping[str, Any], ends: FloatArray
     ) -> tuple[tuple[float, float] | None, float | None]:
-        coverage = self._table(content, "coverage")
+        coverage = self.table_of(content, "coverage")
         if not coverage:
             return None, None
-        begin = self._number(coverage, "begin", "m", None).si
-        end = self._number(coverage, "end", "m", None).si
-        gap = self._number(coverage, "gap", "m", "0 mm").si
+        begin = self.number(coverage, "begin", "m", None).si
+        end = self.number(coverage, "end", "m", None).si
+        gap = self.number(coverage, "gap", "m", "0 mm").si
         if not ends[0] <= begin < end <= ends[1]:
             self.refuse("begin", "the covered part is not on the mandrel", _within(ends))
         return (begin, end), gap
@@ -346,10 +305,10 @@ class ProductReader:
             if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
                 self.refuse(name, f"{name} must be a list of tables", f"Write [[{name}]].")
             for self.index, row in enumerate(rows):
-                self._known(row, _TABLES[name])
-                at = self._number(row, "at", "m", None).si
-                radius = self._number(row, "radius", "m", None).si
-                long = self._number(row, size, "m", None).si
+                self.known(row, TABLES[name])
+                at = self.number(row, "at", "m", None).si
+                radius = self.number(row, "radius", "m", None).si
+                long = self.number(row, size, "m", None).si
                 for key, value in (("radius", radius), (size, long)):
                     if value <= 0.0:
                         self.refuse(key, f"{key} must be above 0", 'Like "20 mm".')
@@ -358,49 +317,6 @@ class ProductReader:
                 found.append(Ring(words, begin, begin + long, radius))
         self.index = -1
         return tuple(found)
-
-    def _known(self, content: Mapping[str, Any], keys: Sequence[str]) -> None:
-        for key in content:
-            if key not in keys:
-                self.refuse(key, f"unknown key {key[:60]!r}", nearest(key, keys))
-
-    def _table(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-        self.table = name
-        found = content.get(name, {})
-        if not isinstance(found, dict):
-            self.table = ""
-            self.refuse(name, f"{name} must be a table", f"Write [{name}].")
-        self._known(found, _TABLES[name])
-        return found
-
-    def _number(
-        self, content: Mapping[str, Any], key: str, unit: str, default: str | None
-    ) -> Toleranced:
-        text = content.get(key, default)
-        like = f'Write {key} = "{"0.25 +- 0.05" if not unit else "5 mm +- 0.3 mm"}".'
-        if text is None:
-            self.refuse(key, f"{self.table}.{key} is missing", like)
-        if not unit and isinstance(text, int | float) and not isinstance(text, bool):
-            text = repr(text)
-        if not isinstance(text, str):
-            self.refuse(key, f"{key} = {str(text)[:60]!r} is not a quantity", like)
-        match = _NUMBER.fullmatch(text.strip())
-        try:
-            if match is None:
-                raise UnitError("there is no number")
-            value = parse_quantity(match["value"].strip(), unit)
-            spread = (match["tolerance"] or "").strip()
-            if spread.endswith("%"):
-                around = abs(value) * parse_quantity(spread, "")
-            else:
-                around = parse_quantity(spread, unit) if spread else 0.0
-        except UnitError as error:
-            self.refuse(key, f"{key}: {error.message}", like)
-        if abs(value) > _FARTHEST or not 0.0 <= around <= _FARTHEST:
-            self.refuse(key, f"{key} = {text[:60]!r} is out of reach", like)
-        if value < 0.0 and key in _NOT_NEGATIVE:
-            self.refuse(key, f"{key} = {text[:60]!r} is below 0", like)
-        return Toleranced(value, around)
 
     def _surface(self, parts: Sequence[Mapping[str, Any]], edge: float) -> Surface:
         chain: list[Stretch] = []
@@ -411,7 +327,7 @@ class ProductReader:
             if not isinstance(kind, str) or kind not in _PARTS:
                 self.refuse("kind", f"a part of the kind {kind!r}"[:80], nearest(str(kind), _PARTS))
             own = (held,) if kind == "table" and held else _PARTS[kind]
-            self._known(part, ("kind", *own))
+            self.known(part, ("kind", *own))
             x = 0.0 if not chain else float(chain[-1].x[-1, 0])
             made = self._part(kind, part, x)
             if chain:
@@ -441,7 +357,7 @@ class ProductReader:
         for key in _PARTS[kind]:
             if key == "pole":
                 continue
-            sizes[key] = self._number(part, key, "m", None).si
+            sizes[key] = self.number(part, key, "m", None).si
             if sizes[key] < _LEAST_M:
                 self.refuse(
                     key,

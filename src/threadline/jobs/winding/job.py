@@ -30,7 +30,7 @@ from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, positions
 from threadline.jobs.winding.joins import Join, join
 from threadline.jobs.winding.laid import Laid, bridged, design
-from threadline.jobs.winding.layers import Winding, read_layers
+from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding, read_layers
 from threadline.machine import Machine
 from threadline.machine.tool import Tool
 from threadline.winding.product import product_of_text
@@ -38,8 +38,6 @@ from threadline.winding.replay import Replay
 from threadline.winding.surface import Surface
 
 SUFFIX = ".wind.toml"
-USUAL_SPEED_M_S = 0.1
-"""Speed of the fibre where the file names none."""
 _DISTANCES_M = (0.01, 0.015, 0.02, 0.03, 0.04, 0.055, 0.075)
 _FIRST = 4.0  # times the tolerance: chords of the eye that are tried first
 _HALVINGS = 6

@@ -20,7 +20,6 @@ from threadline.jobs.winding.closing import (
 from threadline.jobs.winding.layers import Closing, Layer, Winding
 from threadline.jobs.winding.thickness import Thickness, grown, hoops, thickness
 
-_KG_PER_TEX_M = 1e-6
 _HOLLOW = 1e-6  # of 1 / r, of a curvature that points outwards
 
 
@@ -62,18 +61,24 @@ class Laid:
         return self.pattern.circuits * self.circuit.dwells_m
 
     @property
+    def fibre_kg(self) -> float | None:
+        """Mass of its fibres with dwells; None without ``[band] tex``."""
+        per_m = self.layer.band.fibre_kg_m
+        return None if per_m is None else per_m * (self.length_m + self.dwells_m)
+
+    @property
     def thickness_m(self) -> float | None:
         """Mean thickness of the layer at the largest radius; None if unknown.
 
         A circuit passes every place twice: a layer has two bands, times its coverage.
         """
-        thick = self.wrap.winding.product.thickness
+        thick = self.layer.band.thickness
         return None if thick is None else 2.0 * thick * self.pattern.coverage
 
     @property
     def fibre_m2(self) -> float | None:
         """Cross-section of all bands on a parallel, m^2; None without a thickness of the band."""
-        thick = self.wrap.winding.product.thickness
+        thick = self.layer.band.thickness
         return None if thick is None else 2.0 * self.pattern.circuits * self.wrap.width_m * thick
 
     def spread(self) -> Thickness | None:
@@ -121,12 +126,6 @@ class Laid:
             if turn.dwell and slip <= wrap.friction:
                 found.append(slip)
         return max(found)
-
-
-def mass_kg(winding: Winding, length_m: float) -> float | None:
-    """Return the mass of a length of the band's fibre; None without ``[band] tex``."""
-    tex = winding.tex
-    return None if tex is None else _KG_PER_TEX_M * tex * length_m
 
 
 def design(winding: Winding) -> tuple[Laid, ...]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -12,17 +13,25 @@ from typing import Any, Literal, NoReturn
 from threadline.base.reading import read_text
 from threadline.errors import JobError, Place
 from threadline.jobs.winding.circuit import widest
+from threadline.laminate.materials import Material
+from threadline.winding.band import Band, own_band, read_materials
 from threadline.winding.meridians import MAX_BYTES
 from threadline.winding.other_planners import ENDINGS
 from threadline.winding.product import Product, ProductReader, product_of_text, product_text
 
 Closing = Literal["friction", "angle", "dwell"]
 CLOSINGS: tuple[Closing, ...] = ("friction", "angle", "dwell")
-KEYS = ("kind", "turn", "angle", "circuits", "shift", "close", "cover", "begin", "end")
+KEYS = (
+    "kind", "turn", "angle", "circuits", "shift", "close", "cover", "begin", "end", "material",
+    "tex", "tension",
+)  # fmt: skip
 KINDS = ("helical", "hoop")
+_HOUR = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([A-Z]{3})\s*/\s*h\s*")
 MOST_CIRCUITS = 100_000
 MARGIN = 0.9
 """Share of the lower end of the friction that a planned path uses."""
+USUAL_SPEED_M_S = 0.1
+"""Speed of the fibre where the file names none."""
 _MOST_LAYERS = 200
 _LEAST_ANGLE = math.radians(1.0)
 
@@ -64,6 +73,16 @@ class Layer:
     cover: float
     begin_m: float | None
     end_m: float | None
+    band: Band
+    tension_n: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class HourlyRate:
+    """What an hour of the machine costs, and in which currency (three letters)."""
+
+    per_hour: float
+    currency: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +105,8 @@ class Winding:
         Wanted speed of the fibre; None: as fast as the axes can.
     tolerance_m
         Largest distance between the laid and the designed fibre.
-    tex
-        Grams per kilometre of the band; None: unknown.
+    hour
+        What an hour of the machine costs; None: unknown.
     """
 
     path: Path
@@ -97,7 +116,7 @@ class Winding:
     envelope_m: float | None
     speed_m_s: float | None
     tolerance_m: float
-    tex: float | None
+    hour: HourlyRate | None
 
     def refuse(self, layer: Layer, message: str, remedy: str) -> NoReturn:
         """Raise a ``JobError`` about a layer."""
@@ -129,6 +148,17 @@ def read_layers(path: str | Path) -> Winding:
     return reader.winding(path, text)
 
 
+def layers_of_text(path: Path, text: str) -> Winding:
+    """Return the winding of a text of ``product_text``, from a file that may be gone.
+
+    Raises
+    ------
+    JobError
+        If it has no layer.
+    """
+    return _LayerReader(str(path), "").winding(path, text)
+
+
 class _LayerReader(ProductReader):
     """Reads the layers with the messages of the product reader."""
 
@@ -146,30 +176,76 @@ class _LayerReader(ProductReader):
             self.refuse("layer", "layer must be a list of tables", "Write [[layer]].")
         if not 0 < len(rows) <= _MOST_LAYERS:
             self.refuse("layer", f"{len(rows)} layers: 1 to {_MOST_LAYERS}", "Correct it.")
+        fibre = content.get("fibre", {})
+        tensions = self._tensions(rows, fibre)
+        known = read_materials(self, content)
         layers = []
         self.table = "layer"
-        for self.index, row in enumerate(rows):
-            layers.append(self._layer(row, product))
+        for self.index, (row, tension) in enumerate(zip(rows, tensions, strict=True)):
+            layers.append(self._layer(row, product, known, tension))
         self.index = -1
-        fibre = content.get("fibre", {})
         self.table = "fibre"
         found: dict[str, float | None] = {}
         for key, unit in (("envelope", "m"), ("speed", "m/s"), ("tolerance", "m")):
-            found[key] = self._number(fibre, key, unit, None).si if key in fibre else None
+            found[key] = self.number(fibre, key, unit, None).si if key in fibre else None
             if key in fibre and not (found[key] or 0.0) > 0.0:
                 self.refuse(key, f"{key} must be above 0", 'Like "30 mm", "200 mm/s".')
         return Winding(
             path, text, product, tuple(layers), found["envelope"], found["speed"],
-            found["tolerance"] or 2e-5, self._number(content["band"], "tex", "", "0").si or None,
+            found["tolerance"] or 2e-5, self._hour(content),
         )  # fmt: skip
 
-    def _layer(self, row: Mapping[str, Any], product: Product) -> Layer:
-        self._known(row, KEYS)
+    def _hour(self, content: Mapping[str, Any]) -> HourlyRate | None:
+        cost = self.table_of(content, "cost")
+        text = cost.get("hour")
+        if text is None:
+            return None
+        match = _HOUR.fullmatch(text) if isinstance(text, str) else None
+        if match is None:
+            self.refuse("hour", f"hour = {str(text)[:40]!r} is no rate", 'Like hour = "60 EUR/h".')
+        return HourlyRate(float(match[1]), match[2])
+
+    def _tensions(
+        self, rows: Sequence[Mapping[str, Any]], fibre: Mapping[str, Any]
+    ) -> list[float | None]:
+        """Return the tension of every layer, N: its own, else the first one's less the taper.
+
+        Every layer has the ``taper`` less than the one below it, so that the outer layers do not
+        loosen the inner ones.
+        """
+        self.table = "fibre"
+        first = self.number(fibre, "tension", "N", None).si if "tension" in fibre else None
+        taper = self.number(fibre, "taper", "", None).si if "taper" in fibre else 0.0
+        if first is not None and not first > 0.0:
+            self.refuse("tension", "tension must be above 0", 'Like tension = "8 N".')
+        if not 0.0 <= taper < 1.0:
+            self.refuse(
+                "taper", f"a taper of {taper:g}: from 0 to below 1 of the layer below",
+                'Like taper = "3 %".',
+            )  # fmt: skip
+        if "taper" in fibre and first is None:
+            self.refuse("taper", "a taper needs the tension of the first layer", 'tension = "8 N"')
+        found: list[float | None] = []
+        self.table = "layer"
+        for self.index, row in enumerate(rows):
+            own = self.number(row, "tension", "N", None).si if "tension" in row else None
+            if own is not None and not own > 0.0:
+                self.refuse("tension", "tension must be above 0", 'Like tension = "8 N".')
+            tapered = None if first is None else first * (1.0 - taper) ** self.index
+            found.append(tapered if own is None else own)
+        self.index = -1
+        return found
+
+    def _layer(
+        self, row: Mapping[str, Any], product: Product, known: Mapping[str, Material],
+        tension: float | None,
+    ) -> Layer:  # fmt: skip
+        self.known(row, KEYS)
         kind = row.get("kind", "helical")
         if kind not in KINDS:
             self.refuse("kind", f"a layer of the kind {str(kind)[:40]!r}", "helical or hoop.")
-        turn = self._number(row, "turn", "m", None).si if "turn" in row else None
-        angle = self._number(row, "angle", "rad", None).si if "angle" in row else None
+        turn = self.number(row, "turn", "m", None).si if "turn" in row else None
+        angle = self.number(row, "angle", "rad", None).si if "angle" in row else None
         if turn is not None and angle is not None:
             self.refuse("angle", "turn and angle say the same twice", "Leave one out.")
         most = widest(product.surface)[0]
@@ -205,12 +281,12 @@ class _LayerReader(ProductReader):
         close = row.get("close")
         if close is not None and close not in CLOSINGS:
             self.refuse("close", f"close = {str(close)[:40]!r}", f"{', '.join(CLOSINGS)}.")
-        cover = self._number(row, "cover", "", "1").si
+        cover = self.number(row, "cover", "", "1").si
         if not 0.0 < cover <= 20.0:
             self.refuse("cover", f"cover = {cover:g}", 'Like "100 %".')
-        ends = [self._number(row, k, "m", None).si if k in row else None for k in ("begin", "end")]
+        ends = [self.number(row, k, "m", None).si if k in row else None for k in ("begin", "end")]
         return Layer(
-            number=self.index + 1, line=self._line(""), kind=kind, turn_m=turn, angle=angle,
+            number=self.index + 1, line=self.line_of(""), kind=kind, turn_m=turn, angle=angle,
             circuits=circuits, shift=shift, close=close, cover=cover, begin_m=ends[0],
-            end_m=ends[1],
+            end_m=ends[1], band=own_band(self, row, product.band, known), tension_n=tension,
         )  # fmt: skip

@@ -1,0 +1,202 @@
+"""Classical lamination theory and netting analysis.
+
+Axes: 1 along the meridian, 2 round the mandrel. A layer's angle is the angle between its fibres
+and axis 1. Sources: S. W. Tsai and H. T. Hahn, Introduction to Composite Materials (1980), chapters
+3 to 6; J. C. Halpin and J. L. Kardos, The Halpin-Tsai equations: a review, Polymer Engineering and
+Science 16 (1976) 344-352.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+
+BALANCED = math.atan(math.sqrt(2.0))
+"""Angle, rad, at which helical layers alone carry a closed cylinder's pressure: 54.7356 deg."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ply:
+    """Elastic constants of a layer of parallel fibres in plane stress, Pa.
+
+    Parameters
+    ----------
+    along, across
+        Young's moduli along and across the fibres.
+    poisson
+        Contraction across at a strain along.
+    shear
+        Shear modulus in the plane.
+    """
+
+    along: float
+    across: float
+    poisson: float
+    shear: float
+
+    def stiffness(self, angle: float) -> FloatArray:
+        """Return the (3, 3) plane stiffness, Pa, at an angle, rad: stresses of 1, 2 and 12.
+
+        The shear strain is the engineering shear strain.
+        """
+        whole = 1.0 - self.poisson**2 * self.across / self.along
+        own = np.array([
+            [self.along, self.poisson * self.across, 0.0],
+            [self.poisson * self.across, self.across, 0.0],
+            [0.0, 0.0, self.shear * whole],
+        ]) / whole  # fmt: skip
+        c, s = math.cos(angle), math.sin(angle)
+        strain = np.array([
+            [c * c, s * s, c * s],
+            [s * s, c * c, -c * s],
+            [-2.0 * c * s, 2.0 * c * s, c * c - s * s],
+        ])  # fmt: skip
+        return np.asarray(strain.T @ own @ strain)
+
+
+@dataclass(frozen=True, slots=True)
+class Layered:
+    """One layer of a laminate: its ply, the angle of its fibres, rad, and its thickness, m."""
+
+    ply: Ply
+    angle: float
+    thickness: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laminate:
+    """Stiffness of a laminate about the middle of its thickness.
+
+    Parameters
+    ----------
+    a, b, d
+        (3, 3) membrane, coupling and bending stiffness: N/m, N and N m.
+    thickness
+        m.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    d: FloatArray
+    thickness: float
+
+    @property
+    def moduli(self) -> tuple[float, float, float, float]:
+        """Moduli along and round, shear modulus, Pa, and the contraction round at a strain along.
+
+        Without bending: the laminate of a closed shell cannot curl.
+        """
+        soft = np.linalg.inv(self.a) * self.thickness
+        return (
+            1.0 / float(soft[0, 0]), 1.0 / float(soft[1, 1]), 1.0 / float(soft[2, 2]),
+            -float(soft[0, 1] / soft[0, 0]),
+        )  # fmt: skip
+
+
+def laminate_of(layers: Sequence[Layered]) -> Laminate:
+    """Return the stiffness of layers, the innermost first.
+
+    Raises
+    ------
+    ValueError
+        Without a layer of a thickness above 0.
+    """
+    whole = sum(layer.thickness for layer in layers)
+    if not whole > 0.0:
+        raise ValueError("a laminate needs a layer with a thickness above 0")
+    a, b, d = (np.zeros((3, 3)) for _ in range(3))
+    low = -0.5 * whole
+    for layer in layers:
+        high = low + layer.thickness
+        stiff = layer.ply.stiffness(layer.angle)
+        a += stiff * (high - low)
+        b += stiff * (high**2 - low**2) / 2.0
+        d += stiff * (high**3 - low**3) / 3.0
+        low = high
+    return Laminate(a, b, d, whole)
+
+
+def ply_of(
+    fibre: tuple[float, float, float, float], resin: tuple[float, float], fibre_volume: float
+) -> Ply:
+    """Return the ply of fibres in a resin.
+
+    The modulus along and the contraction follow the rule of mixtures, the others Halpin and Tsai
+    with 2 for the modulus across and 1 for shear. For E-glass with 60 % fibre volume they are 11 %
+    and 26 % below the measured values (Soden, Hinton and Kaddour 1998, table 3): prefer a measured
+    prepreg where the resin carries.
+
+    Parameters
+    ----------
+    fibre
+        Moduli along and across, shear modulus, Pa, and contraction.
+    resin
+        Young's modulus, Pa, and contraction.
+    fibre_volume
+        Share of the fibres in the volume.
+    """
+    along, across, shear, poisson = fibre
+    soft, soft_poisson = resin
+    rest = 1.0 - fibre_volume
+
+    def mixed(stiff: float, matrix: float, shape: float) -> float:
+        ratio = (stiff / matrix - 1.0) / (stiff / matrix + shape)
+        return matrix * (1.0 + shape * ratio * fibre_volume) / (1.0 - ratio * fibre_volume)
+
+    return Ply(
+        along=fibre_volume * along + rest * soft,
+        across=mixed(across, soft, 2.0),
+        poisson=fibre_volume * poisson + rest * soft_poisson,
+        shear=mixed(shear, soft / (2.0 * (1.0 + soft_poisson)), 1.0),
+    )
+
+
+def hoop_to_helical(angle: float) -> float:
+    """Return the thickness of hoops over that of helical layers that a closed cylinder needs.
+
+    ``3 cos(a)^2 - 1`` by netting analysis: the fibres alone carry, all with the same stress. Below
+    0 the helical layers are too weak along the cylinder, and no hoop helps.
+    """
+    return 3.0 * math.cos(angle) ** 2 - 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Netting:
+    """What fibres alone carry on a cylinder, N/m for a fibre stress of 1 Pa: m.
+
+    Parameters
+    ----------
+    along, round
+        Sum of fibre thickness times the squared cosine or sine of the angle.
+    """
+
+    along: float
+    round: float
+
+    @property
+    def ratio(self) -> float:
+        """What is carried round over what is carried along; a closed cylinder needs 2."""
+        return self.round / self.along if self.along > 0.0 else math.inf
+
+    def stress(self, pressure: float, radius: float) -> float:
+        """Return the fibre stress, Pa, of a closed cylinder under internal pressure.
+
+        The larger one of both directions: with a ratio other than 2 the fibres share the load
+        unequally. Infinite where nothing carries along.
+        """
+        if self.along <= 0.0 or self.round <= 0.0:
+            return math.inf
+        return pressure * radius * max(1.0 / self.round, 0.5 / self.along)
+
+
+def netting(layers: Sequence[tuple[float, float]]) -> Netting:
+    """Return what the fibres of layers carry, from their angle, rad, and fibre thickness, m."""
+    return Netting(
+        along=sum(t * math.cos(angle) ** 2 for angle, t in layers),
+        round=sum(t * math.sin(angle) ** 2 for angle, t in layers),
+    )
