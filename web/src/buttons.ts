@@ -1,10 +1,10 @@
 /** Which buttons can be pressed now, and why the others cannot. */
 
+import type { Continuing } from "./continuing";
 import { put } from "./dom";
-import type { Hands } from "./hands";
+import type { Jogging } from "./jogging";
 import type { State } from "./messages";
 import type { Program } from "./program";
-import type { Rest } from "./rest";
 import type { Session } from "./session";
 import type { Teach } from "./teach";
 import type { Traces } from "./traces";
@@ -18,11 +18,11 @@ const HOME_FIRST = "home first: the positions of the axes are unknown";
 export class Buttons {
   constructor(
     private readonly session: Session,
-    private readonly hands: Hands,
+    private readonly jogging: Jogging,
     private readonly program: Program,
     private readonly teach: Teach,
     private readonly traces: Traces,
-    private readonly rest: Rest,
+    private readonly continuing: Continuing,
   ) {}
 
   show(state: State | null, stale: boolean): void {
@@ -32,14 +32,14 @@ export class Buttons {
       const what = one.dataset.what!;
       const waits = (what === "start" && unreasoned) || (changed && OF_CALCULATION.has(what));
       const may = !stale && this.can(what, state) && !waits;
-      put(one, "disabled", !this.hands.keeps(one) && !may);
+      put(one, "disabled", !this.jogging.keeps(one) && !may);
       put(one, "title", this.why(one, what, state));
     }
   }
 
   private can(what: string, state: State | null): boolean {
     if (OF_PROGRAMS.has(what)) return this.teach.can(state);
-    if (what === "continue" && this.rest.whole(this.traces.chosen) !== "") return false;
+    if (what === "continue" && this.continuing.whole(this.traces.chosen) !== "") return false;
     return this.session.can(what);
   }
 
@@ -51,7 +51,7 @@ export class Buttons {
     return (
       session.lacking(what) ||
       (OF_PROGRAMS.has(what) && session.untaught) ||
-      (what === "continue" && this.rest.whole(this.traces.chosen)) ||
+      (what === "continue" && this.continuing.whole(this.traces.chosen)) ||
       (BY_PLACE.has(what) && byPlace) ||
       (one.disabled && state !== null && session.waits(what)) ||
       ""

@@ -2,9 +2,9 @@
 
 import { made } from "./dom";
 import type { State } from "./messages";
-import { onScreen, sizeOf } from "./seen";
 import { colour, onTheme } from "./theme";
 import type { Picture, Shown } from "./view";
+import { onScreen, sizeOf } from "./visibility";
 import { before } from "./wording";
 
 /** Upper ends of the shares of a limit, and the colours of what lies below them. */

@@ -4,8 +4,8 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { put } from "./dom";
 import type { Figures, State } from "./messages";
-import { onScreen } from "./seen";
 import { colour, onTheme } from "./theme";
+import { onScreen } from "./visibility";
 
 const SHOWN_S = 60;
 const MOST = 3000;

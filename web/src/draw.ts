@@ -3,10 +3,10 @@
 import { by, made, typing, value } from "./dom";
 import { FILLS, foreignShapes, ownShapes, patterns, radiusText, seamText, svgText } from "./drawing_files";
 import type { Program } from "./program";
-import { say } from "./said";
 import type { Session } from "./session";
 import type { Fill, Kind, Point, Shape, Style } from "./shapes";
 import { bounds, filledTogether, LABEL_MM, middle, moved, NEEDS, pathData, scaled, turned } from "./shapes";
+import { say } from "./toasts";
 
 const SVG = "http://www.w3.org/2000/svg";
 const NEAR_PX = 10;

@@ -1,8 +1,8 @@
 /** Guide to the machine, also for print: axes, signals, connectors, calibration step by step. */
 
 import { by, made } from "./dom";
-import { say } from "./said";
 import type { Session } from "./session";
+import { say } from "./toasts";
 
 interface Table {
   title: string;

@@ -3,21 +3,21 @@
 import "./style.css";
 import { Bar } from "./bar";
 import { Buttons } from "./buttons";
+import { Continuing } from "./continuing";
 import { Curves } from "./curves";
 import { by, made, put, tell, value } from "./dom";
 import { Draw } from "./draw";
 import { Guide } from "./guide";
-import { Hands } from "./hands";
+import { Jogging } from "./jogging";
 import { Listing } from "./listing";
 import { Margins } from "./margins";
 import type { FromPanel, Mandrel, State, Welcome } from "./messages";
 import { nextStep } from "./next_step";
-import { Places } from "./places";
+import { Positions } from "./positions";
 import { Program } from "./program";
-import { Rest } from "./rest";
-import { filterLog, say } from "./said";
 import { Session, toldRun, unitOf } from "./session";
 import { Teach } from "./teach";
+import { filterLog, say } from "./toasts";
 import { Traces } from "./traces";
 import { View } from "./view";
 
@@ -36,8 +36,8 @@ let toldUsual = false; // and whether it was usual
 
 const curves = new Curves(by("position"), by("deviation"));
 const session = new Session(heard, () => show(null));
-const places = new Places(session);
-const hands = new Hands(session, places);
+const positions = new Positions(session);
+const jogging = new Jogging(session, positions);
 const listing = new Listing();
 const toLine = (line: number): void => {
   listing.mark(line);
@@ -53,10 +53,10 @@ const program = new Program(session, previewed, toLine);
 const teach = new Teach(session, program);
 new Draw(session, program);
 const traces = new Traces(session);
-const rest = new Rest(session, program, () => traces.chosen);
+const continuing = new Continuing(session, program, () => traces.chosen);
 const guide = new Guide(session);
 const bar = new Bar(session);
-const buttons = new Buttons(session, hands, program, teach, traces, rest);
+const buttons = new Buttons(session, jogging, program, teach, traces, continuing);
 const shown = (): string => by<HTMLSelectElement>("axis").value;
 filterLog();
 
@@ -81,7 +81,7 @@ function heard(message: FromPanel): void {
 function welcomed(message: Welcome): void {
   session.welcome(message);
   by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
-  hands.build();
+  jogging.build();
   teach.build();
   program.build();
   tellLink(message);
@@ -140,7 +140,7 @@ function open(part: string): void {
     tab.setAttribute("aria-selected", String(tab.dataset.part === part));
   const main = WORK.includes(part) ? "work" : part;
   for (const one of document.querySelectorAll<HTMLElement>("main")) one.hidden = one.id !== main;
-  if (part !== "run" && part !== "teach-in") hands.disarm();
+  if (part !== "run" && part !== "teach-in") jogging.disarm();
   if (part === "prepare") void program.lookOnce();
   if (part === "review") void traces.list();
   if (part === "guide") void guide.open();
@@ -233,18 +233,18 @@ function show(state: State | null): void {
   buttons.show(state, stale);
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) {
-    hands.disarm();
+    jogging.disarm();
     return;
   }
   tellControl(state);
   tellEnds(state);
   tellWork(state);
-  places.show(state, bar.toGo(state, session.figures));
-  hands.show();
+  positions.show(state, bar.toGo(state, session.figures));
+  jogging.show();
   program.show(state);
   margins.live(state);
   traces.show(state);
-  rest.show(state, traces.chosen);
+  continuing.show(state, traces.chosen);
   view.live(state);
   // A state sent before the figures does not know of them yet.
   const late = state.seq > session.figuresAt + 1;

@@ -2,9 +2,9 @@
 
 import { asked, button, by, made, put, tell, value } from "./dom";
 import type { Figures, Preview, Proven, State } from "./messages";
-import { note, say } from "./said";
 import type { Session } from "./session";
 import { toldRun, unitOf } from "./session";
+import { note, say } from "./toasts";
 import { tellVerdict } from "./verdict";
 
 type Field = HTMLInputElement | HTMLSelectElement;

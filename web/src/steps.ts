@@ -2,9 +2,9 @@
 
 import { made } from "./dom";
 import type { State } from "./messages";
-import { shown } from "./places";
-import { sizeOf } from "./seen";
+import { shown } from "./positions";
 import type { Picture, Shown } from "./view";
+import { sizeOf } from "./visibility";
 import { before } from "./wording";
 
 const SVG = "http://www.w3.org/2000/svg";

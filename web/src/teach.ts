@@ -3,9 +3,9 @@
 import { button, by, made, put, typing, value } from "./dom";
 import type { State } from "./messages";
 import type { Program } from "./program";
-import { say } from "./said";
 import type { Session } from "./session";
 import { unitOf } from "./session";
+import { say } from "./toasts";
 
 export class Teach {
   private points: Record<string, number>[] = []; // mm or degrees

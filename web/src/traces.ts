@@ -4,10 +4,10 @@ import uPlot from "uplot";
 import { axisOf, CLOSEST, themed } from "./curves";
 import { by, made, put, tell, value } from "./dom";
 import type { State } from "./messages";
-import { say } from "./said";
 import type { Session } from "./session";
 import { endOf, unitOf } from "./session";
 import { onTheme } from "./theme";
+import { say } from "./toasts";
 
 export interface Kept {
   run: string;

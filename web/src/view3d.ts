@@ -4,9 +4,9 @@ import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { by, made, value } from "./dom";
 import type { Mandrel, State } from "./messages";
-import { bySoftware, onScreen, sizeOf } from "./seen";
 import { colour, onTheme } from "./theme";
 import type { Picture, Shown } from "./view";
+import { bySoftware, onScreen, sizeOf } from "./visibility";
 import { before } from "./wording";
 import { inSpace, Wound } from "./wound";
 

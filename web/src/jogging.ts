@@ -2,7 +2,7 @@
 
 import { button, by, made, put, typing, value, writing } from "./dom";
 import type { Axis } from "./messages";
-import type { Places } from "./places";
+import type { Positions } from "./positions";
 import type { Session } from "./session";
 import { unitOf } from "./session";
 
@@ -21,7 +21,7 @@ const PRESSED = "button, summary, input[type=checkbox], input[type=radio], input
 
 type Way = { axis: string; sign: number };
 
-export class Hands {
+export class Jogging {
   private readonly keys = new Map<string, Way>();
   private held = ""; // the key that moves an axis
   private moved = false; // whether anything moved when the state was last shown
@@ -29,7 +29,7 @@ export class Hands {
 
   constructor(
     private readonly session: Session,
-    private readonly places: Places,
+    private readonly positions: Positions,
   ) {
     by<HTMLInputElement>("share").oninput = () => this.tellShare();
     window.addEventListener("keydown", (event) => this.keyed(event), true);
@@ -78,7 +78,7 @@ export class Hands {
   }
 
   private row(axis: Axis, pair: [string, string] | undefined): HTMLTableRowElement {
-    const row = this.places.row(axis.name);
+    const row = this.positions.row(axis.name);
     const { session } = this;
     if (!session.byHand) return row; // what a machine has not is not shown
     const cell = (...inside: Node[]) => {

@@ -5,7 +5,7 @@ import type { State } from "./messages";
 import type { Session } from "./session";
 import { unitOf } from "./session";
 
-export class Places {
+export class Positions {
   private told = ""; // the shown signals, as JSON
 
   constructor(private readonly session: Session) {}

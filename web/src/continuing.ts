@@ -11,7 +11,7 @@ const HINT =
 /** Ends after which a run has no rest; see ``store/unfinished.py``. */
 const WHOLE = new Set(["completed", "refused"]);
 
-export class Rest {
+export class Continuing {
   private shown = "";
 
   constructor(session: Session, program: Program, chosen: () => Kept | null) {
