@@ -24,7 +24,7 @@ from threadline.verdict import load_spec
 if sys.argv[1] == "not kept":
     judge_runs.keep_freed_memory = lambda: None
 machine = load_machine("lathe-winder")
-plan = plan_job(open_job(Path("examples/x-180.prg"), machine, Options()), machine, Options())
+plan = plan_job(open_job(Path(sys.argv[2]), machine, Options()), machine, Options())
 judged = MachineYield(plan, load_spec(None, machine), threads=1)
 parts = drawn(machine, 1, np.arange(512))
 judged.judged(parts)
@@ -34,18 +34,21 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
-def faults(how: str) -> int:
+def faults(how: str, job: Path) -> int:
     ran = subprocess.run(
-        [sys.executable, "-c", FAULTS, how], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+        [sys.executable, "-c", FAULTS, how, str(job)],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
     return int(ran.stdout)
 
 
-def test_pages_are_asked_for_once() -> None:
+def test_pages_are_asked_for_once(tmp_path: Path) -> None:
     """Of two parts of 256 machines each: some ten thousand pages where nothing is kept."""
     if platform.libc_ver()[0] != "glibc":
         return  # other C libraries have ways of their own
     assert resource.getpagesize() <= 1 << 16
-    kept, not_kept = faults("kept"), faults("not kept")
+    job = tmp_path / "there-and-back.prg"
+    job.write_text("G91\nG1 X5 F1000\nG1 X-5\nM30\n", encoding="utf-8")
+    kept, not_kept = faults("kept", job), faults("not kept", job)
     assert not_kept > 3000
     assert kept < 0.4 * not_kept

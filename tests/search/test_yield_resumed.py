@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import re
-import subprocess
-import sys
+import socket
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.live.kill_bench import child
 from tests.search.plans import JOB
 
 from threadline.cli.main import main
@@ -166,20 +167,24 @@ def test_rows_in_another_order_are_refused(
 def test_one_program_at_a_time_writes_the_file(tmp_path: Path) -> None:
     """Two that both appended left a file that was refused ever after."""
     file = tmp_path / "state"
-    words = (
-        "import sys; from pathlib import Path\n"
-        "from threadline.search.yield_state import YieldState\n"
-        f"state = YieldState(Path({str(file)!r}), {{'seed': '3'}})\n"
-    )
-    first = subprocess.Popen(
-        [sys.executable, "-c", words + "print(flush=True); sys.stdin.readline()"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert first.stdin is not None and first.stdout is not None
-    first.stdout.readline()
-    with pytest.raises(OptionError, match=r"another program writes .*state.* at this moment"):
-        YieldState(file, {"seed": "3"})
-    first.communicate("\n")
+    ours, theirs = socket.socketpair()
+
+    def first() -> None:
+        ours.close()
+        state = YieldState(file, {"seed": "3"})
+        theirs.send(b"open")
+        assert state.known is None and theirs.recv(4) == b"end."
+
+    other = child(first)
+    theirs.close()
+    try:
+        assert ours.recv(4) == b"open"
+        with pytest.raises(OptionError, match=r"another program writes .*state.* at this moment"):
+            YieldState(file, {"seed": "3"})
+        ours.send(b"end.")
+    finally:
+        ours.close()
+        assert os.waitpid(other, 0)[1] == 0
     assert YieldState(file, {"seed": "3"}).known is None
 
 

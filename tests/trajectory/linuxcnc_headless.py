@@ -122,12 +122,15 @@ for program in sorted(folder.glob("*.ngc")):
           lambda: c.program_open(str(program)))
     with program.with_suffix(".samples").open("w") as samples:
         sampler = subprocess.Popen(["halsampler"], stdout=samples)
-        time.sleep(0.5)
+        until("samples of " + program.name, lambda: Path(samples.name).stat().st_size)
         c.auto(linuxcnc.AUTO_RUN, 0)
-        time.sleep(1.0)
+        # Every program begins with a pause of 0.4 s, in which it is seen to run.
+        until("start of " + program.name, lambda: s.interp_state != linuxcnc.INTERP_IDLE)
         until("end of " + program.name,
               lambda: s.interp_state == linuxcnc.INTERP_IDLE and s.inpos and s.queue == 0)
-        time.sleep(0.5)
+        rows = Path(samples.name).stat().st_size
+        until("last samples of " + program.name,
+              lambda: Path(samples.name).stat().st_size > rows + 4096)
         sampler.terminate()
         sampler.wait(20)
     ended.touch()

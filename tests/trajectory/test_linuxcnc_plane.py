@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from tests.trajectory.linuxcnc_headless import times_on_linuxcnc
-from tests.trajectory.test_linuxcnc_planner import SQUARE, plane, planned, planner
+from tests.trajectory.test_linuxcnc_planner import SQUARE, beginning, plane, planned, planner
 from threadline.jobs import read_job
 from threadline.machine import Machine
 from threadline.motion.path import plan_path, programmed_path
@@ -112,7 +112,13 @@ COUNTED_S = {
     ("rapids", "G64 P0.02 Q0"): 2.890,
     ("rapids", "G61"): 2.934,
 }
-LIVE = ("square", "walk", "slot", "corners")
+LIVE = (
+    "G1 F3000 X20\nY20\nX0\n",
+    beginning(PROGRAMS["walk"], 16),
+    "F3000 G1 X20\nG3 X20 Y20 J10\nG1 X0\n",
+    "F3000 G1 X20\nG3 X40 Y0 I10\nG1 X60\n",
+)
+"""Moves that LinuxCNC runs in real time: lines and arcs, with corners and without."""
 JOINED = {
     # Within 0.02 mm of one line, then of another: two moves.
     "G1 F3000 X10\nX20 Y0.01\nX30 Y-0.01\nX40 Y0\nX40.01 Y15\nX40 Y30\n": "X40\nY30\n",
@@ -141,15 +147,15 @@ def test_linuxcnc_itself_takes_that_time_on_x_and_y(tmp_path: Path, plane: Machi
     if shutil.which("linuxcnc") is None:
         pytest.skip("linuxcnc (Debian's linuxcnc-uspace) is not installed")
     asked = {
-        f"{name}-{k}": (name, words)
+        f"{k}-{n}": (moves, words)
         for k, words in enumerate(("G64", "G64 P0.02", "G61"))
-        for name in LIVE
+        for n, moves in enumerate(LIVE)
     }
-    asked["joined"] = ("curve", "G64 P0.05 Q0.2")
-    programs = {key: f"{words}\n{PROGRAMS[name]}" for key, (name, words) in asked.items()}
+    asked["joined"] = (PROGRAMS["curve"], "G64 P0.05 Q0.2")
+    programs = {key: f"{words}\n{moves}" for key, (moves, words) in asked.items()}
     took = times_on_linuxcnc(programs, plane, tmp_path)
-    for key, (name, words) in asked.items():
-        found = planned(tmp_path, plane, PROGRAMS[name], words).duration_s
+    for key, (moves, words) in asked.items():
+        found = planned(tmp_path, plane, moves, words).duration_s
         assert found == pytest.approx(took[key], rel=0.01), key
 
 
