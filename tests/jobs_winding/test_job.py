@@ -51,7 +51,7 @@ def test_the_finished_program_lays_the_designed_fibre() -> None:
     assert first[0] > 0.0
     worst = 0.0
     for samples in programmed_fibre(plan, wound):
-        (fibre,) = samples.fibres
+        fibre = samples.fibre
         known = fibre.known & np.isfinite(fibre.u)
         if not known.any():
             continue
@@ -100,7 +100,7 @@ def test_other_eyes_lay_the_same_fibre(name: str) -> None:
     assert wound is not None
     known = 0
     for samples in programmed_fibre(plan, wound):
-        (fibre,) = samples.fibres
+        fibre = samples.fibre
         assert np.nanmax(np.abs(fibre.steer), initial=0.0) < 0.1
         known += int(fibre.known.sum())
         if known > 5000:

@@ -57,7 +57,7 @@ def replayed(program: Path, machine: Machine, product: Path) -> Replayed:
     job = wound_job(plan)
     assert job is not None
     (samples,) = programmed_fibre(plan, job)
-    fibre = samples.fibres[0]
+    fibre = samples.fibre
     x, r = (values[:, 0] for values in job.surface.at(np.nan_to_num(fibre.u)))
     return Replayed(
         samples,
@@ -178,7 +178,7 @@ def test_a_program_that_zeroes_its_mandrel_again_winds_on(tmp_path: Path, dialec
         plan = plan_job(open_job(file, machine, options), machine, options)
         job = wound_job(plan)
         assert job is not None
-        fibres = [samples.fibres[0] for samples in programmed_fibre(plan, job)]
+        fibres = [samples.fibre for samples in programmed_fibre(plan, job)]
         laid.append(np.concatenate([fibre.angle[fibre.known] for fibre in fibres]))
     # Half a turn is forgotten first; the rest of 1200 degrees lies on the mandrel.
     assert abs(laid[0][-1] - laid[0][0]) > math.radians(900.0)
@@ -203,7 +203,7 @@ def test_a_head_at_one_distance_is_read_in_both_of_its_spellings(tmp_path: Path)
     xyz = replayed(tmp_path / "xyz.gcode", load_machine("stepper-winder+xyz"), product)
     xab = replayed(tmp_path / "xab.gcode", load_machine("stepper-winder+xab"), product)
 
-    known = xyz.samples.fibres[0].known
+    known = xyz.samples.fibre.known
     assert known.sum() > 500
     np.testing.assert_allclose(xab.places[known], xyz.places[known], rtol=0.0, atol=1e-5)
 
@@ -230,7 +230,7 @@ def test_the_sample_of_a_postprocessor_lies_beside_its_design(
     layer = np.flatnonzero(
         (operation >= operation[0] + 1) & (operation < operation[0] + len(design))
     )
-    end, fibre = layer[-1], found.samples.fibres[0]
+    end, fibre = layer[-1], found.samples.fibre
 
     angles = np.degrees(np.unwrap(np.arctan2(design[:, 1], design[:, 0])))
     planned = math.degrees(math.atan2(40.0 * math.radians(angles[-1]), design[-1, 2]))
@@ -268,6 +268,6 @@ def test_a_pass_of_x_winder_has_the_angle_that_its_file_states(
     assert operation is not None
     long = [n for n in np.unique(operation) if np.ptp(found.along_mm[operation == n]) > 300.0]
     last = np.flatnonzero(operation == long[0])[-1]
-    assert found.samples.fibres[0].known[last]
+    assert found.samples.fibre.known[last]
     # The mandrel turns forwards, so the fibre goes round it the other way.
     assert found.winding_deg[last] == pytest.approx(-55.0, abs=0.1)

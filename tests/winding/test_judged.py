@@ -310,7 +310,7 @@ def test_a_pattern_closes_after_its_number_of_circuits(
     for part in np.array_split(eyes, 7):
         fibre = replay.feed(part)
         blank = np.zeros((len(part), 3))
-        closing.take(Wound(blank[:, 0], None, blank, [fibre], [part]))
+        closing.take([Wound(blank[:, 0], None, blank, fibre, part)])
     away = closing.found().worst()
     share = circuits * programs.TURNS / programs.CIRCUITS % 1.0
     share = min(share, 1.0 - share)
@@ -435,7 +435,7 @@ def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     for part in np.array_split(eyes, 5):
         blank = np.zeros((len(part), 3))
         fibre = replay.feed(part)
-        covering.take(Wound(blank[:, 0], None, blank, [fibre], [part]))
+        covering.take([Wound(blank[:, 0], None, blank, fibre, part)])
     share = re.search(r"the place of (\d+) % of the laid", covering.found().worst().note)
     length = programs.geodesic(vessel.surface)[0][-1]
     assert share is not None
@@ -454,7 +454,7 @@ def test_a_mandrel_that_slips_leaves_a_pattern_open_on_one_side(
     closing, replay = Closing([job], 3), job.replay()
     eyes = job.eyes(positions)
     fibre = replay.feed(eyes)
-    closing.take(Wound(np.zeros(len(eyes)), None, positions, [fibre], [eyes]))
+    closing.take([Wound(np.zeros(len(eyes)), None, positions, fibre, eyes)])
     away = closing.found().worst()
     cos = math.sqrt(1.0 - (programs.TURN_M / 0.05) ** 2)
     expected = abs(slip) * programs.TURNS * 2.0 * math.pi * 0.05 * cos
@@ -500,7 +500,7 @@ def test_a_turn_that_is_set_to_zero_again_lays_the_same_fibre(tmp_path: Path, di
         plan = plan_job(open_job(file, winder, options), winder, options)
         job = wound_job(plan)
         assert job is not None
-        last = list(programmed_fibre(plan, job))[-1].fibres[0]
+        last = list(programmed_fibre(plan, job))[-1].fibre
         ends.append((float(last.u[-1]), float(last.angle[-1])))
     assert abs(ends[0][1]) > 3.5 * 2.0 * math.pi
     for end in ends[1:]:

@@ -131,7 +131,7 @@ def wound(proof: Proof) -> dict[str, Any] | None:
         return None
     turn, along = job.tool.turn, job.tool.along
     assert turn is not None and along is not None  # of every eye
-    surface, fibre = job.surface, samples.fibres[0]
+    surface, fibre = job.surface, samples.fibre
     u = np.linspace(0.0, surface.length_m, _OUTLINE)
     known = np.flatnonzero(fibre.known)
     if not len(known):

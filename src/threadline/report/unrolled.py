@@ -134,7 +134,7 @@ def _laid(proof: Proof, job: WoundJob) -> _Laid:
     def joined(columns: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate(columns) if columns else np.empty(0)
 
-    fibres = [part.fibres[0] for part in parts]
+    fibres = [part.fibre for part in parts]
     operations = [part.operation for part in parts if part.operation is not None]
     return _Laid(
         u=joined([fibre.u for fibre in fibres]),

@@ -234,8 +234,8 @@ def _laid(plan: Plan, job: WoundJob) -> Laid | None:
     closing = Closing([job], len(plan.axes))
     low, high = np.inf, -np.inf
     for samples in programmed_fibre(plan, job):
-        closing.take(samples)
-        fibre = samples.fibres[0]
+        closing.take([samples])
+        fibre = samples.fibre
         if fibre.known.any():
             x = job.surface.at(fibre.u[fibre.known])[0][:, 0]
             low, high = min(low, float(x.min())), max(high, float(x.max()))

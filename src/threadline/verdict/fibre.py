@@ -46,32 +46,30 @@ class _Largest:
 
     def __init__(self, runs: int, axes: int, values: Values, note: Note | None = None) -> None:
         self._worst = Worst(runs, axes, note=_NEVER)
-        self._values, self._note = values, note
+        self._values, self._note, self._axes = values, note, axes
 
-    def take(self, samples: Wound) -> None:
-        """Take the next samples."""
-        rows = [self._values(samples, run) for run in range(len(samples.fibres))]
-        values = np.column_stack(rows)
-        safe = np.where(np.isnan(values), -np.inf, values)
-        at = safe.argmax(axis=0)
-        most = safe[at, np.arange(len(at))]
-        if not self._worst.is_beaten(most):
-            return
-        notes = [
-            "" if self._note is None else self._note(samples, run, int(row))
-            for run, row in enumerate(at)
-        ]
-        self._worst.offer(
-            np.where(np.isneginf(most), np.nan, most),
-            time_s=samples.time_s[at],
-            operation=self._operations(samples, at),
-            position=samples.actual[at],
-            note=np.array(notes, dtype=object),
-        )
+    def take(self, runs: Sequence[Wound]) -> None:
+        """Take the next samples of every run."""
+        most, time_s = np.full(len(runs), np.nan), np.full(len(runs), np.nan)
+        operation = np.full(len(runs), -1, dtype=np.int64)
+        position, note = np.zeros((len(runs), self._axes)), np.full(len(runs), "", dtype=object)
+        for run, samples in enumerate(runs):
+            values = self._values(samples, run)
+            safe = np.where(np.isnan(values), -np.inf, values)
+            at = int(safe.argmax()) if len(safe) else -1
+            if at < 0 or not safe[at] > self._worst.value[run]:
+                continue
+            most[run] = safe[at]
+            time_s[run], position[run] = samples.time_s[at], samples.actual[at]
+            if samples.operation is not None:
+                operation[run] = self._operations(samples.operation, run)[at]
+            if self._note is not None:
+                note[run] = self._note(samples, run, at)
+        self._worst.offer(most, time_s=time_s, operation=operation, position=position, note=note)
 
-    def _operations(self, samples: Wound, at: IntArray) -> IntArray | None:
-        """Return the operation of the value of each run."""
-        return None if samples.operation is None else samples.operation[at]
+    def _operations(self, operation: IntArray, run: int) -> IntArray:  # noqa: ARG002
+        """Return the operation that each value belongs to."""
+        return operation
 
     def found(self) -> RunFindings:
         """Return the worst of each run."""
@@ -84,24 +82,23 @@ class _Lifted(_Largest):
     def __init__(self, runs: int, axes: int) -> None:
         super().__init__(runs, axes, _lifted)
         self._begun: IntArray = np.full(runs, -1, dtype=np.int64)
+        self._began: list[IntArray] = [np.empty(0, dtype=np.int64)] * runs
 
-    def take(self, samples: Wound) -> None:
-        """Take the next samples."""
-        if samples.operation is not None:
-            began = np.empty((len(samples.operation), len(samples.fibres)), dtype=np.int64)
-            for run, fibre in enumerate(samples.fibres):
-                lifted = fibre.state == LIFTED
-                first = lifted & ~np.concatenate([[self._begun[run] >= 0], lifted[:-1]])
-                began[:, run] = _held(np.where(first, samples.operation, -1), self._begun[run])
-                self._begun[run] = began[-1, run] if len(lifted) and lifted[-1] else -1
-            self._began = began
-        super().take(samples)
+    def take(self, runs: Sequence[Wound]) -> None:
+        """Take the next samples of every run."""
+        for run, samples in enumerate(runs):
+            if samples.operation is None or not len(samples.operation):
+                continue
+            lifted = samples.fibre.state == LIFTED
+            first = lifted & ~np.concatenate([[self._begun[run] >= 0], lifted[:-1]])
+            began = _held(np.where(first, samples.operation, -1), self._begun[run])
+            self._begun[run] = began[-1] if lifted[-1] else -1
+            self._began[run] = began
+        super().take(runs)
 
-    def _operations(self, samples: Wound, at: IntArray) -> IntArray | None:
-        if samples.operation is None:
-            return None
-        began = self._began[at, np.arange(len(at))]
-        return np.where(began >= 0, began, samples.operation[at])
+    def _operations(self, operation: IntArray, run: int) -> IntArray:
+        began = self._began[run]
+        return np.where(began >= 0, began, operation)
 
 
 def _held(values: IntArray, before: int) -> IntArray:
@@ -119,15 +116,11 @@ class _OfRun:
 
     def feed(self, block: Block) -> None:
         """Take the next samples."""
-        samples = self._shared.samples(block)
-        if len(samples.time_s):
-            self._taking.take(samples)
+        self._taking.take(self._shared.samples(block))
 
     def finish(self) -> Sequence[RunFindings]:
         """Return the worst of each run."""
-        rest = self._shared.rest()
-        if rest is not None:
-            self._taking.take(rest)
+        self._taking.take(self._shared.rest())
         return [self._taking.found()]
 
 
@@ -145,14 +138,14 @@ class _Absent:
         return [RunFindings.alike(Finding(value=None, note=self._why), self._runs)]
 
 
-def _steer(samples: Wound, run: int) -> FloatArray:
-    fibre = samples.fibres[run]
+def _steer(samples: Wound, _run: int) -> FloatArray:
+    fibre = samples.fibre
     return np.where(fibre.known, np.abs(fibre.steer), np.nan)
 
 
-def _wobble(samples: Wound, run: int, at: int) -> str:
+def _wobble(samples: Wound, _run: int, at: int) -> str:
     """Say how far the steering wobbles in a block, and which step would halve it."""
-    fibre = samples.fibres[run]
+    fibre = samples.fibre
     low, high = float(fibre.least[at]), float(fibre.most[at])
     if not np.isfinite(high - low) or high - low < 1e-3:
         return ""
@@ -162,28 +155,28 @@ def _wobble(samples: Wound, run: int, at: int) -> str:
     return f"it wobbles from {1e2 * low:.1f} to {1e2 * high:.1f} %{halved}"
 
 
-def _bridged(samples: Wound, run: int) -> FloatArray:
-    fibre = samples.fibres[run]
+def _bridged(samples: Wound, _run: int) -> FloatArray:
+    fibre = samples.fibre
     return np.where(fibre.known, np.where(fibre.state == BRIDGED, fibre.bridge_m, 0.0), np.nan)
 
 
-def _lifted(samples: Wound, run: int) -> FloatArray:
-    fibre = samples.fibres[run]
+def _lifted(samples: Wound, _run: int) -> FloatArray:
+    fibre = samples.fibre
     return np.where(fibre.known | (fibre.lifted_m > 0.0), fibre.lifted_m, np.nan)
 
 
-def _free(samples: Wound, run: int) -> FloatArray:
-    fibre = samples.fibres[run]
+def _free(samples: Wound, _run: int) -> FloatArray:
+    fibre = samples.fibre
     return np.where(fibre.known, fibre.free_m, np.nan)
 
 
-def _slack(samples: Wound, run: int) -> FloatArray:
-    fibre = samples.fibres[run]
+def _slack(samples: Wound, _run: int) -> FloatArray:
+    fibre = samples.fibre
     return np.where(fibre.state == WAITING, np.nan, fibre.slack_m)
 
 
-def _paid_out(samples: Wound, run: int) -> FloatArray:
-    fibre, step_s = samples.fibres[run], np.diff(samples.time_s, prepend=samples.before_s)
+def _paid_out(samples: Wound, _run: int) -> FloatArray:
+    fibre, step_s = samples.fibre, np.diff(samples.time_s, prepend=samples.before_s)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(fibre.known, np.abs(fibre.used_m) / step_s, np.nan)
 
@@ -202,7 +195,7 @@ class Near:
 
     def __call__(self, samples: Wound, run: int) -> FloatArray:
         """Return (n,) lengths, m, by which a run is too near; 0 where it was nearer before."""
-        return self._runs[run].feed(samples.eyes[run], samples.fibres[run])
+        return self._runs[run].feed(samples.eyes, samples.fibre)
 
     def words(self, run: int, at: int) -> str:
         """Say what is too near at a sample of the latest block."""
@@ -222,9 +215,10 @@ class _Covering:
         self._last = [np.nan for _ in jobs]
         self._laid = np.zeros((len(jobs), 2))  # length in all, and of an unknown place, m
 
-    def take(self, samples: Wound) -> None:
-        """Lay the bands of the next samples."""
-        for run, (raster, fibre) in enumerate(zip(self._rasters, samples.fibres, strict=True)):
+    def take(self, runs: Sequence[Wound]) -> None:
+        """Lay the bands of the next samples of every run."""
+        for run, (raster, samples) in enumerate(zip(self._rasters, runs, strict=True)):
+            fibre = samples.fibre
             step = np.diff(fibre.length_m, prepend=self._last[run])
             step = np.where(step > 0.0, step, 0.0)
             self._laid[run] += step.sum(), step[~fibre.known].sum()
@@ -278,9 +272,10 @@ class Closing:
         # Angle, angle with the meridian and operation of each beginning.
         self._circuits: list[list[FloatArray]] = [[] for _ in jobs]
 
-    def take(self, samples: Wound) -> None:
-        """Look for circuits that begin in the next samples."""
-        for run, fibre in enumerate(samples.fibres):
+    def take(self, runs: Sequence[Wound]) -> None:
+        """Look for circuits that begin in the next samples of every run."""
+        for run, samples in enumerate(runs):
+            fibre = samples.fibre
             if not len(fibre):
                 continue
             rows = np.column_stack([fibre.u - self._at_u[run], fibre.angle])
@@ -393,9 +388,9 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
         taking["planned_coverage_gap"] = _Covering([job], axes)
     witness = Witness(job.surface)
     for samples in planned_fibre(plan, job):
-        witness.take(samples.eyes[0], samples.fibres[0])
+        witness.take(samples.eyes, samples.fibre)
         for one in taking.values():
-            one.take(samples)
+            one.take([samples])
     found = {name: [one.found().worst()] for name, one in taking.items()}
     slip = found["planned_slip_tendency"][0]
     friction = least_friction(job.product)

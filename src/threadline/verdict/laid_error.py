@@ -81,7 +81,7 @@ class Apart:
         assert job is not None
         rows = [np.empty((0, 4))]
         for samples in programmed_fibre(plan, job):
-            fibre = samples.fibres[0]
+            fibre = samples.fibre
             points = _points(job.surface, fibre)
             # Of a part that is not known one row stays: no chord leads across it.
             known = np.concatenate([[True], np.isfinite(points[:, 0])])
@@ -94,7 +94,7 @@ class Apart:
 
     def __call__(self, samples: Wound, run: int) -> FloatArray:
         """Return (n,) distances, m, of the samples of a run; NaN where one place is not known."""
-        fibre = samples.fibres[run]
+        fibre = samples.fibre
         if len(self._design) < 2:
             return np.full(len(fibre), np.nan)
         points = _points(self._surfaces[run], fibre)

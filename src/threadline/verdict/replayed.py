@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from threading import local
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
@@ -17,10 +18,10 @@ from threadline.verdict.samples import Block, Setting
 from threadline.winding.product import Product, Ring, product_of_text
 from threadline.winding.replay import Fibre, Replay, eye_columns
 from threadline.winding.surface import Surface
+from threadline.winding.thinning import LONGEST_M, STRAIGHT_M, Thinning, moves_of
 
-_PER_PIECE = 8  # points on a planned piece
-_DRAWS = 20_000_717  # seed of the products within their tolerances
 _FINE_M = 5e-4  # longest chord of the designed fibre
+_DRAWS = 20_000_717  # seed of the products within their tolerances
 
 
 def product_of(plan: Plan) -> Product | None:
@@ -152,6 +153,11 @@ class WoundJob:
         columns[:, 2] += self.further_m
         return columns
 
+    @property
+    def reach_m(self) -> float:
+        """Largest radius of the mandrel."""
+        return float(self.surface.r[:, 0].max())
+
     def replay(self) -> Replay:
         """Return a replay that has read nothing."""
         return Replay(self.surface, self.tool, self.friction, self.product.tied)
@@ -172,32 +178,35 @@ def wound_job(plan: Plan, parts: tuple[float, ...] | None = None) -> WoundJob | 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wound:
-    """Consecutive samples of parallel runs with their replayed fibres.
+    """Consecutive samples of a run with its replayed fibre.
 
-    ``before_s`` is the time of the sample before them, NaN if there is none.
+    ``eyes`` is (n, 6) as ``eye_columns``; ``before_s`` is the time of the sample before them, NaN
+    if there is none.
     """
 
     time_s: FloatArray
     operation: IntArray | None
     actual: FloatArray
-    fibres: Sequence[Fibre]
-    eyes: Sequence[FloatArray]
+    fibre: Fibre
+    eyes: FloatArray
     before_s: float = np.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Samples:
-    """Consecutive samples of parallel runs, before they are replayed."""
+    """Consecutive samples of a run, before they are replayed: where it was, and was to be."""
 
     time_s: FloatArray
     operation: IntArray | None
+    places: FloatArray
     actual: FloatArray
-    eyes: Sequence[FloatArray]
 
-    def rows(self, part: slice) -> _Samples:
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def rows(self, part: slice | NDArray[np.bool_]) -> _Samples:
         operation = None if self.operation is None else self.operation[part]
-        eyes = [one[part] for one in self.eyes]
-        return _Samples(self.time_s[part], operation, self.actual[part], eyes)
+        return _Samples(self.time_s[part], operation, self.places[part], self.actual[part])
 
     def joined(self, more: _Samples) -> _Samples:
         operation = None
@@ -206,64 +215,83 @@ class _Samples:
         return _Samples(
             np.concatenate([self.time_s, more.time_s]),
             operation,
+            np.vstack([self.places, more.places]),
             np.vstack([self.actual, more.actual]),
-            [np.vstack(pair) for pair in zip(self.eyes, more.eyes, strict=True)],
         )
 
 
-class SharedReplays:
-    """The replays of the parallel runs of a recording, which all measures of it share.
+class _RunReplay:
+    """The replay of a run at the samples that ``Thinning`` keeps.
 
-    The last sample of a block waits for the next block, whose operation says whether more samples
-    are judged together with it: where a recording is cut into blocks changes nothing.
+    The last sample waits for the next ones, which say whether it is kept, and whether more samples
+    are judged together with it: where a run is cut into blocks changes nothing.
     """
+
+    def __init__(self, job: WoundJob) -> None:
+        self._job, self._replay = job, job.replay()
+        self._thinning = Thinning(job.tool, job.axes, job.reach_m)
+        self._waiting: _Samples | None = None
+        self._before_s = np.nan
+
+    def feed(self, read: _Samples) -> Wound:
+        """Return the samples that are known to be kept."""
+        if self._waiting is not None:
+            read = self._waiting.joined(read)
+        if not len(read):
+            return self._replayed(read, None)
+        group = read.operation
+        alike = np.zeros(len(read), dtype=np.int64) if group is None else group
+        kept = self._thinning.kept(read.time_s, alike, read.places)
+        self._waiting = read.rows(slice(-1, None))
+        return self._replayed(read.rows(kept), None if group is None else int(group[-1]))
+
+    def rest(self) -> Wound:
+        """Return the sample that waits at the end of a run, if it is kept."""
+        waiting = self._waiting
+        if waiting is None:
+            places = np.empty((0, len(self._job.axes)))
+            waiting = _Samples(np.empty(0), None, places, places)
+        kept = slice(None) if self._thinning.waits else slice(0)
+        return self._replayed(waiting.rows(kept), None)
+
+    def _replayed(self, read: _Samples, behind: int | None) -> Wound:
+        eyes = self._job.eyes(read.places)
+        fibre = self._replay.feed(eyes, read.operation, behind)
+        found = Wound(read.time_s, read.operation, read.actual, fibre, eyes, self._before_s)
+        if len(read):
+            self._before_s = float(read.time_s[-1])
+        return found
+
+
+class SharedReplays:
+    """The replays of the parallel runs of a recording, which all measures of it share."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
         self.jobs = [wound_job(setting.plan, one) for one in _products_of(setting.recording)]
-        self._replays = [None if job is None else job.replay() for job in self.jobs]
+        self._replays = [_RunReplay(job) for job in self.jobs if job is not None]
         self._block: Block | None = None
-        self._found: Wound | None = None
-        self._waiting: _Samples | None = None
-        self._rest: Wound | None = None
-        self._before_s = np.nan
+        self._found: Sequence[Wound] = ()
+        self._rest: Sequence[Wound] | None = None
 
-    def samples(self, block: Block) -> Wound:
-        """Return the samples of a block; replayed once."""
-        if block is self._block and self._found is not None:
+    def samples(self, block: Block) -> Sequence[Wound]:
+        """Return the samples of a block in each run; replayed once."""
+        if block is self._block:
             return self._found
         assert block.actual is not None
-        eyes = []
-        for run, job in enumerate(self.jobs):
-            assert job is not None
-            eyes.append(job.eyes(np.ascontiguousarray(block.actual[:, run])))
-        actual = block.actual[:, 0] if block.commanded is None else block.commanded
-        read = _Samples(block.time_s, block.operation, actual, eyes)
-        if self._waiting is not None:
-            read = self._waiting.joined(read)
-        behind = None
-        if read.operation is not None and len(read.time_s):
-            behind = int(read.operation[-1])
-            self._waiting, read = read.rows(slice(-1, None)), read.rows(slice(None, -1))
-        self._block = block
-        self._found = self._replayed(read, behind)
-        return self._found
-
-    def rest(self) -> Wound | None:
-        """Return the sample that waits at the end of the recording; None if there is none."""
-        if self._waiting is not None:
-            self._rest, self._waiting = self._replayed(self._waiting, None), None
-        return self._rest
-
-    def _replayed(self, read: _Samples, behind: int | None) -> Wound:
-        fibres = []
-        for eyes, replay in zip(read.eyes, self._replays, strict=True):
-            assert replay is not None
-            fibres.append(replay.feed(eyes, read.operation, behind))
-        found = Wound(read.time_s, read.operation, read.actual, fibres, read.eyes, self._before_s)
-        if len(read.time_s):
-            self._before_s = float(read.time_s[-1])
+        found = []
+        for run, replay in enumerate(self._replays):
+            places = np.ascontiguousarray(block.actual[:, run])
+            actual = block.actual[:, 0] if block.commanded is None else block.commanded
+            found.append(replay.feed(_Samples(block.time_s, block.operation, places, actual)))
+        self._block, self._found = block, found
         return found
+
+    def rest(self) -> Sequence[Wound]:
+        """Return the sample that waits at the end of each run."""
+        if self._rest is None:
+            self._rest = [replay.rest() for replay in self._replays]
+        return self._rest
 
 
 _LATEST = local()
@@ -280,8 +308,7 @@ def shared_replays(setting: Setting) -> SharedReplays:
 
 def programmed_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
     """Yield the replay of the programmed path, with several points on long chords."""
-    replay, last = job.replay(), None
-    reach = float(job.surface.r[:, 0].max())
+    replay, last, reach = job.replay(), None, job.reach_m
     for block in plan.motion.programmed:
         if not len(block):
             continue
@@ -293,13 +320,12 @@ def programmed_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
         way = np.abs(np.diff(eyes, axis=0))
         size = np.maximum(np.hypot(reach * way[:, 0], way[:, 1]), way[:, 2])
         count = np.maximum(np.ceil(size / _FINE_M), 1.0).astype(np.int64)
-        row = np.repeat(np.arange(len(count)), count)
-        within = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
+        row, within = _divided(count)
         points = chain[row] + within[:, None] * (chain[row + 1] - chain[row])
         operation = np.asarray(block.operation)[row]
         eyes = job.eyes(points)
         times = np.full(len(points), np.nan)
-        yield Wound(times, operation, points, [replay.feed(eyes, operation)], [eyes])
+        yield Wound(times, operation, points, replay.feed(eyes, operation), eyes)
 
 
 _LOADS = (ChannelKind.TOOL, ChannelKind.LOAD)
@@ -328,21 +354,39 @@ def recorded_fibre(recording: Recording, job: WoundJob) -> Wound | None:
         return None
     of, places = columns[0].astype(np.int64), np.column_stack(columns[1:])
     eyes = job.eyes(places)
-    return Wound(np.concatenate(times), of, places, [job.replay().feed(eyes, of)], [eyes])
+    return Wound(np.concatenate(times), of, places, job.replay().feed(eyes, of), eyes)
 
 
 def planned_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
-    """Yield the replay of the planned motion."""
-    replay = job.replay()
+    """Yield the replay of the planned motion, at points whose chords are within 5 um of it."""
+    replay, scale = _RunReplay(job), moves_of(job.tool, job.axes, job.reach_m)
     for block in plan.motion.trajectory:
         if not len(block):
             continue
         order = block.coefficients.shape[1]
-        count = _PER_PIECE if order > 2 else 1
-        powers = (np.arange(1, count + 1) / count)[:, None] ** np.arange(order)
-        points = np.einsum("uk,nka->nua", powers, block.coefficients)
-        points = points.reshape(-1, points.shape[2])
-        operation = np.maximum.accumulate(np.repeat(block.operation, count))
-        eyes = job.eyes(points)
-        times = np.full(len(points), np.nan)
-        yield Wound(times, operation, points, [replay.feed(eyes, operation)], [eyes])
+        size = np.abs(block.coefficients) * scale
+        way = np.linalg.norm(size[:, 1:].sum(axis=1), axis=1)
+        # A chord of a share h of a piece is off by h^2 / 8 of its second derivative at most.
+        second = np.arange(order) * (np.arange(order) - 1.0)
+        bent = np.linalg.norm(np.tensordot(size, second, axes=(1, 0)), axis=1)
+        count = np.maximum(np.ceil(way / LONGEST_M), np.ceil(np.sqrt(bent / (8.0 * STRAIGHT_M))))
+        row, share = _divided(np.maximum(count, 1.0).astype(np.int64))
+        points = np.zeros((len(row), block.coefficients.shape[2]))
+        for power in range(order - 1, -1, -1):
+            points = points * share[:, None] + block.coefficients[row, power]
+        operation = np.maximum.accumulate(block.operation)[row]
+        times = block.start_s[row] + share * block.duration_s[row]
+        yield _timeless(replay.feed(_Samples(times, operation, points, points)))
+    yield _timeless(replay.rest())
+
+
+def _divided(count: IntArray) -> tuple[IntArray, FloatArray]:
+    """Return the numbers of rows that have (n,) parts each, and the share where each part ends."""
+    row = np.repeat(np.arange(len(count)), count)
+    share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
+    return row, share
+
+
+def _timeless(samples: Wound) -> Wound:
+    """Return samples of a plan, whose places are told by their lines."""
+    return replace(samples, time_s=np.full(len(samples.time_s), np.nan))

@@ -1,0 +1,196 @@
+"""The free fibre over built-up layers, compiled: a taut string, which may span hollows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.winding.apart import free_fibre
+from threadline.winding.surface import meridian
+
+MOST_PLACES = 512
+"""Most places along the free fibre at which it is compared with the layers."""
+PILE = 2
+"""Number of the pair of free fibre and mandrel."""
+_ROUNDS = 4  # most Newton steps to the foot of a normal
+_FOOT_M = 1e-7  # from the foot of a normal; the height is off by the square of it
+_TWICE = 2  # the layers above a line are searched along its normal, not the mandrel's
+
+
+@njit(nogil=True)
+def _above(
+    x: float, r: float, u: float, hint: int, table: tuple[FloatArray, FloatArray, FloatArray]
+) -> tuple[float, float, float, float, int]:
+    """Return the height of a point over the bare mandrel, and the mandrel below it.
+
+    That is u, cosine and sine of the meridian's angle, and the piece; ``u`` and ``hint`` are a
+    place and a piece nearby. The height is infinite beyond the ends.
+    """
+    last, height, cb, sb = table[0][-1], 0.0, 1.0, 0.0
+    for _ in range(_ROUNDS):
+        hint, px, pr, cb, sb, bend, speed = meridian(table[0], table[1], table[2], u, hint)
+        height = (r - pr) * cb - (x - px) * sb
+        along = (x - px) * cb + (r - pr) * sb
+        u += along / (max(1.0 + height * bend, 0.1) * speed)
+        if not 0.0 <= u <= last:
+            return math.inf, min(max(u, 0.0), last), cb, sb, hint
+        if abs(along) < _FOOT_M:
+            break
+    return height, u, cb, sb, hint
+
+
+@njit(nogil=True)
+def _thickness(u: float, cell: float, layers: FloatArray) -> float:
+    """Return the thickness of the layers at ``u``, linear between the middles of the cells."""
+    at = min(max(u / cell - 0.5, 0.0), len(layers) - 1.0)
+    low = min(int(at), len(layers) - 2)
+    return float(layers[low] + (at - low) * (layers[low + 1] - layers[low]))
+
+
+@njit(nogil=True)
+def hollow_over(
+    at: FloatArray, to: FloatArray, u: float, table: tuple[FloatArray, FloatArray, FloatArray],
+    layers: FloatArray, sizes: FloatArray, cells: int, hull: FloatArray,
+) -> float:  # fmt: skip
+    """Return the largest height of a taut fibre over the layers before it leaves them.
+
+    The fibre from the laid point ``at`` lies on the layers from there on: as a string over what
+    stands above the straight line to the pay-out point ``to``, in the plane of the line and the
+    normal. It is the upper hull of the layers above the line.
+
+    Parameters
+    ----------
+    u
+        Place of the laid point.
+    layers
+        (m,) thickness of the layers in the middles of the cells of the meridian.
+    sizes
+        Size of a cell, m, and the height above which no layer stands ahead.
+    cells
+        Number of cells between two places along the fibre that are looked at.
+    hull
+        (3, k) written: length along the line, height above it, and the corners of the hull.
+    """
+    length = math.sqrt((to[0] - at[0]) ** 2 + (to[1] - at[1]) ** 2 + (to[2] - at[2]) ** 2)
+    count = int(min(max(math.ceil(length / (cells * sizes[0])), 8.0), hull.shape[1] - 1.0))
+    hint = max(int(np.searchsorted(table[0], u)) - 1, 0)
+    _, _, cb, sb, hint = _above(at[0], math.hypot(at[1], at[2]), u, hint, table)
+    radius, highest = math.hypot(at[1], at[2]), 0.0
+    n0, n1, n2 = -sb, cb * at[1] / radius, cb * at[2] / radius
+    for k in range(count + 1):
+        share, high = k / count, 0.0
+        for _ in range(_TWICE):
+            x = at[0] + share * (to[0] - at[0]) + high * n0
+            across = at[1] + share * (to[1] - at[1]) + high * n1
+            up = at[2] + share * (to[2] - at[2]) + high * n2
+            radius = math.hypot(across, up)
+            height, u, cb, sb, hint = _above(x, radius, u, hint, table)
+            level = cb * (across * n1 + up * n2) / radius - sb * n0
+            high += (_thickness(u, sizes[0], layers) - height) / max(level, 0.1)
+            if not high > -length:
+                break  # beyond the end of the mandrel
+        hull[0, k], hull[1, k] = share * length, high
+        if k == count or height > sizes[1]:
+            count = k
+            break
+        if k:
+            highest = max(highest, high)
+    if highest <= 0.0:
+        return 0.0
+    hull[0, count], hull[1, count] = length, 0.0
+    corners = 1
+    hull[2, 0] = 0.0
+    for k in range(1, count + 1):
+        while corners > 1:
+            a, b = int(hull[2, corners - 2]), int(hull[2, corners - 1])
+            rise = (hull[1, b] - hull[1, a]) * (hull[0, k] - hull[0, a])
+            if rise > (hull[1, k] - hull[1, a]) * (hull[0, b] - hull[0, a]):
+                break
+            corners -= 1
+        hull[2, corners] = k
+        corners += 1
+    deepest = 0.0
+    for corner in range(corners - 2):  # the last stretch leads to the eye
+        a, b = int(hull[2, corner]), int(hull[2, corner + 1])
+        slope = (hull[1, b] - hull[1, a]) / (hull[0, b] - hull[0, a])
+        for k in range(a + 1, b):
+            over = hull[1, a] + slope * (hull[0, k] - hull[0, a]) - hull[1, k]
+            if over < length:  # there is no layer beyond the end of the mandrel
+                deepest = max(deepest, over)
+    return deepest
+
+
+@njit(nogil=True)
+def over_layers(
+    eyes: FloatArray, laid: FloatArray, table: tuple[FloatArray, FloatArray, FloatArray],
+    payout: FloatArray, layers: FloatArray, sizes: FloatArray,
+    least: float, found: FloatArray, pair: IntArray,
+) -> float:  # fmt: skip
+    """Compare free fibres with the layers ahead; see ``apart.walk`` for the other arguments.
+
+    A fibre that spans a hollow higher than one band before it meets layers ahead is held off its
+    place by them. A hollow that is less high is the edge of a band: the mean of the layers round
+    the mandrel cannot tell it from bands that lie beside each other.
+
+    Parameters
+    ----------
+    layers
+        As in ``hollow_over``.
+    sizes
+        Those of ``hollow_over``; the length between two fibres that are compared, the laid length
+        of the latest, which is updated, the thickness of the band, and the number of cells between
+        two places where a hollow is first looked for.
+    """
+    a, b = np.empty(3), np.empty(3)
+    hull = np.empty((3, MOST_PLACES))
+    hint = 0
+    for i in range(len(eyes)):
+        if not math.isfinite(laid[i, 0]) or abs(laid[i, 2] - sizes[3]) < sizes[2]:
+            continue
+        sizes[3] = laid[i, 2]
+        hint = free_fibre(laid[i], eyes[i], table, payout, hint, a, b)
+        u = laid[i, 0]
+        # Layers are means over a band: a few places in its width show half the height of a hollow.
+        if hollow_over(a, b, u, table, layers, sizes, int(sizes[5]), hull) < 0.5 * sizes[4]:
+            continue
+        room = sizes[4] - hollow_over(a, b, u, table, layers, sizes, 1, hull)
+        if room < min(least, 0.0):
+            least = room
+            found[i], pair[i] = -least, PILE
+    return least
+
+
+@njit(nogil=True)
+def wind(
+    u: FloatArray, length: FloatArray, cell: float, section: float, latest: FloatArray,
+    fresh: FloatArray,
+) -> None:  # fmt: skip
+    """Add to the volumes of cells, ``fresh``, the fibre that lies along (n,) ``u``.
+
+    Parameters
+    ----------
+    length
+        (n,) laid length at each place; NaN where nothing is laid.
+    section
+        Of the band, m2.
+    latest
+        Place and laid length before the first of them, which are updated; the place may be NaN.
+    """
+    most = len(fresh) - 1.0
+    for i in range(len(u)):
+        if not (math.isfinite(u[i]) and math.isfinite(length[i])):
+            continue
+        begin = latest[0] if math.isfinite(latest[0]) else u[i]
+        parts = int(min(max(math.ceil(abs(u[i] - begin) / cell), 1.0), most))
+        volume = section * (length[i] - latest[1]) / parts
+        for part in range(parts):
+            # Shared between the two nearest cells: an edge of a cell makes no step.
+            at = (begin + (part + 1.0) / parts * (u[i] - begin)) / cell - 0.5
+            at = min(max(at, 0.0), most)
+            low = min(int(at), len(fresh) - 2)
+            fresh[low] += volume * (low + 1.0 - at)
+            fresh[low + 1] += volume * (at - low)
+        latest[0], latest[1] = u[i], length[i]
