@@ -31,7 +31,8 @@ def rings_of(laid: Sequence[Laid]) -> tuple[Rings, dict[str, Ply]]:
     JobError
         If the material or the thickness of a layer is unknown, or the mandrel is bare in between.
     """
-    constants, names = {}, []
+    constants: dict[str, Ply] = {}
+    names: list[str] = []
     for number, one in enumerate(laid, start=1):
         band, layer = one.layer.band, one.layer
         if band.composite is None or band.fibre_volume is None or band.thickness is None:
