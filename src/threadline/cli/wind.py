@@ -8,15 +8,21 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.base.writing import staged_file, together
 from threadline.cli.arguments import JsonOption
 from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, say
+from threadline.errors import OptionError
 from threadline.jobs.winding.closing import Pattern
 from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import Winding, read_layers
+from threadline.jobs.winding.rings import rings_of
 from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate
+from threadline.laminate.deck import shell_deck
+from threadline.units import parse_number
 
 _SHOWN = 12
+_MOST_PA = 1e9
 
 
 def wind(
@@ -26,6 +32,13 @@ def wind(
     ] = False,
     report: Annotated[
         Path | None, typer.Option(help="Write the sheet for the shop into this folder.")
+    ] = None,
+    deck: Annotated[
+        Path | None,
+        typer.Option(help="Write a shell model for CalculiX and Abaqus into this file, NAME.inp."),
+    ] = None,
+    pressure: Annotated[
+        str | None, typer.Option(help='Internal pressure of --deck, "10 bar" (default).')
     ] = None,
     json: JsonOption = False,
 ) -> None:
@@ -40,14 +53,21 @@ def wind(
 
     Example: threadline wind examples/vessel.wind.toml
     """
-    check_outputs(folder=report)
+    inside_pa = _pressure(pressure, deck)
+    check_outputs(file=deck, folder=report)
     winding = read_layers(product)
     laid = design(winding)
     written = None
-    if report is not None:
-        from threadline.report.wound import write_sheet
+    with together(deck):
+        if deck is not None:
+            rings, materials = rings_of(laid)
+            text = shell_deck(winding.product.name, rings, materials, inside_pa)
+            with staged_file(deck) as stream:
+                stream.write(text.encode("ascii", "replace"))
+        if report is not None:
+            from threadline.report.wound import write_sheet
 
-        written = write_sheet(winding, laid, report)
+            written = write_sheet(winding, laid, report)
     if json:
         print_json(_content(winding, laid) | ({} if written is None else {"report": str(written)}))
         return
@@ -74,8 +94,23 @@ def wind(
         print_table("Laminate at the largest radius", ("", ""), found.rows())
     if written is not None:
         say(f"Report: {written}")
+    if deck is not None:
+        say(f"Shell model: {deck}")
     for said in [*filter(None, map(bridged, laid)), *sheet_warnings(winding, sheet)]:
         warning(said)
+
+
+def _pressure(text: str | None, deck: Path | None) -> float:
+    """Return the internal pressure of the shell model, Pa."""
+    if text is not None and deck is None:
+        raise OptionError("--pressure is the load of a shell model", remedy="Add --deck NAME.inp.")
+    found = parse_number("--pressure", text or "10 bar", "Pa", "10 bar")
+    if not 0.0 < found <= _MOST_PA:
+        raise OptionError(
+            f"--pressure {text!r}: it must be above 0 and at most 10000 bar",
+            remedy='Like --pressure "10 bar".',
+        )
+    return found
 
 
 def _row(laid: Laid, pattern: Pattern) -> list[str]:
