@@ -48,7 +48,7 @@ _FACTORS: dict[str, dict[str, float]] = {
     "N*m": {"N m": 1.0},
     "N*m*s/rad": {"N m s/rad": 1.0},
     "N*m/A": {"N m/A": 1.0},
-    "V": {},
+    "V": {"mV": 1e-3},
     "V/m": {},
     "V*s/rad": {"V/krpm": 0.00954929658551372},
     "A": {"mA": 1e-3},

@@ -184,7 +184,8 @@ class AxisAnalysis:
     axis, loop
         Name of the axis, and its loop.
     sampled, continuous
-        Figures of the sampled loop, and of the continuous loop with exact dead time.
+        Figures of the sampled loop, and of the continuous loop with exact dead time; None for a
+        state-space controller, which has no continuous form.
     routh_gains
         Intervals of gain factors with a stable loop, by the textbook method: Routh's array with
         Pade's first-order approximation of the dead time. None where loops share bodies.
@@ -201,7 +202,7 @@ class AxisAnalysis:
     axis: str
     loop: Loop
     sampled: LoopFigures
-    continuous: LoopFigures
+    continuous: LoopFigures | None
     routh_gains: tuple[tuple[float, float], ...] | None
     locked: tuple[Oscillation, ...]
     free: tuple[Oscillation, ...]
@@ -243,7 +244,7 @@ class AxisAnalysis:
             if self.routh_gains is None
             else [[low, high if np.isfinite(high) else None] for low, high in self.routh_gains],
             "steps": {name: _step_json(step) for name, step in self.steps.items()},
-            "continuous": self.continuous.as_json(),
+            "continuous": None if self.continuous is None else self.continuous.as_json(),
         }
 
 
@@ -265,7 +266,7 @@ def analyse_axis(machine: Machine, axis: str) -> AxisAnalysis:
         axis=axis,
         loop=loop,
         sampled=loop_figures(loop, "sampled"),
-        continuous=loop_figures(loop, "continuous"),
+        continuous=loop_figures(loop, "continuous") if loop.single else None,
         routh_gains=_routh(loop) if len(loop.filters) == 1 else None,
         locked=locked_modes(machine, axis),
         free=free_modes(machine, axis),
@@ -278,6 +279,8 @@ def analyse_axis(machine: Machine, axis: str) -> AxisAnalysis:
 
 def _check_gain(machine: Machine, loop: Loop) -> None:
     """Refuse a loop whose controller has a gain of zero, or a gain outside numerical range."""
+    if not loop.single:
+        return
     most = float(np.abs(loop.filters[loop.index].numerator).max())
     if _LEAST_GAIN <= most <= _MOST_GAIN:
         return
@@ -326,11 +329,7 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
             ) from error
         poles = closed_poles(loop)
 
-    def closed(omega: FloatArray) -> ComplexArray:
-        L = response(omega)
-        return np.asarray(L / (1.0 + L))
-
-    bandwidth = bandwidth_rad_s(closed, grid)
+    bandwidth = bandwidth_rad_s(loop.follower(model), grid)
     return LoopFigures(
         model=model,
         grid_rad_s=grid,

@@ -224,6 +224,14 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
         If other drives act on the same bodies, or the plant's zeros do not decay.
     """
     loop = axis_loop(machine, axis, values)
+    if not loop.single:
+        raise MachineError(
+            f"axis {axis}: controllers.{machine.axes[axis].controller} or one beside it has the "
+            "kind state-space, and what needs the exact inverse of a loop (feed-forward, a limit "
+            "on the contour) is made for one error, one encoder and one drive",
+            place=machine.place,
+            remedy="Leave that option out, or give the axis a controller of another kind.",
+        )
     if len(loop.filters) > 1:
         raise MachineError(
             f"axis {axis} shares bodies with the drives of other axes",

@@ -13,6 +13,7 @@ from threadline.dynamics.sampled import StateSpace
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine
+from threadline.machine.controllers import StateSpaceController
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,7 +106,8 @@ def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateS
 
     Limits and friction are omitted, play is closed and a preloaded belt is tight, as for small
     motions about a working point. Inputs are the drives, ``"drives.x"``, in volts of the
-    controller; outputs are ``"sensors.x"`` in counts or V and, per axis, ``"X.measured"``,
+    controller; outputs are ``"sensors.x"`` in counts, V or m/s^2 (an accelerometer that a motor
+    moves at once has none) and, per axis, ``"X.measured"``,
     ``"X.load"`` and ``"X.frame"`` in m or rad. ``delay_s`` holds the dead time of each drive.
 
     Raises
@@ -120,8 +122,13 @@ def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> ModelVa
     group, n = piece.group, len(piece.states)
     full = el.working_rates(piece.base, piece.elements)
     rows, names = [], []
+    B = full[:, :, n : n + len(group.drives)] * piece.input_gain[:, None, :]
     for index, sensor in enumerate(group.sensors):
-        rows.append(piece.sensor_rows[:, index, :n])
+        felt = piece.felt_rows[:, index, None, :]
+        if (felt @ B).any():
+            _check_unread(machine, sensor)
+            continue
+        rows.append(piece.sensor_rows[:, index, :n] + (felt @ full[:, :, :n])[:, 0])
         names.append(f"sensors.{sensor}")
     for index, axis in enumerate(group.axes):
         sensor = machine.controller_of(axis).sensor
@@ -141,13 +148,26 @@ def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> ModelVa
         delays[:, index] = values.at(f"drives.{drive}.delay", machine.motors[drive].delay)
     return ModelVariants(
         A=full[:, :, :n],
-        B=full[:, :, n : n + len(group.drives)] * piece.input_gain[:, None, :],
+        B=B,
         C=np.stack(rows, axis=1),
         delay_s=delays,
         states=piece.states,
         inputs=tuple(f"drives.{d}" for d in group.drives),
         outputs=tuple(names),
     )
+
+
+def _check_unread(machine: Machine, sensor: str) -> None:
+    """Refuse a controller that reads an accelerometer which a motor moves at once."""
+    for name, controller in machine.controllers.items():
+        if isinstance(controller, StateSpaceController) and sensor in controller.sensors:
+            raise MachineError(
+                f"controllers.{name} reads sensors.{sensor}, whose body a motor accelerates at "
+                "once: a linear model of that loop has no states for it",
+                place=machine.place,
+                remedy="Put the accelerometer on a body behind a link, or give the motor an "
+                "inductance.",
+            )
 
 
 _RIGID = 1e-7

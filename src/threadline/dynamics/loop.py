@@ -10,13 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.dynamics.linear_model import linear_model
-from threadline.dynamics.network import connected_groups
+from threadline.dynamics.matrix_controller import (
+    MatrixController,
+    close_matrix_loop,
+    in_volts,
+    of_filter,
+    side_by_side,
+)
+from threadline.dynamics.network import LoopPart, connected_groups, loop_parts
 from threadline.dynamics.sampled import (
     ClosedLoop,
     DigitalFilter,
@@ -29,6 +36,7 @@ from threadline.dynamics.sampled import (
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
+from threadline.machine.controllers import StateSpaceController
 
 Model: TypeAlias = Literal["sampled", "continuous"]
 
@@ -67,6 +75,21 @@ class Loop:
     def period_s(self) -> float:
         """Tick of the controller."""
         return self.filters[self.index].period_s
+
+    @property
+    def single(self) -> bool:
+        """Whether every controller of the piece has one error: a continuous model needs that."""
+        return True
+
+    def follower(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
+        """Return the response from reference to sensor as a function of (k,) rad/s."""
+        response = self.responder(model)
+
+        def followed(omega_rad_s: FloatArray) -> ComplexArray:
+            L = response(omega_rad_s)
+            return np.asarray(L / (1.0 + L))
+
+        return followed
 
     def measured(self) -> StateSpace:
         """Return the plant from all controllers' voltages to their sensors, in counts."""
@@ -131,6 +154,112 @@ class Loop:
         return self.responder(model)(omega_rad_s)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MatrixLoop(Loop):
+    """The loop of an axis in a piece with a state-space controller, cut at the axis' drive.
+
+    All other drives stay with their controllers. ``filters`` is empty, and there is no continuous
+    model: such a controller has no continuous form.
+
+    Parameters
+    ----------
+    controller
+        All controllers of the piece as one.
+    readings
+        Sensor outputs that it reads, in its order; ``sensors`` has the encoder of each loop.
+    tick_s
+        Tick of the controllers.
+    """
+
+    controller: MatrixController
+    readings: tuple[str, ...]
+    tick_s: float
+
+    @property
+    def period_s(self) -> float:
+        """Tick of the controllers."""
+        return self.tick_s
+
+    @property
+    def single(self) -> bool:
+        """Whether every controller of the piece has one error."""
+        return False
+
+    def closed(self, gain: float = 1.0) -> ClosedLoop:
+        """Return all loops of the piece closed, with a factor ``gain`` on this axis' voltage."""
+        gains = np.ones(len(self.controllers))
+        gains[self.index] = gain
+        return close_matrix_loop(
+            self.plant, self.controller, self.readings, self.controllers, self.tick_s, gains
+        )
+
+    def delays_s(self) -> FloatArray:
+        """Refuse: there is no continuous model."""
+        raise self._refused()
+
+    def _refused(self) -> MachineError:
+        name = self.controllers[self.index]
+        return MachineError(
+            f"axis {self.axis}: controllers.{name.partition(' ')[0]} has the kind state-space, "
+            "which has no continuous form",
+            remedy="Use the sampled model.",
+        )
+
+    def responder(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
+        """Return minus the response from this axis' voltage to what the controller gives back."""
+        if model != "sampled":
+            raise self._refused()
+        read = self.plant.select(list(self.plant.inputs), list(self.readings))
+        sampled = sample(read, self.tick_s)
+        i = self.index
+        others = [k for k in range(len(self.controllers)) if k != i]
+
+        def response(omega_rad_s: FloatArray) -> ComplexArray:
+            omega = np.atleast_1d(np.asarray(omega_rad_s, dtype=np.float64))
+            back = self.controller.feedback(np.exp(1j * omega * self.tick_s))
+            M = back @ sampled.response(omega)
+            oo = np.eye(len(others)) - M[:, others][:, :, others]
+            answer = np.linalg.solve(oo, M[:, others, i][:, :, None])[:, :, 0]
+            through = np.einsum("ko,ko->k", M[:, i, others], answer)
+            return np.asarray(-(M[:, i, i] + through))
+
+        return response
+
+    def follower(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
+        """Return the response from this axis' reference to its sensor, all loops closed."""
+        if model != "sampled":
+            raise self._refused()
+        closed = self.closed()
+        row = closed.outputs.index(self.sensors[self.index])
+
+        def followed(omega_rad_s: FloatArray) -> ComplexArray:
+            z = np.exp(1j * np.atleast_1d(omega_rad_s) * self.tick_s)
+            inner = z[:, None, None] * np.eye(len(closed.A)) - closed.A
+            B = np.broadcast_to(closed.B[:, self.index, None], (len(z), len(closed.A), 1))
+            state = np.linalg.solve(inner, B)[:, :, 0]
+            return np.asarray(state @ closed.C[row] + closed.D[row, self.index])
+
+        return followed
+
+
+def _matrix_loop(
+    machine: Machine, parts: tuple[LoopPart, ...], values: Values | None
+) -> tuple[MatrixController, tuple[str, ...]]:
+    """Return the controllers of a piece as one, and the sensor outputs that it reads."""
+    blocks: list[MatrixController] = []
+    readings: list[str] = []
+    for part in parts:
+        controller = machine.controllers[part.controller]
+        if isinstance(controller, StateSpaceController):
+            if not part.place:
+                blocks.append(in_volts(controller))
+                readings += [f"sensors.{name}" for name in controller.sensors]
+        else:
+            blocks.append(of_filter(digital_filter(machine, part.controller, values)))
+            readings.append(f"sensors.{part.of.sensor}")
+    return side_by_side(blocks), tuple(readings)
+
+
 def _filter(digital: DigitalFilter, omega: FloatArray, model: Model) -> ComplexArray:
     if model == "sampled":
         return digital.sampled_response(omega)
@@ -159,28 +288,40 @@ def axis_loops(
     for group, plant in zip(groups, linear_model(machine, values), strict=True):
         if not group.axes:
             continue
-        names = group.controllers
-        parts = [machine.controllers[name] for name in names]
-        clocks = sorted({part.clock for part in parts})
+        parts = loop_parts(machine, group.controllers)
+        names = tuple(
+            part.controller if part.of.kind != "state-space" else f"{part.controller} ({part.axis})"
+            for part in parts
+        )
+        clocks = sorted({part.of.clock for part in parts})
         if len(clocks) > 1:
             raise MachineError(
-                f"controllers {', '.join(names)} share bodies but run on the clocks "
+                f"controllers {', '.join(group.controllers)} share bodies but run on the clocks "
                 f"{', '.join(clocks)}",
                 place=machine.place,
                 remedy="Put the controllers of connected bodies on one clock.",
             )
-        driven = plant.select([f"drives.{p.drive}" for p in parts], list(plant.outputs))
+        driven = plant.select([f"drives.{p.of.drive}" for p in parts], list(plant.outputs))
+        owners = [part.axis for part in parts]
         for axis in group.axes:
-            loops[axis] = Loop(
-                axis=axis,
-                plant=driven,
-                controllers=names,
-                sensors=tuple(f"sensors.{p.sensor}" for p in parts),
-                filters=tuple(digital_filter(machine, name, values) for name in names),
-                index=names.index(machine.axes[axis].controller),
-                counts_per_unit=machine.axes[axis].counts.si,
-                hold=hold,
-            )
+            common: dict[str, Any] = {
+                "axis": axis,
+                "plant": driven,
+                "controllers": names,
+                "sensors": tuple(f"sensors.{p.of.sensor}" for p in parts),
+                "index": owners.index(axis),
+                "counts_per_unit": machine.axes[axis].counts.si,
+                "hold": hold,
+            }
+            if any(part.of.kind == "state-space" for part in parts):
+                controller, readings = _matrix_loop(machine, parts, values)
+                loops[axis] = MatrixLoop(
+                    **common, filters=(), controller=controller, readings=readings,
+                    tick_s=float(machine.clock(clocks[0]).period_s),
+                )  # fmt: skip
+                continue
+            filters = tuple(digital_filter(machine, name, values) for name in names)
+            loops[axis] = Loop(**common, filters=filters)
     return {axis: loops[axis] for axis in machine.axes if axis in loops}
 
 

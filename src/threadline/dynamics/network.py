@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,12 @@ from threadline.dynamics.eccentric import Band, eccentric_play, pieces_needed
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine
-from threadline.machine.parts import Eccentric
+from threadline.machine.controllers import (
+    AxisController,
+    AxisOfStateSpace,
+    StateSpaceController,
+)
+from threadline.machine.parts import Accelerometer, Eccentric
 from threadline.machine.quantity import Quantity
 
 
@@ -70,7 +76,11 @@ def connected_groups(machine: Machine) -> tuple[Group, ...]:
     for name, sensor in machine.sensors.items():
         join(f"s.{name}", (f"b.{b}" for b in sensor.reads))
     for name, controller in machine.controllers.items():
-        join(f"c.{name}", (f"s.{controller.sensor}", f"d.{controller.drive}"))
+        if isinstance(controller, StateSpaceController):
+            join(f"c.{name}", (f"s.{s}" for s in controller.sensors))
+            join(f"c.{name}", (f"d.{d}" for d in controller.drives))
+        else:
+            join(f"c.{name}", (f"s.{controller.sensor}", f"d.{controller.drive}"))
     for name, axis in machine.axes.items():
         join(f"a.{name}", (f"d.{axis.drive}" if axis.drive else f"c.{axis.controller}",))
         join(f"a.{name}", (f"b.{b}" for b in (*(axis.load or {}), *(axis.frame or {}))))
@@ -98,12 +108,61 @@ def connected_groups(machine: Machine) -> tuple[Group, ...]:
     return tuple(groups)
 
 
+class LoopPart(NamedTuple):
+    """The loop of one axis in a controller; a state-space controller has one for each of its axes.
+
+    Parameters
+    ----------
+    controller
+        Name of the controller.
+    place
+        Index of the axis in the references of a state-space controller, else 0.
+    axis
+        Name of the axis; empty where a controller moves none.
+    of
+        Clocks, sensor, drive and DAC.
+    """
+
+    controller: str
+    place: int
+    axis: str
+    of: AxisController | AxisOfStateSpace
+
+
+def loop_parts(machine: Machine, controllers: Iterable[str]) -> tuple[LoopPart, ...]:
+    """Return the loops of ``controllers``, those of one controller side by side."""
+    owner = {axis.controller: name for name, axis in machine.axes.items()}
+    found: list[LoopPart] = []
+    for name in controllers:
+        controller = machine.controllers[name]
+        if isinstance(controller, StateSpaceController):
+            found += [
+                LoopPart(name, at, axis, controller.of_axis(axis))
+                for at, axis in enumerate(controller.references)
+            ]
+        else:
+            found.append(LoopPart(name, 0, owner.get(name, ""), controller))
+    return tuple(found)
+
+
 def _check_shared(machine: Machine) -> None:
+    single = {
+        name: axis
+        for name, axis in machine.axes.items()
+        if axis.controller
+        and not isinstance(machine.controllers[axis.controller], StateSpaceController)
+    }
+    parts = loop_parts(machine, machine.controllers)
+    commanded = {
+        part.controller if part.of.kind != "state-space" else f"{part.controller} ({part.axis})":
+        part.of.drive
+        for part in parts
+    }  # fmt: skip
     for what, users, owner in (
-        ("controller", {n: a.controller for n, a in machine.axes.items() if a.controller}, "axes"),
+        ("controller", {n: a.controller for n, a in single.items()}, "axes"),
         ("drive", {n: a.drive for n, a in machine.axes.items() if a.drive}, "axes"),
         ("body", {n: s.body for n, s in machine.position_sources.items()}, "drives"),
-        ("drive", {n: c.drive for n, c in machine.controllers.items()}, "controllers"),
+        ("drive", commanded, "controllers"),
     ):
         seen: dict[str, str] = {}
         for name, part in users.items():
@@ -132,7 +191,11 @@ class PiecewiseLinear:
     elements
         Nonlinear parts; each drive is one of them, called ``"drives.NAME"``.
     sensor_rows
-        (variants, sensors, N) rows of the readings in counts, from the start position.
+        (variants, sensors, N) rows of the readings in counts or V, from the start position; 0 for
+        an accelerometer.
+    felt_rows
+        (variants, sensors, n) rows of the readings of accelerometers, in the rates of the states;
+        0 for any other sensor.
     load_rows, frame_rows
         (variants, axes, N) rows of load and frame in m or rad, from the start position.
     rate_rows
@@ -149,6 +212,7 @@ class PiecewiseLinear:
     base: FloatArray
     elements: tuple[el.Element, ...]
     sensor_rows: FloatArray
+    felt_rows: FloatArray
     load_rows: FloatArray
     frame_rows: FloatArray
     rate_rows: FloatArray
@@ -249,6 +313,7 @@ class _Builder:
             base=self.base,
             elements=tuple(self.elements),
             sensor_rows=self._stack([self._sensor_row(s) for s in self.group.sensors]),
+            felt_rows=self._stack([self._felt_row(s) for s in self.group.sensors])[:, :, : self.n],
             load_rows=load_rows,
             rate_rows=rate_rows,
             frame_rows=self._stack([self._weights(a.frame or {}, self.position) for a in axes]),
@@ -448,8 +513,14 @@ class _Builder:
         return tuple(guards)
 
     def _sensor_row(self, name: str) -> FloatArray:
-        reads = dict(self.machine.sensors[name].reads)
+        sensor = self.machine.sensors[name]
+        reads = {} if isinstance(sensor, Accelerometer) else dict(sensor.reads)
         return self._weights(reads, self.position, f"sensors.{name}.reads")
+
+    def _felt_row(self, name: str) -> FloatArray:
+        sensor = self.machine.sensors[name]
+        reads = dict(sensor.reads) if isinstance(sensor, Accelerometer) else {}
+        return self._weights(reads, self.velocity, f"sensors.{name}.reads")
 
     def _load_row(self, axis_name: str) -> FloatArray:
         axis = self.machine.axes[axis_name]

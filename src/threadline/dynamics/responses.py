@@ -72,7 +72,7 @@ def step_response(
         if duration_s is None
         else int(np.ceil(duration_s / closed.period_s)) + 1
     )
-    reference = np.zeros((min(ticks, _STEP_RESPONSES_MOST_TICKS), len(loop.filters)))
+    reference = np.zeros((min(ticks, _STEP_RESPONSES_MOST_TICKS), len(loop.controllers)))
     reference[:, loop.index] = loop.counts_per_unit
     row = closed.outputs.index(f"{loop.axis}.{output}")
     value = np.ascontiguousarray(closed.respond(reference)[:, row])
@@ -223,7 +223,7 @@ def _answer(loop: Loop) -> Answer:
     ticks = min(
         int(np.ceil(np.log(_CLOSED_LOOP_DECAY) / np.log(slowest))) + 20, _CLOSED_LOOP_MOST_TICKS
     )
-    reference = np.zeros((ticks, len(loop.filters)))
+    reference = np.zeros((ticks, len(loop.controllers)))
     reference[0, loop.index] = loop.counts_per_unit
     taps = closed.respond(reference)[:, closed.outputs.index(f"{loop.axis}.load")]
     # The load reaches its reference, so the truncated taps are scaled to the sum 1.

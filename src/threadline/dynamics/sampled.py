@@ -30,6 +30,7 @@ from threadline.machine.controllers import (
     PController,
     PdController,
     PiController,
+    StateSpaceController,
     VelocityController,
 )
 
@@ -183,8 +184,20 @@ def difference_equation(
         Name of the controller.
     values
         Replaced numbers of every variant.
+
+    Raises
+    ------
+    MachineError
+        For a state-space controller, which has none.
     """
     controller, path = machine.controllers[name], f"controllers.{name}"
+    if isinstance(controller, StateSpaceController):
+        raise MachineError(
+            f"controllers.{name} has the kind state-space, but feed-forward, fitting and designs "
+            "of filters need a controller with one error, one encoder and one drive",
+            place=machine.place,
+            remedy="Leave that option out, or give each axis a controller of another kind.",
+        )
     numerator, denominator = np.zeros((values.count, 3)), np.zeros((values.count, 2))
     if isinstance(controller, LeadFilter):
         gain = values.at(f"{path}.gain", controller.gain)

@@ -16,6 +16,7 @@ from threadline.dynamics.eccentric import (
 from threadline.dynamics.sampled import difference_equation
 from threadline.dynamics.values import Values
 from threadline.machine import Machine
+from threadline.machine.controllers import StateSpaceController
 from threadline.machine.parts import Axis
 
 _VISCOUS_SHARE = 0.5
@@ -97,7 +98,7 @@ def _scale(machine: Machine, name: str) -> list[str]:
     axis = machine.axes[name]
     if axis.load is None:  # the load is then the position of the encoder
         return []
-    sensor_name = machine.controllers[axis.controller].sensor
+    sensor_name = machine.controller_of(name).sensor
     rates = rigid_motion(machine, name)
     reads = machine.sensors[sensor_name].reads
     given = sum(q.si * rates[b] for b, q in reads.items())
@@ -119,7 +120,7 @@ def _scale(machine: Machine, name: str) -> list[str]:
 
 def _viscous(machine: Machine, name: str) -> list[str]:
     axis = machine.axes[name]
-    drive_name = machine.controllers[axis.controller].drive
+    drive_name = machine.controller_of(name).drive
     drive = machine.motors[drive_name]
     limit = drive.amplifier.current_limit
     if limit is None or axis.working_velocity is None:
@@ -146,7 +147,7 @@ def _viscous(machine: Machine, name: str) -> list[str]:
 
 def _beyond_current(machine: Machine, name: str) -> list[str]:
     axis = machine.axes[name]
-    drive_name = machine.controllers[axis.controller].drive
+    drive_name = machine.controller_of(name).drive
     limit = machine.motors[drive_name].amplifier.current_limit
     if limit is None or axis.working_velocity is None:
         return []
@@ -172,7 +173,7 @@ def _beyond_drive(machine: Machine, name: str) -> list[str]:
     sliding friction.
     """
     axis = machine.axes[name]
-    drive = machine.controllers[axis.controller].drive
+    drive = machine.controller_of(name).drive
     needs = drive_limits(machine, name, *drive_needs(machine, name))
     found = []
     for said, limit, column, unit in (
@@ -240,6 +241,8 @@ def _beyond_torque(machine: Machine, name: str) -> list[str]:
 def _dead_band(machine: Machine, name: str) -> list[str]:
     """Return a warning if a static error of several counts rounds to zero DAC levels."""
     controller = machine.axes[name].controller
+    if isinstance(machine.controllers[controller], StateSpaceController):
+        return []  # it may integrate; what it does at rest depends on all of its readings
     b, a = difference_equation(machine, controller, Values.of(machine))
     rest = 1.0 + float(a[0].sum())
     if abs(rest) < _SPARE - 1.0:

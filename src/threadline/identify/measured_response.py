@@ -133,7 +133,7 @@ def path_of(machine: Machine, measured: MeasuredResponse, axis: str = "") -> Pat
         If the unit is not that of the output.
     """
     axis = _axis(machine, measured, axis)
-    controller = machine.controllers[machine.axes[axis].controller]
+    controller = machine.controller_of(axis)
     base, rates = _unit(measured)
     output = measured.output or _usual(machine, axis, base)
     scale = 1.0

@@ -32,6 +32,7 @@ import numpy as np
 from pydantic import Field, StrictBool, model_validator
 from pydantic.dataclasses import dataclass
 
+from threadline.base.arrays import FloatArray
 from threadline.machine.parts import STRICT, Rounding
 from threadline.machine.quantity import Quantity, Units
 
@@ -209,7 +210,128 @@ class VelocityController(Loop):
     dac: Dac
 
 
-Controller = Annotated[
+Matrix = tuple[tuple[Annotated[float, Field(strict=True, allow_inf_nan=False)], ...], ...]
+MOST_STATES = 64
+"""Largest number of states of a state-space controller."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisOfStateSpace:
+    """What a state-space controller has for one of its axes; see ``Loop``."""
+
+    kind: Literal["state-space"]
+    clock: str
+    reference_clock: str | None
+    sensor: str
+    drive: str
+    dac: Dac
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class StateSpaceController:
+    """One linear controller for the references, sensors and drives of several axes."""
+
+    kind: Literal["state-space"]
+    """One linear controller of several axes, by the equations above."""
+    clock: str
+    """The controller's own tick, a name of ``[clocks]``."""
+    reference_clock: str | None = None
+    """Clock of the references, where they come more slowly than its own tick. Without it:
+    ``clock``."""
+    references: tuple[str, ...] = Field(min_length=1, max_length=6)
+    """Axes that it moves: their commanded positions in counts are its first inputs."""
+    sensors: tuple[str, ...] = Field(min_length=1, max_length=24)
+    """Sensors that it reads: first the encoder of each axis, in the order of ``references``, then
+    any others."""
+    drives: tuple[str, ...] = Field(min_length=1)
+    """Motors that it commands, one for each axis, in the order of ``references``."""
+    A: Matrix = ()
+    """(states, states) states at the next tick from the states at this one. Without it: no
+    states."""
+    B: Matrix = ()
+    """(states, inputs) states at the next tick from references and readings. Without it: no
+    states."""
+    C: Matrix = ()
+    """(drives, states) output in DAC levels from the states. Without it: no states."""
+    D: Matrix
+    """(drives, inputs) output in DAC levels from references and readings."""
+    L: Matrix = ()
+    """(states, drives) states at the next tick for each level that the DAC's ends took from an
+    output: it keeps integrators and observers from running on. Without it: 0."""
+    made: str = ""
+    """Where the numbers come from."""
+    dac: Dac
+    """Its output converters, one for each drive."""
+
+    @model_validator(mode="after")
+    def _sizes(self) -> StateSpaceController:
+        axes, inputs, n = (
+            len(self.references),
+            len(self.references) + len(self.sensors),
+            len(self.A),
+        )
+        for name, names in (
+            ("references", self.references), ("sensors", self.sensors), ("drives", self.drives),
+        ):  # fmt: skip
+            if len(set(names)) < len(names):
+                raise ValueError(f"{name}: a name occurs twice in {', '.join(names)}")
+        if len(self.drives) != axes:
+            raise ValueError(f"drives: {len(self.drives)} names, but references has {axes}")
+        if len(self.sensors) < axes:
+            raise ValueError(
+                f"sensors: {len(self.sensors)} names, but references has {axes}, and the first "
+                "sensors are the encoders of these axes"
+            )
+        if n > MOST_STATES:
+            raise ValueError(f"A: {n} rows, limit {MOST_STATES} states")
+        wanted = {"A": (n, n), "B": (n, inputs), "C": (axes, n), "D": (axes, inputs)}
+        if self.L:
+            wanted["L"] = (n, axes)
+        for name, (rows, columns) in wanted.items():
+            matrix: Matrix = getattr(self, name)
+            if not n and name != "D" and not any(matrix):
+                continue
+            if len(matrix) != rows:
+                raise ValueError(f"{name}: {len(matrix)} rows, {_why(name, rows, columns)}")
+            for at, row in enumerate(matrix):
+                if len(row) != columns:
+                    raise ValueError(
+                        f"{name}: {len(row)} numbers in row {at + 1}, {_why(name, rows, columns)}"
+                    )
+        return self
+
+    def matrix(self, name: Literal["A", "B", "C", "D", "L"]) -> FloatArray:
+        """Return a matrix as an array, with 0 where the file leaves it out."""
+        n, axes = len(self.A), len(self.references)
+        inputs = axes + len(self.sensors)
+        shape = {"A": (n, n), "B": (n, inputs), "C": (axes, n), "D": (axes, inputs), "L": (n, axes)}
+        given = getattr(self, name)
+        if not any(given):
+            return np.zeros(shape[name])
+        return np.array(given, dtype=np.float64).reshape(shape[name])
+
+    def of_axis(self, axis: str) -> AxisOfStateSpace:
+        """Return what it has for one of its axes."""
+        at = self.references.index(axis)
+        return AxisOfStateSpace(
+            kind="state-space",
+            clock=self.clock,
+            reference_clock=self.reference_clock,
+            sensor=self.sensors[at],
+            drive=self.drives[at],
+            dac=self.dac,
+        )
+
+
+def _why(name: str, rows: int, columns: int) -> str:
+    sizes = {
+        "A": "states x states", "B": "states x (references + sensors)", "C": "drives x states",
+        "D": "drives x (references + sensors)", "L": "states x drives",
+    }  # fmt: skip
+    return f"expected {rows} x {columns}: {sizes[name]}"
+
+
+AxisController = (
     PController
     | PiController
     | PdController
@@ -217,6 +339,8 @@ Controller = Annotated[
     | LeadController
     | VelocityController
     | IntegralVelocityController
-    | TrapezoidController,
-    Field(discriminator="kind"),
-]
+    | TrapezoidController
+)
+"""A controller of one axis: one encoder, one drive."""
+
+Controller = Annotated[AxisController | StateSpaceController, Field(discriminator="kind")]

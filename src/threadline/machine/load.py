@@ -486,7 +486,8 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
         place = text.place(*named[1].split("."), *([named[2]] if named[2] else []))
     said = f"{where}: {message}" if where else message
     named = _DESIGN_KEY.match(message)
-    if location[:1] == ("design",) and first["type"] == "value_error" and named:
+    whole = location[:1] in {("design",), ("controllers",)}
+    if whole and first["type"] == "value_error" and named:
         # Checks of a whole table begin their message with the key in it.
         place = text.place(*location, *named[1].split("."))
         said = f"{where}.{message}"

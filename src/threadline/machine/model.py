@@ -12,7 +12,12 @@ from pydantic.dataclasses import dataclass
 from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError, Place
 from threadline.files import Clock
-from threadline.machine.controllers import Controller
+from threadline.machine.controllers import (
+    AxisController,
+    AxisOfStateSpace,
+    Controller,
+    StateSpaceController,
+)
 from threadline.machine.mandrel import LocalRadii, local_radii
 from threadline.machine.motion_planner import (
     FirmwarePlanner,
@@ -234,15 +239,7 @@ class Machine(AxisArrays):
                 check_known([drive.body], self.bodies, f"drives.{name}.body", "body")
         for name, sensor in self.sensors.items():
             check_known(sensor.reads, self.bodies, f"sensors.{name}.reads", "body")
-        for name, controller in self.controllers.items():
-            where = f"controllers.{name}"
-            check_known([controller.clock], self.clocks, f"{where}.clock", "clock")
-            if controller.reference_clock is not None:
-                at = f"{where}.reference_clock"
-                check_known([controller.reference_clock], self.clocks, at, "clock")
-            encoders = [n for n, s in self.sensors.items() if s.kind == "encoder"]
-            check_known([controller.sensor], encoders, f"{where}.sensor", "encoder")
-            check_known([controller.drive], self.motors, f"{where}.drive", "drive")
+        self._controller_references()
         for name, axis in self.axes.items():
             where = f"axes.{name}"
             if axis.drive:
@@ -272,6 +269,30 @@ class Machine(AxisArrays):
             numbers = [quantities(getattr(self, table), table) for table in NUMBERED]
             check_named(self.tolerances, [path for of in numbers for path, _ in of])
         return self
+
+    def _controller_references(self) -> None:
+        for name, controller in self.controllers.items():
+            where = f"controllers.{name}"
+            check_known([controller.clock], self.clocks, f"{where}.clock", "clock")
+            if controller.reference_clock is not None:
+                at = f"{where}.reference_clock"
+                check_known([controller.reference_clock], self.clocks, at, "clock")
+            encoders = [n for n, s in self.sensors.items() if s.kind == "encoder"]
+            if isinstance(controller, StateSpaceController):
+                own = controller.sensors[: len(controller.references)]
+                check_known(controller.references, self.axes, f"{where}.references", "axis")
+                check_known(own, encoders, f"{where}.sensors", "encoder")
+                check_known(controller.sensors, self.sensors, f"{where}.sensors", "sensor")
+                check_known(controller.drives, self.motors, f"{where}.drives", "drive")
+                moved = [n for n, axis in self.axes.items() if axis.controller == name]
+                if set(moved) != set(controller.references):
+                    raise ValueError(
+                        f"{where}.references: it names {', '.join(controller.references)}, but the "
+                        f"axes with this controller are {', '.join(moved) or 'none'}"
+                    )
+                continue
+            check_known([controller.sensor], encoders, f"{where}.sensor", "encoder")
+            check_known([controller.drive], self.motors, f"{where}.drive", "drive")
 
     def _on_off_references(self) -> None:
         if not self.axes and not self.cylinders:
@@ -420,9 +441,19 @@ class Machine(AxisArrays):
         """Names of the axes, in the order of all arrays."""
         return tuple(self.axes)
 
-    def controller_of(self, axis: str) -> Controller:
-        """Return the controller that moves an axis."""
-        return self.controllers[self.axes[axis].controller]
+    def controller_of(self, axis: str) -> AxisController | AxisOfStateSpace:
+        """Return the controller that moves an axis, of a state-space controller the axis' part."""
+        controller = self.controllers[self.axes[axis].controller]
+        if isinstance(controller, StateSpaceController):
+            return controller.of_axis(axis)
+        return controller
+
+    @property
+    def observing(self) -> tuple[str, ...]:
+        """Names of the sensors that are not the encoder of an axis; they are recorded by name."""
+        loops = [name for name, axis in self.axes.items() if axis.controller]
+        taken = {self.controller_of(name).sensor for name in loops}
+        return tuple(name for name in self.sensors if name not in taken)
 
     def drive_of(self, axis: str) -> DcMotor:
         """Return the drive that the axis's controller commands."""

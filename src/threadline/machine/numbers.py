@@ -102,7 +102,8 @@ def _deepest(text: str, location: tuple[str, ...]) -> tuple[int, int]:
     table: tuple[str, ...] = ()
     best, best_depth = 0, 0
     for number, line in enumerate(text.splitlines(), start=1):
-        header = re.match(r"\s*\[\[?([^\]]+)\]\]?", line)
+        # A row of an array, [1.0, 2.0], is no header.
+        header = re.match(r"\s*\[\[?([A-Za-z][^\],]*)\]\]?\s*(?:#.*)?$", line)
         key = re.match(r'\s*("?[A-Za-z0-9_.-]+"?)\s*=', line)
         if header:
             table = tuple(part.strip(' "') for part in header[1].split("."))

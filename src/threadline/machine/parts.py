@@ -197,7 +197,7 @@ class Encoder:
     """An encoder whose reading is ``sum(resolution * coordinate)`` in whole counts."""
 
     kind: Literal["encoder"]
-    """An encoder, which control loops may read."""
+    """An encoder, which control loops may read: at a motor, or a scale at the head."""
     reads: dict[str, Resolution] = Field(min_length=1)
     """Counts per unit of each body's coordinate; the reading is a whole number."""
     rounding: Rounding = "nearest"
@@ -207,15 +207,42 @@ class Encoder:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Potentiometer:
-    """A sensor whose voltage is ``sum(sensitivity * coordinate)``; no loop uses it."""
+    """A sensor whose voltage is ``sum(sensitivity * coordinate)``, counted from the start."""
 
     kind: Literal["potentiometer"]
-    """A potentiometer, which is observed and closes no loop."""
+    """A potentiometer; a state-space controller may read it."""
     reads: dict[str, Sensitivity] = Field(min_length=1)
     """Voltage per unit of each body's coordinate."""
+    range: Annotated[Quantity, Units(("V",), positive=True)] | None = None
+    """Largest voltage to either side of the start; beyond it the reading stays there. Without it:
+    no limit."""
+    resolution: Annotated[Quantity, Units(("V",), positive=True)] | None = None
+    """Step of its converter: the reading is the nearest whole multiple. Without it: no rounding."""
+    noise: Annotated[Quantity, Units(("V",), not_negative=True)] | None = None
+    """Standard deviation of its noise, drawn anew for every reading. Without it: 0."""
 
 
-Sensor = Annotated[Encoder | Potentiometer, Field(discriminator="kind")]
+Acceleration = Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Accelerometer:
+    """A sensor whose reading is ``sum(weight * acceleration)`` of bodies, in m/s^2 or rad/s^2."""
+
+    kind: Literal["accelerometer"]
+    """An accelerometer; a state-space controller may read it."""
+    reads: Weights
+    """Bodies whose acceleration it feels, each with its weight: 1 for a sensor that sits on it."""
+    range: Acceleration | None = None
+    """Largest acceleration to either side; beyond it the reading stays there. Without it: no
+    limit."""
+    resolution: Acceleration | None = None
+    """Step of its converter: the reading is the nearest whole multiple. Without it: no rounding."""
+    noise: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), not_negative=True)] | None = None
+    """Standard deviation of its noise, drawn anew for every reading. Without it: 0."""
+
+
+Sensor = Annotated[Encoder | Potentiometer | Accelerometer, Field(discriminator="kind")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from threadline.dynamics.analysis import HERTZ, AxisAnalysis
+from threadline.dynamics.analysis import HERTZ, AxisAnalysis, LoopFigures
 from threadline.dynamics.poles import root_locus
 from threadline.dynamics.responses import speed_response
 from threadline.dynamics.without_loop import Analysis, CylinderAnalysis, PositionDriveAnalysis
@@ -139,7 +139,7 @@ def _cylinder_tables(analyses: Mapping[str, CylinderAnalysis]) -> list[Table]:
 def _axis_tables(analyses: Mapping[str, AxisAnalysis]) -> list[Table]:
     loops, network, steps = [], [], []
     for axis, a in analyses.items():
-        for figures in (a.sampled, a.continuous):
+        for figures in _models(a):
             worst = figures.margins.worst_phase
             loops.append(
                 [
@@ -200,6 +200,10 @@ def _axis_tables(analyses: Mapping[str, AxisAnalysis]) -> list[Table]:
     ]  # fmt: skip
 
 
+def _models(a: AxisAnalysis) -> tuple[LoopFigures, ...]:
+    return (a.sampled,) if a.continuous is None else (a.sampled, a.continuous)
+
+
 def _text(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
@@ -217,11 +221,12 @@ def axis_figures(
         ),
         "nyquist": (_nyquist(a), "Open loop, sampled, near the critical point."),
         "nichols": (_nichols(a), "Open loop, sampled; crosses are the critical points."),
-        "locus": (
+    }
+    if a.continuous is not None:
+        found["locus"] = (
             _locus(a),
             "Closed-loop poles of the continuous model over the gain, dead time exact.",
-        ),
-    }
+        )
     if a.steps:
         found["steps"] = (_steps(a), "Unit steps of the sampled loop.")
     return found
@@ -232,7 +237,8 @@ def _bode(a: AxisAnalysis) -> Figure:
 
     figure = Figure(figsize=(7.2, 5.4))
     size, turn = figure.subplots(2, 1, sharex=True)
-    for data, style in ((a.continuous, PLANNED), (a.sampled, ACTUAL)):
+    for data in reversed(_models(a)):
+        style = PLANNED if data is a.continuous else ACTUAL
         hertz = data.grid_rad_s * HERTZ
         size.semilogx(hertz, _db(data.response), label=data.model, **style)
         turn.semilogx(hertz, np.degrees(np.unwrap(np.angle(data.response))), **style)

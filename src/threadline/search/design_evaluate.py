@@ -121,7 +121,7 @@ def sampled_response(
     z = np.exp(1j * omega_rad_s * period_s)
     push = (rest[:, :n, n] + older / z[:, None]) * (z**-whole)[:, None]
     state = np.linalg.solve(z[:, None, None] * np.eye(n) - transition, push[:, :, None])[:, :, 0]
-    index = piece.group.sensors.index(machine.controllers[piece.group.controllers[0]].sensor)
+    index = piece.group.sensors.index(machine.controller_of(piece.group.axes[0]).sensor)
     return np.asarray((piece.sensor_rows[:, index, :n] * state).sum(axis=1))
 
 

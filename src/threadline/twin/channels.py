@@ -11,6 +11,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.files import Channel, ChannelKind
 from threadline.machine import Machine
+from threadline.machine.parts import Encoder, Potentiometer
 from threadline.twin.kernel import Reading, Signal
 
 
@@ -35,10 +36,23 @@ def tick_channels(
         add(f"{name}.voltage", ChannelKind.VOLTAGE, "V", name)
         add(f"{name}.current", ChannelKind.CURRENT, "A", name)
         add(f"{name}.current_peak", ChannelKind.CURRENT, "A", name)
+    for name in machine.observing:
+        add(f"{name}.sensor", ChannelKind.SENSOR, unit_of(machine, name))
     add("operation", ChannelKind.OPERATION, "")
     for name, switch in machine.inputs.items():
         add(name, ChannelKind.INPUT, "", switch.axis)
     return tuple(c for c in found if c.kind in kinds)
+
+
+def unit_of(machine: Machine, name: str) -> str:
+    """Return the unit of a sensor's readings."""
+    sensor = machine.sensors[name]
+    if isinstance(sensor, Encoder):
+        return "count"
+    if isinstance(sensor, Potentiometer):
+        return "V"
+    body = machine.bodies[next(iter(sensor.reads))]
+    return "m/s^2" if body.kind == "linear" else "rad/s^2"
 
 
 _SIGNALS = {
@@ -59,6 +73,8 @@ def readings_of(channels: Sequence[Channel]) -> dict[str, Reading]:
         ending = channel.name.rpartition(".")[2]
         if channel.kind is ChannelKind.INPUT:
             found[channel.name] = Reading(Signal.TRIPPED, channel.name)
+        elif channel.kind is ChannelKind.SENSOR:
+            found[channel.name] = Reading(Signal.OBSERVED, channel.name.removesuffix(".sensor"))
         elif channel.axis and ending in _SIGNALS:
             found[channel.name] = Reading(_SIGNALS[ending], channel.axis)
     return found

@@ -15,7 +15,7 @@ from math import gcd, lcm
 from operator import itemgetter
 
 from threadline.base.arrays import IntArray, Locked, read_only_int
-from threadline.dynamics.network import Group
+from threadline.dynamics.network import Group, loop_parts
 from threadline.errors import MachineError
 from threadline.files import common_period_s
 from threadline.machine import Machine
@@ -80,10 +80,9 @@ def make_schedule(machine: Machine, group: Group) -> Schedule:
     """
     tick = machine.tick_clock.period_s
     periods, delays = [], []
-    for name in group.controllers:
-        controller = machine.controllers[name]
-        periods.append(machine.clock(controller.clock).period_s)
-        delay = machine.motors[controller.drive].delay
+    for part in loop_parts(machine, group.controllers):
+        periods.append(machine.clock(part.of.clock).period_s)
+        delay = machine.motors[part.of.drive].delay
         exact = Fraction(0) if delay is None else delay.exact_s
         assert exact is not None
         delays.append(exact)

@@ -31,6 +31,8 @@ TIME = "time"
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _SWITCHED = re.compile(r"(?P<name>[A-Za-z][A-Za-z0-9_-]*)\.(?P<kind>output|input)")
 """Column of a PLC output or input, by its name in the machine file; its values are 0 or 1."""
+_SENSED = re.compile(r"[A-Za-z][A-Za-z0-9_-]*\.sensor")
+"""Column of a sensor that is not the encoder of an axis, by its name in the machine file."""
 _POSITIONS = frozenset(
     {
         ChannelKind.COMMANDED,
@@ -44,8 +46,11 @@ _UNITS = {
     ChannelKind.VOLTAGE: ("V",),
     ChannelKind.CURRENT: ("A",),
     ChannelKind.VELOCITY: ("m/s", "rad/s"),
+    ChannelKind.SENSOR: ("V", "count", "m/s^2", "rad/s^2"),
 }
-_PER_AXIS = tuple(k for k in ChannelKind if k in _POSITIONS or k in _UNITS)
+_PER_AXIS = tuple(
+    k for k in ChannelKind if k in _POSITIONS or (k in _UNITS and k is not ChannelKind.SENSOR)
+)
 
 
 def units_of(kind: ChannelKind) -> tuple[str, ...]:
@@ -95,6 +100,11 @@ def parse_column(text: str, place: Place) -> Column:
         if unit:
             raise RecordingError(f"{name[:60]!r} has no unit, found [{unit[:20]}]", place=place)
         return Column(switched["name"], ChannelKind(switched["kind"]), "", "", 1.0)
+    if _SENSED.fullmatch(name):
+        units = units_of(ChannelKind.SENSOR)
+        factor = _factor(name, unit, units, place)
+        si = next(u for u in units if same_dimension(unit, u))
+        return Column(name, ChannelKind.SENSOR, "", si, factor)
     axis, dot, kind_name = name.partition(".")
     known = [f"{axis}.{kind.value}" for kind in _PER_AXIS]
     if axis not in AXES or (dot and name not in known):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.dynamics.network import piecewise_linear
+from threadline.dynamics.network import loop_parts, piecewise_linear
 from threadline.dynamics.values import Values
 from threadline.machine import Machine
 from threadline.twin.kernel.names import ClockEntry, Count, Field
@@ -35,10 +35,11 @@ class Signal(StrEnum):
     CURRENT = "current"  # in the motor of the axis, A
     CURRENT_PEAK = "current peak"  # of largest magnitude since the preceding sample, A
     TRIPPED = "tripped"  # 1 after a limit switch has cut its drive
+    OBSERVED = "observed"  # of an observing sensor, in its unit
 
 
 class Reading(NamedTuple):
-    """A signal and the name of its axis or limit switch."""
+    """A signal and the name of its axis, limit switch or sensor."""
 
     signal: Signal
     name: str
@@ -140,10 +141,11 @@ class Engine:
             Cores to use. Results do not depend on it.
         """
         machine = self.machine
-        owner = {axis.controller: i for i, axis in enumerate(machine.axes.values())}
+        owner = {name: i for i, name in enumerate(machine.axes)}
         states = []
         for piece in self._pieces:
-            at = [owner.get(c) for c in piece.equations.group.controllers]
+            parts = loop_parts(machine, piece.equations.group.controllers)
+            at = [owner.get(part.axis) for part in parts]
             middle = np.full(self.variants, 0.5)
             own = np.stack([middle if i is None else phases[:, i] for i in at], 1)
             lanes, width = piece.lanes_of(watch_current, quantised)
@@ -257,7 +259,8 @@ class Run:
     def _ordered(self, wanted: tuple[Reading, ...]) -> list[list[Reading]]:
         """Return the readings of each signal in memory order."""
         machine = self._engine.machine
-        order = {name: at for at, name in enumerate((*machine.axis_names, *machine.inputs))}
+        names = *machine.axis_names, *machine.inputs, *machine.sensors
+        order = {name: at for at, name in enumerate(names)}
         found: dict[Signal, list[Reading]] = {}
         for reading in sorted(wanted, key=lambda reading: order[reading.name]):
             found.setdefault(reading.signal, []).append(reading)
@@ -385,3 +388,5 @@ class _Wiring:
             self.columns[Reading(Signal.CURRENT_PEAK, axis)] = at.peak(drive)
         for s, name in enumerate(group.inputs):
             self.columns[Reading(Signal.TRIPPED, name)] = at.tripped(s)
+        for s, name in enumerate(piece.sensors.names):
+            self.columns[Reading(Signal.OBSERVED, name)] = at.observed(s)

@@ -117,6 +117,14 @@ class Lanes:
         ]
         return self.code.total(terms, start)
 
+    def columns(self) -> list[Value]:
+        """Return all present columns."""
+        return [self.column(j) for j in range(self.shape.columns)]
+
+    def product_of(self, row: Row, pattern: Pattern, columns: list[Value]) -> Value:
+        """Return the product of the numbers that begin with ``row`` and ``columns``."""
+        return self.code.total([(self[(*row, j)], columns[j]) for j in pattern])
+
     def advanced(self) -> list[Value]:
         """Return the columns after an advance, valid if no guard is violated."""
         reach, unit = self.shape.reach()

@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.twin.kernel.names import AXIS_CHANGING, CHANGING, NUMBERS, Field, PlanLayout, Row
-from threadline.twin.kernel.shape import ControllerShape, Shape
+from threadline.twin.kernel.shape import BankShape, ControllerShape, SensorShape, Shape
 
 _LINE, _PAGE = 64, 4096
 
@@ -51,6 +51,13 @@ class Layout:
             for field in CHANGING:
                 if field not in unused[c]:
                     self._add(field, c)
+        for c, controller in enumerate(shape.controllers):
+            if controller.bank is not None:
+                for i in range(len(controller.bank.following)):
+                    self._add(Field.HOLDING, c, i)
+        for s, sensor in enumerate(shape.observing):
+            if sensor.noisy:
+                self._add(Field.SEED, s)
         for x in range(len(shape.axes)):
             for field in AXIS_CHANGING:
                 self._add(field, x)
@@ -62,12 +69,7 @@ class Layout:
         if shape.lengths > 1:
             self._add(Field.SOURCE)
         changing = len(self.row)
-        for c, controller in enumerate(shape.controllers):
-            for field in NUMBERS:
-                if field not in unused[c]:
-                    self._add(field, c)
-            for j in controller.sensor:
-                self._add(Field.SENSOR, c, j)
+        self._add_controllers(unused)
         for x, axis in enumerate(shape.axes):
             self._add(Field.SCALE, x)
             for j in axis.load:
@@ -87,8 +89,8 @@ class Layout:
         for d, pattern in enumerate(shape.drives):
             for j in pattern:
                 self._add(Field.CURRENT, d, j)
-        for i, pattern in enumerate(shape.matrix if shape.guards else ()):
-            for j in pattern:
+        for i in shape.derived:
+            for j in shape.matrix[i]:
                 self._add(Field.MATRIX, i, j)
         self.first_length = len(self.row)
         for i, pattern in enumerate(reach):
@@ -118,6 +120,40 @@ class Layout:
         if shape.lanes > shape.width:
             self.stride += (changing - self.rows) % period
 
+    def _add_controllers(self, unused: list[set[Field]]) -> None:
+        """Add the numbers of controllers and observing sensors."""
+        shape = self.shape
+        for c, controller in enumerate(shape.controllers):
+            for field in NUMBERS:
+                if field not in unused[c]:
+                    self._add(field, c)
+            for j in controller.sensor:
+                self._add(Field.SENSOR, c, j)
+            if controller.bank is not None:
+                self._add_bank(c, controller.bank)
+        for s, sensor in enumerate(shape.observing):
+            self._add_sensor(s, sensor)
+
+    def _add_bank(self, c: int, bank: BankShape) -> None:
+        for field, patterns in (
+            (Field.NEXT, bank.following), (Field.OUT, bank.output), (Field.BACK, bank.back),
+        ):  # fmt: skip
+            for i, pattern in enumerate(patterns):
+                for j in pattern:
+                    self._add(field, c, i, j)
+
+    def _add_sensor(self, s: int, sensor: SensorShape) -> None:
+        for j in sensor.sees:
+            self._add(Field.SEES, s, j)
+        for i in sensor.feels:
+            self._add(Field.FEELS, s, i)
+        for field, there in (
+            (Field.GRAIN, bool(sensor.rounding)), (Field.SPAN, sensor.limited),
+            (Field.NOISE, sensor.noisy),
+        ):  # fmt: skip
+            if there:
+                self._add(field, s)
+
     def _unused(self, controller: ControllerShape) -> set[Field]:
         """Return the rows that a controller does not need."""
         unused: set[Field] = set()
@@ -125,6 +161,8 @@ class Layout:
             unused |= {Field.ERROR_2, Field.OUTPUT_2, Field.B2, Field.A2}
         if not (controller.second or controller.feedback):
             unused |= {Field.OUTPUT_1, Field.A1}
+        if controller.banked:
+            unused |= {Field.ERROR_1, Field.B0, Field.B1}
         if not self.shape.delayed:
             unused.add(Field.HELD)
         if not controller.limited:

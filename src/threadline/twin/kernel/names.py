@@ -32,6 +32,8 @@ class Field(IntEnum):
     SPEED = auto()
     GOAL = auto()  # intended speed or target
     SEEN = auto()  # last reference
+    HOLDING = auto()  # state of a state-space controller
+    SEED = auto()  # of an observing sensor's noise
     # Of an axis, m or rad.
     WORST = auto()  # largest |commanded - load|
     LOWEST = auto()  # load, within the window
@@ -58,6 +60,16 @@ class Field(IntEnum):
     FASTEST = auto()  # counts per tick
     PER_TICK = auto()  # reference ticks per filter tick
     SENSOR = auto()  # row: counts read
+    # Of a state-space controller: rows over its states, references and readings.
+    NEXT = auto()  # of a state at the next tick
+    OUT = auto()  # of an output
+    BACK = auto()  # of a state, over what the ends of the DAC took from the outputs
+    # Of an observing sensor.
+    SEES = auto()  # row: reading
+    FEELS = auto()  # row: reading, over the rates of the states
+    GRAIN = auto()  # step of its converter
+    SPAN = auto()  # largest reading to either side
+    NOISE = auto()  # standard deviation
     LOAD = auto()  # row of an axis
     FRAME = auto()  # row of an axis
     RATE = auto()  # row of an axis: of its load's velocity
@@ -202,6 +214,7 @@ class SampleLayout(NamedTuple):
     axes: int
     drives: int
     inputs: int
+    observing: int
 
     def read(self, controller: int) -> int:
         """Return the column of a controller's encoder reading, counts."""
@@ -235,7 +248,11 @@ class SampleLayout(NamedTuple):
         """Return the column of the velocity of an axis' load, m/s or rad/s."""
         return self.tripped(self.inputs) + axis
 
+    def observed(self, sensor: int) -> int:
+        """Return the column of the reading of an observing sensor, in its unit."""
+        return self.rate(self.axes) + sensor
+
     @property
     def columns(self) -> int:
         """Number of columns."""
-        return self.rate(self.axes)
+        return self.observed(self.observing)

@@ -10,8 +10,22 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import IntArray
 from threadline.dynamics.network import PiecewiseLinear
-from threadline.twin.kernel.shape import AxisShape, ControllerShape, GuardShape, Pattern, Shape
-from threadline.twin.kernel.tables import NET_GUARD, ControlTables, PlantTables
+from threadline.twin.kernel.shape import (
+    AxisShape,
+    BankShape,
+    ControllerShape,
+    GuardShape,
+    Pattern,
+    SensorShape,
+    Shape,
+)
+from threadline.twin.kernel.tables import (
+    NET_GUARD,
+    Bank,
+    ControlTables,
+    PlantTables,
+    SensorTables,
+)
 
 _SECTION_PER_RATE = 0.3
 _REMAINDER = 1e-17
@@ -21,6 +35,7 @@ def shape_of(
     piece: PiecewiseLinear,
     plant: PlantTables,
     control: ControlTables,
+    sensors: SensorTables,
     axis_controller: IntArray,
     *,
     cell: float,
@@ -59,6 +74,8 @@ def shape_of(
                 encoder=control.encoder[k],
                 dac=control.dac[k],
                 profile=control.profile[k],
+                bank=_bank(control.banks[k]),
+                banked=control.banked[k],
             )
             for k in range(len(control.drive))
         ),
@@ -73,9 +90,34 @@ def shape_of(
         ),
         guards=guards,
         inputs=len(piece.group.inputs),
+        observing=tuple(_sensor(sensors, s) for s in range(len(sensors.names))),
         terms=terms,
         sections=max(1, ceil(cell / _SECTION_PER_RATE)),
         **rest,
+    )
+
+
+def _bank(bank: Bank | None) -> BankShape | None:
+    if bank is None:
+        return None
+    following, output = np.hstack([bank.A, bank.B]), np.hstack([bank.C, bank.D])
+    return BankShape(
+        loops=len(bank.D),
+        sensors=bank.sensors,
+        following=tuple(_pattern(row) for row in following),
+        output=tuple(_pattern(row) for row in output),
+        back=tuple(_pattern(row) for row in bank.L),
+    )
+
+
+def _sensor(sensors: SensorTables, s: int) -> SensorShape:
+    return SensorShape(
+        sees=_pattern(_somewhere(sensors.sees[:, s])),
+        feels=_pattern(_somewhere(sensors.feels[:, s])),
+        rounding=sensors.rounding[s],
+        offset=sensors.offset[s],
+        noisy=bool(sensors.noise[:, s].any()),
+        limited=bool(np.isfinite(sensors.span[:, s]).any()),
     )
 
 

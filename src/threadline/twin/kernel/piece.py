@@ -8,17 +8,24 @@ from math import ceil
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.dynamics.network import PiecewiseLinear
+from threadline.dynamics.network import PiecewiseLinear, loop_parts
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine
-from threadline.machine.controllers import ProfileController
+from threadline.machine.controllers import ProfileController, StateSpaceController
 from threadline.twin.kernel.layout import Layout
 from threadline.twin.kernel.mode_tables import ModeTables
 from threadline.twin.kernel.names import Action, Do, Row, SampleLayout
 from threadline.twin.kernel.patterns import shape_of
 from threadline.twin.kernel.shape import Shape
-from threadline.twin.kernel.tables import ControlTables, PlantTables, control_tables, plant_tables
+from threadline.twin.kernel.tables import (
+    ControlTables,
+    PlantTables,
+    SensorTables,
+    control_tables,
+    plant_tables,
+    sensor_tables,
+)
 from threadline.twin.timeline import Schedule, make_schedule
 
 _CACHE_BYTES = 16_000
@@ -64,7 +71,7 @@ class Piece:
 
     Parameters
     ----------
-    equations, schedule, plant, control
+    equations, schedule, plant, control, sensors
         Equations, instants and tables; every array has the variants first.
     steps
         The schedule, divided so that guards can be checked.
@@ -89,6 +96,7 @@ class Piece:
     schedule: Schedule
     plant: PlantTables
     control: ControlTables
+    sensors: SensorTables
     steps: Steps
     axis_controller: IntArray
     shared: bool
@@ -105,8 +113,9 @@ class Piece:
         """Columns of a sample."""
         group = self.equations.group
         return SampleLayout(
-            len(group.controllers), len(group.axes), len(group.drives), len(group.inputs)
-        )
+            len(self.control.drive), len(group.axes), len(group.drives), len(group.inputs),
+            len(self.sensors.names),
+        )  # fmt: skip
 
     def lanes_of(self, peak: bool, quantised: bool) -> tuple[int, int]:
         """Return the number of variants in a block, limited by the cache, and in a vector."""
@@ -133,6 +142,7 @@ class Piece:
             self.equations,
             self.plant,
             self.control,
+            self.sensors,
             self.axis_controller,
             lanes=lanes,
             width=width,
@@ -184,17 +194,15 @@ def prepared(
             f"limit {_MOST_MODES}",
             remedy="Leave out those that do not matter.",
         )
-    group, axes = piece.group, machine.axes
+    owners = [part.axis for part in loop_parts(machine, piece.group.controllers)]
     return Piece(
         equations=piece,
         schedule=schedule,
         plant=plant,
         control=control_tables(machine, piece, values),
+        sensors=sensor_tables(machine, piece, values),
         steps=_steps(schedule, rate if guarded else 0.0),
-        axis_controller=np.array(
-            [group.controllers.index(axes[a].controller) for a in group.axes],
-            dtype=np.int64,
-        ),
+        axis_controller=np.array([owners.index(axis) for axis in piece.group.axes], dtype=np.int64),
         shared=_shared(machine, piece, values),
         rate=rate,
         rates=rates,
@@ -234,7 +242,7 @@ def _shared(machine: Machine, piece: PiecewiseLinear, values: Values) -> bool:
         return False
     return [machine.axes[a].controller for a in group.axes] == list(group.controllers) and all(
         machine.axes[axis].load is None
-        and not isinstance(machine.controllers[name], ProfileController)
+        and not isinstance(machine.controllers[name], ProfileController | StateSpaceController)
         and machine.clock(machine.controllers[name].clock).period_s == tick_s
         for axis, name in zip(group.axes, group.controllers, strict=True)
     )

@@ -150,6 +150,11 @@ class _Run:
             code.write(self.clock, at, wrapped, INTEGER)
         return found
 
+    def _referred(self, c: int) -> range:
+        """Return the loops whose references a controller's action needs."""
+        bank = self.shape.controllers[c].bank
+        return range(c, c + (1 if bank is None else bank.loops))
+
     def step(self, actions: tuple[Action, ...], length: Value) -> None:
         """Write a step of one kind; a negative length means no advance."""
         code, shape = self.code, self.shape
@@ -159,7 +164,7 @@ class _Run:
             self.tick()
         K = len(shape.controllers)
         at = (self.row.get() - 1) * K
-        used = {a.controller for a in actions if a.do == Do.CONTROL}
+        used = {c for a in actions if a.do == Do.CONTROL for c in self._referred(a.controller)}
         if ticks and not shape.shared:
             used |= {axis.controller for axis in shape.axes}
             used |= {c for c, controller in enumerate(shape.controllers) if controller.profile}

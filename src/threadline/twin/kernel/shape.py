@@ -12,8 +12,32 @@ Pattern = tuple[int, ...]
 """Columns of a row that can differ from zero."""
 
 
+class BankShape(NamedTuple):
+    """Fixed properties of a state-space controller, whose loops lie side by side.
+
+    Its columns are its states, the references and readings of its loops, then other sensors.
+    """
+
+    loops: int
+    sensors: tuple[int, ...]  # indices of its other sensors
+    following: tuple[Pattern, ...]  # of each state at the next tick
+    output: tuple[Pattern, ...]  # of each output
+    back: tuple[Pattern, ...]  # of each state, over the loops
+
+
+class SensorShape(NamedTuple):
+    """Fixed properties of an observing sensor."""
+
+    sees: Pattern
+    feels: Pattern  # states whose rates it reads
+    rounding: str  # of whole steps: "floor", "trunc", "" for none
+    offset: float  # added before rounding
+    noisy: bool
+    limited: bool
+
+
 class ControllerShape(NamedTuple):
-    """Fixed properties of a controller."""
+    """Fixed properties of a controller, or of one loop of a state-space controller."""
 
     drive: int
     sensor: Pattern
@@ -24,6 +48,8 @@ class ControllerShape(NamedTuple):
     encoder: str = "nearest"  # rounding of its encoder: "nearest", "floor", "truncate"
     dac: str = "nearest"  # rounding of its DAC
     profile: str = ""  # it generates positions from "speed" or "target"; "" for none
+    bank: BankShape | None = None  # of the first loop of a state-space controller
+    banked: bool = False  # it is a loop of a state-space controller
 
 
 class AxisShape(NamedTuple):
@@ -62,6 +88,7 @@ class Shape(NamedTuple):
     delayed: bool  # a command has a dead time above 0
     shared: bool  # each controller reads its axis' load at every tick
     kinds: tuple[tuple[Action, ...], ...]  # the actions of each kind of step
+    observing: tuple[SensorShape, ...]
     uniform: tuple[Row, ...]  # constant rows with equal numbers in all lanes
 
     @property
@@ -77,7 +104,16 @@ class Shape(NamedTuple):
     @property
     def sample(self) -> SampleLayout:
         """Columns of a sample."""
-        return SampleLayout(len(self.controllers), len(self.axes), len(self.drives), self.inputs)
+        return SampleLayout(
+            len(self.controllers), len(self.axes), len(self.drives), self.inputs,
+            len(self.observing),
+        )  # fmt: skip
+
+    @property
+    def derived(self) -> tuple[int, ...]:
+        """States whose derivatives the code computes: all if there is a guard."""
+        felt = {i for sensor in self.observing for i in sensor.feels}
+        return tuple(range(self.states)) if self.guards else tuple(sorted(felt))
 
     def reach(self) -> tuple[tuple[Pattern, ...], tuple[bool, ...]]:
         """Return the patterns of a propagator's rows, and which have exactly 1 on the diagonal.

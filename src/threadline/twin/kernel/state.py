@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,8 +17,10 @@ from threadline.twin.kernel.mode_tables import ModeTables
 from threadline.twin.kernel.names import ClockEntry, Count, Field, Row, Slot
 from threadline.twin.kernel.piece import Piece
 from threadline.twin.kernel.run import kernel
+from threadline.twin.kernel.sensing import NOISE_PRIME
 from threadline.twin.kernel.shape import Shape
 
+_NOT_UNIFORM = (Field.LOWEST, Field.HIGHEST, Field.SEED)  # they change
 _FEW = 64  # variants: the initial state of up to so many is cached for the next run
 
 
@@ -220,6 +223,24 @@ def _numbers(machine: Machine, piece: Piece) -> dict[Row, FloatArray]:
         found[Field.PER_TICK, c] = control.per_tick[:, c]
         for j, values in enumerate(control.sensor_row[:, c].T):
             found[Field.SENSOR, c, j] = values
+        bank = control.banks[c]
+        if bank is not None:
+            for field, matrix in (
+                (Field.NEXT, np.hstack([bank.A, bank.B])),
+                (Field.OUT, np.hstack([bank.C, bank.D])),
+                (Field.BACK, bank.L),
+            ):
+                for (i, j), number in np.ndenumerate(matrix):
+                    found[field, c, i, j] = np.full(1, number)
+    sensors = piece.sensors
+    for s in range(len(sensors.names)):
+        for j, values in enumerate(sensors.sees[:, s].T):
+            found[Field.SEES, s, j] = values
+        for i, values in enumerate(sensors.feels[:, s].T):
+            found[Field.FEELS, s, i] = values
+        found[Field.GRAIN, s] = sensors.grain[:, s]
+        found[Field.SPAN, s] = sensors.span[:, s]
+        found[Field.NOISE, s] = sensors.noise[:, s]
     for x, axis in enumerate(equations.group.axes):
         found[Field.LOWEST, x], found[Field.HIGHEST, x] = np.full(1, np.inf), np.full(1, -np.inf)
         found[Field.SCALE, x] = np.full(1, 1.0 / machine.axes[axis].counts.si)
@@ -292,7 +313,7 @@ def _begun(
     uniform = tuple(
         row
         for row, values in numbers.items()
-        if width > 1 and row[0] not in (Field.LOWEST, Field.HIGHEST) and _alike(values)
+        if width > 1 and row[0] not in _NOT_UNIFORM and _alike(values)
     )
     shape = piece.shape(lanes, width, peak=peak, quantised=quantised, uniform=uniform)
     modes = piece.kept.get(shape)
@@ -319,7 +340,24 @@ def _standing(piece: Piece, phases: FloatArray) -> dict[Row, FloatArray]:
     # A phase of 0.5 means that the axis starts on a whole count: rounding to the nearest is the
     # floor of the position + 0.5.
     offset = {"nearest": 0.0, "floor": 0.5, "truncate": 0.5}
-    return {
+    found: dict[Row, FloatArray] = {
         (Field.PHASE, c): phases[:, c] - offset[piece.control.encoder[c]]
         for c in range(phases.shape[1])
     }
+    return found | {
+        (Field.SEED, s): _seeds(phases, piece.sensors.names[s])
+        for s in range(len(piece.sensors.names))
+    }
+
+
+def _seeds(phases: FloatArray, sensor: str) -> FloatArray:
+    """Return the (variants,) first numbers of a sensor's noise, whole, 1 to ``NOISE_PRIME`` - 1.
+
+    They follow from the phases of the encoders, which make every other run from day to day, so that
+    a run repeats its noise to the bit.
+    """
+    found = np.empty(len(phases))
+    for v, own in enumerate(np.ascontiguousarray(phases)):
+        digest = hashlib.sha256(own.tobytes() + sensor.encode()).digest()
+        found[v] = 1 + int.from_bytes(digest[:8], "big") % (NOISE_PRIME - 1)
+    return found

@@ -7,12 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.dynamics.network import PiecewiseLinear
+from threadline.dynamics.network import Group, LoopPart, PiecewiseLinear, loop_parts
 from threadline.dynamics.sampled import difference_equation
 from threadline.dynamics.values import Values
 from threadline.machine import Machine
-from threadline.machine.controllers import ProfileController, TrapezoidController
+from threadline.machine.controllers import (
+    ProfileController,
+    StateSpaceController,
+    TrapezoidController,
+)
 from threadline.machine.parts import Encoder
+from threadline.machine.quantity import Quantity
 
 ROW_GUARD, NET_GUARD = 1, 2
 _RELATIVE_SLACK = 1e-12
@@ -43,10 +48,39 @@ class PlantTables(NamedTuple):
     drive_element: IntArray  # (drives,) the element whose law is the drive's current
 
 
+class Bank(NamedTuple):
+    """A state-space controller; n states, m loops, q inputs.
+
+    The inputs are the references and readings of its loops, then ``sensors``: indices of observing
+    sensors of the piece.
+    """
+
+    A: FloatArray  # (n, n)
+    B: FloatArray  # (n, q)
+    C: FloatArray  # (m, n)
+    D: FloatArray  # (m, q)
+    L: FloatArray  # (n, m)
+    sensors: tuple[int, ...]
+
+
+class SensorTables(NamedTuple):
+    """The S observing sensors of a piece."""
+
+    names: tuple[str, ...]
+    sees: FloatArray  # (V, S, N)
+    feels: FloatArray  # (V, S, n)
+    rounding: tuple[str, ...]  # (S,) as in ``shape``
+    offset: tuple[float, ...]  # (S,)
+    grain: FloatArray  # (V, S) step of the reading, 1 for an encoder
+    span: FloatArray  # (V, S) largest reading to either side
+    noise: FloatArray  # (V, S) standard deviation
+
+
 class ControlTables(NamedTuple):
     """Digital controllers ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''`` in DAC levels.
 
-    K controllers; primes are earlier ticks, u before rounding.
+    K controllers, a state-space controller once for each of its loops; primes are earlier ticks, u
+    before rounding.
     """
 
     numerator: FloatArray  # (V, K, 3)
@@ -65,6 +99,8 @@ class ControlTables(NamedTuple):
     acceleration: FloatArray  # (V, K) counts per tick squared, whole 256ths
     fastest: FloatArray  # (V, K) counts per tick
     per_tick: FloatArray  # (V, K) reference ticks per filter tick
+    banks: tuple[Bank | None, ...]  # (K,) of the first loop of a state-space controller
+    banked: tuple[bool, ...]  # (K,) whether it is a loop of such a controller
 
 
 def plant_tables(piece: PiecewiseLinear) -> PlantTables:
@@ -123,7 +159,8 @@ def _widened(bound: FloatArray | float, sign: float) -> FloatArray:
 def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> ControlTables:
     """Return the arrays of the controllers of ``piece``."""
     group = piece.group
-    variants, count = piece.variants, len(group.controllers)
+    parts = loop_parts(machine, group.controllers)
+    variants, count = piece.variants, len(parts)
     size = piece.base.shape[2]
     tables = ControlTables(
         numerator=np.zeros((variants, count, 3)),
@@ -136,30 +173,34 @@ def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> 
         limit=np.zeros((variants, count)),
         drive=np.zeros(count, dtype=np.int64),
         zero_on_reversal=np.zeros(count, dtype=np.int64),
-        profile=tuple(_PROFILES.get(machine.controllers[k].kind, "") for k in group.controllers),
-        encoder=tuple(_encoder_rounding(machine, k) for k in group.controllers),
-        dac=tuple(machine.controllers[k].dac.rounding for k in group.controllers),
+        profile=tuple(_PROFILES.get(part.of.kind, "") for part in parts),
+        encoder=tuple(_encoder_rounding(machine, part.of.sensor) for part in parts),
+        dac=tuple(part.of.dac.rounding for part in parts),
         acceleration=np.zeros((variants, count)),
         fastest=np.zeros((variants, count)),
         per_tick=np.zeros((variants, count)),
+        banks=tuple(_bank(machine, group, part) for part in parts),
+        banked=tuple(part.of.kind == "state-space" for part in parts),
     )
-    for k, name in enumerate(group.controllers):
-        controller, path = machine.controllers[name], f"controllers.{name}"
-        bits = values.at(f"{path}.dac.bits", controller.dac.bits)
-        volts = values.at(f"{path}.dac.range", controller.dac.range)
-        drive = group.drives.index(controller.drive)
+    for k, part in enumerate(parts):
+        path, loop = f"controllers.{part.controller}", part.of
+        controller = machine.controllers[part.controller]
+        bits = values.at(f"{path}.dac.bits", loop.dac.bits)
+        volts = values.at(f"{path}.dac.range", loop.dac.range)
+        drive = group.drives.index(loop.drive)
         half = 2.0 ** (np.asarray(bits) - 1.0)
-        tables.numerator[:, k], tables.denominator[:, k] = difference_equation(
-            machine, name, values
-        )
-        tables.sensor_row[:, k] = piece.sensor_rows[:, group.sensors.index(controller.sensor)]
+        if not isinstance(controller, StateSpaceController):
+            tables.numerator[:, k], tables.denominator[:, k] = difference_equation(
+                machine, part.controller, values
+            )
+        tables.sensor_row[:, k] = piece.sensor_rows[:, group.sensors.index(loop.sensor)]
         tables.volt_per_level[:, k] = volts / half
         tables.level_low[:, k] = -half
         tables.level_high[:, k] = half - 1.0
         tables.gain[:, k] = piece.input_gain[:, drive]
         tables.limit[:, k] = piece.input_limit[:, drive]
         tables.drive[k] = drive
-        tables.zero_on_reversal[k] = controller.dac.zero_on_reversal
+        tables.zero_on_reversal[k] = loop.dac.zero_on_reversal
         if isinstance(controller, ProfileController):
             pushed = np.asarray(values.at(f"{path}.acceleration", controller.acceleration))
             tables.acceleration[:, k] = np.rint(256.0 * pushed) / 256.0
@@ -170,6 +211,60 @@ def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> 
     return tables
 
 
-def _encoder_rounding(machine: Machine, controller: str) -> str:
-    sensor = machine.sensors[machine.controllers[controller].sensor]
+def _bank(machine: Machine, group: Group, part: LoopPart) -> Bank | None:
+    controller = machine.controllers[part.controller]
+    if part.place or not isinstance(controller, StateSpaceController):
+        return None
+    others = _observing(machine, group)
+    return Bank(
+        A=controller.matrix("A"),
+        B=controller.matrix("B"),
+        C=controller.matrix("C"),
+        D=controller.matrix("D"),
+        L=controller.matrix("L"),
+        sensors=tuple(others.index(s) for s in controller.sensors[len(controller.references) :]),
+    )
+
+
+def _observing(machine: Machine, group: Group) -> tuple[str, ...]:
+    return tuple(name for name in machine.observing if name in group.sensors)
+
+
+def sensor_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> SensorTables:
+    """Return the arrays of the observing sensors of ``piece``."""
+    names = _observing(machine, piece.group)
+    at = [piece.group.sensors.index(name) for name in names]
+    shape = piece.variants, len(names)
+    tables = SensorTables(
+        names=names,
+        sees=piece.sensor_rows[:, at],
+        feels=piece.felt_rows[:, at],
+        rounding=tuple(_rounding(machine, name) for name in names),
+        offset=tuple(0.5 if _encoder_rounding(machine, n) == "nearest" else 0.0 for n in names),
+        grain=np.ones(shape),
+        span=np.full(shape, np.inf),
+        noise=np.zeros(shape),
+    )
+    for s, name in enumerate(names):
+        sensor = machine.sensors[name]
+        if isinstance(sensor, Encoder):
+            continue
+        for column, key in (
+            (tables.grain, "resolution"), (tables.span, "range"), (tables.noise, "noise"),
+        ):  # fmt: skip
+            quantity: Quantity | None = getattr(sensor, key)
+            if quantity is not None:
+                column[:, s] = values.at(f"sensors.{name}.{key}", quantity)
+    return tables
+
+
+def _rounding(machine: Machine, name: str) -> str:
+    sensor = machine.sensors[name]
+    if isinstance(sensor, Encoder):
+        return "trunc" if sensor.rounding == "truncate" else "floor"
+    return "" if sensor.resolution is None else "floor"
+
+
+def _encoder_rounding(machine: Machine, name: str) -> str:
+    sensor = machine.sensors[name]
     return sensor.rounding if isinstance(sensor, Encoder) else "nearest"

@@ -8,6 +8,7 @@ from threadline.twin.kernel.code import INTEGER, POINTER, Value
 from threadline.twin.kernel.controller_profile import profiled
 from threadline.twin.kernel.lanes import Lanes
 from threadline.twin.kernel.names import Action, Do, Field, Row
+from threadline.twin.kernel.sensing import reading, write_bank, write_noise
 
 _ENCODER = {"nearest": "floor", "floor": "floor", "truncate": "trunc"}
 """Intrinsic that rounds position + phase to counts, by the encoder's rounding."""
@@ -44,13 +45,51 @@ def write_actions(
     for action in actions:
         c = action.controller
         if action.do == Do.CONTROL:
-            _control(rows, c, references[c])
+            if not rows.shape.controllers[c].banked:
+                _control(rows, c, references[c])
+            elif rows.shape.controllers[c].bank is not None:
+                _control_bank(rows, c, references)
             if rows.shape.delayed:
                 rows.code.write_lanes(sent[action], 0, rows[Field.LEVEL, c])
         elif action.do == Do.ARRIVE:
             if rows.shape.delayed:
                 rows[Field.HELD, c] = rows.code.read_lanes(sent[action], 0)
             _arrive(rows, c)
+    if any(action.do in (Do.TICK, Do.CONTROL) for action in actions):
+        write_noise(rows)
+
+
+def _control_bank(rows: Lanes, first: int, references: list[Value]) -> None:
+    """Write the levels of all loops of a state-space controller."""
+    bank = rows.shape.controllers[first].bank
+    assert bank is not None
+    loops = range(first, first + bank.loops)
+    readings = [_read(rows, c) for c in loops]
+    outputs = write_bank(rows, first, [references[c] for c in loops], readings)
+    for c, value in zip(loops, outputs, strict=True):
+        _convert(rows, c, value)
+
+
+def _read(rows: Lanes, c: int) -> Value:
+    """Return the reading of a controller's encoder, counts."""
+    controller = rows.shape.controllers[c]
+    read = rows.product(Field.SENSOR, c, controller.sensor)
+    if rows.shape.quantised:
+        read = rows.code.call(_ENCODER[controller.encoder], read + rows[Field.PHASE, c])
+    return read
+
+
+def _convert(rows: Lanes, c: int, value: Value) -> None:
+    """Write the level of a controller's DAC for an output."""
+    code, controller = rows.code, rows.shape.controllers[c]
+    low, high = rows[Field.LEVEL_LOW, c], rows[Field.LEVEL_HIGH, c]
+    level = code.call(_DAC[controller.dac], value) if rows.shape.quantised else value
+    level = code.larger(low, code.smaller(high, level))
+    if controller.feedback or controller.second:
+        rows[Field.OUTPUT_1, c] = code.larger(low, code.smaller(high, value))
+    if controller.reversal:
+        level = code.choose(level * rows[Field.LEVEL, c] < 0.0, 0.0, level)
+    rows[Field.LEVEL, c] = level
 
 
 def _control(rows: Lanes, c: int, reference: Value) -> None:
@@ -74,14 +113,7 @@ def _control(rows: Lanes, c: int, reference: Value) -> None:
         rows[Field.ERROR_2, c] = rows[Field.ERROR_1, c]
         rows[Field.OUTPUT_2, c] = rows[Field.OUTPUT_1, c]
     rows[Field.ERROR_1, c] = e
-    low, high = rows[Field.LEVEL_LOW, c], rows[Field.LEVEL_HIGH, c]
-    level = code.call(_DAC[controller.dac], value) if shape.quantised else value
-    level = code.larger(low, code.smaller(high, level))
-    if controller.feedback or controller.second:
-        rows[Field.OUTPUT_1, c] = code.larger(low, code.smaller(high, value))
-    if controller.reversal:
-        level = code.choose(level * rows[Field.LEVEL, c] < 0.0, 0.0, level)
-    rows[Field.LEVEL, c] = level
+    _convert(rows, c, value)
 
 
 def _arrive(rows: Lanes, c: int) -> None:
@@ -173,11 +205,8 @@ def write_sample(rows: Lanes, records: Value, sample: Value, lane: Value) -> Non
     code, shape = rows.code, rows.shape
     at = shape.sample
     values: dict[int, Value] = {}
-    for c, controller in enumerate(shape.controllers):
-        read = rows.product(Field.SENSOR, c, controller.sensor)
-        if shape.quantised:
-            read = code.call(_ENCODER[controller.encoder], read + rows[Field.PHASE, c])
-        values[at.read(c)] = read
+    for c in range(len(shape.controllers)):
+        values[at.read(c)] = _read(rows, c)
         values[at.volts(c)] = rows[Field.LEVEL, c] * rows[Field.VOLT, c]
     for x, axis in enumerate(shape.axes):
         values[at.load(x)] = rows.product(Field.LOAD, x, axis.load)
@@ -191,6 +220,8 @@ def write_sample(rows: Lanes, records: Value, sample: Value, lane: Value) -> Non
         rows[Field.PEAK, d] = 0.0
     for s in range(shape.inputs):
         values[at.tripped(s)] = rows[Field.TRIPPED, s]
+    for i in range(len(shape.observing)):
+        values[at.observed(i)] = reading(rows, i)
     for column, value in values.items():
         place = code.read(records, 2 * column, INTEGER)
         with code.when(~place.equals(0)):

@@ -1,0 +1,134 @@
+"""State-space controllers in the linear analysis: blocks side by side, and their closed loop.
+
+A controller in volts has the states x, the references r and the readings y of one tick:
+
+    x[k+1] = A x[k] + R r[k] + Y y[k],   u[k] = C x[k] + Dr r[k] + Dy y[k]
+
+A difference equation of one error ``r - y`` is the case with ``Y = -R``; it is taken in transposed
+direct form. The ends of the DAC are left out, as everywhere in the linear analysis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics.sampled import ClosedLoop, DigitalFilter, StateSpace, sample
+from threadline.machine.controllers import StateSpaceController
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MatrixController:
+    """All controllers of a connected piece as one, in volts; n states, m loops, q readings.
+
+    Parameters
+    ----------
+    A, R, Y
+        (n, n), (n, m) and (n, q): the states at the next tick.
+    C, Dr, Dy
+        (m, n), (m, m) and (m, q): the voltages.
+    """
+
+    A: FloatArray
+    R: FloatArray
+    Y: FloatArray
+    C: FloatArray
+    Dr: FloatArray
+    Dy: FloatArray
+
+    def feedback(self, z: ComplexArray) -> ComplexArray:
+        """Return the (k, m, q) response from readings to voltages at (k,) values of z."""
+        inner = z[:, None, None] * np.eye(len(self.A)) - self.A
+        solved = np.linalg.solve(inner, np.broadcast_to(self.Y, (len(z), *self.Y.shape)))
+        return np.asarray(self.C @ solved + self.Dy)
+
+
+def in_volts(controller: StateSpaceController) -> MatrixController:
+    """Return a state-space controller in volts; its readings are those of its ``sensors``."""
+    m, volts = len(controller.references), controller.dac.volt_per_level
+    B, D = controller.matrix("B"), volts * controller.matrix("D")
+    return MatrixController(
+        A=controller.matrix("A"), R=B[:, :m], Y=B[:, m:],
+        C=volts * controller.matrix("C"), Dr=D[:, :m], Dy=D[:, m:],
+    )  # fmt: skip
+
+
+def of_filter(digital: DigitalFilter) -> MatrixController:
+    """Return a difference equation of one error as a controller with two states."""
+    (b0, b1, b2), (_, a1, a2) = digital.numerator, digital.denominator
+    R = np.array([[b1 - a1 * b0], [b2 - a2 * b0]])
+    return MatrixController(
+        A=np.array([[-a1, 1.0], [-a2, 0.0]]), R=R, Y=-R,
+        C=np.array([[1.0, 0.0]]), Dr=np.full((1, 1), b0), Dy=np.full((1, 1), -b0),
+    )  # fmt: skip
+
+
+def side_by_side(parts: Sequence[MatrixController]) -> MatrixController:
+    """Return controllers side by side, as one; each keeps its own readings."""
+    return MatrixController(
+        **{
+            name: np.asarray(block_diag(*(getattr(part, name) for part in parts)))
+            for name in ("A", "R", "Y", "C", "Dr", "Dy")
+        }
+    )
+
+
+def close_matrix_loop(
+    plant: StateSpace,
+    controller: MatrixController,
+    sensors: tuple[str, ...],
+    names: tuple[str, ...],
+    period_s: float,
+    gains: FloatArray,
+) -> ClosedLoop:
+    """Return the closed loop of ``plant`` with a controller of all its inputs.
+
+    Parameters
+    ----------
+    sensors
+        (q,) outputs of the plant that it reads.
+    names
+        (m,) names of the loops.
+    gains
+        (m,) factors on the voltages.
+    """
+    sampled = sample(plant, period_s)
+    m, n, held = len(names), len(plant.A), len(controller.A)
+    lines = [t + 1 for t in sampled.ticks]
+    starts = n + np.concatenate(([0], np.cumsum(lines)[:-1])).astype(int)
+    memory = n + sum(lines)
+    size = memory + held
+    read = np.zeros((len(sensors), size))
+    read[:, :n] = [plant.C[plant.outputs.index(name)] for name in sensors]
+    level = gains[:, None] * (controller.Dy @ read)
+    level[:, memory:] += gains[:, None] * controller.C
+    through = gains[:, None] * controller.Dr
+    A, B = np.zeros((size, size)), np.zeros((size, m))
+    A[:n, :n] = sampled.transition
+    for i, first in enumerate(starts.tolist()):
+        A[first], B[first] = level[i], through[i]
+        for j in range(1, lines[i]):
+            A[first + j, first + j - 1] = 1.0
+        if sampled.ticks[i] == 0:
+            A[:n] += np.outer(sampled.newer[:, i], level[i])
+            B[:n] += np.outer(sampled.newer[:, i], through[i])
+        else:
+            A[:n, first + sampled.ticks[i] - 1] += sampled.newer[:, i]
+        A[:n, first + sampled.ticks[i]] += sampled.older[:, i]
+    A[memory:] += controller.Y @ read
+    A[memory:, memory:] += controller.A
+    B[memory:] = controller.R
+    rows = np.zeros((len(plant.C), size))
+    rows[:, :n] = plant.C
+    return ClosedLoop(
+        A=A,
+        B=B,
+        C=np.vstack([rows, level]),
+        D=np.vstack([np.zeros((len(plant.C), m)), through]),
+        outputs=(*plant.outputs, *(f"controllers.{name}" for name in names)),
+        period_s=period_s,
+    )

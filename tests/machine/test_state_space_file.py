@@ -1,0 +1,110 @@
+"""State-space controllers and observing sensors in machine files: what is refused, and where."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.twin.test_state_space import ONE_AXIS
+from threadline.errors import MachineError
+from threadline.machine import load_machine
+
+TEXT = ONE_AXIS.replace("POT", "").replace("FELT", "")
+
+
+def load(folder, old: str = "", new: str = ""):
+    assert TEXT.count(old) == 1 or not old
+    file = folder / "mine.toml"
+    file.write_text(TEXT.replace(old, new) if old else TEXT)
+    return load_machine(file)
+
+
+def line_of(old: str) -> int:
+    return TEXT[: TEXT.index(old)].count("\n") + 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("A = [[0.9, 0.05], [-0.02, 0.7]]", "A = [[0.9, 0.05, 0.0], [-0.02, 0.7, 0.0]]",
+         "controllers.all.A: 3 numbers in row 1, expected 2 x 2: states x states"),
+        ("C = [[0.4, 0.7]]", "C = [[0.4, 0.7], [0.1, 0.2]]",
+         "controllers.all.C: 2 rows, expected 1 x 2: drives x states"),
+        ("D = [[1.1, -1.1, 0.8, -0.9]]", "D = [[1.1, -1.1, 0.8]]",
+         "controllers.all.D: 3 numbers in row 1, expected 1 x 4: drives x (references + sensors)"),
+        ("D = [[1.1, -1.1, 0.8, -0.9]]", "D = [[1.1, -1.1, 0.8, nan]]", "controllers.all.D"),
+        ("D = [[1.1, -1.1, 0.8, -0.9]]", 'D = [["1.1 dac/count", -1.1, 0.8, 1]]',
+         "controllers.all.D"),
+        ('sensors = ["motor", "felt", "pot"]', 'sensors = ["pot", "felt", "motor"]',
+         "controllers.all.sensors names the encoder 'pot'"),
+        ('sensors = ["motor", "felt", "pot"]', 'sensors = ["motor", "felt", "por"]',
+         "controllers.all.sensors names the sensor 'por'"),
+        ('references = ["X"]', 'references = ["Y"]',
+         "controllers.all.references names the axis 'Y'"),
+        ('drives = ["motor"]', 'drives = ["motor", "more"]', "drives: 2 names"),
+        ('reads = { head = "250 V/m exact, assumed" }',
+         'reads = { head = "250 V/m exact, assumed" }\nrange = "1 A exact, assumed"',
+         "sensors.pot.range"),
+        ('reads = { head = "1 exact, assumed" }',
+         'reads = { head = "1 exact, assumed" }\nnoise = "0.1 V exact, assumed"',
+         "sensors.felt.noise"),
+    ],
+)  # fmt: skip
+def test_an_error_names_key_and_line(tmp_path, old, new, said):
+    with pytest.raises(MachineError) as caught:
+        load(tmp_path, old, new)
+    assert said in str(caught.value)
+    inserted = 1 if "\n" in new else 0
+    assert caught.value.place is not None
+    assert caught.value.place.line == line_of(old) + inserted
+
+
+def test_rows_of_a_matrix_over_several_lines_move_no_line_number(tmp_path):
+    with pytest.raises(MachineError) as caught:
+        load(
+            tmp_path,
+            "D = [[1.1, -1.1, 0.8, -0.9]]",
+            "D = [\n  [1.1, -1.1, 0.8, -0.9],\n]\ndacs = 1",
+        )
+    assert caught.value.place is not None
+    assert caught.value.place.line == line_of("D = [[1.1") + 3
+
+
+def test_an_axis_needs_one_reference_and_a_drive_one_controller(tmp_path):
+    extra = """
+[controllers.other]
+kind = "p"
+clock = "tick"
+sensor = "motor"
+drive = "motor"
+kp = "1 dac/count exact, assumed"
+dac = { bits = "8 bit exact, assumed", range = "10 V exact, assumed" }
+"""
+    file = tmp_path / "mine.toml"
+    file.write_text(TEXT + extra)
+    from threadline.dynamics.network import connected_groups
+
+    with pytest.raises(MachineError, match="share the drive 'motor'"):
+        connected_groups(load_machine(file))
+    file.write_text(TEXT.replace('controller = "all"', 'controller = "other"') + extra)
+    with pytest.raises(MachineError, match="the axes with this controller are none"):
+        load_machine(file)
+
+
+def test_what_needs_one_error_and_one_drive_is_refused_in_words(tmp_path):
+    from threadline.dynamics.inverse import inverse_of
+    from threadline.dynamics.sampled import digital_filter
+
+    machine = load(tmp_path)
+    with pytest.raises(MachineError, match=r"controllers\.all has the kind state-space"):
+        digital_filter(machine, "all")
+    with pytest.raises(MachineError, match="state-space, and what needs the exact inverse"):
+        inverse_of(machine, "X")
+
+
+def test_an_accelerometer_that_a_motor_moves_at_once_closes_no_analysed_loop(tmp_path):
+    from threadline.dynamics.linear_model import linear_model
+
+    machine = load(tmp_path, 'reads = { head = "1 exact, assumed" }',
+                   'reads = { motor = "1 exact, assumed" }')  # fmt: skip
+    with pytest.raises(MachineError, match=r"reads sensors\.felt, whose body a motor accelerates"):
+        linear_model(machine)
