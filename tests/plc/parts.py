@@ -16,10 +16,11 @@ from typing import Any
 from lark import Token, Tree
 
 from tests.plc.parsed import parsed
-from tests.plc.reading import Unit, unit_of
+from tests.plc.reading import Declared, Table, Unit, unit_of
 
 COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
 UNIT = re.compile(r"\b(FUNCTION_BLOCK|PROGRAM)\b(.*?)\bEND_\1\b", re.DOTALL)
+ARRAY = re.compile(r"ARRAY \[0\.\.(\d+)\] OF (\w+) := \[(.*)\]", re.DOTALL)
 TEXT = re.compile(r"'[^']*'")
 NUMBER = re.compile(r"(?<![\w.%])(T#)?(\d+)(?=(?:ms|s|m|h|d)?(?![\w.]))")
 FIRST = 900_001
@@ -49,6 +50,12 @@ def _declared(kind: str, head: str) -> Unit:
         unit.mixed_blocks += any(located) and not all(located)
         for one in declarations:
             before, _, after = one.partition(" : ")
+            array = ARRAY.fullmatch(after)
+            if array is not None:
+                own = _array(before.strip().lower(), section, *array.groups())
+                unit.twice += [own.name] if own.name in unit.declared else []
+                unit.declared[own.name] = own
+                continue
             name, _, address = before.partition(" AT ")
             shape = f"zz{' AT %QX0.0' if address else ''} : {after}"
             found = _one_declaration(kind, section, shape)
@@ -58,6 +65,18 @@ def _declared(kind: str, head: str) -> Unit:
                 unit.twice.append(read.name)
             unit.declared[read.name] = read
     return unit
+
+
+def _array(name: str, section: str, last: str, kind: str, values: str) -> Declared:
+    """Return a constant array; ``3(FALSE)`` stands for three values."""
+    assert section == "VAR CONSTANT", name
+    found = Table()
+    for part in re.findall(r"'[^']*'|[^,\s]+", values):
+        count, value = re.fullmatch(r"(?:(\d+)\()?('[^']*'|[^()]+)\)?", part).groups()  # type: ignore[union-attr]
+        one = _one_declaration("FUNCTION_BLOCK", section, f"zz : {kind} := {value}")
+        found += [one.declared["zz"].initial] * int(count or 1)
+    assert len(found) == int(last) + 1, name
+    return Declared(name, kind, "VAR", "", found)
 
 
 @cache
@@ -72,7 +91,7 @@ def statements_of(body: str) -> list[str]:
     found, words, depth = [], [], 0
     for word in re.findall(r";|[^\s;]+", body):
         words.append(word)
-        depth += {"IF": 1, "END_IF": -1}.get(word.upper(), 0)
+        depth += {"IF": 1, "END_IF": -1, "WHILE": 1, "END_WHILE": -1}.get(word.upper(), 0)
         if word == ";" and depth == 0:
             found.append(" ".join(words))
             words = []

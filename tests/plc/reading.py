@@ -17,6 +17,14 @@ DEFAULTS = {"BOOL": False, "INT": 0, "DINT": 0, "TIME": 0, "STRING": ""}
 PYTHON = {"AND": "and", "OR": "or", "=": "==", "<>": "!=", "NOT": "not ", "MOD": "%"}
 
 
+class Table(list[Any]):
+    """The values of an array from 0 on; an index below 0 is an error, as in a controller."""
+
+    def __getitem__(self, index: Any) -> Any:
+        assert index >= 0, index
+        return super().__getitem__(index)
+
+
 @dataclass
 class Declared:
     name: str
@@ -166,6 +174,10 @@ def expression(node: Any, used: set[str]) -> str:
         return local(name_of(node))
     if node.data == "multi_element_variable":
         base, selector = node.children
+        if selector.data == "subscript_list":
+            (index,) = (c for c in selector.children if c is not None)
+            used.add(name_of(base))
+            return f"{local(name_of(base))}[{expression(index, used)}]"
         used.add(f"{name_of(base)}.{name_of(selector)}")
         return f"{local(name_of(base))}.v[{name_of(selector)!r}]"
     if node.data == "constant":
@@ -191,6 +203,10 @@ def statements(node: Tree[Any], used: set[str], assigned: list[str], depth: int)
             yield pad + call(next(child.find_data("function_call")), used)
         elif child.data == "if_statement":
             yield from conditional(child, used, assigned, depth)
+        elif child.data == "while_statement":
+            head, body = (c for c in child.children if c is not None)
+            yield f"{pad}while {expression(head, used)}:"
+            yield from statements(body, used, assigned, depth + 1)
         else:
             assert child.data == "statement_list", f"a statement of another kind: {child.data}"
             yield from statements(child, used, assigned, depth)

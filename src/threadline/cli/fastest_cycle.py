@@ -33,7 +33,7 @@ def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
         [
             move.step,
             move.axis,
-            f"{move.distance_m * machine.cylinders[move.axis].usual[0]:g}",
+            f"{move.distance_m * machine.usual(move.axis)[0]:g}",
             f"{move.unshaped_s:.3f}",
             f"{move.bound_s:.3f}",
             f"{move.command_s:.3f}",
@@ -272,14 +272,14 @@ def moves_table(found: FastestCycle, title: str) -> Printed:
 
 def _usual(machine: Machine) -> str:
     """Return the units of the column of distances: ``mm``, ``deg`` or both."""
-    return ", ".join(dict.fromkeys(one.usual[1] for one in machine.cylinders.values()))
+    return ", ".join(dict.fromkeys(machine.usual(axis)[1] for axis in machine.moving))
 
 
 def _row(move: MoveChoice, machine: Machine) -> list[str]:
     return [
         move.step,
         move.axis,
-        f"{move.distance_m * machine.cylinders[move.axis].usual[0]:g}",
+        f"{move.distance_m * machine.usual(move.axis)[0]:g}",
         f"{move.unshaped_s:.3f}",
         f"{move.time_optimal_s:.3f}",
         f"{move.command_s:.3f}",

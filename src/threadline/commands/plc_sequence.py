@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Literal
 
 from threadline.commands.intents import Scheduled
@@ -39,6 +40,8 @@ class Variable:
         Literal; empty for the default of the type.
     address
         Address of a located variable, like ``%QX0.1``.
+    values
+        Literals of an array from 0 on, whose elements have the type; empty for a single variable.
     note
         Comment for people.
     """
@@ -49,6 +52,13 @@ class Variable:
     initial: str = ""
     address: str = ""
     note: str = ""
+    values: tuple[str, ...] = ()
+
+    @property
+    def runs(self) -> Iterator[tuple[str, int]]:
+        """Each literal of an array, with the number of times that it follows itself."""
+        for literal, same in groupby(self.values):
+            yield literal, len(list(same))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,7 +189,7 @@ class Sequence:
     air: tuple[str, ...]
     again: str
 
-    def _creep_times(self, named: NamedPlace) -> Iterator[tuple[str, int, str]]:
+    def creep_times(self, named: NamedPlace) -> Iterator[tuple[str, int, str]]:
         """Yield name, milliseconds and note of the three constants of a creep."""
         place, creep = named.place, named.place.creep
         if creep is None or place.wait is None:
@@ -203,17 +213,29 @@ class Sequence:
         """All places, in the order of their numbers."""
         return (*self.cycle, *self.homing)
 
-    def constants(self, outputs: Mapping[str, str]) -> Iterator[Variable]:
-        """Yield the constants of the program; ``outputs`` gives the names of outputs in notes."""
+    def constants(
+        self, outputs: Mapping[str, str], places: frozenset[str] | None = None
+    ) -> Iterator[Variable]:
+        """Yield the constants of the program.
+
+        Parameters
+        ----------
+        outputs
+            Names of outputs in notes.
+        places
+            Places with a name of their own, without times; None: all of them, with their times.
+        """
         yield Variable(name=self.idle, type="INT", initial="0", note="every output is off")
         for named in self.places:
+            if places is not None and named.name not in places:
+                continue
             number = str(named.place.number)
             on = ", ".join(outputs[name] for name in named.place.on) or "nothing"
             yield Variable(name=named.name, type="INT", initial=number, note=f"on: {on}")
-        for named in self.places:
+        for named in self.places if places is None else ():
             due = f"T#{named.place.due_ms}ms"
             yield Variable(name=named.due, type="TIME", initial=due, note=named.note)
-            for name, ms, note in self._creep_times(named):
+            for name, ms, note in self.creep_times(named):
                 yield Variable(name=name, type="TIME", initial=f"T#{ms}ms", note=note)
             for axis, (early, gone) in () if named.place.opens else named.bounds.items():
                 watch = named.watch[axis]

@@ -27,6 +27,9 @@ _TYPES = {
     "BOOL": "Bool", "INT": "Int", "DINT": "DInt", "TIME": "Time", "STRING": "String",
     "TON": "TON_TIME",
 }  # fmt: skip
+_BY_ITSELF = {"BOOL": "FALSE", "INT": "0", "TIME": "T#0ms", "STRING": "''"}
+"""Values that a data block has without being told."""
+_ARRAY = re.compile(r"(?<![#\w.])[a-z]\w*(?=\[)")
 _NAME = re.compile(r"'[^']*'|\(\*.*?\*\)|(?<![#%\w.])[A-Za-z_]\w*")
 
 
@@ -41,6 +44,7 @@ def scl_source(scheduled: Scheduled) -> str:
     program = plc_program(scheduled)
     instance = f"{program.block.name}_data"
     lines = [
+        *_table_block(program.block),
         *_function_block(program.block),
         "",
         f'DATA_BLOCK "{instance}"',
@@ -56,18 +60,52 @@ def scl_source(scheduled: Scheduled) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _table_of(pou: Pou) -> str:
+    return f"{pou.name}_table"
+
+
+def _arrays(pou: Pou) -> list[Variable]:
+    return [variable for block in pou.blocks for variable in block.variables if variable.values]
+
+
+def _table_block(pou: Pou) -> Iterator[str]:
+    """Yield the data block of the tables of a long sequence; nothing without tables."""
+    arrays = _arrays(pou)
+    if not arrays:
+        return
+    yield f'DATA_BLOCK "{_table_of(pou)}"'
+    yield "{ S7_Optimized_Access := 'TRUE' }"
+    yield "VERSION : 0.1"
+    yield "NON_RETAIN"
+    yield "  VAR"
+    for array in arrays:
+        last, note = len(array.values) - 1, st_comment(array.note)
+        yield f"    {array.name} : Array[0..{last}] of {_TYPES[array.type]};  // {note}"
+    yield "  END_VAR"
+    yield "BEGIN"
+    for array in arrays:
+        for index, value in enumerate(array.values):
+            if value != _BY_ITSELF[array.type]:
+                yield f"  {array.name}[{index}] := {value};"
+    yield "END_DATA_BLOCK"
+    yield ""
+
+
 def _function_block(pou: Pou) -> Iterator[str]:
     yield f'FUNCTION_BLOCK "{pou.name}"'
     yield "{ S7_Optimized_Access := 'TRUE' }"
     yield "VERSION : 0.1"
     for note in pou.notes:
         yield f"// {st_comment(note)}"
+    arrays = {array.name for array in _arrays(pou)}
     for block in pou.blocks:
-        yield from _scl_variables(block)
+        if not any(variable.values for variable in block.variables):
+            yield from _scl_variables(block)
     yield "BEGIN"
-    local = {variable.name for block in pou.blocks for variable in block.variables}
+    local = {variable.name for block in pou.blocks for variable in block.variables} - arrays
     for line in pou.body:
-        yield f"  {_local(line, local)}" if line else ""
+        marked = _local(line, local)
+        yield f"  {_of_table(marked, arrays, _table_of(pou))}" if line else ""
     yield "END_FUNCTION_BLOCK"
 
 
@@ -96,6 +134,13 @@ def _local(line: str, names: set[str]) -> str:
         return f"#{match[0]}" if match[0] in names else match[0]
 
     return _NAME.sub(marked, line)
+
+
+def _of_table(line: str, arrays: set[str], table: str) -> str:
+    """Return a line with the data block before every name of an array."""
+    return _ARRAY.sub(
+        lambda match: f'"{table}".{match[0]}' if match[0] in arrays else match[0], line
+    )
 
 
 def _address(standard: str) -> str:
@@ -255,6 +300,11 @@ def _variable(parent: ET.Element, variable: Variable) -> None:
     at = {"address": variable.address} if variable.address else {}
     element = ET.SubElement(parent, "variable", {"name": variable.name, **at})
     kind = ET.SubElement(element, "type")
+    if variable.values:
+        array = ET.SubElement(kind, "array")
+        ends = {"lower": "0", "upper": str(len(variable.values) - 1)}
+        ET.SubElement(array, "dimension", ends)
+        kind = ET.SubElement(array, "baseType")
     if variable.derived:
         ET.SubElement(kind, "derived", {"name": variable.type})
     else:
@@ -263,6 +313,12 @@ def _variable(parent: ET.Element, variable: Variable) -> None:
     if variable.initial:
         initial = ET.SubElement(element, "initialValue")
         ET.SubElement(initial, "simpleValue", {"value": variable.initial})
+    if variable.values:
+        initial = ET.SubElement(ET.SubElement(element, "initialValue"), "arrayValue")
+        for literal, count in variable.runs:
+            repeated = {"repetitionValue": str(count)} if count > 1 else {}
+            value = ET.SubElement(initial, "value", repeated)
+            ET.SubElement(value, "simpleValue", {"value": literal})
     if variable.note:
         documentation = ET.SubElement(element, "documentation")
         ET.SubElement(documentation, "xhtml:p").text = plain(variable.note)

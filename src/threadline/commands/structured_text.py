@@ -32,7 +32,16 @@ from threadline.commands.plc_watch import air_ms
 from threadline.commands.schedule_moves import shaping_words
 from threadline.commands.structured_text_body import body_lines, branches_in_scan
 from threadline.commands.structured_text_panel import HAND_NAMES, hand_constants, hand_state
-from threadline.errors import PlanError
+from threadline.commands.structured_text_table import (
+    LISTED,
+    MOST_PLACES,
+    TABLE_NAMES,
+    Tables,
+    kept_places,
+    table_state,
+    tables_of,
+)
+from threadline.errors import Place, PlanError
 from threadline.files.formats.common import Written, atomic_file, written
 from threadline.machine import Machine
 
@@ -63,7 +72,7 @@ _PANEL_OUTPUTS = {
 _INTERNAL = (
     "origin", "elapsed", "late", "allowed", "start_before", "home_before", "acknowledge_before",
     "cycle_timer", "scan_timer", "cause", "culprit", "ending", "sequence",
-    *CREEP_NAMES, *HAND_NAMES, *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
+    *CREEP_NAMES, *HAND_NAMES, *TABLE_NAMES, *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
 )  # fmt: skip
 _ONCE = ("start", "acknowledge", "home")
 
@@ -93,6 +102,12 @@ def plc_program(scheduled: Scheduled, cell: tuple[str, str] = ("cell", "cpu")) -
     outputs = {output: names.give(output) for output in machine.outputs}
     sequence = sequence_of(scheduled, names, inputs, outputs)
     net = sequence.net
+    if len(sequence.places) > MOST_PLACES:
+        raise PlanError(
+            f"the list has {len(sequence.places)} places, and a PLC numbers {MOST_PLACES} at most",
+            place=Place(scheduled.job.file),
+            remedy="Divide the list.",
+        )
     free = [
         named.place.wait
         for named in sequence.cycle
@@ -115,12 +130,13 @@ def plc_program(scheduled: Scheduled, cell: tuple[str, str] = ("cell", "cpu")) -
         air_ms=air_ms(machine, net.scan_ms),
         dwell_ms=_dwell_ms(machine),
     )
+    tables = tables_of(sequence, words, names) if len(sequence.places) > LISTED else None
     block = Pou(
         kind="FUNCTION_BLOCK",
         name=block_name,
         notes=_notes(scheduled, net),
-        blocks=_block_variables(words, sequence),
-        body=tuple(body_lines(sequence, words, machine)),
+        blocks=tuple(_block_variables(words, sequence, tables)),
+        body=tuple(body_lines(sequence, words, machine, tables)),
     )
     main = _main(machine, words, block_name, main_name)
     return PlcProgram(
@@ -139,13 +155,11 @@ _BRANCH_US = 2.0
 _LARGE = 0.25
 """Share of the scan that the branches may take before the program is called large."""
 _LARGE_KB = 1000.0
+_WIDTH = 100  # characters of a line in an array
 
 
 def sized(scheduled: Scheduled, program: PlcProgram, path: Path) -> Written:
-    """Return the written file with its size and the time of a scan, and a warning if that is long.
-
-    Of a long list most branches stand in groups that a controller passes over.
-    """
+    """Return the written file with its size and the time of a scan, and a warning if it is long."""
     branches, scan_ms = branches_in_scan(program.block.body), program.interval_ms
     takes_ms = 1e-3 * _BRANCH_US * branches
     told = f"{branches} branches in a scan take about {takes_ms:.3g} ms of {scan_ms} ms"
@@ -214,28 +228,30 @@ def _shaped(scheduled: Scheduled, axis: str) -> str:
     return shaping_words(shaping) if shaping or plain else "each move as the move list says"
 
 
-def _block_variables(words: Words, sequence: Sequence) -> tuple[Block, ...]:
-    return (
-        Block(
-            kind="VAR_INPUT",
-            variables=(
-                *(Variable(name=n, type="BOOL") for n in words.inputs.values()),
-                *_panel_inputs(),
-            ),
+def _block_variables(words: Words, sequence: Sequence, tables: Tables | None) -> Iterator[Block]:
+    yield Block(
+        kind="VAR_INPUT",
+        variables=(
+            *(Variable(name=n, type="BOOL") for n in words.inputs.values()),
+            *_panel_inputs(),
         ),
-        Block(
-            kind="VAR_OUTPUT",
-            variables=(
-                *(Variable(name=n, type="BOOL", initial="FALSE") for n in words.outputs.values()),
-                *_panel_outputs(),
-            ),
-        ),
-        Block(
-            kind="VAR CONSTANT",
-            variables=(*sequence.constants(words.outputs), *hand_constants(words)),
-        ),
-        Block(kind="VAR", variables=tuple(_state(words, sequence))),
     )
+    yield Block(
+        kind="VAR_OUTPUT",
+        variables=(
+            *(Variable(name=n, type="BOOL", initial="FALSE") for n in words.outputs.values()),
+            *_panel_outputs(),
+        ),
+    )
+    kept = None if tables is None else kept_places(sequence)
+    yield Block(
+        kind="VAR CONSTANT",
+        variables=(*sequence.constants(words.outputs, kept), *hand_constants(words)),
+    )
+    if tables is not None:
+        yield Block(kind="VAR CONSTANT", variables=tables.arrays)
+    more = () if tables is None else table_state()
+    yield Block(kind="VAR", variables=(*_state(words, sequence), *more))
 
 
 def _panel_inputs() -> Iterator[Variable]:
@@ -319,9 +335,23 @@ def pou_text(pou: Pou) -> list[str]:
 
 def _declaration(variable: Variable) -> str:
     at = f" AT {variable.address}" if variable.address else ""
-    initial = f" := {variable.initial}" if variable.initial else ""
+    kind, initial = variable.type, f" := {variable.initial}" if variable.initial else ""
+    if variable.values:
+        kind = f"ARRAY [0..{len(variable.values) - 1}] OF {kind}"
+        initial = f" := {_array_literal(variable)}"
     note = f" (* {st_comment(variable.note)} *)" if variable.note else ""
-    return f"{variable.name}{at} : {variable.type}{initial};{note}"
+    return f"{variable.name}{at} : {kind}{initial};{note}"
+
+
+def _array_literal(variable: Variable) -> str:
+    """Return the values of an array in lines of some hundred characters; equal ones as a count."""
+    lines, line = list[str](), "["
+    for literal, count in variable.runs:
+        line += f"{literal}, " if count == 1 else f"{count}({literal}), "
+        if len(line) > _WIDTH:
+            lines.append(line.rstrip())
+            line = "    "
+    return "\n".join((*lines, line)).rstrip(", \n") + "]"
 
 
 def configuration_text(program: PlcProgram) -> list[str]:

@@ -8,27 +8,46 @@ from itertools import groupby
 from threadline.commands.plc_sequence import CREEP_NAMES, Guarded, Sequence, Words
 from threadline.commands.plc_watch import NamedPlace, reads, switches_of
 from threadline.commands.structured_text_panel import hand_lines, panel_texts, plain_text
+from threadline.commands.structured_text_table import (
+    Tables,
+    looked_up,
+    table_interlocks,
+    table_outputs,
+    table_steps,
+    table_transitions,
+)
 from threadline.machine import Machine
 
 _LONGEST = "PT := T#24h"
 
 
-def body_lines(sequence: Sequence, words: Words, machine: Machine) -> Iterator[str]:
-    """Yield the lines of the body."""
+def body_lines(
+    sequence: Sequence, words: Words, machine: Machine, tables: Tables | None
+) -> Iterator[str]:
+    """Yield the lines of the body, with ``tables`` for a long sequence."""
     yield from _watchdog(words)
     yield from _guards(words, sequence)
     yield from _buttons(words, sequence)
-    yield from _clock(words, sequence)
+    yield from _clock(words, sequence, tables)
     yield from _plausible(words, sequence, machine)
     yield from _stop(sequence)
-    yield "(* The transitions, in order: several may fire in one scan. *)"
-    for run in (sequence.cycle, sequence.homing):
-        yield from _in_groups(_transitions(run, words, sequence))
-    yield ""
-    yield from _steps(sequence)
-    yield from _interlocks(words, sequence)
+    if tables is None:
+        yield "(* The transitions, in order: several may fire in one scan. *)"
+        for run in (sequence.cycle, sequence.homing):
+            yield from _transitions(run, words, sequence)
+        yield ""
+        yield from _steps(sequence)
+        yield from _interlocks(words, sequence)
+    else:
+        first, second = (tuple(_end(run, words, sequence)) for run in (True, False))
+        yield from table_transitions(sequence, words, tables, (first, second))
+        yield from table_steps()
+        yield from table_interlocks(sequence, words, tables)
     yield from _stop(sequence)
-    yield from _outputs(words, sequence)
+    if tables is None:
+        yield from _outputs(words, sequence)
+    else:
+        yield from table_outputs(sequence, words, tables)
     yield from hand_lines(sequence, words)
     yield from panel_texts(sequence, words, machine)
     yield f"busy := place <> {sequence.idle};"
@@ -104,27 +123,32 @@ def _begin(first: str, words: Words, creeps: bool) -> Iterator[str]:
     yield from (f"{fresh} := FALSE;" for fresh in words.fresh.values())
 
 
-def _clock(words: Words, sequence: Sequence) -> Iterator[str]:
+def _clock(words: Words, sequence: Sequence, tables: Tables | None) -> Iterator[str]:
     early = f" + T#{words.early_ms}ms" if words.early_ms else ""
     yield "(* Milliseconds since the last input, by half a scan ahead: the nearest scan acts. *)"
     yield f"cycle_timer(IN := place <> {sequence.idle}, {_LONGEST});"
     yield f"elapsed := cycle_timer.ET - origin{early};"
-    yield from _fresh(words, sequence)
+    yield from _fresh(words, sequence, tables)
     yield ""
 
 
-def _fresh(words: Words, sequence: Sequence) -> Iterator[str]:
+def _fresh(words: Words, sequence: Sequence, tables: Tables | None) -> Iterator[str]:
     """Yield the lines that note whether an input had its other value before it counts.
 
     An input switched by a vacuum must have its other value when the vacuum is switched on.
     """
+    if tables is not None and tables.before:
+        yield from looked_up()
     for (name, value), fresh in words.fresh.items():
         word = words.inputs[name]
         yield f"IF {f'NOT {word}' if value else word} THEN"
         yield f"  {fresh} := TRUE;"
         before = sequence.before_vacuum.get((name, value), ())
         if before:
-            yield f"ELSIF {' OR '.join(f'(place = {one})' for one in before)} THEN"
+            places = " OR ".join(f"(place = {one})" for one in before)
+            if tables is not None:
+                places = f"{tables.before[name, value]}[look]"
+            yield f"ELSIF {places} THEN"
             yield f"  {fresh} := FALSE;"
         yield "END_IF;"
 
@@ -192,46 +216,20 @@ def _stop(sequence: Sequence) -> Iterator[str]:
     yield ""
 
 
-_Part = tuple[NamedPlace, NamedPlace, list[str]]
-"""First and last of consecutive places, and the lines that act in these places alone."""
-_GROUP = 48  # places; a list of fewer than twice as many has no groups
-
-
-def _in_groups(parts: Iterator[_Part]) -> Iterator[str]:
-    """Yield the lines of all parts; of many, a group is passed over unless its place is on.
-
-    A controller would otherwise compare the place with every place of a long list in every scan.
-    """
-    every = list(parts)
-    if len(every) < 2 * _GROUP:
-        yield from (line for *_, lines in every for line in lines)
-        return
-    for begin in range(0, len(every), _GROUP):
-        group = every[begin : begin + _GROUP]
-        yield f"IF {_within(group[0][0], group[-1][1])} THEN"
-        yield from (f"  {line}" for *_, lines in group for line in lines)
-        yield "END_IF;"
+_PASSES = 3  # of the loop over transitions in a scan: it enters a place, and leaves it at once
 
 
 def branches_in_scan(body: tuple[str, ...]) -> int:
-    """Return the number of branches to which a controller comes in a scan at most.
-
-    It enters a group of the outputs and two of the transitions, where one passes to the next.
-    """
-    outside, inside, largest, group = 0, 0, 0, False
+    """Return the number of branches to which a controller comes in a scan at most."""
+    count, often = 0, 1
     for line in body:
-        group = group or line.startswith("IF (place >= ")
-        branches = line.lstrip().startswith(("IF ", "ELSIF "))
-        if group and line.startswith(" "):
-            inside += branches
-        else:
-            outside += branches
-        if line == "END_IF;":
-            largest, inside, group = max(largest, inside), 0, False
-    return outside + 3 * largest
+        often = _PASSES if line.startswith("WHILE ") else often
+        count += often * line.lstrip().startswith(("IF ", "ELSIF ", "WHILE "))
+        often = 1 if line == "END_WHILE;" else often
+    return count
 
 
-def _transitions(run: tuple[NamedPlace, ...], words: Words, sequence: Sequence) -> Iterator[_Part]:
+def _transitions(run: tuple[NamedPlace, ...], words: Words, sequence: Sequence) -> Iterator[str]:
     """Yield the transitions out of each place, with the places by which cylinders creep."""
     steady = [named for named in run if not named.place.opens]
     opened = {run[i - 1].name: named for i, named in enumerate(run) if named.place.opens}
@@ -239,8 +237,8 @@ def _transitions(run: tuple[NamedPlace, ...], words: Words, sequence: Sequence) 
     for named, then in zip(steady, (*steady[1:], None), strict=True):
         told = [] if named.place.step == step else [f"(* Step {named.place.step} *)"]
         step, beside = named.place.step, opened.get(named.name)
-        lines = [*told, *_transition(named, then, words, sequence, beside)]
-        yield named, beside or named, lines
+        yield from told
+        yield from _transition(named, then, words, sequence, beside)
 
 
 def _transition(
@@ -251,7 +249,9 @@ def _transition(
     opened: NamedPlace | None,
 ) -> Iterator[str]:
     place = named.place
-    leave = [f"place := {then.name};"] if then else list(_end(named, words, sequence))
+    leave = (
+        [f"place := {then.name};"] if then else list(_end(named in sequence.cycle, words, sequence))
+    )
     if place.wait is None:
         yield f"IF (place = {named.name}) AND (elapsed >= {named.due}) THEN"
         yield from (f"  {line}" for line in leave)
@@ -298,9 +298,9 @@ def _transition(
     yield "END_IF;"
 
 
-def _end(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
-    """Yield the actions of the last place of a run."""
-    if named in sequence.homing:
+def _end(cycle: bool, words: Words, sequence: Sequence) -> Iterator[str]:
+    """Yield the actions of the last place of the cycle, or of the way home."""
+    if not cycle:
         yield f"place := {sequence.idle};"
         yield "homed := TRUE;"
         return
@@ -362,9 +362,8 @@ def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
         yield f"{one.expect} := {one.unknown};"
         yield f"{one.early} := T#0ms;"
         yield f"{one.gone} := T#0ms;"
-    yield from _in_groups(
-        (named, named, list(_outputs_of(named, words, sequence))) for named in sequence.places
-    )
+    for named in sequence.places:
+        yield from _outputs_of(named, words, sequence)
     yield ""
 
 

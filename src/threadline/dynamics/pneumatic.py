@@ -337,3 +337,27 @@ def flow_mode(machine: Machine, axis: str) -> tuple[float, float]:
     """
     pole = step_ringing(machine, axis).pole
     return abs(pole) / (2.0 * math.pi), -pole.real / abs(pole)
+
+
+def short_of_torque(machine: Machine) -> list[str]:
+    """Return a warning for each rotary cylinder with too little torque for its load.
+
+    The speed follows the flow with a first-order lag, so that the load first accelerates by the
+    speed over the lag. The exhaust still has pressure then: what is left of the torque is less.
+    """
+    found = []
+    for name, cylinder in machine.cylinders.items():
+        if cylinder.torque is None:
+            continue
+        inertia, friction = machine.bodies[cylinder.pushes].inertia.si, cylinder.friction
+        needed = inertia * cylinder.speed.si / cylinder.lag.si
+        needed += 0.0 if friction is None else friction.si
+        has = cylinder.torque.torque_n_m
+        if needed > has:
+            speed = cylinder.pace(cylinder.speed.si, ".4g")
+            found.append(
+                f"cylinders.{name}: {inertia:.4g} kg m^2 come to {speed} within the lag of "
+                f"{1e3 * cylinder.lag.si:.4g} ms by a torque of {needed:.4g} N m, and pressure, "
+                f"area and radius give {has:.4g} N m: the arm will be slower"
+            )
+    return found

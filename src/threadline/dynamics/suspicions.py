@@ -13,6 +13,7 @@ from threadline.dynamics.eccentric import (
     rigid_force,
     rigid_motion,
 )
+from threadline.dynamics.pneumatic import short_of_torque
 from threadline.dynamics.sampled import difference_equation
 from threadline.dynamics.values import Values
 from threadline.machine import Machine
@@ -57,9 +58,7 @@ def suspicions(machine: Machine) -> list[str]:
         found += _beyond_drive(machine, name)
         found += _beyond_current(machine, name)
         found += _dead_band(machine, name)
-    for name in machine.cylinders:
-        found += _short_of_torque(machine, name)
-    return found
+    return [*found, *short_of_torque(machine)]
 
 
 def _constants(machine: Machine, name: str) -> list[str]:
@@ -262,25 +261,3 @@ def _dead_band(machine: Machine, name: str) -> list[str]:
 
 def _speed(axis: Axis, speed_si: float) -> str:
     return f"{speed_si:.4g} m/s" if axis.kind == "linear" else f"{speed_si:.4g} rad/s"
-
-
-def _short_of_torque(machine: Machine, name: str) -> list[str]:
-    """Return a warning where pressure, area and radius give too little torque for the load.
-
-    The speed follows the flow with a first-order lag, so that the load first accelerates by the
-    speed over the lag. The exhaust still has pressure then: what is left of the torque is less.
-    """
-    cylinder = machine.cylinders[name]
-    if cylinder.torque is None:
-        return []
-    inertia, friction = machine.bodies[cylinder.pushes].inertia.si, cylinder.friction
-    rate = cylinder.speed.si / cylinder.lag.si
-    needed = inertia * rate + (0.0 if friction is None else friction.si)
-    has = cylinder.torque.torque_n_m
-    if needed <= has:
-        return []
-    return [
-        f"cylinders.{name}: {inertia:.4g} kg m^2 come to {cylinder.pace(cylinder.speed.si, '.4g')} "
-        f"within the lag of {1e3 * cylinder.lag.si:.4g} ms by a torque of {needed:.4g} N m, and "
-        f"pressure, area and radius give {has:.4g} N m: the arm will be slower"
-    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import pi
 from typing import Annotated, Literal
 
 import numpy as np
@@ -407,6 +408,17 @@ class Machine(AxisArrays):
         kinds = {name: axis.kind for name, axis in self.axes.items()}
         kinds |= {name: cylinder.kind for name, cylinder in self.cylinders.items()}
         return frozenset(name for name, kind in kinds.items() if kind == "rotary")
+
+    def unit_of(self, axis: str, *, frame: bool = False) -> str:
+        """Return the SI unit of places of an axis or cylinder: ``m`` or ``rad``.
+
+        The frame under a cylinder is in m, whatever moves on it.
+        """
+        return "rad" if axis in self.rotary and not (frame and axis in self.cylinders) else "m"
+
+    def usual(self, axis: str) -> tuple[float, str]:
+        """Return the factor from SI to the usual unit of places, and that unit: mm or deg."""
+        return (180.0 / pi, "deg") if axis in self.rotary else (1e3, "mm")
 
     def acts_at_m(self, axis: str) -> float:
         """Return the distance at which a rotary axis or cylinder does its work, m."""

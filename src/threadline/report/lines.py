@@ -369,10 +369,10 @@ def production(proof: Proof) -> str:
 def creep_rows(plan: Plan) -> list[list[str]]:
     """Return rows of how cylinders creep to end switches that are late; none without."""
     told = [
-        f"{axis} creeps, {plan.machine.cylinders[axis].place(one['opening_m'], '.2g')} each "
-        f"{one['every_s']:.3g} s"
+        f"{axis} creeps, {one['opening_m'] * factor:.2g} {unit} each {one['every_s']:.3g} s"
         + (f", ringing {one['rings_m'] * 1e3:.2g} mm at most" if one["rings_m"] else "")
         for axis, one in plan.scheduled.creeping.items()
+        for factor, unit in (plan.machine.usual(axis),)
     ]
     return [["Late switches", "; ".join(told)]] if told else []
 

@@ -78,7 +78,7 @@ def cycle_figure(proof: Proof, recording: Recording) -> Figure:
     loads = recording.samples_of(f"{axis}.load" for axis in axes)
     for panel, axis in zip(panels, axes, strict=False):
         time_s, values = _thinned(*loads[f"{axis}.load"])
-        factor, unit = proof.plan.machine.cylinders[axis].usual
+        factor, unit = proof.plan.machine.usual(axis)
         panel.plot(time_s, values * factor, **ACTUAL)
         panel.set_ylabel(f"{axis} {unit}")
         _mark_steps(panel, run, names=axis == axes[0])

@@ -257,9 +257,8 @@ def _check_units(recording: Recording, plan: Plan) -> None:
     for channel in recording.channels:
         if channel.axis not in plan.machine.moving or channel.unit not in _KIND_OF_UNIT:
             continue
-        if channel.axis in plan.machine.cylinders and channel.kind is ChannelKind.FRAME:
-            continue  # the frame under a cylinder is in m, whatever moves on it
-        kind = "rotary" if channel.axis in plan.machine.rotary else "linear"
+        unit = plan.machine.unit_of(channel.axis, frame=channel.kind is ChannelKind.FRAME)
+        kind = _KIND_OF_UNIT[unit]
         if kind != _KIND_OF_UNIT[channel.unit]:
             raise RecordingError(
                 f"channel {channel.name!r} is in {channel.unit}, and axis {channel.axis} of "
