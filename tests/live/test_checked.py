@@ -222,7 +222,9 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
         '[[criteria]]\nname = "turning_point_error"\nlimit = "6 mm"\nrequired = true\n',
         encoding="utf-8",
     )
-    how = (EXAMPLES / "x-180.prg", "-m", "lathe-winder", "--interpolation", "linear")
+    job = tmp_path / "x-180.prg"
+    job.write_bytes((EXAMPLES / "x-180.prg").read_bytes())
+    how = (job, "-m", "lathe-winder", "--interpolation", "linear")
     fast = (*how, "--feed", "60 count/tick", "--nominal", "--speed", "0", "--store", store)
     code, out, err = told(capsys, "run", *fast, "-s", spec)
     assert (code, "IN SPEC" in out) == (0, True), (out, err)
@@ -237,6 +239,10 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
     spec.write_text(spec.read_text(encoding="utf-8").replace("6 mm", "2 mm"), encoding="utf-8")
     code, out, err = told(capsys, *again)
     assert (code, out, "'coarse', has changed since" in err) == (2, "", True)
+    job.write_bytes(job.read_bytes() + b"\n")
+    code, out, err = told(capsys, *again)
+    assert (code, out, "from another version of x-180.prg" in err) == (2, "", True)
+    assert f"{folder / 'inputs'} has a copy of each input" in err
 
 
 @pytest.mark.parametrize(

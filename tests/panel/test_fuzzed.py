@@ -173,6 +173,7 @@ def test_the_description_has_every_request_and_no_get_changes_anything() -> None
     assert {path for path, _ in REQUESTS} == {
         "/api/schema", "/api/state", "/api/programs", "/api/programs/{name}", "/api/stop",
         "/api/runs", "/api/runs/{run}/trace", "/api/runs/{run}/recording.{ending}",
+        "/api/runs/{run}/report.pdf",
         "/api/drawing/shapes", "/api/drawing/dxf", "/api/drawing/text",
         "/api/guide", "/api/guide.pdf", "/api/programs/{name}/preview", "/api/wound",
     }  # fmt: skip

@@ -60,6 +60,32 @@ def test_the_trace_after_a_run_and_its_export(
     deviation = recorded.samples("X.load")[1] - recorded.samples("X.commanded")[1]
     shown = np.array(told["actual"]) - np.array(told["commanded"])
     assert np.abs(shown).max() == pytest.approx(np.abs(deviation).max(), abs=2e-8)
+    with page.expect_download(timeout=120_000) as download:
+        press(page, "Report")
+    report = tmp_path / "report.pdf"
+    download.value.save_as(report)
+    assert report.read_bytes().startswith(b"%PDF-")
+    expect(page.get_by_role("button", name="Report", exact=True)).to_be_enabled()
+    page.close()
+
+
+def test_a_report_of_a_run_that_cannot_be_judged_says_why(
+    browser: Browser, plant: Plant, tmp_path: Path
+) -> None:
+    """The program was changed after the run, so that nothing can be said of it any more."""
+    page = opened(browser, plant)
+    ready(page)
+    calculate(page)
+    press(page, "Start")
+    expect(page.locator("#progress-text")).to_contain_text("completed", timeout=60_000)
+    part(page, "Review")
+    expect(page.locator("#kept")).to_contain_text("completed")
+    for program in tmp_path.glob("*.prg"):
+        program.write_text(program.read_text() + "\n")
+    press(page, "Report")
+    expect(page.locator("#toasts")).to_contain_text(
+        "recorded from another version of there.prg", timeout=120_000
+    )
     page.close()
 
 

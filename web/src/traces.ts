@@ -64,7 +64,8 @@ export class Traces {
       const width = this.wide();
       for (const plot of this.plots) if (plot.width !== width) plot.setSize({ width, height: plot.height });
     }).observe(by("review"));
-    by("export").onclick = () => void this.save();
+    by("export").onclick = () => void this.save(`recording.${value("export-as")}`);
+    by("report").onclick = () => void this.report();
     onTheme(() => this.draw());
   }
 
@@ -93,7 +94,7 @@ export class Traces {
     if (!there || (newest !== undefined && this.runs[0]?.run !== newest)) this.run = this.runs[0]?.run ?? "";
     this.table();
     this.offerBeside();
-    put(by<HTMLButtonElement>("export"), "disabled", this.runs.length === 0);
+    for (const id of ["export", "report"]) put(by<HTMLButtonElement>(id), "disabled", this.runs.length === 0);
     if (this.run) await this.load();
   }
 
@@ -247,16 +248,27 @@ export class Traces {
     return { times: trace.times_s, commanded, actual, difference };
   }
 
-  private async save(): Promise<void> {
-    const ending = value("export-as");
-    const answer = await this.session.ask(`/api/runs/${encodeURIComponent(this.run)}/recording.${ending}`);
+  /** Judge the chosen run again and save its report, which takes a while. */
+  private async report(): Promise<void> {
+    const button = by<HTMLButtonElement>("report");
+    put(button, "disabled", true);
+    tell("trace-said", "judging the run and drawing its report");
+    await this.save("report.pdf");
+    tell("trace-said", "");
+    put(button, "disabled", this.runs.length === 0);
+  }
+
+  /** Save a file that the panel makes of the chosen run. */
+  private async save(name: string): Promise<void> {
+    const run = this.run;
+    const answer = await this.session.ask(`/api/runs/${encodeURIComponent(run)}/${name}`);
     if (!answer.ok) {
       say((await answer.text()).trim(), true);
       return;
     }
     const to = made("a");
     to.href = URL.createObjectURL(await answer.blob());
-    to.download = `${this.run}.${ending}`;
+    to.download = `${run}.${name.split(".").pop()}`;
     to.click();
     URL.revokeObjectURL(to.href);
   }

@@ -12,7 +12,7 @@ from threadline.cli.arguments import JsonOption, SpecOption, named_folder
 from threadline.cli.output import check_outputs, print_json, say
 from threadline.cli.prove import show_proof
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
-from threadline.errors import StoreError
+from threadline.errors import OptionError, StoreError
 from threadline.files.formats import read_recording, write_recording
 from threadline.live.store.index import REFUSED, RunRecord
 from threadline.live.store.run_store import INPUTS, PROOF, TRACE, opened
@@ -74,7 +74,13 @@ def report(
     _check_samples(folder, record)
     known = read_proof(folder / PROOF)
     words = Words.of("judge", Door.LINE, {"spec": known.spec_path if spec is None else spec})
-    judged = judge_files([folder / TRACE], words, read_one=whole_recording)
+    try:
+        judged = judge_files([folder / TRACE], words, read_one=whole_recording)
+    except OptionError as error:
+        raise StoreError(
+            f"run {folder.name}: {error.message}",
+            remedy=f"Put the file back as it was; {folder / INPUTS} has a copy of each input.",
+        ) from error
     if spec is None and spec_sha256(judged.spec) != known.sha256("spec"):
         raise StoreError(
             f"the specification that run {folder.name} was proved by, {known.name('spec')!r}, "

@@ -20,6 +20,7 @@ from threadline.panel.calculation import answer_of
 _CHILD = import_and_call("threadline.panel.thinned_traces", "main")
 _TOLD = ("run", "started", "job", "ended", "text", "passed")
 _MOST_RUNS = 200
+_JUDGED = (0, 1)  # exit status of a report: in spec, out of spec
 _one_at_a_time = asyncio.Semaphore(1)
 
 
@@ -62,6 +63,25 @@ async def in_process(trace: Path, out: Path) -> str:
         status, said, _ = await answer_of(sys.executable, "-c", _CHILD, str(trace), str(out))
     ended = "the trace cannot be read: the process that did has ended" if status else ""
     return said.decode("utf-8", "replace").strip() or ended
+
+
+async def report_of(store: Path, run: str, out: Path) -> str:
+    """Write the report of a run, as ``threadline report`` does; return an error text, or "".
+
+    Parameters
+    ----------
+    out
+        The file ``report.pdf`` of a folder, where the other files of the report go, too.
+    """
+    async with _one_at_a_time:
+        status, _, said = await answer_of(
+            sys.executable, "-m", "threadline", "report", run,
+            "--store", str(store), "-o", str(out.parent),
+        )  # fmt: skip
+    if status in _JUDGED and out.exists():
+        return ""
+    lines = said.decode("utf-8", "replace").strip().splitlines()
+    return lines[-1].removeprefix("error: ") if lines else "the process that judged it has ended"
 
 
 def temporary(ending: str) -> Path:

@@ -27,7 +27,7 @@ from threadline.panel.admission import HEADERS, Admission, AdmittingApp
 from threadline.panel.calculation import MachineGuide, add_guide, add_winding
 from threadline.panel.control import Client, in_page_words
 from threadline.panel.drawn import TooLongError, add_drawing, whole_body
-from threadline.panel.kept_traces import in_process, kept_runs, temporary, trace_file
+from threadline.panel.kept_traces import in_process, kept_runs, report_of, temporary, trace_file
 from threadline.panel.panel import Panel
 from threadline.panel.programs import MOST_UPLOAD, ThereAlreadyError, program_names, take_program
 
@@ -185,6 +185,18 @@ def _add_runs(app: FastAPI, store: Path) -> None:
     @app.get("/api/runs/{run}/recording.{ending}", responses=_REFUSALS)
     async def recording(run: str, ending: Literal["csv", "npz", "plt", "mcap"]) -> Response:
         return await _read_trace(store, run, ending)
+
+    @app.get("/api/runs/{run}/report.pdf", responses=_REFUSALS)
+    async def report(run: str) -> Response:
+        try:
+            await asyncio.to_thread(trace_file, store, run)
+        except StoreError as error:
+            return PlainTextResponse(f"{error}\n", 404)
+        out = temporary("pdf").with_name("report.pdf")
+        gone = BackgroundTask(shutil.rmtree, out.parent)
+        if why := await report_of(store, run, out):
+            return PlainTextResponse(f"{in_page_words(why)}\n", 422, background=gone)
+        return FileResponse(out, background=gone)
 
 
 async def _read_trace(store: Path, run: str, ending: str) -> Response:
