@@ -23,7 +23,6 @@ from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import (
     NOMINAL,
     REPEATED,
-    TOLERANCES,
     Trials,
     open_job,
     plan_job,
@@ -39,6 +38,16 @@ from threadline.verdict import Result, Status, Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 X180 = EXAMPLES / "x-180.prg"
+SEVERAL = Trials(repeats=3)
+FEW = Trials(repeats=2, machines=6)
+"""Fewer runs, and over the tolerances fewer machines, than a level has: a search and what is typed
+back have the same."""
+
+
+@pytest.fixture
+def few_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the worst machine searched among few, where it is found and where it is typed back."""
+    monkeypatch.setattr(worst_search, "SEARCHED", 10)
 
 
 def drawn(low: float, high: float) -> list[float]:
@@ -69,18 +78,16 @@ def stitcher(tmp_path: Path) -> Machine:
     ("trials", "low", "high"),
     [
         (NOMINAL, 29.2, 29.4),
-        (REPEATED, 29.1, 29.24),
-        (Trials(repeats=2, machines=20), 22.2, 23.3),
+        (SEVERAL, 29.1, 29.3),
+        (FEW, 22.2, 23.3),
     ],
-    ids=lambda value: getattr(value, "level", None),
+    ids=("nominal", "several", "few"),
 )
+@pytest.mark.usefixtures("few_searched")
 def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
-    stitcher: Machine, tmp_path: Path, trials: Trials, low: float, high: float,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    stitcher: Machine, tmp_path: Path, trials: Trials, low: float, high: float
+) -> None:
     """With gaps where whole ticks do not suit; lists had them in. At every level.
-
-    Over tolerances the worst machine is searched among few, here and where it is typed back.
 
     The first corner of the test path, with 10 stitches either side of it of 25: its intervals are
     those of the whole path.
@@ -91,8 +98,7 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
     seam = tmp_path / "corner.seam.toml"
     seam.write_text(corner, encoding="utf-8")
     spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", stitcher)
-    points, near = (3, 1) if trials.machines else (9 if trials == REPEATED else 5, 2)
-    monkeypatch.setattr(worst_search, "SEARCHED", 10)
+    points, near = (3, 1) if trials.machines else (5, 1 if trials == SEVERAL else 2)
     found = fastest_needle(
         Question(
             job=open_job(seam, stitcher, Options()),
@@ -119,16 +125,17 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
     ("interpolation", "share", "low", "high", "trials"),
     [
         ("linear", 1.0, 0.030, 0.045, NOMINAL),
-        ("linear", 1.0, 0.030, 0.045, REPEATED),
-        ("linear", 1.0, 0.028, 0.033, TOLERANCES),
+        ("linear", 1.0, 0.030, 0.045, SEVERAL),
+        ("linear", 1.0, 0.028, 0.033, FEW),
         ("b-spline-pulled", 1.0, 0.430, 0.470, NOMINAL),
-        ("b-spline-pulled", 1.0, 0.430, 0.470, REPEATED),
-        ("b-spline-pulled", 1.0, 0.235, 0.265, TOLERANCES),
+        ("b-spline-pulled", 1.0, 0.430, 0.470, SEVERAL),
+        ("b-spline-pulled", 1.0, 0.235, 0.265, FEW),
         ("auto", 0.42, 0.590, 0.640, NOMINAL),
         ("auto", 0.42, 0.590, 0.640, REPEATED),
-        ("auto", 0.136, 1.0, 4.9, TOLERANCES),
+        ("auto", 0.136, 1.0, 4.9, FEW),
     ],
 )
+@pytest.mark.usefixtures("few_searched")
 def test_feeds_of_the_winder_pass_as_they_are_printed(
     tmp_path: Path, interpolation: str, share: float, low: float, high: float, trials: Trials
 ) -> None:
@@ -136,12 +143,13 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
     machine = load_machine("lathe-winder")
     spec = load_spec(None, machine)
     options = replace(options_of(interpolation, None, "0.1 mm"), limit_share=share)
-    job = read_job(_turn(tmp_path), machine) if share == 1.0 else read_job(X180, machine)
+    job = read_job(_turn(tmp_path) if share == 1.0 else X180, machine)
     found = fastest_feed(
         Question(
             job=job, machine=machine, spec=spec, options=options, low=low, high=high, trials=trials
         ),
-        Grid(near=4 if trials == NOMINAL else 2, points=6),  # what is printed has 16
+        # What is printed has 16 points.
+        Grid(near=4, points=6) if trials == NOMINAL else Grid(near=1, points=3),
     )
     assert found.intervals
     for interval in found.intervals:
@@ -151,7 +159,8 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
             assert proof.verdict.passed and proof.verdict.level == trials.level, feed
 
 
-@pytest.mark.parametrize("trials", [NOMINAL, REPEATED, Trials(repeats=2, machines=6)])
+@pytest.mark.usefixtures("few_searched")
+@pytest.mark.parametrize("trials", [NOMINAL, SEVERAL, FEW])
 def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Trials) -> None:
     """Of a frame by step tables; what is far within in one run is no proof of other machines."""
     machine = load_machine("schiffli-frame")
