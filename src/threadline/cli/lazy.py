@@ -57,6 +57,9 @@ COMMANDS = {
     ),
     "fit": LazyCommand("fit_", "Fit numbers of MACHINE to measured data, with their certainty."),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
+    "control": LazyCommand(
+        "control_", "Design a controller for many sensors, and write it as a machine file."
+    ),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
     "size": LazyCommand("size", "Size a machine from what its product asks for."),
     "wind": LazyCommand("wind", "List the patterns, lengths and thickness of a winding."),

@@ -1,0 +1,107 @@
+r"""Cross-coupled contouring of two axes, as numbers of the kind ``state-space``.
+
+On a line in the direction :math:`\theta` the contour error of two axes is :math:`\epsilon = n^T e`
+with the normal :math:`n = (-\sin\theta, \cos\theta)` and the errors e of the axes at the tool. A
+cross-coupled controller gives each axis its share of a compensation of that error (Kulkarni and
+Srinivasan, "Optimal contouring control of multi-axial feed drive servomechanisms", Journal of
+Engineering for Industry 111, 1989). Here the compensation goes through the filters that the axes
+have: each acts on the errors :math:`e + k n n^T e`, so that the error across the line weighs
+:math:`1 + k`, and the lag along it as before. Where both axes answer alike the error has no part
+across the line, and the controller is that of the axes apart.
+
+The direction is fixed, because the matrices are: on lines in another direction the coupling takes
+lag along the line for an error across it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.network import loop_parts
+from threadline.dynamics.sampled import difference_equation
+from threadline.dynamics.state_designs import Designed
+from threadline.dynamics.values import Values
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.machine.controllers import StateSpaceController
+
+
+def cross_coupled(
+    machine: Machine, axes: tuple[str, str], direction_rad: float, coupling: float
+) -> Designed:
+    """Return the controllers of two axes, coupled by the error across a line.
+
+    Parameters
+    ----------
+    axes
+        The two axes.
+    direction_rad
+        Direction of the line, from the first axis to the second.
+    coupling
+        k: what the error across the line weighs more than the lag along it.
+
+    Raises
+    ------
+    MachineError
+        If the controllers of the axes have different clocks or DACs, or generate positions.
+    """
+    names = [machine.axes[axis].controller for axis in axes]
+    parts = loop_parts(machine, names)
+    controllers = [machine.controllers[name] for name in names]
+    for name, controller in zip(names, controllers, strict=True):
+        if isinstance(controller, StateSpaceController) or hasattr(controller, "acceleration"):
+            raise MachineError(
+                f"controllers.{name} is of kind {controller.kind}, but cross-coupling takes the "
+                "errors of controllers that follow their references as they are",
+                place=machine.place,
+                remedy='Give it kind "lead" or "pid".',
+            )
+    first, second = (
+        (p.of.clock, p.of.reference_clock, p.of.dac.bits.si, p.of.dac.range.si,
+         p.of.dac.zero_on_reversal, p.of.dac.rounding)
+        for p in parts
+    )  # fmt: skip
+    if first != second:
+        raise MachineError(
+            f"controllers.{names[0]} and controllers.{names[1]} have different clocks or DACs",
+            place=machine.place,
+            remedy="Cross-coupling needs one clock and one kind of DAC for both.",
+        )
+    normal = np.array([-np.sin(direction_rad), np.cos(direction_rad)])
+    at_tool = np.array(
+        [machine.radius_m[machine.axis_names.index(a)] / machine.axes[a].counts.si for a in axes]
+    )
+    mixed = np.eye(2) + coupling * np.outer(normal, normal) * at_tool[None, :] / at_tool[:, None]
+    blocks = [_of_one_error(machine, name) for name in names]
+    A, b, c, d = (block_diag(*(block[k] for block in blocks)) for k in range(4))
+    error = np.hstack([mixed, -mixed])
+    return Designed(
+        axes=axes,
+        sensors=tuple(part.of.sensor for part in parts),
+        drives=tuple(part.of.drive for part in parts),
+        clock=parts[0].of.clock,
+        reference_clock=parts[0].of.reference_clock,
+        A=A,
+        B=b @ error,
+        C=c,
+        D=d @ error,
+        L=block_diag(*[_CLAMPED] * 2),
+        dac=parts[0].of.dac,
+    )
+
+
+_CLAMPED = np.array([[0.0], [0.0], [1.0], [0.0]])
+
+
+def _of_one_error(
+    machine: Machine, name: str
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return a controller with the states e', e'', u', u'', of which the outputs are clamped."""
+    (b0, b1, b2), (a1, a2) = (
+        row[0] for row in difference_equation(machine, name, Values.of(machine))
+    )
+    c = np.array([[b1, b2, -a1, -a2]])
+    A = np.vstack([np.zeros(4), np.eye(4)[0], c, np.eye(4)[2]])
+    return A, np.array([[1.0], [0.0], [b0], [0.0]]), c, np.array([[b0]])

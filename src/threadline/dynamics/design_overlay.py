@@ -1,0 +1,68 @@
+"""Machine files with a designed controller: the base, and what replaces its controllers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.state_designs import Designed
+from threadline.machine import Machine
+
+
+def overlay_text(machine: Machine, base: str, made: str, designs: Sequence[Designed]) -> str:
+    """Return a machine file that replaces controllers of ``base`` by designs.
+
+    Parameters
+    ----------
+    base
+        Reference to the machine, as seen from the new file.
+    made
+        How the numbers were made: one line.
+    """
+    gone = [machine.axes[axis].controller for design in designs for axis in design.axes]
+    names = ["-".join(axis.lower() for axis in design.axes) + "-designed" for design in designs]
+    lines = [
+        f"# {made}",
+        f"base = {json.dumps(base)}",
+        "",
+        "[controllers]",
+        *(f'{name} = "none"' for name in dict.fromkeys(gone)),
+    ]
+    for name, design in zip(names, designs, strict=True):
+        lines += ["", f"[controllers.{name}]", 'kind = "state-space"', f'clock = "{design.clock}"']
+        if design.reference_clock is not None:
+            lines.append(f'reference_clock = "{design.reference_clock}"')
+        lines += [
+            f"references = {_names(design.axes)}",
+            f"sensors = {_names(design.sensors)}",
+            f"drives = {_names(design.drives)}",
+            f"made = {json.dumps(made)}",
+        ]
+        for key in ("A", "B", "C", "D", "L"):
+            lines.append(f"{key} = {_matrix(getattr(design, key))}")
+        dac = design.dac
+        lines += [
+            "",
+            f"[controllers.{name}.dac]",
+            f'bits = "{dac.bits.si:g} bit exact, assumed: as before"',
+            f'range = "{dac.range.si!r} V exact, assumed: as before"',
+            f"zero_on_reversal = {str(dac.zero_on_reversal).lower()}",
+            f'rounding = "{dac.rounding}"',
+        ]
+    for name, design in zip(names, designs, strict=True):
+        for axis in design.axes:
+            lines += ["", f"[axes.{axis}]", f'controller = "{name}"']
+    return "\n".join(lines) + "\n"
+
+
+def _names(names: Sequence[str]) -> str:
+    return "[" + ", ".join(f'"{name}"' for name in names) + "]"
+
+
+def _matrix(matrix: FloatArray) -> str:
+    """Return a matrix in TOML, every number with all of its digits."""
+    if not matrix.size:
+        return "[]"
+    rows = ["  [" + ", ".join(f"{float(x)!r}" for x in row) + "]," for row in matrix]
+    return "\n".join(["[", *rows, "]"])

@@ -1,0 +1,429 @@
+r"""Designs of controllers that are numbers of the kind ``state-space``.
+
+All run on the clock of the references and read sensors only; what they know of the load is their
+observer's estimate. The plant is sampled exactly, dead time included (``sampled``):
+
+    X[k+1] = F X[k] + G (u[k] + d[k]),  y[k] = H X[k]
+
+X holds the states of the plant and the voltages on their way, d an unknown voltage that drifts,
+which takes the place of friction and of every error of the gains.
+
+``lqg``
+    ``u = -K X + N r - d``, the optimal regulator for the cost ``sum (q e)^2 + u^2``, with e the
+    error of the loads in counts and u in DAC levels; X and d are the estimates of a Kalman filter
+    (Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, chapter 9). q is the gain
+    that a loop with an integrating plant then has at rest, in DAC levels per count.
+``preview``
+    The same for a reference that is known n ticks ahead (Tomizuka and Rosenthal, "On the optimal
+    digital state vector feedback controller with integral and preview actions", Journal of Dynamic
+    Systems, Measurement and Control 101, 1979): :math:`u = -K X + M \sum_{j \ge 0} (F_c^T)^j C^T
+    q^2 r_{k+1+j}` with :math:`F_c = F - G K`; after the last known reference nothing changes. The
+    controller gets its references one by one, so it delays the motion by n ticks.
+``zpetc``
+    The regulator behind a filter of its references that cancels its poles and its decaying zeros,
+    and the phase of all other zeros (Tomizuka, "Zero phase error tracking algorithm for digital
+    control", Journal of Dynamic Systems, Measurement and Control 109, 1987). It looks ahead, too,
+    and so delays the motion by as many ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag, eigvals, solve_discrete_are
+from scipy.signal import tf2ss
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics.linear_model import linear_variants
+from threadline.dynamics.network import LoopPart, connected_groups, loop_parts
+from threadline.dynamics.sampled import StateSpace, difference_equation, sample
+from threadline.dynamics.values import Values
+from threadline.errors import MachineError, OptionError
+from threadline.machine import Machine
+from threadline.machine.controllers import MOST_STATES, Dac
+from threadline.machine.parts import Encoder
+
+DESIGNS = ("lqg", "preview", "zpetc", "cross-coupled")
+"""Names of all designs; ``contouring`` has the last one."""
+PREVIEW = (1, 40)
+"""Fewest and most references that a preview looks ahead."""
+_SLOW = 0.999  # zeros beyond, or behind the imaginary axis of z, are not cancelled: they would ring
+_BOXES = 4  # moving averages
+_DRIFT_LEVELS = 0.05
+_NOISE_LEVELS = 1.0
+"""Deviations of the voltage, per tick: of the drift of d, and of what is neither known nor lasting,
+at least the rounding of the DAC."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Designed:
+    """A state-space controller as numbers, for one connected piece of a machine.
+
+    Parameters
+    ----------
+    axes, sensors, drives
+        Its references, sensors and drives, in the order of the machine file.
+    clock, reference_clock
+        Its clock, and that of its references where they come more slowly.
+    A, B, C, D, L
+        Its matrices, as in the machine file.
+    dac
+        Its output converters.
+    delay_ticks
+        Ticks by which it delays the motion to look ahead.
+    """
+
+    axes: tuple[str, ...]
+    sensors: tuple[str, ...]
+    drives: tuple[str, ...]
+    clock: str
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    L: FloatArray
+    dac: Dac
+    delay_ticks: int = 0
+    reference_clock: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Regulator:
+    """The plant of a piece on its clock, with feedback and observer; m drives, q sensors, n states.
+
+    Parameters
+    ----------
+    F, G, push, H
+        (n, n), (n, m), (n, m), (q, n): the plant with the voltages on their way, per DAC level;
+        ``push`` is the effect of an unknown voltage, which needs no way.
+    load
+        (m, n) loads in counts.
+    K
+        (m, n) feedback, DAC levels.
+    observer
+        (n + m, q) gain of the observer on the states and the unknown voltage.
+    weight
+        (m,) counts to levels: q of the cost.
+    solution
+        (n, n) solution of the Riccati equation of the feedback.
+    """
+
+    parts: tuple[LoopPart, ...]
+    sensors: tuple[str, ...]
+    clock: str
+    F: FloatArray
+    G: FloatArray
+    push: FloatArray
+    H: FloatArray
+    load: FloatArray
+    K: FloatArray
+    observer: FloatArray
+    weight: FloatArray
+    solution: FloatArray
+
+    @property
+    def closed(self) -> FloatArray:
+        """Return ``F - G K``, (n, n)."""
+        return np.asarray(self.F - self.G @ self.K)
+
+    def ahead(self, ticks: int) -> list[FloatArray]:
+        """Return the (m, m) gains on the references, the last known one first.
+
+        Parameters
+        ----------
+        ticks
+            Ticks that the references are known ahead; 0 for none.
+        """
+        m, Fc = len(self.parts), self.closed
+        front = np.linalg.solve(np.eye(m) + self.G.T @ self.solution @ self.G, self.G.T)
+        effect = self.load.T * self.weight**2
+        gains = []
+        for _ in range(max(ticks - 1, 0)):
+            gains.append(front @ effect)
+            effect = Fc.T @ effect
+        rest = front @ np.linalg.solve(np.eye(len(Fc)) - Fc.T, effect)
+        return [rest, *reversed(gains)]
+
+
+def regulators(
+    machine: Machine, gain: float = 1.0, others: tuple[str, ...] = ()
+) -> list[Regulator]:
+    """Return a regulator for every connected piece with axes.
+
+    Parameters
+    ----------
+    gain
+        q of the cost, in gains at rest of the present controllers (0.02 DAC levels per count for a
+        controller that has none, such as an integrating one).
+    others
+        Sensors to read besides the encoders of the axes.
+
+    Raises
+    ------
+    MachineError
+        If the axes of a piece have different clocks or DACs, or no feedback stabilises it.
+    OptionError
+        If a sensor does not exist, or belongs to no axis with a loop.
+    """
+    unknown = [name for name in others if name not in machine.observing]
+    if unknown:
+        raise OptionError(
+            f"machine {machine.name!r} has no sensor {unknown[0]!r} without a loop",
+            remedy=f"It has: {', '.join(machine.observing) or 'none'}.",
+        )
+    groups = [group for group in connected_groups(machine) if not group.sources]
+    found = []
+    for group, models in zip(groups, linear_variants(machine), strict=True):
+        if not group.axes:
+            continue
+        parts = loop_parts(machine, group.controllers)
+        own = tuple(part.of.sensor for part in parts)
+        sensors = own + tuple(name for name in others if name in group.sensors)
+        chosen = {part.axis: gain * _present(machine, part) for part in parts}
+        found.append(_regulator(machine, parts, sensors, models.one(0), chosen))
+    return found
+
+
+def _present(machine: Machine, part: LoopPart) -> float:
+    """Return the static gain of the present controller, DAC levels per count."""
+    if part.of.kind == "state-space":
+        return _USUAL
+    b, a = difference_equation(machine, part.controller, Values.of(machine))
+    rest = 1.0 + float(a[0].sum())
+    still = float(b[0].sum()) / rest if abs(rest) > 1e-9 else 0.0
+    return still if still > 0.0 else _USUAL
+
+
+_USUAL = 0.02
+
+
+def _regulator(
+    machine: Machine,
+    parts: tuple[LoopPart, ...],
+    sensors: tuple[str, ...],
+    model: StateSpace,
+    gains: Mapping[str, float],
+) -> Regulator:
+    clock = machine.tick_clock
+    dacs = {(p.of.dac.bits.si, p.of.dac.range.si, p.of.dac.zero_on_reversal) for p in parts}
+    if len(dacs) > 1 or any(not part.axis for part in parts):
+        raise MachineError(
+            f"the controllers {', '.join(part.controller for part in parts)} are of one connected "
+            "piece, and have different DACs or no axis",
+            place=machine.place,
+            remedy="A design needs one DAC for all of them, and an axis for each.",
+        )
+    volts = parts[0].of.dac.volt_per_level
+    plant = model.select(
+        [f"drives.{part.of.drive}" for part in parts],
+        [*(f"sensors.{name}" for name in sensors), *(f"{part.axis}.load" for part in parts)],
+    )
+    sampled = sample(plant, float(clock.period_s))
+    m, q, n = len(parts), len(sensors), len(plant.A)
+    lines = [t + 1 for t in sampled.ticks]
+    size = n + sum(lines)
+    F, G = np.zeros((size, size)), np.zeros((size, m))
+    F[:n, :n] = sampled.transition
+    at = n
+    for i, ticks in enumerate(sampled.ticks):
+        G[at, i] = 1.0
+        for j in range(1, lines[i]):
+            F[at + j, at + j - 1] = 1.0
+        if ticks == 0:
+            G[:n, i] += volts * sampled.newer[:, i]
+        else:
+            F[:n, at + ticks - 1] += volts * sampled.newer[:, i]
+        F[:n, at + ticks] += volts * sampled.older[:, i]
+        at += lines[i]
+    counts = np.array([machine.axes[part.axis].counts.si for part in parts])
+    H, load = np.zeros((q, size)), np.zeros((m, size))
+    H[:, :n] = plant.C[:q]
+    load[:, :n] = counts[:, None] * plant.C[q:]
+    noise = np.diag([_variance(machine, name) for name in sensors])
+    weight = np.array([gains[part.axis] for part in parts])
+    try:
+        solution = solve_discrete_are(F, G, load.T * weight**2 @ load, np.eye(m))
+        K = np.asarray(np.linalg.solve(np.eye(m) + G.T @ solution @ G, G.T @ solution @ F))
+        push = np.zeros((size, m))
+        push[:n] = volts * (sampled.newer + sampled.older)
+        observer = _observer(F, push, H, noise)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise MachineError(
+            f"axes {', '.join(p.axis for p in parts)}: there is no optimal regulator, {error}",
+            place=machine.place,
+            remedy="Check bodies, links and sensors of these axes.",
+        ) from error
+    return Regulator(
+        parts=parts, sensors=sensors, clock=clock.name, F=F, G=G, push=push, H=H, load=load, K=K,
+        observer=observer, weight=weight, solution=solution,
+    )  # fmt: skip
+
+
+def _observer(F: FloatArray, push: FloatArray, H: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the (n + m, q) gain of the Kalman filter, with the readings of the same tick."""
+    n, m = push.shape
+    whole = block_diag(F, np.eye(m))
+    whole[:n, n:] = push
+    seen = np.hstack([H, np.zeros((len(H), m))])
+    process = block_diag(_NOISE_LEVELS**2 * push @ push.T, _DRIFT_LEVELS**2 * np.eye(m))
+    P = solve_discrete_are(whole.T, seen.T, process, noise)
+    return np.asarray(np.linalg.solve(seen @ P @ seen.T + noise, seen @ P).T)
+
+
+def _variance(machine: Machine, name: str) -> float:
+    """Return the variance of a sensor's readings: its steps are even, its noise is its own."""
+    sensor = machine.sensors[name]
+    if isinstance(sensor, Encoder):
+        return 1.0 / 12.0
+    step = 0.0 if sensor.resolution is None else sensor.resolution.si
+    noise = 0.0 if sensor.noise is None else sensor.noise.si
+    variance = step**2 / 12.0 + noise**2
+    if variance == 0.0:
+        raise MachineError(
+            f"sensors.{name} has neither noise nor resolution, so that an observer would believe "
+            "it without bounds",
+            place=machine.place,
+            remedy="Give it a noise or a resolution.",
+        )
+    return variance
+
+
+def lqg(regulator: Regulator) -> Designed:
+    """Return the regulator with its observer as a controller."""
+    return preview(regulator, 0)
+
+
+def preview(regulator: Regulator, ticks: int) -> Designed:
+    """Return the regulator for references that are known ``ticks`` ahead; 0: not ahead."""
+    gains = regulator.ahead(ticks)
+    m = len(regulator.parts)
+    shift = np.zeros((m * (len(gains) - 1),) * 2)
+    shift[m:, : -m or None] = np.eye(max(len(shift) - m, 0)) if len(shift) else 0.0
+    enter = np.zeros((len(shift), m))
+    enter[:m] = np.eye(m)[: len(shift)]
+    through = np.hstack(gains[1:]) if len(gains) > 1 else np.zeros((m, 0))
+    return _joined(regulator, (shift, enter, through, gains[0]), ticks)
+
+
+def zero_phase(regulator: Regulator, delay_ticks: int, smoothing_ticks: int = 1) -> Designed:
+    """Return the regulator behind a zero-phase filter of its reference.
+
+    Parameters
+    ----------
+    delay_ticks
+        Ticks by which it delays the motion, at least ``zero_phase_ticks``; the same for all axes of
+        a machine, so that they stay together.
+    smoothing_ticks
+        Length of the four moving averages of the references before the filter, an odd number; they
+        have no phase either. References are whole counts, whose steps an inverse would blow up.
+    """
+    poles, good, bad, gain = _reference_to_load(regulator)
+    still = regulator.ahead(0)[0][0, 0]
+    top = np.poly(poles)
+    for zero in bad:
+        top = np.convolve(top, [-zero, 1.0])
+    # The moving averages and the reversed zeros of the numerator are ahead by these ticks.
+    late = delay_ticks + len(bad) + _BOXES * (smoothing_ticks - 1) // 2
+    bottom = np.convolve(np.poly(good).real * gain, np.eye(1, late + 1)[0])
+    bottom = bottom * np.prod((1.0 - bad) ** 2).real
+    for _ in range(_BOXES):
+        top = np.convolve(top, np.full(smoothing_ticks, 1.0 / smoothing_ticks))
+    A, B, C, D = tf2ss(top.real, bottom)
+    A, B, C, D = _balanced(A, B, C, D)
+    return _joined(regulator, (A, B, still * C, still * D), delay_ticks)
+
+
+def zero_phase_ticks(regulator: Regulator, smoothing_ticks: int = 1) -> int:
+    """Return the fewest ticks that a zero-phase filter needs to look ahead.
+
+    Raises
+    ------
+    MachineError
+        If drives of several axes share bodies.
+    """
+    if len(regulator.parts) > 1:
+        raise MachineError(
+            f"axes {', '.join(part.axis for part in regulator.parts)} are one connected piece, and "
+            "zero-phase tracking is made for one drive and one load",
+            remedy="Choose another design.",
+        )
+    poles, good, _, _ = _reference_to_load(regulator)
+    return len(poles) - len(good) + _BOXES * (smoothing_ticks - 1) // 2
+
+
+def _reference_to_load(
+    regulator: Regulator,
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, float]:
+    """Return poles, zeros to cancel, other zeros and gain from reference to load."""
+    Fc, G = regulator.closed, regulator.G * regulator.ahead(0)[0]
+    n = len(Fc)
+    whole = np.block([[Fc, G], [regulator.load, np.zeros((1, 1))]])
+    pencil = block_diag(np.eye(n), np.zeros((1, 1)))
+    zeros: ComplexArray = np.asarray(eigvals(whole, pencil), dtype=np.complex128)
+    zeros = zeros[np.isfinite(zeros) & (np.abs(zeros) < _INFINITE)]
+    poles = np.linalg.eigvals(Fc).astype(np.complex128)
+    far = (np.abs(zeros) > _SLOW) | (zeros.real < 0.0)
+    good, bad = zeros[~far], zeros[far]
+    at = np.exp(0.3j)
+    response = (regulator.load @ np.linalg.solve(at * np.eye(n) - Fc, G))[0, 0]
+    gain = response * np.prod(at - poles) / np.prod(at - zeros)
+    return poles, np.asarray(good), np.asarray(bad), float(gain.real)
+
+
+_INFINITE = 1e4
+
+
+def _balanced(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the same filter with states of like size."""
+    size = np.maximum(np.abs(C).max(axis=0), 1e-12) ** 0.5
+    return A * size[:, None] / size[None, :], B * size[:, None], C / size, D
+
+
+def _joined(
+    regulator: Regulator,
+    filtered: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    delay_ticks: int,
+) -> Designed:
+    """Return feedback, observer and a filter of the references as one controller.
+
+    The filter gives what the references add to the outputs.
+    """
+    Af, Bf, Cf, Df = filtered
+    m, n, q = len(regulator.parts), len(regulator.F), len(regulator.H)
+    F = block_diag(regulator.F, np.eye(m))
+    F[:n, n:] = regulator.push
+    G = np.vstack([regulator.G, np.zeros((m, m))])
+    H = np.hstack([regulator.H, np.zeros((q, m))])
+    K = np.hstack([regulator.K, np.eye(m)])
+    kept = np.eye(n + m) - regulator.observer @ H
+    f = len(Af)
+    A = np.zeros((n + m + f, n + m + f))
+    A[: n + m, : n + m] = (F - G @ K) @ kept
+    A[: n + m, n + m :] = G @ Cf
+    A[n + m :, n + m :] = Af
+    B = np.zeros((n + m + f, m + q))
+    B[: n + m, :m], B[: n + m, m:] = G @ Df, (F - G @ K) @ regulator.observer
+    B[n + m :, :m] = Bf
+    if len(A) > MOST_STATES:
+        raise MachineError(
+            f"axes {', '.join(p.axis for p in regulator.parts)}: the design has {len(A)} states, "
+            f"limit {MOST_STATES}",
+            remedy="Choose fewer references ahead, or a design without an observer.",
+        )
+    return Designed(
+        axes=tuple(part.axis for part in regulator.parts),
+        sensors=regulator.sensors,
+        drives=tuple(part.of.drive for part in regulator.parts),
+        clock=regulator.clock,
+        A=A,
+        B=B,
+        C=np.hstack([-K @ kept, Cf]),
+        D=np.hstack([Df, -K @ regulator.observer]),
+        L=np.vstack([G, np.zeros((f, m))]),
+        dac=regulator.parts[0].of.dac,
+        delay_ticks=delay_ticks,
+    )
