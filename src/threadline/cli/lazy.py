@@ -56,6 +56,9 @@ COMMANDS = {
         "measure_", "Move one axis of MACHINE and record it, for a fit of its numbers."
     ),
     "fit": LazyCommand("fit_", "Fit numbers of MACHINE to measured data, with their certainty."),
+    "tune": LazyCommand(
+        "tune_", "Tune the loops of MACHINE: PE, PI, PD, PID and lead controllers by several rules."
+    ),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
     "size": LazyCommand("size", "Size a machine from what its product asks for."),
