@@ -203,6 +203,27 @@ def _share(values: FloatArray, crosses: NDArray[np.bool_]) -> FloatArray:
     return np.asarray(np.where(crosses, -values[:, :-1] / np.where(crosses, rise, 1.0), 0.0))
 
 
+def check_wanted(loop: Loop, phase_margin_deg: float, crossover_hz: float | None) -> None:
+    """Refuse a phase margin or a crossover that no loop can have.
+
+    Raises
+    ------
+    OptionError
+        Names the range.
+    """
+    if not 0 < phase_margin_deg < 180:
+        raise OptionError(
+            f"phase margin {phase_margin_deg:g} deg is outside 0 ... 180 deg",
+            remedy="Give 30 to 70 deg.",
+        )
+    half = 0.5 / loop.period_s
+    if crossover_hz is not None and not 0 < crossover_hz < half:
+        raise OptionError(
+            f"crossover {crossover_hz:g} Hz is outside 0 ... {half:g} Hz",
+            remedy="Give at most half the controller's rate.",
+        )
+
+
 def design(
     machine: Machine,
     loop: Loop,
@@ -229,16 +250,9 @@ def design(
     OptionError
         If a number is out of range, or no such controller has that margin.
     """
-    if not 0 < phase_margin_deg < 180:
-        raise OptionError(f"phase margin {phase_margin_deg:g} deg is outside 0 ... 180 deg")
+    check_wanted(loop, phase_margin_deg, crossover_hz)
     plant = open_plant(loop)
-    half = 0.5 / loop.period_s
     if crossover_hz is not None:
-        if not 0 < crossover_hz < half:
-            raise OptionError(
-                f"crossover {crossover_hz:g} Hz is outside 0 ... {half:g} Hz",
-                remedy="Give at most half the controller's rate.",
-            )
         omega = np.array([2 * np.pi * crossover_hz])
         response = loop.filters[loop.index].volt_per_level * loop.plant_response(omega)
         found = _gains(kind, omega, response, phase_margin_deg, loop.period_s)

@@ -25,6 +25,7 @@ from threadline.dynamics.loop_design import (
     CONTROLLERS,
     NAMES,
     ControllerKind,
+    check_wanted,
     design,
     grid_margins,
     open_plant,
@@ -302,6 +303,8 @@ def tune(
             f"machine {machine.name!r} has no control loops", remedy="It has nothing to tune."
         )
     loops = {name: axis_loop(machine, name) for name in names}
+    for loop in loops.values():
+        check_wanted(loop, wanted.phase_margin_deg, wanted.crossover_hz)
     axes = []
     for k, name in enumerate(names):
         if progress is not None:
