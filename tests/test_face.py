@@ -285,6 +285,8 @@ def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
         tl.shaper: {"text": "zv:10Hz"},
         tl.measure: {"machine": machine, "axis": "X"},
         tl.fit: {"data": "good.npz", "machine": machine, "numbers": ["bodies.x.inertia"]},
+        tl.trim: {"machine": machine, "axis": "X"},
+        tl.tune: {"machine": machine, "axis": "X"},
         tl.wind: {"job": str(ROOT / "examples" / "vessel.wind.toml")},
         proof.report: {"folder": "out"},
         proof.write: {"file": "out.json"},

@@ -19,6 +19,8 @@ __all__ = [
     "prove",
     "retime",
     "shaper",
+    "trim",
+    "tune",
     "wind",
 ]
 

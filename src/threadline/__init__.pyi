@@ -9,6 +9,8 @@ from threadline.face import load_machine as load_machine
 from threadline.face import measure as measure
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
+from threadline.face import trim as trim
+from threadline.face import tune as tune
 from threadline.face import wind as wind
 from threadline.files.formats import Written
 from threadline.machine import Machine
@@ -31,6 +33,8 @@ __all__ = [
     "prove",
     "retime",
     "shaper",
+    "trim",
+    "tune",
     "wind",
 ]
 

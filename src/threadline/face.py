@@ -22,7 +22,7 @@ from threadline.base.option_defaults import DEFAULT_INTERPOLATION
 from threadline.base.wording import plain
 from threadline.errors import OptionError
 from threadline.files.recording import columns_of
-from threadline.identify.commissioning import fit, measure
+from threadline.identify.commissioning import fit, measure, trim
 from threadline.machine import Machine
 from threadline.motion.timing.retime import retime
 from threadline.proof.asked import (
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from threadline.search import Certainty, Comparison, Mismatch
     from threadline.search.equal import Equality
     from threadline.search.learned_job import LearnedJob, LearnedRuns
+    from threadline.search.tune import Tuning
 
 
 PathLike = str | Path
@@ -261,6 +262,8 @@ __all__ = [
     "prove",
     "retime",
     "shaper",
+    "trim",
+    "tune",
     "wind",
 ]
 
@@ -619,3 +622,61 @@ def wind(job: PathLike) -> tuple[Laid, ...]:
     from threadline.jobs.winding.layers import read_layers
 
     return design(read_layers(Path(job)))
+
+
+@checked
+def tune(
+    machine: PathLike | Machine,
+    out: PathLike | None = None,
+    *,
+    axis: str | None = None,
+    margin: str = "60 deg",
+    crossover: str | None = None,
+    jobs: Sequence[PathLike] = (),
+    controller: str | None = None,
+    rule: str = "margin",
+) -> Tuning:
+    """Tune the loops of a machine: controllers of five kinds by four rules; nothing moves.
+
+    Parameters
+    ----------
+    machine
+        As ``load_machine`` takes it.
+    out
+        Machine file to write, with the controllers that ``controller`` and ``rule`` name.
+    axis
+        Only this axis.
+    margin
+        Phase margin of the rule ``"margin"``.
+    crossover
+        Crossover of that rule, ``"13.5 Hz"``; None for the largest gain at low frequencies.
+    jobs
+        Jobs to simulate with each controller.
+    controller
+        ``"p"``, ``"pi"``, ``"pd"``, ``"pid"`` or ``"lead"``; None for the machine's own.
+    rule
+        ``"margin"``, ``"ultimate"``, ``"step"`` or ``"settling"``.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.search.tune import (
+        asked,
+        parse_controller,
+        parse_rule,
+        usual_controller,
+        write_tuned,
+    )
+    from threadline.search.tune import tune as tune_machine
+
+    chosen = chosen_machine(machine, None)
+    kind = usual_controller(chosen) if controller is None else parse_controller(controller)
+    by = parse_rule(rule)
+    found = tune_machine(
+        chosen, asked(chosen, axis, margin, crossover), [Path(job) for job in jobs]
+    )
+    if out is not None:
+        write_tuned(found, kind, by, Path(out))
+    return found

@@ -56,6 +56,9 @@ COMMANDS = {
         "measure_", "Move one axis of MACHINE and record it, for a fit of its numbers."
     ),
     "fit": LazyCommand("fit_", "Fit numbers of MACHINE to measured data, with their certainty."),
+    "tune": LazyCommand(
+        "tune_", "Tune the loops of MACHINE: PE, PI, PD, PID and lead controllers by several rules."
+    ),
     "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
     "control": LazyCommand(
         "control_", "Design a controller for many sensors, and write it as a machine file."

@@ -102,6 +102,8 @@ def measure_axis(
         return
     if found.response is not None:
         _show(found)
+    elif kind == "sweep":
+        say("The link reports no volts, so the file has no response; fit the raw run")
     say(f"Wrote {output}")
 
 

@@ -1,4 +1,4 @@
-"""``tl.measure`` and ``tl.fit``: what the command line asks, from Python."""
+"""``tl.measure``, ``tl.fit`` and ``tl.trim``: what the command line asks, from Python."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from threadline.machine import Machine, load_machine
 from threadline.units import parse_quantity
 
 if TYPE_CHECKING:
+    from threadline.identify.amplifier_trim import AxisTrim
     from threadline.identify.experiment_run import Measurement
     from threadline.identify.parameter_fit import Fit
 
@@ -119,3 +120,41 @@ def measure(
     if out is not None:
         write_recording(found.recording, Path(out))
     return found
+
+
+@checked
+def trim(
+    machine: str | Path,
+    axis: str | None = None,
+    *,
+    link: str = "sim",
+    actual: str | Machine | None = None,
+) -> tuple[AxisTrim, ...]:
+    """Run axes at constant speeds; return the factors for the potentiometers of their amplifiers.
+
+    Parameters
+    ----------
+    machine
+        Its file or its name in the library.
+    axis
+        Only this axis.
+    link
+        ``"sim"``, ``"hal:plant"`` or ``"hal:loopback"``.
+    actual
+        With ``"sim"``: machine that is simulated in place of ``machine``.
+
+    Raises
+    ------
+    InputError
+        As on the command line; nothing has moved then.
+    LinkFaultError
+        If the machine does not answer, or a run ended early.
+    """
+    from threadline.identify.amplifier_trim import trim as trimmed
+
+    return trimmed(
+        load_machine(str(machine)),
+        () if axis is None else (axis,),
+        link=link,
+        actual=load_machine(actual) if isinstance(actual, str) else actual,
+    )

@@ -67,7 +67,8 @@ class Measurement:
     recording
         The raw run, with the response in its origin.
     response
-        The frequency response of a sweep; None for other experiments, or if the run ended early.
+        The frequency response of a sweep; None for other experiments, if the run ended early, or if
+        the link reports no volts (HAL).
     ended, why
         How the run ended.
     """
@@ -198,7 +199,8 @@ def measure(
     if not any(len(v) for block in kept.blocks for v in block.samples.values()):
         raise RecordingError(f"nothing was recorded: {why or ended.value}")
     response = None
-    if planned.kind == "sweep" and ended is RunEnd.COMPLETED:
+    volts = any(one.name.partition(" ")[0] == f"{planned.axis}.voltage" for one in kept.channels)
+    if planned.kind == "sweep" and ended is RunEnd.COMPLETED and volts:
         response = evaluate(machine, planned, recording)
         told = {**recording.origin, RESPONSE: _written(response)}
         recording = replace(recording, origin=told)

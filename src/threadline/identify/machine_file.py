@@ -8,6 +8,7 @@ from pathlib import Path
 from threadline.base.wording import ascii_only, toml_string
 from threadline.files.formats.common import atomic_file
 from threadline.identify.parameter_fit import Fit, FittedNumber
+from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_tables
 from threadline.units import unit_factor
@@ -31,17 +32,22 @@ def quantity_text(number: FittedNumber, source: str) -> str:
     return f"{value:.6g} {unit}".strip() + f" +- {percent:.2g} %, measured: {source}"
 
 
-def fitted_toml(result: Fit, source: str, folder: Path) -> str:
-    """Return the fitted machine as text of its file, to lie in ``folder``."""
-    machine = result.machine
+def base_lines(machine: Machine, folder: Path) -> list[str]:
+    """Return the line of a machine file in ``folder`` that bases it on another machine."""
     name, overlays = split_reference(machine.reference)
     base = machine.reference
     if name.endswith(".toml"):
         base = "+".join([os.path.relpath(Path(name).resolve(), folder.resolve()), *overlays])
+    return [f"base = {toml_string(base)}"]
+
+
+def fitted_toml(result: Fit, source: str, folder: Path) -> str:
+    """Return the fitted machine as text of its file, to lie in ``folder``."""
+    machine = result.machine
     note = ascii_only(source)
     lines = [
         f"# Fitted by threadline fit to {note}; every tolerance is a 95 % interval.",
-        f"base = {toml_string(base)}",
+        *base_lines(machine, folder),
         f"name = {toml_string(machine.name.split('+')[0] + '-fitted')}",
         f"title = {toml_string(machine.title + ', fitted')}",
         *number_tables({n.name: quantity_text(n, f"fit to {note}") for n in result.numbers}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -18,6 +19,7 @@ _LINES = 24
 _PERIODS = 4
 _LOWEST_HZ, _HIGHEST_HZ = 0.5, 60.0
 _SPEED, _ACCELERATION, _TRAVEL = 0.25, 0.5, 0.05  # shares of the limits of the axis
+_CONSTANT_SPEEDS = (0.0625, 0.125, 0.25, 0.5)  # shares of the limit
 _PAUSE_S = 0.4
 _MOST_TICKS = 300_000
 
@@ -55,6 +57,7 @@ def experiment(
     *,
     amplitude: float | None = None,
     band_hz: tuple[float, float] | None = None,
+    speeds: Sequence[float] = _CONSTANT_SPEEDS,
 ) -> Experiment:
     """Return an experiment that keeps a share of the limits of its axis.
 
@@ -68,6 +71,8 @@ def experiment(
     band_hz
         Lowest and highest frequency of a sweep; by default 0.5 to 60 Hz, at most a tenth of the
         rate of the ticks.
+    speeds
+        Speeds of ``constant``, shares of the limit of the axis.
 
     Raises
     ------
@@ -100,7 +105,7 @@ def experiment(
     elif band_hz is not None:
         raise OptionError("--band is for a sweep", remedy="Leave it out.")
     else:
-        position = _moves(machine, axis, kind, size)
+        position = _moves(machine, axis, kind, size, speeds)
     counts = np.rint(position * machine.axes[axis].counts.si).astype(np.int64)
     return Experiment(
         kind=kind,
@@ -180,7 +185,9 @@ def _multisine(
     return np.asarray(wave * min(reached))
 
 
-def _moves(machine: Machine, axis: str, kind: str, size: float) -> FloatArray:
+def _moves(
+    machine: Machine, axis: str, kind: str, size: float, speeds: Sequence[float]
+) -> FloatArray:
     """Return positions of trapezoidal moves to and fro, with pauses."""
     top = _SPEED * machine.axes[axis].velocity.si
     plan: list[tuple[float, float]] = []  # (to, speed)
@@ -193,8 +200,9 @@ def _moves(machine: Machine, axis: str, kind: str, size: float) -> FloatArray:
                 (0, top),
             ]
     elif kind == "constant":
-        for share in (0.25, 0.5, 1.0, 2.0):
-            plan += [(size, share * top), (-size, share * top), (0.0, share * top)]
+        limit = machine.axes[axis].velocity.si
+        for share in speeds:
+            plan += [(size, share * limit), (-size, share * limit), (0.0, share * limit)]
     else:
         slow = 0.04 * top
         for share in (0.05, 0.1, 0.2):

@@ -316,7 +316,9 @@ def _volt_commands(
         level = 2.0 * machine.controller_of(name).dac.range.si / 2.0**_LEVELS
         # The volts that act from tick k on are sampled at tick k + 1; the first row follows tick 0.
         acting = np.rint(samples[1:] / level).astype(np.int64)
-        rows[:, machine.axis_names.index(name)] = np.diff(acting, append=acting[-1:])
+        changes = np.diff(acting, append=acting[-1:])
+        changes[0] += acting[0]  # a run may begin with volts that hold a load
+        rows[:, machine.axis_names.index(name)] = changes
     again = TickBlock(first_tick=0, counts=rows, operation=block.operation)
     return replace(commands, blocks=Stream(iter, (again,)))
 

@@ -1,0 +1,374 @@
+"""Controllers of every kind for a crossover and a phase margin, and the limits of a pure gain.
+
+Controllers are designed in discrete form on the exact response of the plant, dead time and held
+output included. With ``d = 1 - 1/z`` they are ``kp + kd d`` (``pd``) and ``kp + ki/d + kd d``
+(``pid``). Where the integral time is 10 over the crossover, it costs six degrees there.
+At a crossover w the controller must have the value ``exp(i (phase margin - 180 deg)) / G(w)``; its
+real and imaginary parts give two gains. A controller with one gain (``p``, ``pi``) meets the phase
+margin at one crossover alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics.lead import lead_from_response
+from threadline.dynamics.loop import Loop
+from threadline.dynamics.margins import off_the_circle
+from threadline.errors import OptionError
+from threadline.machine import Machine
+from threadline.machine.controllers import (
+    COEFFICIENT_HIGH,
+    COEFFICIENT_LOW,
+    LeadController,
+    PController,
+    PdController,
+    PiController,
+    PidController,
+)
+from threadline.machine.quantity import Provenance, Quantity
+
+ControllerKind: TypeAlias = Literal["p", "pi", "pd", "pid", "lead"]
+CONTROLLERS: tuple[ControllerKind, ...] = ("p", "pi", "pd", "pid", "lead")
+NAMES: Mapping[ControllerKind, str] = {
+    "p": "PE",
+    "pi": "PI",
+    "pd": "PD",
+    "pid": "PID",
+    "lead": "lead",
+}
+LEAST_GAIN_MARGIN = 2.0
+"""Gain margin that a designed loop has at least, unless its crossover was given."""
+_INTEGRAL = 10.0  # integral time times the crossover
+_GRID, _AROUND = 1500, 120
+_CANDIDATES = 240
+_SMALL = 0.02  # a phase crossover with less gain than this is no limit
+
+
+def with_controller(
+    machine: Machine, axis: str, kind: ControllerKind, gains: Mapping[str, float]
+) -> Machine:
+    """Return a machine in which an axis has another controller, and a new hash.
+
+    The controller keeps its clocks, its encoder, its drive and its DAC.
+
+    Parameters
+    ----------
+    gains
+        Its gains in DAC levels per count: ``kp``, ``ki``, ``kd``, or ``gain``, ``zero``, ``pole``.
+    """
+    name, old = machine.axes[axis].controller, machine.controller_of(axis)
+    numbers = {
+        key: Quantity(
+            si=float(value),
+            unit="" if key in {"zero", "pole"} else "dac/count",
+            tolerance_si=0.0,
+            provenance=Provenance.CHECKED,
+        )
+        for key, value in gains.items()
+    }
+    common: dict[str, Any] = {
+        "clock": old.clock,
+        "reference_clock": old.reference_clock,
+        "sensor": old.sensor,
+        "drive": old.drive,
+        "dac": old.dac,
+    }
+    made: dict[ControllerKind, Any] = {
+        "p": PController,
+        "pi": PiController,
+        "pd": PdController,
+        "pid": PidController,
+        "lead": LeadController,
+    }
+    new = made[kind](kind=kind, **common, **numbers)
+    note = repr((name, kind, sorted((key, float(value)) for key, value in gains.items())))
+    return dataclasses.replace(
+        machine,
+        controllers={**machine.controllers, name: new},
+        sha256=hashlib.sha256((machine.sha256 + note).encode()).hexdigest(),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpenPlant:
+    """The plant of an axis on a grid of frequencies, up to half the rate of its controller.
+
+    Parameters
+    ----------
+    omega_rad_s, response
+        (k,) frequencies, and complex counts per DAC level; the other loops are closed.
+    period_s
+        Tick of the controller.
+    """
+
+    omega_rad_s: FloatArray
+    response: ComplexArray
+    period_s: float
+
+    def controller(self, kind: ControllerKind, gains: Mapping[str, float]) -> ComplexArray:
+        """Return the (k,) response of a controller, DAC levels per count."""
+        z = np.exp(1j * self.omega_rad_s * self.period_s)
+        if kind == "lead":
+            return np.asarray(gains["gain"] * (z - gains["zero"]) / (z + gains["pole"]))
+        d = 1.0 - 1.0 / z
+        return np.asarray(gains["kp"] + gains.get("ki", 0.0) / d + gains.get("kd", 0.0) * d)
+
+
+def plant_grid(loop: Loop) -> FloatArray:
+    """Return frequencies for an ``OpenPlant``, dense around the plant's resonances, rad/s."""
+    poles = loop.plant.poles()
+    moving = np.abs(poles)[np.abs(poles) > 1e-6 * max(np.abs(poles).max(), 1.0)]
+    low = 1e-2 * min(float(moving.min()) if len(moving) else 10.0, 10.0)
+    high = np.pi / loop.period_s * (1 - 1e-9)
+    parts = [np.geomspace(low, high, _GRID)]
+    for pole in poles[poles.imag > 0].tolist():
+        size = abs(pole)
+        width = 6.0 * min(max(abs(pole.real) / size, 1e-3), 0.1)
+        parts.append(size * np.linspace(1.0 - width, 1.0 + width, _AROUND))
+    grid = np.unique(np.concatenate(parts))
+    return np.asarray(grid[(grid >= low) & (grid <= high)])
+
+
+def open_plant(loop: Loop, omega_rad_s: FloatArray | None = None) -> OpenPlant:
+    """Return the plant of a loop on a grid, by default on its own."""
+    grid = plant_grid(loop) if omega_rad_s is None else omega_rad_s
+    volts = loop.filters[loop.index].volt_per_level
+    return OpenPlant(
+        omega_rad_s=grid, response=volts * loop.plant_response(grid), period_s=loop.period_s
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GridMargins:
+    """Margins of m loops from their responses on a grid, between its points by straight lines.
+
+    Parameters
+    ----------
+    gain_factor
+        (m,) smallest factor on the gain at a phase crossover above half the first gain crossover;
+        below 1 where the loop is unstable, infinite where there is none.
+    phase_deg
+        (m,) smallest signed phase margin of all gain crossovers; infinite where there is none.
+    crossover_rad_s
+        (m,) first gain crossover; 0 where there is none.
+    modulus
+        (m,) smallest distance from -1.
+    """
+
+    gain_factor: FloatArray
+    phase_deg: FloatArray
+    crossover_rad_s: FloatArray
+    modulus: FloatArray
+
+
+def grid_margins(L: ComplexArray, omega_rad_s: FloatArray) -> GridMargins:
+    """Return the margins of (m, k) open-loop responses at (k,) frequencies."""
+    L = np.atleast_2d(L)
+    size = np.log(np.maximum(np.abs(L), 1e-12))
+    crosses = (size[:, :-1] > 0.0) != (size[:, 1:] > 0.0)
+    share = _share(size, crosses)
+    turn = np.angle(L[:, 1:] / L[:, :-1])
+    angle = np.degrees(np.angle(-L[:, :-1] * np.exp(1j * share * turn)))
+    phase = np.where(crosses, angle, np.inf).min(axis=1)
+    at = omega_rad_s[:-1] + share * np.diff(omega_rad_s)
+    first = np.where(crosses, at, np.inf).min(axis=1)
+    first = np.where(np.isfinite(first), first, 0.0)
+    flips = (L.imag[:, :-1] > 0.0) != (L.imag[:, 1:] > 0.0)
+    flips &= L.real[:, :-1] + L.real[:, 1:] < 0.0
+    flips &= omega_rad_s[:-1] > 0.5 * first[:, None]
+    part = _share(L.imag, flips)
+    real = L.real[:, :-1] + part * np.diff(L.real, axis=1)
+    flips &= real < -_SMALL
+    factor = np.where(flips, -1.0 / np.where(flips, real, -1.0), np.inf).min(axis=1)
+    return GridMargins(
+        gain_factor=factor,
+        phase_deg=phase,
+        crossover_rad_s=first,
+        modulus=np.abs(1.0 + L).min(axis=1),
+    )
+
+
+def _share(values: FloatArray, crosses: NDArray[np.bool_]) -> FloatArray:
+    """Return where (m, k) values cross zero between two points, as (m, k - 1) shares."""
+    rise = np.diff(values, axis=1)
+    return np.asarray(np.where(crosses, -values[:, :-1] / np.where(crosses, rise, 1.0), 0.0))
+
+
+def check_wanted(loop: Loop, phase_margin_deg: float, crossover_hz: float | None) -> None:
+    """Refuse a phase margin or a crossover that no loop can have.
+
+    Raises
+    ------
+    OptionError
+        Names the range.
+    """
+    if not 0 < phase_margin_deg < 180:
+        raise OptionError(
+            f"phase margin {phase_margin_deg:g} deg is outside 0 ... 180 deg",
+            remedy="Give 30 to 70 deg.",
+        )
+    half = 0.5 / loop.period_s
+    if crossover_hz is not None and not 0 < crossover_hz < half:
+        raise OptionError(
+            f"crossover {crossover_hz:g} Hz is outside 0 ... {half:g} Hz",
+            remedy="Give at most half the controller's rate.",
+        )
+
+
+def design(
+    machine: Machine,
+    loop: Loop,
+    kind: ControllerKind,
+    phase_margin_deg: float,
+    crossover_hz: float | None = None,
+) -> dict[str, float]:
+    """Return the gains of a controller for a phase margin, DAC levels per count.
+
+    Parameters
+    ----------
+    loop
+        The loop of the axis with any controller.
+    crossover_hz
+        Its crossover. By default the one with the largest gain at low frequencies (of an integral
+        part the largest ``ki``) at which the loop has the phase margin and a gain margin of 2:
+        the least error under a steady load or speed (Panagopoulos, Astrom and Hagglund, "Design of
+        PID controllers based on constrained optimisation", IEE Proc. Control Theory 149, 2002).
+        ``p`` and ``pi`` have one gain: with a given crossover they have the phase margin that is
+        left.
+
+    Raises
+    ------
+    OptionError
+        If a number is out of range, or no such controller has that margin.
+    """
+    check_wanted(loop, phase_margin_deg, crossover_hz)
+    plant = open_plant(loop)
+    if crossover_hz is not None:
+        omega = np.array([2 * np.pi * crossover_hz])
+        response = loop.filters[loop.index].volt_per_level * loop.plant_response(omega)
+        found = _gains(kind, omega, response, phase_margin_deg, loop.period_s)
+        if kind in {"p", "pi"}:  # its one gain makes the crossover, whatever the phase
+            kp = 1.0 / np.abs(_shape(kind, omega, loop.period_s) * response)
+            found = {"kp": kp, "ki": kp * omega * loop.period_s / _INTEGRAL}
+            if kind == "p":
+                del found["ki"]
+        if not _possible(kind, found)[0]:
+            raise OptionError(
+                f"axis {loop.axis}: no {NAMES[kind]} controller has {phase_margin_deg:g} deg at "
+                f"{crossover_hz:g} Hz",
+                remedy="Ask for a lower crossover or another phase margin.",
+            )
+        return {key: float(value[0]) for key, value in found.items()}
+    inside = plant.omega_rad_s < np.pi / loop.period_s * 0.9
+    omega = plant.omega_rad_s[inside]
+    response = plant.response[inside]
+    if kind in {"p", "pi"}:
+        omega = _one_gain(kind, omega, response, phase_margin_deg, loop.period_s)
+        response = loop.filters[loop.index].volt_per_level * loop.plant_response(omega)
+    else:
+        chosen = np.unique(np.linspace(0, len(omega) - 1, _CANDIDATES).astype(int))
+        omega, response = omega[chosen], response[chosen]
+    found = _gains(kind, omega, response, phase_margin_deg, loop.period_s)
+    for k in np.argsort(-_slow_gain(kind, found)):
+        if not _possible(kind, found)[k]:
+            continue
+        gains = {key: float(value[k]) for key, value in found.items()}
+        L = plant.response * plant.controller(kind, gains)
+        margins = grid_margins(L, plant.omega_rad_s)
+        # The lowest of several crossovers may be another one, with less phase.
+        enough = margins.gain_factor[0] >= LEAST_GAIN_MARGIN
+        enough &= margins.phase_deg[0] >= phase_margin_deg - 0.5
+        if enough and _stable(machine, loop, kind, gains):
+            return gains
+    raise OptionError(
+        f"axis {loop.axis}: no {NAMES[kind]} controller has a phase margin of "
+        f"{phase_margin_deg:g} deg and a gain margin of {LEAST_GAIN_MARGIN:g}",
+        remedy="Ask for a smaller phase margin, or for another controller.",
+    )
+
+
+def _stable(machine: Machine, loop: Loop, kind: ControllerKind, gains: Mapping[str, float]) -> bool:
+    from threadline.dynamics.loop import axis_loop
+
+    made = with_controller(machine, loop.axis, kind, gains)
+    return not len(off_the_circle(axis_loop(made, loop.axis).closed().A))
+
+
+def _shape(kind: ControllerKind, omega: FloatArray, period_s: float) -> ComplexArray:
+    """Return the (k,) response of a controller of gain 1, without its differential part."""
+    if kind in {"p", "pd"}:
+        return np.ones(len(omega), dtype=np.complex128)
+    d = 1.0 - np.exp(-1j * omega * period_s)
+    return np.asarray(1.0 + omega * period_s / _INTEGRAL / d)
+
+
+def _gains(
+    kind: ControllerKind,
+    omega: FloatArray,
+    response: ComplexArray,
+    margin_deg: float,
+    period_s: float,
+) -> dict[str, FloatArray]:
+    """Return gains for (k,) crossovers; impossible ones are negative or not finite."""
+    if kind == "lead":
+        gain, zero = lead_from_response(response, omega, margin_deg, period_s, COEFFICIENT_LOW)
+        return {"gain": gain, "zero": zero, "pole": np.full(len(omega), COEFFICIENT_LOW)}
+    wanted = np.exp(1j * np.radians(margin_deg - 180.0)) / response
+    shape = _shape(kind, omega, period_s)
+    d = 1.0 - np.exp(-1j * omega * period_s)
+    kd = np.zeros(len(omega))
+    if kind in {"pd", "pid"}:
+        # wanted = kp shape + kd d, real and imaginary parts.
+        ratio, other = wanted / shape, d / shape
+        kd = ratio.imag / other.imag
+        kp = ratio.real - kd * other.real
+    else:
+        kp = (wanted / shape).real
+    found = {"kp": np.asarray(kp)}
+    if kind in {"pi", "pid"}:
+        found["ki"] = np.asarray(kp * omega * period_s / _INTEGRAL)
+    if kind in {"pd", "pid"}:
+        found["kd"] = np.asarray(kd)
+    return found
+
+
+def _possible(kind: ControllerKind, gains: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
+    if kind == "lead":
+        zero = gains["zero"]
+        return np.asarray((zero >= COEFFICIENT_LOW) & (zero <= COEFFICIENT_HIGH))
+    # Two gains of which the second delays would be no lead: the loop is then better without it.
+    return np.asarray((gains["kp"] > 0.0) & (gains.get("kd", np.zeros(1)) >= 0.0))
+
+
+def _slow_gain(kind: ControllerKind, gains: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the (k,) gains at low frequencies: of the integral part where there is one."""
+    if kind == "lead":
+        gain = gains["gain"] * (1.0 - gains["zero"]) / (1.0 + gains["pole"])
+    else:
+        gain = gains["ki"] if "ki" in gains else gains["kp"]
+    return np.asarray(np.nan_to_num(gain, nan=-np.inf))
+
+
+def _one_gain(
+    kind: ControllerKind,
+    omega: FloatArray,
+    response: ComplexArray,
+    margin_deg: float,
+    period_s: float,
+) -> FloatArray:
+    """Return the crossovers at which one gain leaves the phase margin, between grid points."""
+    angle = np.angle(
+        response * _shape(kind, omega, period_s) * np.exp(-1j * np.radians(margin_deg - 180.0))
+    )
+    here = (angle[:-1] > 0.0) & (angle[1:] <= 0.0) & (angle[:-1] - angle[1:] < np.pi)
+    share = angle[:-1][here] / (angle[:-1] - angle[1:])[here]
+    return np.asarray(omega[:-1][here] + share * np.diff(omega)[here])

@@ -1,0 +1,174 @@
+"""The worst margins of a loop over the tolerances of its machine file.
+
+A number moves the logarithm of the plant's response nearly by itself: the changes of several
+numbers are added, and the worst corner of their tolerances is climbed to, one number after the
+other. The margins that are told are computed exactly on the machine of that corner. It is the worst
+that was found, not a proof that there is no worse one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics.loop import axis_loop
+from threadline.dynamics.loop_design import (
+    ControllerKind,
+    GridMargins,
+    OpenPlant,
+    grid_margins,
+    open_plant,
+    with_controller,
+)
+from threadline.dynamics.margins import off_the_circle
+from threadline.machine import Machine
+from threadline.machine.variants import uncertain, variant
+
+_LEAST_EFFECT = 1e-6  # on the logarithm of the plant; less is rounding
+_ROUNDS = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorstMargins:
+    """Margins of a loop on the worst machines within the tolerances.
+
+    Parameters
+    ----------
+    phase_margin_deg, gain_margin
+        Each on the machine where it is smallest; negative or below 1 where the loop is unstable.
+        None where no gain or no phase crossover exists.
+    stable
+        Whether the loop is stable on both machines.
+    at
+        The numbers and ends (``"+"``, ``"-"``) of the machine with the smallest phase margin.
+    """
+
+    phase_margin_deg: float | None
+    gain_margin: float | None
+    stable: bool
+    at: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Spread:
+    """An axis' plant over the tolerances of its machine file.
+
+    Parameters
+    ----------
+    machine, axis
+        The machine and the axis.
+    plant
+        The plant of the file.
+    index
+        (n,) places in ``uncertain(machine)`` of the numbers that act on it.
+    lower, upper
+        (n, k) change of the logarithm of the response at the ends of each number.
+    """
+
+    machine: Machine
+    axis: str
+    plant: OpenPlant
+    index: tuple[int, ...]
+    lower: ComplexArray
+    upper: ComplexArray
+
+    def worst(self, kind: ControllerKind, gains: Mapping[str, float]) -> WorstMargins:
+        """Return the worst margins of the axis with a controller."""
+        L = self.plant.response * self.plant.controller(kind, gains)
+        found: list[tuple[GridMargins, bool, FloatArray]] = []
+        for measure in (_phase, _gain):
+            signs = self._climbed(L, measure)
+            margins, stable = self._exact(signs, kind, gains)
+            found.append((margins, stable, signs))
+        (by_phase, first, signs), (by_gain, second, _) = found
+        names = [one.name for one in uncertain(self.machine)]
+        return WorstMargins(
+            phase_margin_deg=_or_none(by_phase.phase_deg[0]),
+            gain_margin=_or_none(by_gain.gain_factor[0]),
+            stable=first and second,
+            at={
+                names[k]: "+" if sign > 0.0 else "-"
+                for k, sign in zip(self.index, signs, strict=True)
+                if sign
+            },
+        )
+
+    def _climbed(self, L: ComplexArray, measure: Callable[[GridMargins], FloatArray]) -> FloatArray:
+        """Return (n,) signs of a corner at which no single number makes a measure smaller."""
+        count = len(self.index)
+        signs = np.zeros(count)
+        omega = self.plant.omega_rad_s
+        least = float(measure(grid_margins(L, omega))[0])
+        for _ in range(_ROUNDS):
+            before = least
+            for k in range(count):
+                tried = np.repeat(signs[None], 2, axis=0)
+                tried[:, k] = (-1.0, 1.0)
+                change = np.where(tried > 0, 1.0, 0.0) @ self.upper
+                change = change + np.where(tried < 0, 1.0, 0.0) @ self.lower
+                sizes = measure(grid_margins(L * np.exp(change), omega))
+                best = int(np.argmin(sizes))
+                if sizes[best] < least:
+                    least, signs = float(sizes[best]), tried[best]
+            if least == before:
+                break
+        return signs
+
+    def _exact(
+        self, signs: FloatArray, kind: ControllerKind, gains: Mapping[str, float]
+    ) -> tuple[GridMargins, bool]:
+        parts = np.zeros(len(uncertain(self.machine)))
+        parts[list(self.index)] = signs
+        made = variant(with_controller(self.machine, self.axis, kind, gains), parts)
+        loop = axis_loop(made, self.axis)
+        plant = open_plant(loop, self.plant.omega_rad_s)
+        L = plant.response * plant.controller(kind, gains)
+        stable = not len(off_the_circle(loop.closed().A))
+        return grid_margins(L, plant.omega_rad_s), stable
+
+
+def spread_of(machine: Machine, axis: str) -> Spread:
+    """Return the plant of an axis over the tolerances of its machine file.
+
+    The controller's own numbers do not count: it is replaced.
+    """
+    loop = axis_loop(machine, axis)
+    plant = open_plant(loop)
+    count = len(uncertain(machine))
+    index, ends = [], []
+    for k in range(count):
+        changes = []
+        for sign in (1.0, -1.0):
+            parts = np.zeros(count)
+            parts[k] = sign
+            other = open_plant(axis_loop(variant(machine, parts), axis), plant.omega_rad_s)
+            changes.append(np.log(other.response / plant.response))
+            if np.abs(changes[0]).max() < _LEAST_EFFECT:
+                break
+        if len(changes) == 2:
+            index.append(k)
+            ends.append(changes)
+    empty = np.zeros((0, len(plant.omega_rad_s)), dtype=np.complex128)
+    return Spread(
+        machine=machine,
+        axis=axis,
+        plant=plant,
+        index=tuple(index),
+        upper=np.array([one[0] for one in ends]) if ends else empty,
+        lower=np.array([one[1] for one in ends]) if ends else empty,
+    )
+
+
+def _phase(margins: GridMargins) -> FloatArray:
+    return margins.phase_deg
+
+
+def _gain(margins: GridMargins) -> FloatArray:
+    return margins.gain_factor
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,572 @@
+"""Tune the loops of a machine: controllers of five kinds by four rules, side by side on jobs.
+
+The rules are the margins of the loop (``loop_design``), Ziegler and Nichols's two
+(``ziegler_nichols``), and the fastest settling of a PD controller, which the thesis on the winder
+looked for by hand over the operable range of Kp and Kd.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.progress import Progress
+from threadline.base.wording import ascii_only, toml_string
+from threadline.dynamics.analysis import LoopFigures, loop_figures
+from threadline.dynamics.loop import Loop, axis_loop
+from threadline.dynamics.loop_design import (
+    CONTROLLERS,
+    NAMES,
+    ControllerKind,
+    check_wanted,
+    design,
+    grid_margins,
+    open_plant,
+    with_controller,
+)
+from threadline.dynamics.responses import Step, step_response
+from threadline.dynamics.worst_margins import WorstMargins, spread_of
+from threadline.errors import MachineError, OptionError, PlanError
+from threadline.files.formats.common import atomic_file
+from threadline.identify.machine_file import base_lines
+from threadline.machine import Machine
+from threadline.machine.numbers import number_at
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import prove
+from threadline.search.ziegler_nichols import Ultimate, reaction_curve, ultimate
+from threadline.units import parse_number
+from threadline.verdict import Spec, Verdict
+from threadline.verdict.spec import load_spec
+
+Rule: TypeAlias = Literal["file", "margin", "ultimate", "step", "settling"]
+RULES: tuple[Rule, ...] = ("margin", "ultimate", "step", "settling")
+MEASURES = ("contour_error", "stitch_length_error", "settling_time", "current_peak")
+_ZIEGLER: tuple[ControllerKind, ...] = ("p", "pi", "pid")
+_NUMBERS: Mapping[ControllerKind, tuple[str, ...]] = {
+    "p": ("kp",),
+    "pi": ("kp", "ki"),
+    "pd": ("kp", "kd"),
+    "pid": ("kp", "ki", "kd"),
+    "lead": ("gain", "zero", "pole"),
+}
+_STEP_RAD = 60.0  # of the crossover, until which a step response is computed
+_STEP_LEAST_S = 0.2
+_SMOOTH = 1e-3  # overshoot that counts as none
+_OVERSHOOT, _MODULUS = 0.05, 0.5  # of the fastest settling, at most and at least
+_TRIES = 60
+
+
+def label(kind: ControllerKind, rule: Rule) -> str:
+    """Return the name of a controller for people, such as ``"PD, margin"``."""
+    return f"{NAMES[kind]}, {rule}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TunedLoop:
+    """A controller for one axis.
+
+    Parameters
+    ----------
+    axis, kind, rule
+        Its axis, its kind, and the rule that chose its gains (``"file"``: the machine file).
+    gains
+        DAC levels per count; zero and pole of ``lead`` without unit.
+    figures
+        The sampled loop.
+    worst
+        Margins over the tolerances of the machine file.
+    step
+        The response of the load to a step; None if the loop is unstable.
+    """
+
+    axis: str
+    kind: ControllerKind
+    rule: Rule
+    gains: Mapping[str, float]
+    figures: LoopFigures
+    worst: WorstMargins
+    step: Step | None
+
+    @property
+    def name(self) -> str:
+        """ControllerKind and rule, for people."""
+        return f"{NAMES[self.kind]}, {self.rule}"
+
+    def content(self) -> dict[str, Any]:
+        """Return the loop as JSON content."""
+        told = self.figures.as_json()
+        kept = ("stable", "bandwidth_hz", "gain_margin", "phase_margin_deg", "crossover_hz",
+                "modulus_margin")  # fmt: skip
+        return {
+            "controller": self.kind,
+            "rule": self.rule,
+            "gains": dict(self.gains),
+            **{key: told[key] for key in kept},
+            "over_tolerances": {
+                "stable": self.worst.stable,
+                "phase_margin_deg": self.worst.phase_margin_deg,
+                "gain_margin": self.worst.gain_margin,
+                "at": dict(self.worst.at),
+            },
+            "settling_s": None if self.step is None else self.step.settling_s,
+            "overshoot": None if self.step is None else self.step.overshoot,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TunedAxis:
+    """The loops of one axis.
+
+    Parameters
+    ----------
+    axis
+        Its name.
+    limit
+        Ultimate gain and period of a proportional controller on the twin; None if there is none.
+    smooth_kp
+        Largest proportional gain whose step response does not overshoot.
+    loops
+        Every controller, in the order of the rules.
+    left_out
+        Controllers that do not exist, with the reason.
+    """
+
+    axis: str
+    limit: Ultimate | None
+    smooth_kp: float | None
+    loops: tuple[TunedLoop, ...]
+    left_out: tuple[str, ...]
+
+    def loop(self, kind: ControllerKind, rule: Rule) -> TunedLoop:
+        """Return one of its loops.
+
+        Raises
+        ------
+        OptionError
+            If there is none.
+        """
+        for one in self.loops:
+            if (one.kind, one.rule) == (kind, rule):
+                return one
+        there = ", ".join(f"{one.kind} by {one.rule}" for one in self.loops)
+        raise OptionError(
+            f"axis {self.axis} has no controller {kind} by {rule}", remedy=f"It has: {there}."
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JobRun:
+    """A job with one kind of controller on every axis, on the twin, in one run.
+
+    Parameters
+    ----------
+    job, kind, rule
+        File of the job, and the controllers.
+    verdict
+        Its verdict; None if a loop is unstable.
+    """
+
+    job: str
+    kind: ControllerKind
+    rule: Rule
+    verdict: Verdict | None
+
+    def worst(self, measure: str) -> float | None:
+        """Return the largest value of a measure of all axes, SI; None if it was not measured."""
+        if self.verdict is None:
+            return None
+        values = [
+            one.measured
+            for one in self.verdict.results
+            if one.name == measure and one.measured is not None
+        ]
+        return max(values, default=None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tuning:
+    """The answer of ``tune``.
+
+    Parameters
+    ----------
+    machine
+        The machine.
+    axes
+        The loops of each axis.
+    runs
+        The jobs with each kind of controller.
+    """
+
+    machine: Machine
+    axes: tuple[TunedAxis, ...]
+    runs: tuple[JobRun, ...] = field(default=())
+
+    def tuned(self, kind: ControllerKind, rule: Rule = "margin") -> Machine:
+        """Return the machine with one kind of controller on the axes that were tuned.
+
+        Raises
+        ------
+        OptionError
+            If an axis has no such controller.
+        """
+        made = self.machine
+        for axis in self.axes:
+            one = axis.loop(kind, rule)
+            made = with_controller(made, axis.axis, kind, one.gains)
+        return made
+
+    def content(self) -> dict[str, Any]:
+        """Return the answer as JSON content."""
+        return {
+            "machine": self.machine.name,
+            "axes": {
+                one.axis: {
+                    "ultimate_kp": None if one.limit is None else one.limit.kp,
+                    "ultimate_period_s": None if one.limit is None else one.limit.period_s,
+                    "kp_without_overshoot": one.smooth_kp,
+                    "loops": [loop.content() for loop in one.loops],
+                    "left_out": list(one.left_out),
+                }
+                for one in self.axes
+            },
+            "jobs": [
+                {
+                    "job": run.job,
+                    "controller": run.kind,
+                    "rule": run.rule,
+                    "stable": run.verdict is not None,
+                    **{name: _finite(run.worst(name)) for name in MEASURES},
+                }
+                for run in self.runs
+            ],
+        }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is None or math.isfinite(value) else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """What loops are tuned for.
+
+    Parameters
+    ----------
+    phase_margin_deg
+        Phase margin of the rule ``margin``.
+    crossover_hz
+        Crossover of that rule; None for the one with the largest gain at low frequencies.
+    axes
+        Axes to tune; all with a loop where it is empty.
+    """
+
+    phase_margin_deg: float = 60.0
+    crossover_hz: float | None = None
+    axes: tuple[str, ...] = ()
+
+
+def tune(
+    machine: Machine,
+    wanted: Wanted,
+    jobs: Sequence[Path] = (),
+    spec: Spec | None = None,
+    progress: Progress | None = None,
+) -> Tuning:
+    """Tune the loops of a machine; nothing moves.
+
+    Parameters
+    ----------
+    jobs
+        Jobs that are run on the twin with each kind of controller.
+    spec
+        The specification of the jobs; its measures are read, not its limits.
+    progress
+        Called with what is done and its share.
+
+    Raises
+    ------
+    OptionError
+        If there is no such axis, it has no loop, or a number is out of range.
+    JobError
+        If a job cannot be read.
+    """
+    names = wanted.axes or tuple(name for name, one in machine.axes.items() if one.controller)
+    if not names:
+        raise OptionError(
+            f"machine {machine.name!r} has no control loops", remedy="It has nothing to tune."
+        )
+    loops = {name: axis_loop(machine, name) for name in names}
+    for loop in loops.values():
+        check_wanted(loop, wanted.phase_margin_deg, wanted.crossover_hz)
+    axes = []
+    for k, name in enumerate(names):
+        if progress is not None:
+            progress(f"axis {name}", k / (len(names) + len(jobs)))
+        axes.append(_tuned_axis(machine, loops[name], wanted))
+    tuning = Tuning(machine=machine, axes=tuple(axes))
+    runs = []
+    for k, job in enumerate(jobs):
+        if progress is not None:
+            progress(job.name, (len(names) + k) / (len(names) + len(jobs)))
+        runs += _job_runs(tuning, job, spec)
+    return Tuning(machine=machine, axes=tuple(axes), runs=tuple(runs))
+
+
+def _tuned_axis(machine: Machine, loop: Loop, wanted: Wanted) -> TunedAxis:
+    axis, left_out = loop.axis, []
+    found: list[tuple[ControllerKind, Rule, dict[str, float]]] = []
+
+    def tried(kind: ControllerKind, rule: Rule, gains: Callable[[], dict[str, float]]) -> None:
+        try:
+            found.append((kind, rule, gains()))
+        except (MachineError, OptionError) as error:
+            left_out.append(f"{NAMES[kind]}, {rule}: {error.message}")
+
+    name = machine.axes[axis].controller
+    own = next((one for one in CONTROLLERS if one == machine.controllers[name].kind), None)
+    if own is not None:
+        numbers = {k: number_at(machine, f"controllers.{name}.{k}").si for k in _NUMBERS[own]}
+        found.append((own, "file", numbers))
+    margin, crossover = wanted.phase_margin_deg, wanted.crossover_hz
+    for kind in CONTROLLERS:
+        tried(kind, "margin", partial(design, machine, loop, kind, margin, crossover))
+    limit = None
+    try:
+        limit = ultimate(machine, axis)
+        found += [(kind, "ultimate", limit.gains(kind, loop.period_s)) for kind in _ZIEGLER]
+    except MachineError as error:
+        left_out.append(f"by the ultimate gain: {error.message}")
+    try:
+        curve = reaction_curve(machine, axis)
+        found += [(kind, "step", curve.gains(kind, loop.period_s)) for kind in _ZIEGLER]
+    except MachineError as error:
+        left_out.append(f"by a step: {error.message}")
+    by_margin = next((g for kind, rule, g in found if (kind, rule) == ("pd", "margin")), None)
+    if by_margin is not None:
+        tried("pd", "settling", partial(_fastest_settling, machine, axis, by_margin))
+    spread = spread_of(machine, axis)
+    made = []
+    for kind, rule, gains in found:
+        closed = axis_loop(with_controller(machine, axis, kind, gains), axis)
+        figures = loop_figures(closed, "sampled")
+        made.append(
+            TunedLoop(
+                axis=axis,
+                kind=kind,
+                rule=rule,
+                gains=gains,
+                figures=figures,
+                worst=spread.worst(kind, gains),
+                step=_step(closed, figures) if figures.stable else None,
+            )
+        )
+    smooth = None if limit is None else _smooth_kp(machine, axis, limit.kp)
+    return TunedAxis(
+        axis=axis, limit=limit, smooth_kp=smooth, loops=tuple(made), left_out=tuple(left_out)
+    )
+
+
+def _step(loop: Loop, figures: LoopFigures) -> Step | None:
+    crossovers = [one.omega_rad_s for one in figures.margins.gain_crossovers]
+    slow = min(crossovers, default=math.inf)
+    return step_response(loop, "load", max(_STEP_RAD / slow, _STEP_LEAST_S))
+
+
+def _smooth_kp(machine: Machine, axis: str, ultimate_kp: float) -> float | None:
+    """Return the largest proportional gain without overshoot of the load, within a percent."""
+    low, high = 1e-3 * ultimate_kp, ultimate_kp
+    if _overshoot(machine, axis, low) > _SMOOTH:
+        return None
+    while high > 1.01 * low:
+        middle = math.sqrt(low * high)
+        if _overshoot(machine, axis, middle) > _SMOOTH:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+def _overshoot(machine: Machine, axis: str, kp: float) -> float:
+    loop = axis_loop(with_controller(machine, axis, "p", {"kp": kp}), axis)
+    # A slow loop is an integrator, whose crossover is its gain.
+    omega = np.array([1e-3])
+    slow = float(np.abs(loop.response(omega))[0]) * 1e-3
+    step = step_response(loop, "load", max(_STEP_RAD / slow, _STEP_LEAST_S))
+    return math.inf if step is None else step.overshoot
+
+
+def _fastest_settling(machine: Machine, axis: str, start: Mapping[str, float]) -> dict[str, float]:
+    """Return Kp and Kd whose step settles to 2 % first, by a search from a design.
+
+    The load overshoots by at most 5 %, and the loop keeps a distance of 0.5 from -1.
+    """
+    from scipy.optimize import minimize
+
+    plant = open_plant(axis_loop(machine, axis))
+
+    def cost(x: FloatArray) -> float:
+        gains = {"kp": math.exp(x[0]), "kd": math.exp(x[1])}
+        L = plant.response * plant.controller("pd", gains)
+        margins = grid_margins(L, plant.omega_rad_s)
+        lacking = max(_MODULUS - float(margins.modulus[0]), 0.0)
+        crossover = float(margins.crossover_rad_s[0])
+        loop = axis_loop(with_controller(machine, axis, "pd", gains), axis)
+        if crossover == 0.0 or margins.gain_factor[0] <= 1.0 or margins.phase_deg[0] <= 0.0:
+            return 1e3
+        step = step_response(loop, "load", max(_STEP_RAD / crossover, _STEP_LEAST_S))
+        if step is None:
+            return 1e3
+        much = max(step.overshoot - _OVERSHOOT, 0.0)
+        return step.settling_s * (1.0 + 20.0 * much + 20.0 * lacking)
+
+    first = np.log([start["kp"], max(start["kd"], 1e-3 * start["kp"])])
+    simplex = first + np.array([[0.0, 0.0], [-0.5, 0.0], [0.0, -0.7]])
+    found = minimize(
+        cost,
+        first,
+        method="Nelder-Mead",
+        options={"maxfev": _TRIES, "initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-5},
+    )
+    if found.fun >= 1e3:
+        raise OptionError("no Kp and Kd near the design by margins settle")
+    return {"kp": float(np.exp(found.x[0])), "kd": float(np.exp(found.x[1]))}
+
+
+def _job_runs(tuning: Tuning, job: Path, spec: Spec | None) -> list[JobRun]:
+    rows = [(loop.kind, loop.rule) for loop in tuning.axes[0].loops]
+    for axis in tuning.axes[1:]:
+        there = {(loop.kind, loop.rule) for loop in axis.loops}
+        rows = [row for row in rows if row in there]
+    found = []
+    for kind, rule in rows:
+        machine = tuning.tuned(kind, rule)
+        judged = load_spec(None, machine) if spec is None else spec
+        try:
+            verdict = prove(job, machine, judged, options_of()).verdict
+        except PlanError as error:
+            if all(axis.loop(kind, rule).figures.stable for axis in tuning.axes):
+                raise
+            del error
+            verdict = None
+        found.append(JobRun(job=job.name, kind=kind, rule=rule, verdict=verdict))
+    return found
+
+
+def tuned_toml(tuning: Tuning, kind: ControllerKind, rule: Rule, folder: Path) -> str:
+    """Return the text of a machine file with one kind of controller, to lie in ``folder``.
+
+    Raises
+    ------
+    OptionError
+        If an axis has no such controller.
+    """
+    machine = tuning.machine
+    lines = [
+        f"# Tuned by threadline tune: {NAMES[kind]}, {rule}.",
+        *base_lines(machine, folder),
+        f"name = {toml_string(machine.name.split('+')[0] + '-tuned')}",
+        f"title = {toml_string(ascii_only(machine.title) + ', tuned')}",
+    ]
+    for axis in tuning.axes:
+        one = axis.loop(kind, rule)
+        name = machine.axes[axis.axis].controller
+        own = machine.controllers[name].kind
+        lines += ["", f"[controllers.{name}]", f"kind = {toml_string(kind)}"]
+        for key in _NUMBERS[kind]:
+            unit = "" if key in {"zero", "pole"} else " dac/count"
+            lines.append(
+                f'{key} = "{one.gains[key]:.6g}{unit} exact, checked: threadline tune, {rule}"'
+            )
+        left = {k for one in CONTROLLERS if one == own for k in _NUMBERS[one]} - {*_NUMBERS[kind]}
+        lines += [f'{key} = "none"' for key in sorted(left)]
+    return "\n".join(lines) + "\n"
+
+
+def write_tuned(tuning: Tuning, kind: ControllerKind, rule: Rule, file: Path) -> None:
+    """Write a machine file with one kind of controller; nothing is left if that fails.
+
+    Raises
+    ------
+    OptionError
+        If an axis has no such controller, or one that is unstable.
+    RecordingError
+        If the file cannot be written.
+    """
+    for axis in tuning.axes:
+        if not axis.loop(kind, rule).figures.stable:
+            raise OptionError(
+                f"axis {axis.axis}: {NAMES[kind]} by {rule} is unstable",
+                remedy="Choose another --controller or --rule.",
+            )
+    text = tuned_toml(tuning, kind, rule, file.parent)
+    with atomic_file(file) as stream:
+        stream.write(text.encode())
+
+
+def asked(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
+    """Return what loops are tuned for, as it was typed.
+
+    Raises
+    ------
+    OptionError
+        If there is no such axis with a loop, or a text is no angle or no frequency.
+    """
+    closed = [name for name, one in machine.axes.items() if one.controller]
+    if axis is not None and axis not in closed:
+        raise OptionError(
+            f"machine {machine.name!r} has no axis {axis[:20]!r} with a control loop",
+            remedy=f"It has: {', '.join(closed) or 'none'}.",
+        )
+    return Wanted(
+        phase_margin_deg=math.degrees(parse_number("margin", margin, "rad", "60 deg")),
+        crossover_hz=None
+        if crossover is None
+        else parse_number("crossover", crossover, "Hz", "13.5 Hz"),
+        axes=() if axis is None else (axis,),
+    )
+
+
+def usual_controller(machine: Machine) -> ControllerKind:
+    """Return the kind of controller of the first axis, ``pd`` where it has none of the five."""
+    for one in machine.axes.values():
+        if one.controller:
+            own = machine.controllers[one.controller].kind
+            return next((kind for kind in CONTROLLERS if kind == own), "pd")
+    return "pd"
+
+
+def parse_controller(text: str) -> ControllerKind:
+    """Return a kind of controller.
+
+    Raises
+    ------
+    OptionError
+        If there is none of that name.
+    """
+    for kind in CONTROLLERS:
+        if text == kind:
+            return kind
+    raise OptionError(
+        f"there is no controller {text[:20]!r}", remedy=f"There are {', '.join(CONTROLLERS)}."
+    )
+
+
+def parse_rule(text: str) -> Rule:
+    """Return a rule.
+
+    Raises
+    ------
+    OptionError
+        If there is none of that name.
+    """
+    for rule in RULES:
+        if text == rule:
+            return rule
+    raise OptionError(f"there is no rule {text[:20]!r}", remedy=f"There are {', '.join(RULES)}.")
