@@ -87,11 +87,11 @@ def bare_of(winding: Winding) -> Bare:
             break
         depth = depth + off
     assert best is not None
-    error, worst, found = best
-    if error > TOLERANCE_M:
+    apart, worst, found = best
+    if apart > TOLERANCE_M:
         raise JobError(
             f"no bare mandrel gives this outer shape: at {1e3 * outer[worst, 0]:.4g} mm (radius "
-            f"{1e3 * outer[worst, 1]:.4g} mm) the layers end {1e3 * error:.3g} mm beside it, limit "
+            f"{1e3 * outer[worst, 1]:.4g} mm) the layers end {1e3 * apart:.3g} mm beside it, limit "
             f"{1e3 * TOLERANCE_M:g} mm",
             place=Place(str(winding.path)),
             remedy="Layers end in steps there: draw the step, or let the layers end elsewhere.",
