@@ -20,7 +20,7 @@ SHOWN = "\n".join(
     (ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/commands.md")
 )
 
-OUTPUTS = ("-o", "--report", "--recording", "--proof")
+OUTPUTS = ("-o", "--deck", "--report", "--recording", "--proof")
 SLOW = {"design": "its search takes minutes; tests/cli/test_design.py runs the command"}
 SLOW["panel"] = "it serves until it is ended; tests/panel/test_panel_command.py runs it"
 SLOW["connect"] = "it needs a controller; tests/live/test_connect.py has some"

@@ -13,6 +13,7 @@ from threadline.cli.arguments import JsonOption
 from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.errors import OptionError
+from threadline.jobs.winding.bare import bare_of, write_meridian
 from threadline.jobs.winding.closing import Pattern
 from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import Winding, read_layers
@@ -32,6 +33,13 @@ def wind(
     ] = False,
     report: Annotated[
         Path | None, typer.Option(help="Write the sheet for the shop into this folder.")
+    ] = None,
+    bare: Annotated[
+        Path | None,
+        typer.Option(
+            help="Take the parts as the outer shape that is wanted after all layers, and write the "
+            "bare mandrel for it into this table, NAME.csv."
+        ),
     ] = None,
     deck: Annotated[
         Path | None,
@@ -55,10 +63,14 @@ def wind(
     """
     inside_pa = _pressure(pressure, deck)
     check_outputs(file=deck, folder=report)
+    check_outputs(file=bare)
     winding = read_layers(product)
-    laid = design(winding)
+    found = None if bare is None else bare_of(winding)
+    laid = design(winding) if found is None else found.laid
     written = None
-    with together(deck):
+    with together(bare, deck):
+        if bare is not None and found is not None:
+            write_meridian(bare, found.points)
         if deck is not None:
             rings, materials = rings_of(laid)
             text = shell_deck(winding.product.name, rings, materials, inside_pa)
@@ -89,11 +101,16 @@ def wind(
     sheet = sheet_of(winding, laid)
     print_table(f"{sheet.title}: the sheet", sheet.header(), sheet.table())
     say(sheet.note())
-    found = wound_laminate(laid)
-    if found is not None:
-        print_table("Laminate at the largest radius", ("", ""), found.rows())
+    laminate = wound_laminate(laid)
+    if laminate is not None:
+        print_table("Laminate at the largest radius", ("", ""), laminate.rows())
     if written is not None:
         say(f"Report: {written}")
+    if found is not None:
+        say(
+            f"Bare mandrel: {bare}; it begins {1e3 * float(found.points[0, 0]):.3f} mm right of "
+            f"the drawing, and its layers end {1e3 * found.off_m:.2g} mm beside it"
+        )
     if deck is not None:
         say(f"Shell model: {deck}")
     for said in [*filter(None, map(bridged, laid)), *sheet_warnings(winding, sheet)]:

@@ -202,11 +202,12 @@ def surface_of(parts: Sequence[Stretch], edge_m: float, file: str = "") -> Surfa
     JobError
         If the meridian is open, doubles back or reaches the axis.
     """
+    name = f"{file}: " if file else ""
     for before, after in itertools.pairwise(parts):
         gap = math.hypot(after.x[0, 0] - before.x[-1, 0], after.r[0, 0] - before.r[-1, 0])
         if gap > _JOINED_M:
             raise JobError(
-                f"{file}: the mandrel is open: a part ends at x = {1e3 * before.x[-1, 0]:.6g} mm "
+                f"{name}the mandrel is open: a part ends at x = {1e3 * before.x[-1, 0]:.6g} mm "
                 f"with radius {1e3 * before.r[-1, 0]:.6g} mm, and the next begins at x = "
                 f"{1e3 * after.x[0, 0]:.6g} mm with radius {1e3 * after.r[0, 0]:.6g} mm",
                 remedy="Let each part begin where the one before it ends.",
@@ -220,14 +221,14 @@ def surface_of(parts: Sequence[Stretch], edge_m: float, file: str = "") -> Surfa
     if (angle > _STEEPEST).any():
         at = int(np.argmax(angle > _STEEPEST))
         raise JobError(
-            f"{file}: the mandrel doubles back at x = {1e3 * along[at, 0]:.6g} mm, radius "
+            f"{name}the mandrel doubles back at x = {1e3 * along[at, 0]:.6g} mm, radius "
             f"{1e3 * radius[at, 0]:.6g} mm",
             remedy="Its meridian must go from left to right; end it at the polar opening.",
         )
     if (radius[:, 0] <= 0.0).any():
         at = int(np.argmax(radius[:, 0] <= 0.0))
         raise JobError(
-            f"{file}: the mandrel crosses its axis at x = {1e3 * along[at, 0]:.6g} mm",
+            f"{name}the mandrel crosses its axis at x = {1e3 * along[at, 0]:.6g} mm",
             remedy="End it at a polar opening with a radius above 0.",
         )
     bend = along[:, 1] * radius[:, 2] - radius[:, 1] * along[:, 2]

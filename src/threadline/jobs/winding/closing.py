@@ -8,7 +8,7 @@ first one, ahead of it (leading); the band after n - p circuits lies behind it (
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from threadline.jobs.winding.circuit import (
     circuit_of,
     widest,
 )
-from threadline.jobs.winding.layers import Closing, Layer, Winding
+from threadline.jobs.winding.layers import MARGIN, Closing, Layer, Winding
 from threadline.winding.surface import Surface
 
 _TURN = 2.0 * math.pi
@@ -31,6 +31,7 @@ _SAMPLES = 9  # angles between which the table interpolates
 _HALVINGS = 14  # of the range of friction ratios in search of its end
 _MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
 _MOST_SHOWN = 1000
+_FARTHEST = 200  # circuits from the asked number, in search of a pattern that closes
 _FLAT = 1e-12
 _BETWEEN = 1025  # places between begin and end
 _ROUNDS = 40
@@ -228,7 +229,11 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     if sites[1].dome and not sites[0].dome:
         sites[1] = replace(sites[1], joint=max(sites[1].joint, sites[0].joint))
     if not sites[0].joint <= sites[1].joint:
-        winding.refuse(layer, "begin is not left of end", "Correct begin and end.")
+        winding.refuse(
+            layer,
+            "begin is not left of end",
+            "Give begin a smaller place along the mandrel than end.",
+        )
     both = (sites[0], sites[1])
     ratios = tuple(0.0 if site.dome else winding.friction for site in both)
     name = f"layer {layer.number}: "
@@ -354,48 +359,96 @@ def patterns(wrap: Wrap) -> list[Pattern]:
         if low > _MOST_SHOWN:
             wrap.winding.refuse(
                 layer, f"a layer would need {low} circuits, limit {_MOST_SHOWN}",
-                "Is the band so narrow? If so, write its circuits.",
+                f"Is the band so narrow? If so, write circuits = {low} into the layer.",
             )  # fmt: skip
-    frictions = _by_friction(wrap)
-    angles = _by_angle(wrap)
-    dwells = any(wrap.can_dwell(base, site) for site in wrap.sites)
-    found = [
-        pattern
-        for count in counts
-        for pattern in _of_count(base.advance, count, around, layer.shift)
-    ]
-    closed = []
-    for pattern in found:
-        ratio, constant = frictions(pattern.off), angles(pattern.off)
-        dwell = pattern.off % _TURN if dwells else math.nan
-        one = replace(pattern, ratio=ratio, constant_m=constant, dwell=dwell)
-        if one.ways and (layer.close is None or layer.close in one.ways):
-            closed.append(one)
+    closing = _Ways(wrap)
+    closed = closing.closed(counts, layer.shift)
     by_dwell = layer.close == "dwell" or not wrap.domes
     closed.sort(key=lambda one: (one.dwell if by_dwell else abs(one.off), one.circuits))
     if not closed:
-        nearest = min(found, key=lambda one: abs(one.off), default=None)
-        near = (
-            ""
-            if nearest is None
-            else (
-                f"; the nearest, {nearest.circuits} circuits with shift {nearest.shift}, is "
-                f"{math.degrees(nearest.off):.4g} deg a circuit off"
-            )
+        wrap.winding.refuse(
+            layer, f"no pattern {_asked(layer)}fits this mandrel", _remedy(closing, counts)
         )
-        asked = f" by {layer.close}" if layer.close else ""
-        wrap.winding.refuse(layer, f"no pattern of this layer closes{asked}{near}", _remedy(wrap))
     return closed
 
 
-def _remedy(wrap: Wrap) -> str:
-    slips = max(wrap.slip_at(wrap.base, site) for site in wrap.sites)
+class _Ways:
+    """What can close the patterns of a layer."""
+
+    def __init__(self, wrap: Wrap) -> None:
+        self.wrap = wrap
+        base = wrap.base
+        self.around = _TURN * base.widest_m * math.cos(base.angle) / wrap.width_m
+        self._frictions, self._angles = _by_friction(wrap), _by_angle(wrap)
+        self._dwells = any(wrap.can_dwell(base, site) for site in wrap.sites)
+
+    def closed(self, counts: Sequence[int], shift: int | None) -> list[Pattern]:
+        """Return the patterns of some numbers of circuits that close in a way that is wanted."""
+        close, found = self.wrap.layer.close, []
+        for pattern in self.patterns(counts, shift):
+            dwell = pattern.off % _TURN if self._dwells else math.nan
+            one = replace(
+                pattern, ratio=self._frictions(pattern.off), constant_m=self._angles(pattern.off),
+                dwell=dwell,
+            )  # fmt: skip
+            if one.ways and (close is None or close in one.ways):
+                found.append(one)
+        return found
+
+    def patterns(self, counts: Sequence[int], shift: int | None) -> list[Pattern]:
+        """Return all patterns of some numbers of circuits, whether they close or not."""
+        advance = self.wrap.base.advance
+        return [
+            pattern for count in counts for pattern in _of_count(advance, count, self.around, shift)
+        ]
+
+    def nearest(self, counts: Sequence[int]) -> Pattern | None:
+        """Return a pattern that closes, with the number of circuits nearest to the asked ones."""
+        asked = (counts[0], counts[-1])
+        near = [list(counts)]
+        near += [[asked[0] - far, asked[1] + far] for far in range(1, _FARTHEST)]
+        for tried in near:
+            found = self.closed([count for count in tried if count > 0], None)
+            if found:
+                return min(found, key=lambda one: abs(one.off))
+        return None
+
+    def friction_for(self, counts: Sequence[int], shift: int | None) -> float | None:
+        """Return the least friction that closes one of the asked patterns; None if none does."""
+        if not all(site.dome for site in self.wrap.sites):
+            return None
+        ratios = _by_friction(replace(self.wrap, friction=1.0))
+        found = [abs(ratios(one.off)) for one in self.patterns(counts, shift)]
+        return min((one / MARGIN for one in found if one <= MARGIN), default=None)
+
+
+def _asked(layer: Layer) -> str:
+    """Return the words for the patterns that a layer asks for."""
+    found = "of this layer " if layer.circuits is None else f"with {layer.circuits} circuits "
+    if layer.shift is not None:
+        found += f"and shift {layer.shift} "
+    return found + (f"closed by {layer.close} " if layer.close else "")
+
+
+def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
+    """Say what would close: the nearest pattern, or how much friction."""
+    wrap, told = closing.wrap, []
     if wrap.layer.close == "dwell":
-        return (
+        slips = max(wrap.slip_at(wrap.base, site) for site in wrap.sites)
+        told.append(
             f"A dwell on the parallel has a slip tendency of {slips:.2g}, the friction holds "
             f"{wrap.friction:.2g}: declare a [[boss]] or a ring of pins, or close by friction."
         )
-    return "Give other circuits, a larger turn, or more friction."
+    near = closing.nearest(counts)
+    if near is not None:
+        told.append(
+            f"The nearest that closes: circuits = {near.circuits}, shift = {near.shift}, "
+            f"{near.coverage:.1%} covered."
+        )
+    friction = closing.friction_for(counts, wrap.layer.shift)
+    if friction is not None and wrap.layer.close in (None, "friction"):
+        told.append(f"A friction of {friction:.2g} or more would close the asked one.")
+    return " ".join(told) or "Give another turn or angle, or a [[boss]] on which the fibre dwells."
 
 
 def _of_count(advance: float, count: int, around: float, shift: int | None) -> Iterator[Pattern]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.errors import Place
+from threadline.errors import JobError, Place
 from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.closing import (
     Pattern,
@@ -147,7 +147,13 @@ def design(winding: Winding) -> tuple[Laid, ...]:
         found.append(one)
         spread = one.spread()
         if spread is not None and layer is not winding.layers[-1]:
-            surface = grown(surface, spread)
+            try:
+                surface = grown(surface, spread)
+            except JobError as error:
+                winding.refuse(
+                    layer, f"nothing can be wound on this layer: with it {error.message}",
+                    "Turn the layers at different radii, or take a thinner band.",
+                )  # fmt: skip
     return tuple(found)
 
 
