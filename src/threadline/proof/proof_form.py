@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from types import UnionType
 from typing import Any
 
 from threadline.base.arrays import finite
 from threadline.base.option_defaults import MOST_REPEATS, MOST_RUNS
-from threadline.commands.intents import Scheduled
 from threadline.commands.plan import Plan
 from threadline.proof.kinds.variants import REJECTS, UNANSWERED
 from threadline.verdict import Spec
@@ -25,6 +24,7 @@ from threadline.verdict.demands import with_needle
 from threadline.verdict.each_run import CONFIDENCE, at_least, clopper_pearson, limit_of, unit_of
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.switch_run import steps_judged
 from threadline.verdict.types import Criterion, Level, Status, level_of
 
 _Form = Mapping[str, Any] | list[Any] | type | UnionType
@@ -50,7 +50,7 @@ _PROOF: Mapping[str, _Form] = {
     "options": {"given": dict, "sha256": str},
     "spec": {"name": str, "file": str | None, "sha256": str},
     "commands": {"kind": str, "sha256": str},
-    "verdict": {"passed": bool, "simulated": bool, "incomplete": str, "criteria": [_CRITERION]},
+    "verdict": {"passed": bool, "simulated": bool, "criteria": [_CRITERION]},
 }
 _HASHED = ("job", "machine", "actual", "options", "spec", "commands")
 _SHA256 = re.compile("[0-9a-f]{64}")
@@ -83,9 +83,12 @@ def malformed_entry(content: Mapping[str, Any]) -> str:
     """
     given = content.get("options")
     options = given.get("given") if isinstance(given, dict) else None
+    verdict = content.get("verdict")
+    ended = verdict.get("incomplete", "") if isinstance(verdict, dict) else ""
     return (
         _wrong(content, _PROOF, "")
         or ("" if content["actual"] is None else _wrong(content["actual"], _MACHINE, "actual"))
+        or ("" if isinstance(ended, str) else "verdict.incomplete")
         or ("tolerances" in content and _wrong(content["tolerances"], _TOLERANCES, "tolerances"))
         or _wrong(options, dict.fromkeys(options or (), str), "options.given")
     )
@@ -355,25 +358,13 @@ def _missing(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Itera
 
 def _missing_steps(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
     """Yield steps of a move list that a criterion judged step by step leaves out."""
-    if not isinstance(plan.intent, Scheduled):
-        return
-    begins = [(e.tick, e.name) for e in plan.intent.commands.events if e.kind == "tool"]
-    steps = [name for _, name in begins]
-    moved = [
-        (move.axis, next((n for tick, n in reversed(begins) if tick <= move.first_tick), ""))
-        for move in plan.intent.moves
-    ]
-    judged: Mapping[str, Iterable[tuple[str, str]]] = {
-        "residual_vibration": [(axis, step) for axis in plan.axes for step in steps],
-        "settling_time": [("", step) for _, step in moved],
-        "end_position_error": moved,
-    }
+    judged = steps_judged(plan)
     known = {(row["name"], row["axis"] or "", row.get("step") or "") for row in rows}
     stepped = {(name, axis) for name, axis, step in known if step}
     for criterion in asked:
         for axis, step in judged.get(criterion.name, ()):
-            if not step or criterion.axis not in {"", axis} or criterion.step not in {"", step}:
-                continue  # moves before the first named step have no name in the schedule
+            if criterion.axis not in {"", axis} or criterion.step not in {"", step}:
+                continue
             if (criterion.name, axis) in stepped and (criterion.name, axis, step) not in known:
                 yield (
                     f"it lacks {' '.join(filter(None, (criterion.name, axis)))} of the step "

@@ -64,10 +64,11 @@ class SweptMeasure(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Option:
-    """An option of a measure: its SI unit and its default."""
+    """An option of a measure: its SI unit, its default, and whether 0 would measure nothing."""
 
     unit: str
     default: float
+    above_0: bool = False
 
 
 Needs = tuple[tuple[ChannelKind, ...], ...]
