@@ -302,6 +302,25 @@ def first(content: dict[str, Any], status: str) -> dict[str, Any]:
     return found
 
 
+def named(content: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return the first criterion of a name."""
+    found: dict[str, Any] = next(c for c in content["verdict"]["criteria"] if c["name"] == name)
+    return found
+
+
+OVER = {
+    "worst_share": 0.9, "worst_criterion": "contour_error", "searched": 100, "drawn": 200,
+    "passed": 200, "at_least": 0.05 ** (1 / 200), "confidence": 0.95,
+}  # fmt: skip
+"""200 of 200: the least share p for which p^200 is 5 % (Clopper and Pearson)."""
+
+
+def over(content: dict[str, Any], **changed: float) -> None:
+    """Let a proof say that it holds for machines within the tolerances."""
+    tolerances = {**OVER, **changed}
+    content.update(machines=200, level="over tolerances", tolerances=tolerances)
+
+
 FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "passed alone": (
         lambda c: c["verdict"].update(passed=True),
@@ -382,6 +401,81 @@ FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         ),
         "is in it 2 times",
     ),
+    "a length below zero": (
+        lambda c: first(c, "failed").update(measured=-0.001, status="passed"),
+        "contour_error is -0.001, and it cannot be less than 0",
+    ),
+    "a share below zero": (
+        lambda c: named(c, "dac_saturation").update(measured=-0.5, status="passed"),
+        "dac_saturation A is -0.5, and it cannot be less than 0",
+    ),
+    "more than the whole": (
+        lambda c: named(c, "dac_saturation").update(measured=1.5, status="failed"),
+        "dac_saturation A is 1.5, and it cannot be more than 1",
+    ),
+    "a peak below zero": (
+        lambda c: named(c, "current_peak").update(measured=-1e-6),
+        "current_peak A is -1e-06, and it cannot be less than 0",
+    ),
+    "a number of 400 digits": (
+        lambda c: first(c, "failed").update(measured=10**400),
+        "contour_error has a number beyond 1e+100",
+    ),
+    "a limit of 400 digits": (
+        lambda c: first(c, "failed").update(limit=10**400, status="passed"),
+        "contour_error has a number beyond 1e+100",
+    ),
+    "what takes many runs": (
+        lambda c: named(c, "repeatability").update(measured=0.0, status="passed"),
+        "repeatability is measured, which needs 20 runs, and it has 1",
+    ),
+    "another machine's name": (
+        lambda c: c["machine"].update(name="gantry"),
+        "its machine is 'gantry', and the hashed one 'lathe-winder'",
+    ),
+    "another specification's name": (
+        lambda c: c["spec"].update(name="tighter"),
+        "its specification is 'tighter', and the hashed one 'lathe-winder'",
+    ),
+    "another kind of commands": (
+        lambda c: c["commands"].update(kind="switches"),
+        "its kind of commands is 'switches', and the hashed one 'ticks'",
+    ),
+    "machines beside one": (
+        lambda c: c.update(tolerances=OVER), "its level is 'nominal', and it has an entry",
+    ),
+    "no machines beside it": (
+        lambda c: c.update(machines=200, level="over tolerances"),
+        "its level is 'over tolerances', and it has no entry 'tolerances'",
+    ),
+    "fewer machines than it draws": (
+        lambda c: over(c, drawn=20, passed=20),
+        "it counts 200 other machines, where 20 were drawn",
+    ),
+    "none searched": (lambda c: over(c, searched=0), "200 were drawn and 0 searched"),
+    "more in specification than drawn": (
+        lambda c: over(c, passed=201), "201 of 200 drawn machines are in specification",
+    ),
+    "a larger share of all": (
+        lambda c: over(c, at_least=0.999),
+        "200 of 200 drawn machines show that at least 0.9851 of all are in specification",
+    ),
+    "more confidence": (lambda c: over(c, confidence=0.999), "and it says another share"),
+    "a worst machine below zero": (
+        lambda c: over(c, worst_share=-1.0), "its worst machine uses the share -1 of a limit",
+    ),
+    "fewer rejects than can be shown": (
+        lambda c: [
+            c.update(machines=200, level="yield over tolerances"),
+            c["verdict"]["criteria"].append(
+                {
+                    "name": "rejects", "axis": "", "status": "passed", "required": True,
+                    "measured": 0.0, "limit": 0.05, "unit": "",
+                }
+            ),
+        ],
+        "its rejects are 0, and 200 machines cannot show less than 0.01828",
+    ),
     "measured on no simulation": (
         lambda c: c["verdict"].update(simulated=False),
         "were not simulated",
@@ -421,6 +515,55 @@ def test_a_proof_that_contradicts_itself_is_refused_by_verify_and_run(shop: Path
             assert "[PROOF] x.proof.json: it contradicts itself: " in told, (name, told)
             assert said in told, (name, told)
     assert not (shop / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        (lambda c: c["verdict"].update(incomplete=0), "verdict.incomplete"),
+        (lambda c: c["verdict"].update(incomplete=[]), "verdict.incomplete"),
+        (lambda c: c.update(tolerances=[]), "tolerances"),
+        (lambda c: c.update(tolerances={**OVER, "passed": 199.5}), "tolerances.passed"),
+    ],
+)
+def test_an_entry_of_another_type_is_refused(
+    shop: Path, change: Callable[[dict[str, Any]], object], where: str
+) -> None:
+    file = proved(shop, *WINDER)
+    content = json.loads(file.read_text())
+    change(content)
+    write_again(content, file)
+    status, told = run("verify", str(file))
+    assert (status, told.count("\n")) == (2, 0)
+    assert f"'{where}' is missing, or has the wrong type" in told
+
+
+def test_an_entry_that_stands_in_it_twice_is_refused(shop: Path) -> None:
+    """A program may read the first, a person the other."""
+    file = proved(shop, *WINDER)
+    text = file.read_text()
+    assert text.count('  "passed": true') == 1
+    file.write_text(text.replace('  "passed": true', '  "passed": false,\n  "passed": true'))
+    status, told = run("verify", str(file))
+    assert (status, told.count("\n")) == (2, 0)
+    assert "the entry 'passed' stands in it twice" in told
+
+
+def test_a_step_that_is_left_out_of_a_proof_is_missed(shop: Path) -> None:
+    """Of each step of a move list the frame has to come to rest."""
+    file = proved(shop, "--nominal", job="letter-cycle.toml", machine="letter-placer")
+    proof = file.read_text()
+    names = ("settling_time", "residual_vibration", "end_position_error")
+    for name in names:
+        content = json.loads(proof)
+        criteria = content["verdict"]["criteria"]
+        mine = [one for one in criteria if one["name"] == name]
+        assert len({one["step"] for one in mine}) > 1
+        criteria.remove(mine[-1])
+        write_again(content, file)
+        status, told = run("verify", str(file))
+        assert (status, told.count("\n")) == (2, 0), name
+        assert f"it lacks {name}" in told and f"of the step {mine[-1]['step']!r}" in told, told
 
 
 def test_who_has_the_key_sees_who_signed(shop: Path) -> None:

@@ -29,6 +29,8 @@ from threadline.identify.accelerometer import Spectrum, Vibration, read_accelero
 from threadline.identify.modes import klipper_spectrum, measured_mode
 from threadline.motion.shaping.klipper_choice import klipper_choice, klipper_weighted
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
     """Run ``threadline shaper``; returns exit status, output and errors."""
@@ -218,6 +220,24 @@ def test_bad_files(tmp_path: Path) -> None:
         (tmp_path / "bad.csv").write_text(text)
         with pytest.raises(RecordingError, match=match):
             read_accelerometer(tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize("factor", [1e-40, 1e40])
+def test_the_unit_of_a_spectrum_does_not_matter(tmp_path: Path, factor: float) -> None:
+    """A mode is where a spectrum peaks, whatever its numbers: these are beyond any usual unit."""
+    text = (EXAMPLES / "printer-x-spectrum.csv").read_text()
+    head, *lines = text.splitlines()
+    found = []
+    for by in (1.0, factor):
+        rows = [
+            ",".join([f, *(f"{by * float(power):.9e}" for power in powers)])
+            for f, *powers in (line.split(",") for line in lines)
+        ]
+        (tmp_path / "x.csv").write_text("\n".join([head, *rows]))
+        found.append(measured_mode(read_accelerometer(tmp_path / "x.csv"), "x"))
+    usual, odd = found
+    assert odd.frequency_hz.value == pytest.approx(usual.frequency_hz.value, rel=1e-4)
+    assert odd.damping_ratio.value == pytest.approx(usual.damping_ratio.value, rel=1e-2)
 
 
 def test_options_that_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:

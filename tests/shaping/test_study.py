@@ -73,6 +73,8 @@ def test_half_a_move_and_impossible_numbers_are_refused() -> None:
         (("--move", "200 mm"), "Add --acceleration"),
         (("--move", "3 s", "--acceleration", "1 m/s^2"), "--move '3 s'"),
         ((*MOVE, "--still", "0"), "tolerance must be positive"),
+        (("--move", "1 km", "--acceleration", "1 mm/s^2"), "periods of the mode at"),
+        (("--move", "1e300 m", "--acceleration", "1e-300 m/s^2"), "limit 100"),
         ((*MOVE, "--still", "inf"), "--still 'inf': 'inf' is not a number"),
     ):
         code, _, errors = run(*words)

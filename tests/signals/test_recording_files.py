@@ -125,6 +125,21 @@ def test_numpy_reads_our_archive(tmp_path) -> None:
         assert b'"servo": "1/200"' in archive["meta.json"]
 
 
+def test_kinds_of_events_in_archives_of_before_keep_their_numbers(tmp_path) -> None:
+    """An archive has a number for each kind: a new kind must not change those before it."""
+    kinds = (
+        "output", "wait", "stop", "dwell", "tool", "end",
+        "hold", "resume", "late", "completed", "stopped", "fault", "plan",
+    )  # fmt: skip
+    events = [Event(tick=k, kind=kind, operation=-1) for k, kind in enumerate(kinds)]
+    recording = recording_of(
+        {"X.load": np.zeros(20)}, clock=Clock("fast", Fraction(1, 100)), events=events
+    )
+    write_recording(recording, tmp_path / "r.npz")
+    with np.load(tmp_path / "r.npz") as archive:
+        assert archive["event_kind"].tolist() == list(range(len(kinds)))
+
+
 def test_a_spreadsheet_reads_our_csv(tmp_path) -> None:
     recording = recording_of({"X.load": [1.5, -2.25]}, stride=20)
     write_recording(recording, tmp_path / "r.csv")

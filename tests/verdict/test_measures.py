@@ -87,6 +87,33 @@ def test_residual_vibration_is_half_the_peak_to_peak() -> None:
     assert verdict.result("residual_vibration", "X").measured == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.parametrize("name", ["residual_vibration", "settling_time"])
+def test_a_recording_that_ends_soon_after_the_command_can_only_fail(name: str) -> None:
+    """The load still swings when 20 ms were seen: what comes after them is not known."""
+    statuses = {}
+    for standstill in (4, 39, 41, 300):  # samples of 5 ms
+        commanded, load, operation, _, _ = ringing(decay_s=0.05, standstill=standstill)
+        channels = {K.COMMANDED: commanded, K.LOAD: load}
+        for limit in (1e-9, 1.0):
+            verdict = judged(channels, operation, Criterion(name=name, limit=limit))
+            result = verdict.result(name, "X" if name == "residual_vibration" else "")
+            statuses[standstill, limit] = result.status
+            if result.status is Status.NOT_MEASURED:
+                assert f"goes on for {5 * standstill} ms after the command" in result.note
+                assert "it needs 200 ms" in result.note
+    assert {statuses[n, 1e-9] for n in (4, 39, 41, 300)} == {Status.FAILED}
+    assert [statuses[n, 1.0] for n in (4, 39, 41, 300)] == [
+        Status.NOT_MEASURED, Status.NOT_MEASURED, Status.PASSED, Status.PASSED,
+    ]  # fmt: skip
+
+
+def test_a_band_beyond_all_motion_is_settled_in_at_once() -> None:
+    commanded, load, operation, _, _ = ringing()
+    criterion = Criterion(name="settling_time", options={"band": 1e9})
+    verdict = judged({K.COMMANDED: commanded, K.LOAD: load}, operation, criterion)
+    assert verdict.result("settling_time").measured == 0.0
+
+
 @pytest.mark.parametrize("per_block", [1, 7, 1000])
 def test_residual_vibration_is_told_at_the_instant_that_completes_the_swing(per_block: int) -> None:
     """The later of highest and lowest sample, wherever blocks begin; told sample by sample here."""

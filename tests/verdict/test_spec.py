@@ -142,6 +142,7 @@ def test_one_axis_overrides_every_axis(tmp_path: Path) -> None:
         (('"+-0.2 mm"', '"machine"'), 6, "machine has no limit"),
         (('"+-0.2 mm"', '["0.2 mm"]'), 6, "no unit"),
         (("required = true", 'required = "yes"'), 7, "true or false"),
+        (('after = "20 ms"', 'window = "0 s"'), 16, "measures nothing. Give a longer window"),
         (('axis = "X"', 'axis = "Q"'), 11, "A, X, Y"),
         (('axis = "X"', 'axis = ["X"]'), 11, "A, X, Y"),
         (("required = true", 'axis = "X"'), 7, "at the tool"),

@@ -68,9 +68,12 @@ def common_period_s(periods_s: list[Fraction]) -> Fraction:
 
 EventKind = Literal[
     "output", "wait", "stop", "dwell", "tool", "end",
-    "hold", "resume", "late", "override", "completed", "stopped", "fault", "plan",
+    "hold", "resume", "late", "completed", "stopped", "fault", "plan", "override",
 ]  # fmt: skip
-"""Commands contain the kinds of the first line; recordings contain all kinds."""
+"""Commands contain the kinds of the first line; recordings contain all kinds.
+
+NPZ files contain the place of a kind in this list: a new kind goes to its end.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,6 +37,8 @@ _WIDE, _WIDTHS = (
     0.4,
     (4.0, 2.5),
 )  # of the lines fitted to either side, in halves of the mode's width
+_USUAL = 1e-20, 1e20
+"""Range of the greatest power of a line, beyond which all powers are divided by it."""
 _REST = 0.4  # of the width of the window: a narrower mode cannot be told from the window
 _SEEN = 4.0  # power of a peak over the median around it
 _OTHERS = 1.0 / 20.0  # Klipper ignores what is below this share of the peak
@@ -156,6 +158,9 @@ def measured_mode(
     if axis is not None and axis.lower() not in AXES:
         raise OptionError(f"--axis {axis!r} is unknown", remedy=f"Axes: {', '.join(AXES)}.")
     f, power = _lines(data)
+    most = float(power.max(initial=0.0))
+    if not _USUAL[0] < most < _USUAL[1]:  # in odd units, or hardly anything
+        power = power / (most or 1.0)
     weight = 1.0 if isinstance(data, Spectrum) and data.normalised else 1.0 / f
     low = max(data.lowest_hz, 4.0 * float(f[1] - f[0]))
     inside = (f >= low) & (f <= MOST_HZ)

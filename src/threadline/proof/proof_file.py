@@ -16,6 +16,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from errno import ENOENT
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -288,8 +289,12 @@ def read_proof(path: str | Path, key: bytes | None = None) -> ProofFile:
     place = Place(str(path))
     text = read_text(path, _MAX_BYTES, ProofError, "proof")
     try:
-        content = json.loads(text, parse_constant=_refuse_constant)
+        content = json.loads(
+            text, parse_constant=_refuse_constant, object_pairs_hook=partial(_entries, place)
+        )
         _canonical_sha256(content)  # fails on infinite numbers and unpaired surrogates
+    except ProofError:
+        raise
     except (ValueError, RecursionError) as error:
         raise ProofError("the file is not JSON", place=place, remedy="Give a proof.") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
@@ -488,6 +493,18 @@ def _canonical(content: Any) -> bytes:
 def _canonical_sha256(content: Any) -> str:
     """Return the SHA-256 of canonical JSON."""
     return hashlib.sha256(_canonical(content)).hexdigest()
+
+
+def _entries(place: Place, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the entries of an object; readers differ in which of two with one name counts."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ProofError(
+            f"the entry {twice[:40]!r} stands in it twice", place=place, remedy="Give a proof."
+        )
+    return found
 
 
 def _refuse_constant(text: str) -> float:

@@ -9,6 +9,7 @@ shows who wrote them.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from types import UnionType
@@ -20,8 +21,10 @@ from threadline.commands.plan import Plan
 from threadline.proof.kinds.variants import REJECTS, UNANSWERED
 from threadline.verdict import Spec
 from threadline.verdict.demands import with_needle
-from threadline.verdict.each_run import limit_of, unit_of
+from threadline.verdict.each_run import CONFIDENCE, at_least, clopper_pearson, limit_of, unit_of
+from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.switch_run import steps_judged
 from threadline.verdict.types import Criterion, Level, Status, level_of
 
 _Form = Mapping[str, Any] | list[Any] | type | UnionType
@@ -53,6 +56,19 @@ _HASHED = ("job", "machine", "actual", "options", "spec", "commands")
 _SHA256 = re.compile("[0-9a-f]{64}")
 _MOST_MACHINES = 1_000_000
 """Far beyond what ``--tolerances``, ``--yield`` and ``--ends`` ask for."""
+_TOLERANCES: _Form = {
+    "worst_share": float | int | None,
+    "worst_criterion": str,
+    "searched": int,
+    "drawn": int,
+    "passed": int,
+    "at_least": float | int,
+    "confidence": float | int,
+}
+_ROUNDED = 1e-9
+"""Rounding of a value at an end of its range, and of a bound that is computed again."""
+_MOST = 1e100
+"""Far beyond what any criterion can measure."""
 _OF_MACHINES = (REJECTS, UNANSWERED)
 """Criteria of many machines together, which no specification names."""
 
@@ -67,9 +83,13 @@ def malformed_entry(content: Mapping[str, Any]) -> str:
     """
     given = content.get("options")
     options = given.get("given") if isinstance(given, dict) else None
+    verdict = content.get("verdict")
+    ended = verdict.get("incomplete", "") if isinstance(verdict, dict) else ""
     return (
         _wrong(content, _PROOF, "")
         or ("" if content["actual"] is None else _wrong(content["actual"], _MACHINE, "actual"))
+        or ("" if isinstance(ended, str) else "verdict.incomplete")
+        or ("tolerances" in content and _wrong(content["tolerances"], _TOLERANCES, "tolerances"))
         or _wrong(options, dict.fromkeys(options or (), str), "options.given")
     )
 
@@ -132,11 +152,62 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
                 f"its level is {level[:40]!r}, where {runs} runs and {machines} other machines "
                 f"reach {reached.value!r}"
             )
+    yield from _of_tolerances(content)
+    yield from _of_rejects(criteria, machines)
     said, derived = verdict["passed"], in_spec(content)
     if said and not derived:
         yield f"it says that it passed, where {_against(criteria) or 'a run was not complete'}"
     if derived and not said:
         yield "it says that it did not pass, where no criterion failed"
+
+
+def _of_tolerances(content: Mapping[str, Any]) -> Iterator[str]:
+    """Yield how what a proof tells of other machines contradicts itself."""
+    told, over = content.get("tolerances"), content["level"] == Level.TOLERANCES
+    if told is None or not over:
+        if over or told is not None:
+            has = "no entry" if told is None else "an entry"
+            yield f"its level is {content['level'][:40]!r}, and it has {has} 'tolerances'"
+        return
+    drawn, passed, share = told["drawn"], told["passed"], told["worst_share"]
+    if drawn != content["machines"] or told["searched"] < 1:
+        yield (
+            f"it counts {content['machines']} other machines, where {_shown(drawn)} were drawn and "
+            f"{_shown(told['searched'])} searched"
+        )
+    elif not 0 <= passed <= drawn:
+        yield f"{_shown(passed)} of {drawn} drawn machines are in specification"
+    elif (
+        not math.isclose(
+            told["at_least"],
+            at_least(passed, drawn, CONFIDENCE),
+            rel_tol=_ROUNDED,
+            abs_tol=_ROUNDED,
+        )
+        or told["confidence"] != CONFIDENCE
+    ):
+        yield (
+            f"{passed} of {drawn} drawn machines show that at least "
+            f"{at_least(passed, drawn):.4f} of all are in specification, with {CONFIDENCE:g} "
+            "confidence, and it says another share"
+        )
+    if share is not None and share < 0.0:
+        yield f"its worst machine uses the share {share:.4g} of a limit"
+    if content["verdict"]["passed"] and passed < drawn:
+        yield f"it says that it passed, where {drawn - passed} drawn machines are out of it"
+
+
+def _of_rejects(criteria: list[Any], machines: int) -> Iterator[str]:
+    """Yield how the share of rejects is better than so many machines can show."""
+    for criterion in criteria:
+        measured = criterion["measured"]
+        if criterion["name"] == REJECTS and measured is not None and machines > 0:
+            best = 1.0 - clopper_pearson(machines, machines)[0]
+            if measured < best - _ROUNDED:
+                yield (
+                    f"its rejects are {measured:.4g}, and {machines} machines cannot show less "
+                    f"than {best:.4g}"
+                )
 
 
 def in_spec(content: Mapping[str, Any]) -> bool:
@@ -175,6 +246,9 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
     status = criterion["status"]
     if status not in {*Status}:
         return f"{name} has the unknown status {status[:40]!r}"
+    outside = _out_of_range(criterion, kind)
+    if outside:
+        return outside
     if measured is None:
         # An infinite time is written as no number, and fails any limit.
         endless = criterion["unit"] == "s" and status == (
@@ -192,6 +266,19 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
     return f"{name} is {status!r} with {told} under {under}, which is {found.value!r}"
 
 
+def _out_of_range(criterion: Mapping[str, Any], kind: MeasureKind | None) -> str:
+    """Return how a value or limit is one that its criterion cannot have; empty if it can."""
+    name, measured = _name(criterion), criterion["measured"]
+    for number in (measured, criterion["limit"]):
+        if number is not None and abs(number) > _MOST:
+            return f"{name} has a number beyond {_MOST:g}"
+    least, most = (0.0, 1.0) if kind is None else (kind.least, kind.most)
+    if measured is None or least - _ROUNDED <= measured <= most + _ROUNDED:
+        return ""
+    end = f"less than {least:g}" if measured < least else f"more than {most:g}"
+    return f"{name} is {measured:.6g}, and it cannot be {end}"
+
+
 def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
     """Return how the criteria of a proof differ from plan and specification; else empty.
 
@@ -207,10 +294,25 @@ def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> s
     alone = content["level"] == Level.LIMITS
     if alone and not plan.machine.without_dynamics:
         return f"its level is {content['level']!r}, and {plan.machine.name} has dynamics"
+    for what, told, found in (
+        ("machine", content["machine"]["name"], plan.machine.name),
+        ("specification", content["spec"]["name"], spec.name),
+        ("kind of commands", content["commands"]["kind"], plan.machine.commanded_by),
+    ):
+        if told != found:
+            return f"its {what} is {told[:40]!r}, and the hashed one {found!r}"
     asked = with_needle(spec, plan.job).criteria
     rows = [c for c in content["verdict"]["criteria"] if c["name"] not in _OF_MACHINES]
     return next(
-        filter(None, (*(_unasked(row, asked, plan) for row in rows), *_missing(rows, asked, plan))),
+        filter(
+            None,
+            (
+                *(_unasked(row, asked, plan) for row in rows),
+                *_missing(rows, asked, plan),
+                *_missing_steps(rows, asked, plan),
+                *_too_few_runs(rows, asked, content["runs"]),
+            ),
+        ),
         "",
     )
 
@@ -252,3 +354,30 @@ def _missing(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Itera
                 continue
             if (criterion.name, axis) not in known:
                 yield f"it lacks {f'{criterion.name} {axis}'.strip()}, which the specification asks"
+
+
+def _missing_steps(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
+    """Yield steps of a move list that a criterion judged step by step leaves out."""
+    judged = steps_judged(plan)
+    known = {(row["name"], row["axis"] or "", row.get("step") or "") for row in rows}
+    stepped = {(name, axis) for name, axis, step in known if step}
+    for criterion in asked:
+        for axis, step in judged.get(criterion.name, ()):
+            if criterion.axis not in {"", axis} or criterion.step not in {"", step}:
+                continue
+            if (criterion.name, axis) in stepped and (criterion.name, axis, step) not in known:
+                yield (
+                    f"it lacks {' '.join(filter(None, (criterion.name, axis)))} of the step "
+                    f"{step[:40]!r}"
+                )
+
+
+def _too_few_runs(rows: list[Any], asked: tuple[Criterion, ...], runs: int) -> Iterator[str]:
+    """Yield criteria that compare more runs than there were, and were measured."""
+    measured = {row["name"] for row in rows if row["measured"] is not None}
+    for criterion in asked:
+        kind = MEASURES[criterion.name]
+        if criterion.name in measured and kind.compares_runs:
+            least = max(int(kind.with_defaults(criterion.options)["recordings"]), 2)
+            if runs < least:
+                yield f"{criterion.name} is measured, which needs {least} runs, and it has {runs}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -63,10 +64,11 @@ class SweptMeasure(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Option:
-    """An option of a measure: its SI unit and its default."""
+    """An option of a measure: its SI unit, its default, and whether 0 would measure nothing."""
 
     unit: str
     default: float
+    above_0: bool = False
 
 
 Needs = tuple[tuple[ChannelKind, ...], ...]
@@ -285,6 +287,8 @@ class MeasureKind:
         Whether it is a maximum over samples: further samples can only make it larger.
     slack, allowance
         The limit is exceeded above ``slack * limit + allowance``.
+    least, most
+        Range of the values that it can have; a share of a whole goes up to 1.
     """
 
     name: str
@@ -295,6 +299,8 @@ class MeasureKind:
     of_worst: bool = False
     slack: float = 1.0
     allowance: float = 0.0
+    least: float = 0.0
+    most: float = math.inf
 
     @property
     def needs(self) -> Needs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 from threadline.commands.plan import Motion, Plan, Stitched
@@ -150,6 +151,7 @@ _KINDS = (
     # go, a schedule does not. The allowance is for rounded sums that end beyond the travel.
     MeasureKind(
         name="travel",
+        least=-math.inf,
         dimension="axis",
         per_axis=True,
         allowance=1e-9,
@@ -289,6 +291,7 @@ _KINDS = (
     ),
     MeasureKind(
         name="dac_saturation",
+        most=1.0,
         dimension="ratio",
         per_axis=True,
         reads=(_moved(electrical.start_dac_saturation, (ChannelKind.VOLTAGE,), follows=False),),
@@ -327,6 +330,7 @@ _KINDS = (
     ),
     MeasureKind(
         name="switching_order",
+        most=1.0,
         dimension="ratio",
         per_axis=False,
         reads=(_switched(switch_measures.switching_order),),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,24 @@ from threadline.verdict.finding import RunFindings, Worst
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.samples import Block, Setting, enough_of
 
-RESIDUAL_OPTIONS = {"after": Option(unit="s", default=0.0), "window": Option(unit="s", default=1.0)}
+RESIDUAL_OPTIONS = {
+    "after": Option(unit="s", default=0.0),
+    "window": Option(unit="s", default=1.0, above_0=True),
+}
 SETTLING_OPTIONS = {"band": Option(unit="m", default=1e-4)}
+_WATCHED_S = 0.2
+"""Time after the command for which a load is watched at least: half a period of 2.5 Hz."""
+
+
+def _if_watched(found: RunFindings, watched_s: float, least_s: float) -> RunFindings:
+    """Return findings of the rest after a command, which can only fail if watched too shortly."""
+    if watched_s >= least_s * (1.0 - 1e-9):
+        return found
+    why = (
+        f"the recording goes on for {1e3 * max(watched_s, 0.0):.4g} ms after the command; it needs "
+        f"{1e3 * least_s:.4g} ms"
+    )
+    return found.each(lambda one: one if one.value is None else replace(one, unseen=why))
 
 
 class CommandEnd:
@@ -133,7 +150,9 @@ class _Residual:
                 position=self._end.position,
             )
             found.append(worst.found())
-        return found
+        watched_s = self._time_of_last_s - self._end.time_s
+        least_s = self._after_s + min(self._window_s, _WATCHED_S)
+        return [_if_watched(one, watched_s, least_s) for one in found]
 
 
 def _enters(before: FloatArray, after: FloatArray, radius: float) -> FloatArray:
@@ -146,7 +165,9 @@ def _enters(before: FloatArray, after: FloatArray, radius: float) -> FloatArray:
     beyond = (before**2).sum(axis=1) - radius**2
     root = np.sqrt(np.maximum(half**2 - square * beyond, 0.0))
     # The smaller root, in the form that does not cancel: half is below 0.
-    return np.asarray(np.clip(beyond / np.maximum(root - half, 1e-300), 0.0, 1.0))
+    with np.errstate(over="ignore"):  # where the result means nothing
+        share = beyond / np.maximum(root - half, 1e-300)
+    return np.asarray(np.clip(share, 0.0, 1.0))
 
 
 class _Settling:
@@ -203,7 +224,7 @@ class _Settling:
                 position=self._end.position,
                 note=np.where(never, note, "").astype(object),
             )
-        return [worst.found()]
+        return [_if_watched(worst.found(), self._seen_s - self._end.time_s, _WATCHED_S)]
 
 
 def start_residual(setting: Setting, options: Mapping[str, float]) -> Measure:

@@ -231,7 +231,12 @@ class _Reader:
 
     def _option(self, text: Any, option: Option, index: int | None, key: str) -> float:
         if option.unit:
-            return self._number(text, option.unit, index, key)
+            value = self._number(text, option.unit, index, key)
+            if option.above_0 and value == 0.0:
+                self._refuse(
+                    f"{key} = {text!r} measures nothing", index, key, f"Give a longer {key}."
+                )
+            return value
         whole = re.fullmatch(r"[0-9]{1,9}(\.0*)?", str(text).strip())
         if whole is None or float(text) < _FEWEST:
             self._refuse(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.commands.intents import ScheduledMove
+from threadline.commands.intents import Scheduled, ScheduledMove
 from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
 from threadline.files import (
@@ -485,3 +485,23 @@ def _held(events: Sequence[Event], clock: Clock) -> list[tuple[float, float]]:
             found.append((since, clock.time_s(event.tick)))
             since = None
     return found
+
+
+def steps_judged(plan: Plan) -> Mapping[str, Sequence[tuple[str, str]]]:
+    """Return, by measure, each cylinder and named step that a whole run of a plan is judged in.
+
+    The cylinder is ``""`` for a measure of all. Other kinds of plan are judged as a whole: nothing.
+    """
+    if not isinstance(plan.intent, Scheduled):
+        return {}
+    begins = [(e.tick, e.name) for e in plan.intent.commands.events if e.kind == "tool"]
+    moved = [
+        (move.axis, next(name for tick, name in reversed(begins) if tick <= move.first_tick))
+        for move in plan.intent.moves
+        if begins and begins[0][0] <= move.first_tick
+    ]
+    return {
+        "residual_vibration": [(axis, step) for axis in plan.axes for _, step in begins],
+        "settling_time": [("", step) for _, step in moved],
+        "end_position_error": moved,
+    }

@@ -38,6 +38,9 @@ PerMode: TypeAlias = float | Sequence[float]
 """One number for all modes, or one for each in their order."""
 
 
+_MOST_PERIODS = 100  # beyond which a command is searched on too coarse a grid
+
+
 @dataclass(frozen=True, slots=True)
 class RestToRest:
     """A move from rest to rest.
@@ -52,7 +55,8 @@ class RestToRest:
     Raises
     ------
     OptionError
-        If a number isn't positive or there is no mode.
+        If a number isn't positive, there is no mode, or the unshaped move lasts more than 100
+        periods of the fastest mode.
     """
 
     distance_m: float
@@ -68,6 +72,14 @@ class RestToRest:
                 raise OptionError(f"rest-to-rest move: {name} must be positive, got {value!r}")
         if not self.modes:
             raise OptionError("rest-to-rest move: at least one flexible mode is needed")
+        fastest_hz = max(mode.frequency_hz for mode in self.modes)
+        periods = self.rigid_duration_s * fastest_hz
+        if periods > _MOST_PERIODS:
+            raise OptionError(
+                f"rest-to-rest move: unshaped it lasts {self.rigid_duration_s:.4g} s, "
+                f"{periods:.4g} periods of the mode at {fastest_hz:g} Hz; limit {_MOST_PERIODS}",
+                remedy="Give a shorter move or a higher acceleration: a long move rings as much.",
+            )
 
     @property
     def rigid_duration_s(self) -> float:
