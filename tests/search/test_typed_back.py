@@ -48,6 +48,7 @@ back have the same."""
 def few_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the worst machine searched among few, where it is found and where it is typed back."""
     monkeypatch.setattr(worst_search, "SEARCHED", 10)
+    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 2)
 
 
 def drawn(low: float, high: float) -> list[float]:
