@@ -12,6 +12,7 @@ import pytest
 from tools.core_types import (
     BROWSED,
     CORE_TYPES,
+    LEFT_OUT,
     NEEDS,
     NUMERICS,
     ROOT,
@@ -19,6 +20,7 @@ from tools.core_types import (
     flags_of,
     own_core_type,
     runs,
+    words_for,
 )
 
 HERE = flags_of(Path("/proc/cpuinfo").read_text(encoding="utf-8"))
@@ -63,6 +65,26 @@ def test_numpy_says_which_core_type_it_has_picked(core: str):
 
 def test_the_folders_are_there():
     assert [name for name in NUMERICS if not (ROOT / "tests" / name).is_dir()] == []
+
+
+def test_what_no_other_kernel_changes_is_left_out(tmp_path: Path):
+    """LinuxCNC's own times are waited for once; tests with its interpreter run again."""
+    case = (
+        "import pytest\n"
+        "def test_plain(): pass\n"
+        "@pytest.mark.linuxcnc\ndef test_interpreter(): pass\n"
+        "@pytest.mark.waits\n@pytest.mark.linuxcnc\ndef test_planner(): pass\n"
+    )
+    for file in ("tests/panel/test_page.py", "tests/laws/test_b.py"):
+        (tmp_path / file).parent.mkdir(parents=True)
+        (tmp_path / file).write_text(case)
+    done = suite(tmp_path, "", "-rA", *LEFT_OUT)
+    ran = re.findall(r"^PASSED (\S+)", done.stdout, re.MULTILINE)
+    assert ran == ["tests/laws/test_b.py::test_plain", "tests/laws/test_b.py::test_interpreter"]
+    for folders, workers in (((), "auto"), (("tests/laws",), str(os.cpu_count()))):
+        words = words_for(folders)
+        assert words[words.index("-n") + 1] == workers
+        assert words[-len(LEFT_OUT) - len(folders) :] == (*LEFT_OUT, *folders)
 
 
 def test_only_tests_in_a_browser_are_left_to_the_plain_run():

@@ -34,6 +34,9 @@ NUMERICS = (
     "winding",
 )
 """Folders of tests whose outcome could hang on rounding in linear algebra."""
+ON_LINUXCNC = "linuxcnc and waits"
+"""Tests that wait for LinuxCNC's own planner in real time. What Threadline computes in them is
+computed in tests beside them, too."""
 WHOLE = "Prescott"
 """The kernel that no processor of today picks by itself: the whole suite runs on it."""
 CORE_TYPES = ("SkylakeX", "Haswell", "Sandybridge")
@@ -43,8 +46,12 @@ NEEDS = {"SkylakeX": "avx512f", "Haswell": "fma", "Sandybridge": "avx", "Prescot
 BROWSED = "tests/panel/test_page*.py"
 """Tests of the page in a browser, whose arithmetic OpenBLAS does not do: a plain run has them."""
 
-SPREAD = ("-n", "auto", "--dist", "worksteal")
-"""Over every core, as ``make test`` does."""
+LEFT_OUT = (
+    f"--ignore-glob={BROWSED}",
+    "-m",
+    f"not ({ON_LINUXCNC})",
+)
+"""What no other kernel can change, in pytest's words."""
 
 
 def flags_of(cpuinfo: str) -> frozenset[str]:
@@ -82,6 +89,16 @@ def runs(
     return [(core, each) for core, each in planned if NEEDS[core] in flags and core != own]
 
 
+def words_for(folders: tuple[str, ...]) -> tuple[str, ...]:
+    """Return pytest's words for a run: over every core, without what no other kernel can change.
+
+    The whole suite has more workers than cores, as in ``make test``: some wait for machines. In the
+    numerics nothing waits, and each worker more imports everything once more.
+    """
+    workers = str(os.cpu_count() or 1) if folders else "auto"
+    return ("-q", "-n", workers, "--dist", "worksteal", *LEFT_OUT, *folders)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the tests; return 1 if any run failed, or if there was nothing to run."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -107,12 +124,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"== {core}: {' '.join(folders) or 'the whole suite'}", flush=True)
         began = time.monotonic()
         done = subprocess.run(
-            [
-                sys.executable, "-m", "pytest", "-q", *SPREAD, f"--ignore-glob={BROWSED}", *folders,
-                *chosen.rest,
-            ],
-            cwd=ROOT, env=os.environ | {"OPENBLAS_CORETYPE": core}, check=False,
-        )  # fmt: skip
+            [sys.executable, "-m", "pytest", *words_for(folders), *chosen.rest],
+            cwd=ROOT,
+            env=os.environ | {"OPENBLAS_CORETYPE": core},
+            check=False,
+        )
         print(f"== {core}: {time.monotonic() - began:.0f} s", flush=True)
         if done.returncode != 0:
             failed.append(core)

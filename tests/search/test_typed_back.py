@@ -48,6 +48,7 @@ back have the same."""
 def few_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the worst machine searched among few, where it is found and where it is typed back."""
     monkeypatch.setattr(worst_search, "SEARCHED", 10)
+    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 2)
 
 
 def drawn(low: float, high: float) -> list[float]:
@@ -148,8 +149,10 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
         Question(
             job=job, machine=machine, spec=spec, options=options, low=low, high=high, trials=trials
         ),
-        # What is printed has 16 points.
-        Grid(near=4, points=6) if trials == NOMINAL else Grid(near=1, points=3),
+        # What is printed has 16 points beside each edge.
+        Grid(near=1, points=3)
+        if trials == FEW
+        else Grid(near=4 if trials == NOMINAL else 2, points=6),
     )
     assert found.intervals
     for interval in found.intervals:
