@@ -168,7 +168,8 @@ def run(
             return status, f"more than one line: {err[-600:]!r}"
         if fresh or changed:
             return status, f"ended early, and there is {fresh}, changed {changed}"
-        if err.count("\n") != 1 or not err.startswith("error: "):
+        said = [line for line in err.splitlines() if not line.startswith("warning: ")]
+        if len(said) != 1 or not said[0].startswith("error: "):
             return status, f"told otherwise than in one line: {err[-600:]!r}"
     elif status in {0, 1} or -status in STATUS:  # by a signal itself: before the work or behind it
         lacking = [p for p in wanted if p not in fresh and p not in changed]

@@ -162,6 +162,8 @@ def test_a_link_that_drops_leaves_what_was_recorded(capsys, tmp_path):
     [
         (("lathe-winder", "--axis", "Q"), "has no axis 'Q' with a control loop. It has: A, X, Y"),
         (("stepper-winder", "--axis", "X"), "has no axis 'X' with a control loop"),
+        (("lathe-winder", "--axis", "X", "--dry", "--inject", "lost-link"), "inject"),
+        (("lathe-winder", "--axis", "X", "--dry", "--actual", "nope"), "no machine 'nope'"),
         (("letter-placer", "--axis", "X"), "has no axis 'X' with a control loop"),
         (("lathe-winder", "--axis", "X", "--experiment", "coast"), "no link does"),
         (("lathe-winder", "--axis", "X", "--experiment", "shake"), "no experiment 'shake'"),

@@ -265,3 +265,14 @@ def test_speeds_need_a_sample_in_each_of_their_means() -> None:
     assert "says nothing of speeds over 20 ms; record every 20 ms at least" in coarse.note
     fine = judge([_sampled(20)], STRAIGHT, spec).result("velocity_ripple")
     assert fine.status is Status.PASSED
+
+
+def test_a_trace_of_centuries_later_measures_nothing() -> None:
+    """Its instants are beyond any row: 1e300 s is no number of ticks."""
+    actual, _ = off_the_path()
+    clock = Clock("logger", Fraction(10**300))
+    verdict = judge(
+        [record(XY, {ChannelKind.LOAD: actual}, None, clock=clock)], plan_through(POINTS, XY), SPEC
+    )
+    assert verdict.result("contour_error").status is Status.NOT_MEASURED
+    assert not verdict.passed

@@ -77,6 +77,8 @@ def measure_axis(
         amplitude=None if amplitude is None else parse_quantity(amplitude, unit),
         band_hz=None if band is None else parse_band(band),
     )
+    other = None if actual is None else load_machine(actual)
+    fault = None if inject is None else parse_fault(inject, chosen)
     foreseen = predict(chosen, planned)
     if not json:
         say(_foreseen(chosen, axis, kind, foreseen))
@@ -88,8 +90,8 @@ def measure_axis(
         chosen,
         planned,
         link=link,
-        actual=None if actual is None else load_machine(actual),
-        fault=None if inject is None else parse_fault(inject, chosen),
+        actual=other,
+        fault=fault,
     )
     write_recording(found.recording, output)
     if found.ended is not RunEnd.COMPLETED:

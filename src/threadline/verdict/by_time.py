@@ -28,6 +28,7 @@ OPERATION_BY_TIME = "operations from the plan by time"
 """Note of a result for which the operations were taken from the plan."""
 
 _ROUNDING = 1e-9  # of a tick: an instant this close to a tick is that tick
+_MOST_ROWS = 2.0**62  # later instants are beyond the end of any table
 
 
 class WatchedOperations:
@@ -125,7 +126,7 @@ def _labelled(
         count = len(block.samples[master.name])
         first = block.first_tick.get(master.clock.name, 0)
         time_s, _ = plan_clock.at(master.clock.times_s(first, count, master.stride))
-        due = np.floor(time_s / tick_s + _ROUNDING).astype(np.int64)
+        due = np.minimum(np.floor(time_s / tick_s + _ROUNDING), _MOST_ROWS).astype(np.int64)
         operation = rows.operations(due).astype(np.float64)
         yield replace(block, samples={**block.samples, name: operation})
 
