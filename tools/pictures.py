@@ -22,8 +22,15 @@ from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 
 from threadline.base.arrays import FloatArray
 from threadline.cli.main import main as main_of_the_command
+from threadline.dynamics.values import Values
+from threadline.identify.experiment_run import measure
+from threadline.identify.frequency_domain import ResponseData
+from threadline.identify.measured_response import model_response
+from threadline.identify.parameter_fit import fit
+from threadline.identify.planned_experiment import experiment
 from threadline.jobs import read_job
 from threadline.machine import load_machine
+from threadline.machine.numbers import number_at
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, plan_job, prove_plan
@@ -85,6 +92,7 @@ def main() -> None:
         save(reversal(), "reversal.png")
         save(winder(), "machine.png")
         save(animated(), "animate.png")
+        save(fitted_sweep(), "fitting.png")
     for name, (words, figure) in OF_REPORTS.items():
         with TemporaryDirectory() as folder:
             with suppress(SystemExit), redirect_stdout(io.StringIO()):
@@ -132,6 +140,82 @@ def draw_reversal(panel: Axes, proof: Proof, name: str) -> None:
     panel.set_xlabel("time [s]")
     verdict = "in spec" if proof.verdict.passed else "out of spec"
     panel.set_title(f"{name}: turning point off by {abs(error) * 1e3:.2f} mm, {verdict}")
+
+
+OFF_BY_30 = """base = "stitcher"
+name = "off"
+[links.x_belt]
+stiffness = "4.4e5 N/m +- 30 %, assumed"
+[bodies.x_head]
+inertia = "144 kg +- 30 %, assumed"
+damping = "2331 N s/m +- 30 %, assumed"
+[bodies.x_motor]
+inertia = "6.2e-4 kg m^2 +- 30 %, assumed"
+damping = "0.17 N m s/rad +- 30 %, assumed"
+[drives.x]
+delay = "3.9 ms +- 30 %, assumed"
+[drives.x.amplifier]
+gain = "28 +- 30 %, assumed"
+"""
+"""The file of ``docs/fitting.md`` before the fit."""
+
+
+def fitted_sweep() -> Figure:
+    """Two sweeps of the stitcher's X, and the file before and after the fit of both."""
+    names = ("links.x_belt.stiffness", "bodies.x_head.inertia", "bodies.x_head.damping",
+             "drives.x.delay", "bodies.x_motor.inertia", "bodies.x_motor.damping",
+             "drives.x.amplifier.gain")  # fmt: skip
+    figure = Figure(figsize=(8.6, 5.6))
+    panels = figure.subplots(2, 2, sharex=True, sharey="row")
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "off.toml"
+        file.write_text(OFF_BY_30, "utf-8")
+        before, data, measured = load_machine(str(file)), [], []
+        for overlay in ("+unloaded", ""):
+            machine = load_machine(str(file) + overlay)
+            found = measure(
+                machine,
+                experiment(machine, "X", "sweep"),
+                actual=load_machine("stitcher" + overlay),
+            )
+            assert found.response is not None, found.why
+            measured.append(found.response)
+            data.append(ResponseData(machine=machine, measured=found.response))
+        after = fit(before, data, names).fitted
+    for column, (one, response, title) in enumerate(
+        zip(data, measured, ("motor without its belt", "motor, belt and load"), strict=True)
+    ):
+        hertz = np.geomspace(response.frequency_hz[0], response.frequency_hz[-1], 300)
+        for machine, style, label in (
+            (before, {"linestyle": "--", "color": "0.45"}, "file, 30 % off"),
+            (after, {"linestyle": "-", "color": "black"}, "fitted file"),
+        ):
+            values = Values.of(
+                one.machine,
+                {
+                    name: np.array([number_at(machine, name).si])
+                    for name in names
+                    if column or "motor" in name or "drives" in name
+                },
+            )
+            model = model_response(one.machine, values, one.path, 2 * np.pi * hertz)[0]
+            speed = model * 2j * np.pi * hertz * 2 * np.pi / 8000
+            panels[0, column].loglog(hertz, np.abs(speed), label=label, **style)
+            panels[1, column].semilogx(hertz, np.degrees(np.unwrap(np.angle(speed))), **style)
+        found_speed = response.value * 2j * np.pi * response.frequency_hz * 2 * np.pi / 8000
+        dots = {"linestyle": "none", "marker": "o", "fillstyle": "none", "color": "#c04f00"}
+        panels[0, column].loglog(
+            response.frequency_hz, np.abs(found_speed), label="measured", **dots
+        )
+        panels[1, column].semilogx(
+            response.frequency_hz, np.degrees(np.unwrap(np.angle(found_speed))), **dots
+        )
+        panels[0, column].set_title(title)
+        panels[1, column].set_xlabel("frequency [Hz]")
+    panels[0, 0].set_ylabel("speed of the motor [rad/s/V]")
+    panels[1, 0].set_ylabel("phase [deg]")
+    panels[0, 0].legend(loc="lower left")
+    return figure
 
 
 def winder() -> Figure:

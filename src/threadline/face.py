@@ -667,9 +667,9 @@ def tune(
         parse_controller,
         parse_rule,
         usual_controller,
-        write_tuned,
     )
     from threadline.search.tune import tune as tune_machine
+    from threadline.search.tuned_file import write_tuned
 
     chosen = chosen_machine(machine, None)
     kind = usual_controller(chosen) if controller is None else parse_controller(controller)

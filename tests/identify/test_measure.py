@@ -194,3 +194,45 @@ def test_a_response_that_was_not_measured_is_refused(capsys, tmp_path):
     words = ("fit", f"response:{file}", "-m", "lathe-winder", "--numbers", "bodies.x.inertia")
     code, _, err = run(capsys, *words)
     assert code == 2 and "x.npz: it has no response" in err
+
+
+OFF_STITCHER = """base = "stitcher"
+name = "off"
+[links.x_belt]
+stiffness = "4.4e5 N/m +- 30 %, assumed"
+[bodies.x_head]
+inertia = "144 kg +- 30 %, assumed"
+damping = "2331 N s/m +- 30 %, assumed"
+[drives.x]
+delay = "3.9 ms +- 30 %, assumed"
+"""
+
+
+def test_a_controller_that_is_faster_than_its_references_is_measured_by_its_error(
+    capsys, tmp_path, monkeypatch
+):
+    """The volts are seen at some ticks only; the error gives belt and load within 3 %."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "off.toml").write_text(OFF_STITCHER)
+    words = ("measure", "off.toml", "--axis", "X", "--actual", "stitcher", "-o", "x.npz")
+    assert run(capsys, *words)[0] == 0
+    found = response_of(read_recording("x.npz").origin)
+    s = 2j * np.pi * found.frequency_hz
+    # The head behind its belt seen from the motor, from the printed numbers.
+    ratio, k, M, B = 29e-3 / 6, 6.24e5, 111.0, 3330.0
+    load = M * s**2 + B * s
+    torque = 4.75e-4 * s**2 + 0.24 * s + ratio**2 / (1 / k + 1 / load)
+    back_emf = 60 * 60 / (2 * np.pi * 1000)
+    plant = 40 / (torque * (0.8 + 4e-3 * s) / 0.5 + back_emf * s) * np.exp(-3e-3 * s)
+    apart = np.log(found.value / (8000 / (2 * np.pi) * plant))
+    assert np.sqrt(np.mean(np.abs(apart) ** 2)) < 0.02
+    numbers = ("links.x_belt.stiffness", "bodies.x_head.inertia", "bodies.x_head.damping",
+               "drives.x.delay")  # fmt: skip
+    words = ("fit", "response:x.npz", "-m", "off.toml", "--numbers", ",".join(numbers), "--json")
+    code, out, _ = run(capsys, *words)
+    assert code == 0
+    true = load_machine("stitcher")
+    for name, one in json.loads(out)["numbers"].items():
+        off = one["value"] / number_at(true, name).si - 1.0
+        assert abs(off) < 0.03 and abs(off) < 3.0 * one["deviation"]
+        assert one["deviation"] < 0.025

@@ -30,8 +30,8 @@ from threadline.search.tune import (
     parse_rule,
     tune,
     usual_controller,
-    write_tuned,
 )
+from threadline.search.tuned_file import write_tuned
 from threadline.units import parse_quantity
 from threadline.verdict.spec import load_spec
 

@@ -45,6 +45,14 @@ NAMES: Mapping[ControllerKind, str] = {
     "pid": "PID",
     "lead": "lead",
 }
+NUMBERS: Mapping[ControllerKind, tuple[str, ...]] = {
+    "p": ("kp",),
+    "pi": ("kp", "ki"),
+    "pd": ("kp", "kd"),
+    "pid": ("kp", "ki", "kd"),
+    "lead": ("gain", "zero", "pole"),
+}
+"""Keys of the gains of each kind."""
 LEAST_GAIN_MARGIN = 2.0
 """Gain margin that a designed loop has at least, unless its crossover was given."""
 _INTEGRAL = 10.0  # integral time times the crossover

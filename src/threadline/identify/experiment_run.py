@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics.loop import axis_loop
 from threadline.errors import LimitError, OptionError, RecordingError
 from threadline.files import (
     Channel,
@@ -242,40 +243,54 @@ def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> Mea
     ``|sum(M U*)|^2 / (sum(|M|^2) sum(|U|^2))`` (Bendat and Piersol, *Random Data*, 2010, section
     6.1). Volts that are held for a tick act as the continuous volts times
     ``(1 - exp(-j w T)) / (j w T)``, which is divided out; what aliases is left.
+
+    Of a controller that runs faster than its references (``stitcher``) the volts are seen at some
+    ticks only, the same ones after each new reference. Its volts are computed from the error
+    instead, by its own difference equation; its references are held as well. The rounding of its
+    DAC is then noise.
     """
     axis = planned.axis
     columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
     position = columns[f"{axis}.measured"] * machine.axes[axis].counts.si
     volts = columns[f"{axis}.voltage"]
     tick_s = float(machine.tick_clock.period_s)
-    controller = machine.controller_of(axis)
-    held = machine.clock(controller.clock).period_s == machine.tick_clock.period_s
+    own = axis_loop(machine, axis)
+    digital = own.filters[own.index]
+    held = digital.period_s == tick_s
     if held:  # the volts of a sample act before it
         volts = np.append(volts[1:], volts[-1])
     periods = (len(position) - planned.first) // planned.period
     periods = min(periods, (planned.commands.tick_count() // planned.period) - 2)
+    hertz = planned.lines / (planned.period * tick_s)
 
     def lines(values: FloatArray) -> ComplexArray:
         whole = values[planned.first : planned.first + periods * planned.period]
         return np.fft.rfft(whole.reshape(periods, planned.period), axis=1)[:, planned.lines]
 
     M, U = lines(position), lines(volts)
+    if not held:
+        wanted = lines(columns[f"{axis}.commanded"] * machine.axes[axis].counts.si)
+        error = wanted * _hold(hertz, tick_s) - M
+        U = error * digital.sampled_response(2.0 * np.pi * hertz)
     cross, force = (M * U.conj()).sum(axis=0), (np.abs(U) ** 2).sum(axis=0)
     reached = (np.abs(M) ** 2).sum(axis=0)
     moved = (force > 0.0) & (reached > 0.0)
-    hertz = planned.lines[moved] / (planned.period * tick_s)
-    value = cross[moved] / force[moved]
-    if held:
-        turn = 2j * np.pi * hertz * tick_s
-        value = value * turn / (1.0 - np.exp(-turn))
+    hertz = hertz[moved]
+    value = cross[moved] / force[moved] / _hold(hertz, digital.period_s)
     return MeasuredResponse(
         frequency_hz=hertz,
         value=np.asarray(value, dtype=np.complex128),
         coherence=np.minimum(np.abs(cross[moved]) ** 2 / (force * reached)[moved], 1.0),
         unit="count",
         axis=axis,
-        output=f"sensors.{controller.sensor}",
+        output=f"sensors.{machine.controller_of(axis).sensor}",
     )
+
+
+def _hold(hertz: FloatArray, period_s: float) -> ComplexArray:
+    """Return the (k,) response of values that are held for a period."""
+    turn = 2j * np.pi * hertz * period_s
+    return np.asarray((1.0 - np.exp(-turn)) / turn)
 
 
 def _written(response: MeasuredResponse) -> str:

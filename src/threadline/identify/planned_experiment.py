@@ -19,6 +19,8 @@ _LINES = 24
 _PERIODS = 4
 _LOWEST_HZ, _HIGHEST_HZ = 0.5, 60.0
 _SPEED, _ACCELERATION, _TRAVEL = 0.25, 0.5, 0.05  # shares of the limits of the axis
+# A DAC of few levels rounds a slow sweep alike in every period, so that no average helps.
+_SWEEP_SPEED, _SWEEP_ACCELERATION = 0.9, 0.7
 _CONSTANT_SPEEDS = (0.0625, 0.125, 0.25, 0.5)  # shares of the limit
 _PAUSE_S = 0.4
 _MOST_TICKS = 300_000
@@ -179,8 +181,8 @@ def _multisine(
     limits = machine.axes[axis]
     reached = (
         size / np.abs(wave).max(),
-        _SPEED * limits.velocity.si * tick_s / np.abs(np.diff(wave)).max(),
-        _ACCELERATION * limits.acceleration.si * tick_s**2 / np.abs(np.diff(wave, 2)).max(),
+        _SWEEP_SPEED * limits.velocity.si * tick_s / np.abs(np.diff(wave)).max(),
+        _SWEEP_ACCELERATION * limits.acceleration.si * tick_s**2 / np.abs(np.diff(wave, 2)).max(),
     )
     return np.asarray(wave * min(reached))
 

@@ -18,12 +18,12 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.progress import Progress
-from threadline.base.wording import ascii_only, toml_string
 from threadline.dynamics.analysis import LoopFigures, loop_figures
 from threadline.dynamics.loop import Loop, axis_loop
 from threadline.dynamics.loop_design import (
     CONTROLLERS,
     NAMES,
+    NUMBERS,
     ControllerKind,
     check_wanted,
     design,
@@ -34,8 +34,6 @@ from threadline.dynamics.loop_design import (
 from threadline.dynamics.responses import Step, step_response
 from threadline.dynamics.worst_margins import WorstMargins, spread_of
 from threadline.errors import MachineError, OptionError, PlanError
-from threadline.files.formats.common import atomic_file
-from threadline.identify.machine_file import base_lines
 from threadline.machine import Machine
 from threadline.machine.numbers import number_at
 from threadline.proof.options import options_of
@@ -49,13 +47,6 @@ Rule: TypeAlias = Literal["file", "margin", "ultimate", "step", "settling"]
 RULES: tuple[Rule, ...] = ("margin", "ultimate", "step", "settling")
 MEASURES = ("contour_error", "stitch_length_error", "settling_time", "current_peak")
 _ZIEGLER: tuple[ControllerKind, ...] = ("p", "pi", "pid")
-_NUMBERS: Mapping[ControllerKind, tuple[str, ...]] = {
-    "p": ("kp",),
-    "pi": ("kp", "ki"),
-    "pd": ("kp", "kd"),
-    "pid": ("kp", "ki", "kd"),
-    "lead": ("gain", "zero", "pole"),
-}
 _STEP_RAD = 60.0  # of the crossover, until which a step response is computed
 _STEP_LEAST_S = 0.2
 _SMOOTH = 1e-3  # overshoot that counts as none
@@ -332,7 +323,7 @@ def _tuned_axis(machine: Machine, loop: Loop, wanted: Wanted) -> TunedAxis:
     name = machine.axes[axis].controller
     own = next((one for one in CONTROLLERS if one == machine.controllers[name].kind), None)
     if own is not None:
-        numbers = {k: number_at(machine, f"controllers.{name}.{k}").si for k in _NUMBERS[own]}
+        numbers = {k: number_at(machine, f"controllers.{name}.{k}").si for k in NUMBERS[own]}
         found.append((own, "file", numbers))
     margin, crossover = wanted.phase_margin_deg, wanted.crossover_hz
     for kind in CONTROLLERS:
@@ -457,57 +448,6 @@ def _job_runs(tuning: Tuning, job: Path, spec: Spec | None) -> list[JobRun]:
             verdict = None
         found.append(JobRun(job=job.name, kind=kind, rule=rule, verdict=verdict))
     return found
-
-
-def tuned_toml(tuning: Tuning, kind: ControllerKind, rule: Rule, folder: Path) -> str:
-    """Return the text of a machine file with one kind of controller, to lie in ``folder``.
-
-    Raises
-    ------
-    OptionError
-        If an axis has no such controller.
-    """
-    machine = tuning.machine
-    lines = [
-        f"# Tuned by threadline tune: {NAMES[kind]}, {rule}.",
-        *base_lines(machine, folder),
-        f"name = {toml_string(machine.name.split('+')[0] + '-tuned')}",
-        f"title = {toml_string(ascii_only(machine.title) + ', tuned')}",
-    ]
-    for axis in tuning.axes:
-        one = axis.loop(kind, rule)
-        name = machine.axes[axis.axis].controller
-        own = machine.controllers[name].kind
-        lines += ["", f"[controllers.{name}]", f"kind = {toml_string(kind)}"]
-        for key in _NUMBERS[kind]:
-            unit = "" if key in {"zero", "pole"} else " dac/count"
-            lines.append(
-                f'{key} = "{one.gains[key]:.6g}{unit} exact, checked: threadline tune, {rule}"'
-            )
-        left = {k for one in CONTROLLERS if one == own for k in _NUMBERS[one]} - {*_NUMBERS[kind]}
-        lines += [f'{key} = "none"' for key in sorted(left)]
-    return "\n".join(lines) + "\n"
-
-
-def write_tuned(tuning: Tuning, kind: ControllerKind, rule: Rule, file: Path) -> None:
-    """Write a machine file with one kind of controller; nothing is left if that fails.
-
-    Raises
-    ------
-    OptionError
-        If an axis has no such controller, or one that is unstable.
-    RecordingError
-        If the file cannot be written.
-    """
-    for axis in tuning.axes:
-        if not axis.loop(kind, rule).figures.stable:
-            raise OptionError(
-                f"axis {axis.axis}: {NAMES[kind]} by {rule} is unstable",
-                remedy="Choose another --controller or --rule.",
-            )
-    text = tuned_toml(tuning, kind, rule, file.parent)
-    with atomic_file(file) as stream:
-        stream.write(text.encode())
 
 
 def asked(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
