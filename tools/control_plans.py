@@ -36,8 +36,8 @@ STITCHER: dict[str, tuple[str, dict[str, Any]]] = {
 WINDER: dict[str, tuple[str, dict[str, Any]]] = {
     "pd": ("", {}),
     "cross-coupled": ("cross-coupled --axes A,X --coupling 50%", {}),
-    "lqg": ("lqg", {}),
-    "preview-4": ("preview --ahead 4", {}),
+    "lqg": ("lqg --gain 4", {}),
+    "preview-4": ("preview --gain 4 --ahead 4", {}),
     "zpetc": ("zpetc", {}),
     "pd-optimal": ("", {"interpolation": "optimal"}),
     "feed-forward": ("", {"interpolation": "optimal", "feed_forward": True}),
