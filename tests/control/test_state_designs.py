@@ -22,6 +22,8 @@ from threadline.dynamics.state_designs import (
     zero_phase,
     zero_phase_ticks,
 )
+from threadline.errors import MachineError
+from threadline.identify.of_recordings import driven_by_volts
 from threadline.machine import Machine, load_machine
 
 
@@ -176,6 +178,13 @@ def test_matched_axes_on_their_line_run_as_their_own_controllers(tmp_path):
     away[:, y] = 0
     apart = run(own, away, quantised=False)["Y.load"]
     assert np.abs(run(coupled, away, quantised=False)["Y.load"] - apart).max() > 1e-4
+
+
+def test_a_fit_refuses_axes_that_one_controller_moves(tmp_path):
+    own = load_machine("lathe-winder")
+    coupled = written(tmp_path, own, "lathe-winder", [cross_coupled(own, ("X", "Y"), 0.8, 0.5)])
+    with pytest.raises(MachineError, match="moves the axes X, Y together"):
+        driven_by_volts(coupled, ["X"])
 
 
 def test_axes_that_differ_keep_closer_to_their_line(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from tests.twin.test_state_space import ONE_AXIS
@@ -91,14 +92,16 @@ dac = { bits = "8 bit exact, assumed", range = "10 V exact, assumed" }
 
 
 def test_what_needs_one_error_and_one_drive_is_refused_in_words(tmp_path):
-    from threadline.dynamics.inverse import inverse_of
+    from threadline.dynamics.inverse import closed_responses, inverse_of
     from threadline.dynamics.sampled import digital_filter
 
     machine = load(tmp_path)
     with pytest.raises(MachineError, match=r"controllers\.all has the kind state-space"):
         digital_filter(machine, "all")
-    with pytest.raises(MachineError, match="state-space, and what needs the exact inverse"):
+    with pytest.raises(MachineError, match=r"state-space, and what needs the\s+exact inverse"):
         inverse_of(machine, "X")
+    with pytest.raises(MachineError, match="learning"):
+        closed_responses(machine, "X", np.array([1.0]))
 
 
 def test_an_accelerometer_that_a_motor_moves_at_once_closes_no_analysed_loop(tmp_path):

@@ -181,6 +181,11 @@ def _sample(machine, plant, loops, begin, phases, quantised, found) -> None:
         add(f"{name}.current", motor.law() @ plant.z)
         if axis.frame is not None:
             add(f"{name}.frame", plant.weights(axis.frame) @ plant.z)
+    closed = {controller.sensor for controller in machine.controllers.values()}
+    for name, sensor in machine.sensors.items():
+        if name not in closed:
+            assert sensor.kind == "potentiometer", "the others have tests of their own"
+            add(f"{name}.sensor", plant.weights(sensor.reads) @ plant.z)
     tripped = [t for motor in plant.motors.values() for t in motor.tripped]
     for name in machine.inputs:
         add(name, name in tripped)

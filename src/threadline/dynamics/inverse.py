@@ -208,6 +208,18 @@ class Inverse:
         return inner
 
 
+def _check_single(machine: Machine, loop: Loop) -> None:
+    """Refuse a piece with a state-space controller."""
+    if not loop.single:
+        raise MachineError(
+            f"axis {loop.axis}: controllers.{machine.axes[loop.axis].controller} or one beside it "
+            "has the kind state-space, and what needs the exact inverse of a loop (feed-forward, "
+            "learning, a limit on the contour) is made for one error, one encoder and one drive",
+            place=machine.place,
+            remedy="Leave that option out, or give the axis a controller of another kind.",
+        )
+
+
 def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inverse:
     """Return the exact inverse of an axis, from the load's motion to the controller's voltage.
 
@@ -224,14 +236,7 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
         If other drives act on the same bodies, or the plant's zeros do not decay.
     """
     loop = axis_loop(machine, axis, values)
-    if not loop.single:
-        raise MachineError(
-            f"axis {axis}: controllers.{machine.axes[axis].controller} or one beside it has the "
-            "kind state-space, and what needs the exact inverse of a loop (feed-forward, a limit "
-            "on the contour) is made for one error, one encoder and one drive",
-            place=machine.place,
-            remedy="Leave that option out, or give the axis a controller of another kind.",
-        )
+    _check_single(machine, loop)
     if len(loop.filters) > 1:
         raise MachineError(
             f"axis {axis} shares bodies with the drives of other axes",
@@ -340,6 +345,7 @@ def closed_responses(machine: Machine, axis: str, omega_rad_s: FloatArray) -> Co
         load.
     """
     loop, omega = axis_loop(machine, axis), omega_rad_s
+    _check_single(machine, loop)
     plant = loop.plant
     coil = [k for k, name in enumerate(plant.states) if name.endswith(".i")]
     rows = [f"{loop.axis}.load", loop.sensors[loop.index]]

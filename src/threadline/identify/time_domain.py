@@ -28,7 +28,7 @@ from threadline.errors import MachineError, OptionError, Place, RecordingError
 from threadline.files import ChannelKind, Recording, Stream, TickBlock, TickTable
 from threadline.files.recording import Channel
 from threadline.machine import Machine
-from threadline.machine.controllers import Dac, PController
+from threadline.machine.controllers import Dac, PController, StateSpaceController
 from threadline.machine.parts import Body, Encoder
 from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.variants import load_by_counts
@@ -283,12 +283,25 @@ def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
     ----------
     axes
         Axes to change; the others keep their loops.
+
+    Raises
+    ------
+    MachineError
+        If a state-space controller moves one of the axes together with others.
     """
     one = Quantity(si=1.0, unit="", tolerance_si=0.0, provenance=Provenance.ASSUMED)
     bodies, sensors = dict(machine.bodies), dict(machine.sensors)
     controllers, changed = dict(machine.controllers), dict(machine.axes)
     for name in axes:
         axis = machine.axes[name]
+        shared = machine.controllers[axis.controller]
+        if isinstance(shared, StateSpaceController) and len(shared.references) > 1:
+            raise MachineError(
+                f"controllers.{axis.controller} moves the axes {', '.join(shared.references)} "
+                f"together, and a fit of a recording takes axis {name} alone",
+                place=machine.place,
+                remedy="Fit with a machine file in which each axis has a controller of its own.",
+            )
         old, still = machine.controller_of(name), f"{_STILL}-{name}"
         bodies[still] = Body(kind="linear", inertia=replace(one, unit="kg"))
         sensors[still] = Encoder(kind="encoder", reads={still: replace(one, unit="count/m")})
