@@ -18,6 +18,8 @@ A place of a list gives all its numbers. Otherwise the unit behind a number says
 printed. ``&&`` joins commands, of which the last one answers. A time in brackets marks a row that
 takes long. Rows whose command is ``pytest`` are checked by the tests that they name. The exit
 status is 1 where a figure, a verdict or a level differs.
+
+A table of records has a bound beside each value, with a command of its own: both are compared.
 """
 
 from __future__ import annotations
@@ -49,6 +51,7 @@ BETWEEN = re.compile(r"(,| and| to| or|;|)\s*")  # two numbers of one unit
 LAST_DIGIT = 0.51  # of a unit of the last digit that is printed: rounding, and its own rounding
 NOISE = 1e-9  # what rounding leaves of nothing
 COLUMNS = ("claim", "printed", "checked by hand", "here", "level", "command")
+RECORDS = ("record", "machine", "here", "level", "bound", "command", "command of the bound")
 LEVELS = ("nominal", "repeated", "over tolerances", "drawn machines")
 
 
@@ -79,28 +82,40 @@ def pages() -> list[Path]:
 
 
 def rows_of(page: Path) -> Iterator[Row]:
-    """Yield the rows of the tables of a page that have the columns of a validation.
+    """Yield the rows of the tables of a page that have the columns of a validation, or of records.
+
+    A row of records yields its value, and its bound where it has one.
 
     Raises
     ------
     ValueError
         If a row has no command, or more or fewer cells than the head.
     """
-    inside = False
+    inside: tuple[str, ...] = ()
     for line, text in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
         cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", text)[1:-1]]
         if not text.startswith("|"):
-            inside = False
-        elif tuple(cells) == COLUMNS:
-            inside = True
+            inside = ()
+        elif tuple(cells) in (COLUMNS, RECORDS):
+            inside = tuple(cells)
         elif inside and not set(text) <= set("|-: "):
-            if len(cells) != len(COLUMNS):
-                raise ValueError(f"{page.name}:{line}: {len(cells)} cells, not {len(COLUMNS)}")
-            told = re.fullmatch(r"`([^`]+)`(?:: ((?:`[^`]+`(?:, )?)+))?(?: \((.+)\))?", cells[5])
-            if told is None:
-                raise ValueError(f"{page.name}:{line}: no command in {cells[5]!r}")
-            answers = tuple(re.findall(r"`([^`]+)`", told[2] or ""))
-            yield Row(page, line, cells[0], cells[3], cells[4], told[1], answers, told[3] or "")
+            if len(cells) != len(inside):
+                raise ValueError(f"{page.name}:{line}: {len(cells)} cells, not {len(inside)}")
+            of = dict(zip(inside, cells, strict=True))
+            name = of["claim"] if inside == COLUMNS else f"{of['record']}, {of['machine']}"
+            yield _row(page, line, name, of["here"], of["level"], of["command"])
+            if of.get("bound", "-") != "-":
+                bound = of["bound"], "model", of["command of the bound"]
+                yield _row(page, line, f"{name}: bound", *bound)
+
+
+def _row(page: Path, line: int, claim: str, here: str, level: str, command: str) -> Row:
+    """Return a row whose command stands in the cell ``command``."""
+    told = re.fullmatch(r"`([^`]+)`(?:: ((?:`[^`]+`(?:, )?)+))?(?: \((.+)\))?", command)
+    if told is None:
+        raise ValueError(f"{page.name}:{line}: no command in {command!r}")
+    answers = tuple(re.findall(r"`([^`]+)`", told[2] or ""))
+    return Row(page, line, claim, here, level, told[1], answers, told[3] or "")
 
 
 @cache

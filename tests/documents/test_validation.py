@@ -98,3 +98,16 @@ def test_a_row_without_a_command_is_refused(tmp_path: Path) -> None:
     page.write_text(head + "| a | b | c | d | model | none |\n", encoding="utf-8")
     with pytest.raises(ValueError, match="no command"):
         list(validation.rows_of(page))
+
+
+def test_a_record_is_compared_and_so_is_its_bound(tmp_path: Path) -> None:
+    page = tmp_path / "validation-made.md"
+    head = "| " + " | ".join(validation.RECORDS) + " |\n|---|---|---|---|---|---|---|\n"
+    law = "`threadline law modified-sine`: `Ca`"
+    row = f"| a | `b` | 5.528 | model | {{}} | {law} | {law} |\n"
+    page.write_text(head + row.format("5.528") + row.format("5.6"), encoding="utf-8")
+    found = list(validation.rows_of(page))
+    assert [one.claim for one in found] == ["a, `b`", "a, `b`: bound"] * 2
+    assert [len(validation.differences(one)) for one in found] == [0, 0, 0, 1]
+    page.write_text(head + row.format("-"), encoding="utf-8")
+    assert [one.claim for one in validation.rows_of(page)] == ["a, `b`"]

@@ -244,3 +244,19 @@ def test_without_velocities_a_recording_from_outside_is_charged(name: str) -> No
     result = judge([record(("X",), channels, operation, simulated=False)], plan, spec).results[0]
     assert result.status is Status.NOT_MEASURED
     assert "X.velocity at each tick" in result.note
+
+
+def test_a_load_that_jumps_between_two_samples_with_no_more_speed_is_not_charged_its_jump() -> None:
+    """It turns back a little before it jumps by 0.6 mm: the cubic runs 0.1 um beyond its line.
+
+    What is beyond the end of the path is an error of contour. In the tick before, between two equal
+    places, the way bows by v T / 4 = 7.5 um.
+    """
+    points = [[0.0], [0.1]]
+    load, operation = follow(points, 100)
+    command = load.copy()
+    pace = np.diff(load, axis=0, append=load[-1:]) / TICK_S
+    load[120:] += 6e-4
+    pace[119] = -6e-3
+    seen = moved(points, ("X",), load, pace, operation, PROGRESS, command=command)
+    assert seen.measured == pytest.approx(7.5e-6, abs=1e-9)

@@ -398,8 +398,8 @@ def _charge(points: FloatArray, low: int, between: Between, charge: FloatArray) 
     """Raise ``charge``, (runs,), to a bound of how far a way leaves the line between its samples.
 
     ``points``, (n, axes, runs), are samples, the first of them ``low`` of the block. A way that
-    moves on along its line, at whatever speeds, leaves it only across; one that may turn back
-    leaves it by its whole bow at most.
+    moves on along its line, at whatever speeds, leaves it only across; one that turns back also by
+    how far it runs beyond an end.
     """
     speed, reach, before, pace, begun = between
     samples, axes, runs = points.shape
@@ -422,13 +422,18 @@ def _charge(points: FloatArray, low: int, between: Between, charge: FloatArray) 
             bow = max(first, last)
             if not bow > 16.0 * charge[r] * charge[r]:
                 continue
-            # With slopes between 0 and three times the line the way moves on along it.
-            if (
-                length > 0.0
-                and -length <= min(of_out, of_back)
-                and (max(of_out, of_back) <= 2.0 * length)
-            ):
+            if length > 0.0:
                 bow = max(first - of_out * of_out / length, last - of_back * of_back / length)
+                bow = max(bow, 0.0)
+                # With slopes between 0 and three times the line the way moves on along it.
+                if min(of_out, of_back) < -length or max(of_out, of_back) > 2.0 * length:
+                    long = np.sqrt(length)
+                    leave, come, over = of_out / long + long, of_back / long + long, 0.0
+                    for s in turning_places(long, leave, come):
+                        if s > 0.0:  # or no number
+                            place = s * long + beside(s, long, leave, come)
+                            over = max(over, -place, place - long)
+                    bow += 16.0 * over * over
             if bow > 16.0 * charge[r] * charge[r]:
                 charge[r] = 0.25 * np.sqrt(bow)
     for a in range(axes):
