@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from threadline.base.arrays import FloatArray
 from threadline.errors import InputError, JobError, OptionError
 from threadline.jobs import own_product, read_job
 from threadline.jobs.operations import Job, Move, MoveRun
-from threadline.jobs.winding.laid import design
+from threadline.jobs.winding.build_up import design
 from threadline.jobs.winding.layers import read_layers
 from threadline.machine import load_machine
 from threadline.proof.options import options_of
@@ -181,6 +182,80 @@ def test_bad_input_is_one_line(tmp_path: Path, text: str, said: str, line: int) 
     if line:
         assert caught.value.place is not None
         assert caught.value.place.line == line
+
+
+SMALL = VESSEL.replace("100 mm", "50 mm").replace("400 mm", "120 mm").replace("15 mm", "10 mm")
+SMALL = SMALL.replace("6 mm", "8 mm")
+
+
+@pytest.mark.parametrize(
+    ("layer", "said"),
+    [
+        ("circuits = 1\n", r"no pattern with 1 circuits closes\. .*circuits = \d+, shift = \d+, "),
+        (
+            "circuits = 38\nshift = 4\n",
+            r"circuits and shift 4 closes\. .* closes: circuits = 38, shift",
+        ),
+        ('[fibre]\nenvelope = "0.001 mm"\n', r"an envelope of 0.001 mm: 1 to 1000 mm. .*leave it"),
+        ('[fibre]\nenvelope = "5 m"\n', "an envelope of 5000 mm: 1 to 1000 mm"),
+        (
+            '[fibre]\nenvelope = "5 mm"\nclearance = "8 mm"\n',
+            "an envelope of 5 mm: clearance and body of the eye need 8 mm",
+        ),
+    ],
+)
+def test_wishes_that_cannot_be_name_what_can(tmp_path: Path, layer: str, said: str) -> None:
+    text = f'{SMALL}[[layer]]\nturn = "20 mm"\n{layer}'
+    file = _written(tmp_path, text)
+    with pytest.raises(JobError, match=said) as caught:
+        read_job(file, WINDER)
+    near = re.search(r"circuits = (\d+), shift = (\d+)", str(caught.value))
+    assert caught.value.place is not None and caught.value.place.line
+    if near is None:
+        return
+    # What it names can be wound.
+    one, two = near.groups()
+    wish = f'{SMALL}[[layer]]\nturn = "20 mm"\ncircuits = {one}\nshift = {two}\n'
+    (laid,) = design(read_layers(_written(tmp_path, wish)))
+    assert (laid.pattern.circuits, laid.pattern.shift) == (int(one), int(two))
+
+
+def test_a_friction_that_closes_a_pattern_is_enough(tmp_path: Path) -> None:
+    """With the friction that the message names it closes, with a tenth less it does not."""
+
+    def text(friction: float) -> str:
+        layer = '[[layer]]\nturn = "22 mm"\ncircuits = 37\nshift = 13\nclose = "friction"\n'
+        return SMALL.replace('"0.25 +- 0.05"', f'"{friction!r}"') + layer
+
+    with pytest.raises(JobError, match=r"A friction of [\d.]+ or more would close") as caught:
+        read_layers_and_design(_written(tmp_path, text(0.001)))
+    found = re.search(r"A friction of ([\d.]+)", caught.value.remedy)
+    assert found is not None
+    enough = float(found[1])
+    assert read_layers_and_design(_written(tmp_path, text(1.05 * enough)))
+    with pytest.raises(JobError):
+        read_layers_and_design(_written(tmp_path, text(0.9 * enough)))
+
+
+def test_a_join_with_too_little_friction_says_how_much_would_do(tmp_path: Path) -> None:
+    """On a tube one pass has to be enough for the change of the angle."""
+
+    def text(friction: float) -> str:
+        tube = TUBE.replace('"200 mm"', '"600 mm"').replace('"0.25 +- 0.05"', f'"{friction!r}"')
+        ends = '[mandrel]\nat = "-300 mm"\n[coverage]\nbegin = "290 mm"\nend = "310 mm"\n'
+        return f'{ends}{tube}[[layer]]\nangle = "70 deg"\n[[layer]]\nangle = "50 deg"\n'
+
+    with pytest.raises(JobError, match=r"cannot change from 70\.0 deg to 50\.0 deg") as caught:
+        read_job(_written(tmp_path, text(0.2)), WINDER)
+    found = re.search(r"A friction of ([\d.]+) would do", caught.value.remedy)
+    assert found is not None and float(found[1]) > 0.2
+    with pytest.raises(JobError, match="cannot change"):
+        read_job(_written(tmp_path, text(0.9 * float(found[1]))), WINDER)
+    assert read_job(_written(tmp_path, text(1.02 * float(found[1]))), WINDER)
+
+
+def read_layers_and_design(file: Path) -> object:
+    return design(read_layers(file))
 
 
 def test_too_little_friction_says_how_much_would_do(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from threadline.cli.main import main
 from threadline.errors import JobError
 from threadline.jobs import own_product
-from threadline.jobs.winding.laid import Laid, design
+from threadline.jobs.winding.build_up import Laid, design
 from threadline.jobs.winding.layers import Winding, read_layers
 from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate
 from threadline.machine import load_machine

@@ -143,7 +143,11 @@ def product_text(given: str | Path) -> str:
         content = tomllib.loads(written)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         what, at = toml_fault(error, written)
-        raise JobError(what, place=Place(text, at), remedy="Correct that line.") from error
+        raise JobError(
+            what,
+            place=Place(text, at),
+            remedy='A product file is TOML: write key = "value" with quotes, below its [table].',
+        ) from error
     reader = ProductReader(text, written)
     parts = content.get("part")
     if isinstance(parts, list):
@@ -169,7 +173,11 @@ def _embed(part: dict[str, Any], folder: Path, reader: ProductReader) -> None:
         part["section"] = read_section(folder / name, layer)
         return
     if layer is not None:
-        reader.refuse("layer", "layer belongs to a drawing in DXF", "Remove it.")
+        reader.refuse(
+            "layer",
+            "layer belongs to a drawing in DXF",
+            "Leave layer out: a table of points has none.",
+        )
     read = meridian_of if Path(name).suffix.lower() in MERIDIANS else read_points
     part["points"] = read(folder / name)
 
@@ -347,7 +355,11 @@ class ProductReader(KeyReader):
         if kind == "table" and "section" in part:
             stretches = stretches_of(part["section"])
             if stretches is None:
-                self.refuse("section", "the section of this product is damaged", "Read it again.")
+                self.refuse(
+                    "section",
+                    "the section of this product is damaged",
+                    "Give the product file again with --product.",
+                )
             return shifted(stretches, x)
         if kind == "table":
             points = self._table_points(part.get("points"))
@@ -404,7 +416,11 @@ class ProductReader(KeyReader):
         if found.ndim != 2 or found.shape[1:] != (2,) or len(found) < 2:
             self.refuse("file", "a table needs a file", 'Write file = "meridian.csv".')
         if not (np.isfinite(found).all() and (np.diff(found[:, 0]) > 0.0).all()):
-            self.refuse("file", "the points of a meridian must go from left to right", "Sort them.")
+            self.refuse(
+                "file",
+                "the points of a meridian must go from left to right",
+                "Sort the rows of the table by x_mm.",
+            )
         return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.base.writing import staged_file
 from threadline.errors import JobError, Place
-from threadline.jobs.winding.laid import Laid, design
+from threadline.jobs.winding.build_up import Laid, design
 from threadline.jobs.winding.layers import Winding
 from threadline.jobs.winding.thickness import grown
 from threadline.winding.shapes import table
@@ -87,11 +87,11 @@ def bare_of(winding: Winding) -> Bare:
             break
         depth = depth + off
     assert best is not None
-    error, worst, found = best
-    if error > TOLERANCE_M:
+    apart, worst, found = best
+    if apart > TOLERANCE_M:
         raise JobError(
             f"no bare mandrel gives this outer shape: at {1e3 * outer[worst, 0]:.4g} mm (radius "
-            f"{1e3 * outer[worst, 1]:.4g} mm) the layers end {1e3 * error:.3g} mm beside it, limit "
+            f"{1e3 * outer[worst, 1]:.4g} mm) the layers end {1e3 * apart:.3g} mm beside it, limit "
             f"{1e3 * TOLERANCE_M:g} mm",
             place=Place(str(winding.path)),
             remedy="Layers end in steps there: draw the step, or let the layers end elsewhere.",

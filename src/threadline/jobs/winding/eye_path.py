@@ -169,7 +169,7 @@ def eye_path(surface: Surface, course: FloatArray, far_m: float, round_: bool) -
                 "The machine cannot move its eye across: fewer layers, a smaller mandrel, or "
                 "a [tool] farther away."
                 if round_
-                else "Take the eye farther away: [fibre] envelope."
+                else "Leave [fibre] envelope out, or take one nearer to the radius of the mandrel."
             ),
         )
     xs, rs = surface.at(course[:, 1])

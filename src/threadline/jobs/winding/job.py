@@ -26,10 +26,10 @@ from threadline.jobs.operations import (
     OperationStream,
     Source,
 )
+from threadline.jobs.winding.build_up import Laid, bridged, design
 from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, positions
 from threadline.jobs.winding.joins import Join, join
-from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding, read_layers
 from threadline.machine import Machine
 from threadline.machine.tool import Tool
@@ -281,9 +281,16 @@ def _with_envelope(
     if tool.across is None:
         _, across, up = tool.payout_m
         return _cut(winding, laid, surface, course, math.hypot(across, up), round_=True)
-    if winding.envelope_m is not None:
-        return _cut(winding, laid, surface, course, winding.envelope_m, round_=False)
     least = (winding.product.clearance or 0.0) + tool.body_m
+    if winding.envelope_m is not None:
+        if winding.envelope_m < least:
+            winding.refuse(
+                laid.layer,
+                f"an envelope of {1e3 * winding.envelope_m:.4g} mm: clearance and body of the eye "
+                f"need {1e3 * least:.4g} mm",
+                "Give a larger [fibre] envelope, or leave it out.",
+            )
+        return _cut(winding, laid, surface, course, winding.envelope_m, round_=False)
     best, least_s = None, math.inf
     for distance in _DISTANCES_M:
         path = _cut(winding, laid, surface, course, least + distance, round_=False)

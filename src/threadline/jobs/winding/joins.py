@@ -12,13 +12,15 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import JobError, Place
+from threadline.jobs.winding.build_up import Laid
 from threadline.jobs.winding.circuit import Site, Turn, traced, turn_of
-from threadline.jobs.winding.laid import Laid
+from threadline.jobs.winding.layers import MARGIN
 from threadline.winding.surface import Surface
 
 _MOST_PASSES = 20
 _HALVINGS = 60
 _SAME_M = 1e-9
+_MOST_RATIO, _ROUGH = 2.0, 8  # of the search for the friction that would do
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,8 +60,28 @@ def join(before: Laid, after: Laid, side: int) -> Join:
     JobError
         If the angle cannot change enough on the mandrel.
     """
-    surface = after.wrap.surface
     friction = after.wrap.friction
+    found = _joined(before, after, side, friction)
+    if found is not None:
+        return found
+    low, high = friction, 2.0 * friction
+    while high < _MOST_RATIO and _joined(before, after, side, high) is None:
+        low, high = high, 2.0 * high
+    for _ in range(_ROUGH if high < _MOST_RATIO else 0):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _joined(before, after, side, middle) else (middle, high)
+    enough = f"A friction of {high / MARGIN:.2g} would do. " if high < _MOST_RATIO else ""
+    raise JobError(
+        f"the fibre cannot change from {_deg(before)} to {_deg(after)} with a friction ratio of "
+        f"{friction:.3g} on this mandrel",
+        place=Place(str(after.wrap.winding.path), after.layer.line),
+        remedy=f"{enough}Put a layer with an angle between them, or wind them as two jobs.",
+    )
+
+
+def _joined(before: Laid, after: Laid, side: int, friction: float) -> Join | None:
+    """Return the way between two layers at a friction ratio; None if the angle cannot change."""
+    surface = after.wrap.surface
     name = f"the join to layer {after.layer.number}: "
     from_, to = _moved(before, surface), after.wrap.sites
     constant, wanted = before.circuit.constant_m, after.circuit.constant_m
@@ -92,12 +114,7 @@ def join(before: Laid, after: Laid, side: int) -> Join:
         _put(parts, turn.rows, -side)
         _put(parts, _inwards(turn), side)
         at = end
-    raise JobError(
-        f"the fibre cannot change from {_deg(before)} to {_deg(after)} with a friction ratio of "
-        f"{friction:.3g} on this mandrel",
-        place=Place(str(after.wrap.winding.path), after.layer.line),
-        remedy="Put a layer with an angle between them, or wind them as two jobs.",
-    )
+    return None
 
 
 def _deg(laid: Laid) -> str:

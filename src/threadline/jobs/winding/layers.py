@@ -32,6 +32,8 @@ MARGIN = 0.9
 """Share of the lower end of the friction that a planned path uses."""
 USUAL_SPEED_M_S = 0.1
 """Speed of the fibre where the file names none."""
+_ENVELOPES_M = 1e-3, 1.0
+"""Distances between eye and mandrel at which fibre can be laid."""
 _MOST_LAYERS = 200
 _LEAST_ANGLE = math.radians(1.0)
 
@@ -173,9 +175,17 @@ class _LayerReader(ProductReader):
                 "give this file as --product.",
             )  # fmt: skip
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-            self.refuse("layer", "layer must be a list of tables", "Write [[layer]].")
+            self.refuse(
+                "layer",
+                "layer must be a list of tables",
+                'Write [[layer]] with turn = "32 mm" or angle = "55 deg".',
+            )
         if not 0 < len(rows) <= _MOST_LAYERS:
-            self.refuse("layer", f"{len(rows)} layers: 1 to {_MOST_LAYERS}", "Correct it.")
+            self.refuse(
+                "layer",
+                f"{len(rows)} layers: 1 to {_MOST_LAYERS}",
+                "Write one [[layer]] table for each layer, and wind more as a second job.",
+            )
         fibre = content.get("fibre", {})
         tensions = self._tensions(rows, fibre)
         known = read_materials(self, content)
@@ -190,6 +200,14 @@ class _LayerReader(ProductReader):
             found[key] = self.number(fibre, key, unit, None).si if key in fibre else None
             if key in fibre and not (found[key] or 0.0) > 0.0:
                 self.refuse(key, f"{key} must be above 0", 'Like "30 mm", "200 mm/s".')
+        envelope = found["envelope"]
+        if envelope is not None and not _ENVELOPES_M[0] <= envelope <= _ENVELOPES_M[1]:
+            low, high = (1e3 * one for one in _ENVELOPES_M)
+            self.refuse(
+                "envelope", f"an envelope of {1e3 * envelope:.4g} mm: {low:g} to {high:g} mm",
+                "It is the distance between eye and mandrel: leave it out, and the fastest that "
+                "keeps clear is taken.",
+            )  # fmt: skip
         return Winding(
             path, text, product, tuple(layers), found["envelope"], found["speed"],
             found["tolerance"] or 2e-5, self._hour(content),
@@ -243,11 +261,19 @@ class _LayerReader(ProductReader):
         self.known(row, KEYS)
         kind = row.get("kind", "helical")
         if kind not in KINDS:
-            self.refuse("kind", f"a layer of the kind {str(kind)[:40]!r}", "helical or hoop.")
+            self.refuse(
+                "kind",
+                f"a layer of the kind {str(kind)[:40]!r}",
+                'Write kind = "helical" or kind = "hoop".',
+            )
         turn = self.number(row, "turn", "m", None).si if "turn" in row else None
         angle = self.number(row, "angle", "rad", None).si if "angle" in row else None
         if turn is not None and angle is not None:
-            self.refuse("angle", "turn and angle say the same twice", "Leave one out.")
+            self.refuse(
+                "angle",
+                "turn and angle say the same twice",
+                "Keep turn on a mandrel with domes, else angle.",
+            )
         most = widest(product.surface)[0]
         if turn is not None and not 0.0 < turn < most:
             self.refuse(
@@ -256,7 +282,9 @@ class _LayerReader(ProductReader):
             )  # fmt: skip
         if angle is not None and not _LEAST_ANGLE <= angle < 0.5 * math.pi:
             self.refuse(
-                "angle", f"an angle of {math.degrees(angle):.4g} deg", "From 1 up to below 90 deg."
+                "angle",
+                f"an angle of {math.degrees(angle):.4g} deg",
+                'Write one from 1 to 89 deg, like "55 deg"; nearer to 90 deg take a hoop layer.',
             )
         if kind == "hoop" and (turn is not None or angle is not None):
             self.refuse(
@@ -270,20 +298,34 @@ class _LayerReader(ProductReader):
             if value is None:
                 continue
             if not isinstance(value, int) or isinstance(value, bool):
-                self.refuse(key, f"{key} = {str(value)[:40]!r} is no whole number", "Like 44.")
+                self.refuse(
+                    key,
+                    f"{key} = {str(value)[:40]!r} is no whole number",
+                    f"Write it like {key} = 44.",
+                )
             if not least <= value <= MOST_CIRCUITS:
                 self.refuse(
-                    key, f"{str(value)[:40]} {key}: {least} to {MOST_CIRCUITS}", "Correct it."
+                    key,
+                    f"{str(value)[:40]} {key}: {least} to {MOST_CIRCUITS}",
+                    "Leave circuits and shift out: threadline wind lists the patterns that close.",
                 )
         circuits, shift = counts["circuits"], counts["shift"]
         if shift is not None and circuits is None:
             self.refuse("shift", "a shift needs the circuits of its pattern", "circuits = 44")
         close = row.get("close")
         if close is not None and close not in CLOSINGS:
-            self.refuse("close", f"close = {str(close)[:40]!r}", f"{', '.join(CLOSINGS)}.")
+            self.refuse(
+                "close",
+                f"close = {str(close)[:40]!r}",
+                'Write close = "friction", "angle" or "dwell", or leave it out.',
+            )
         cover = self.number(row, "cover", "", "1").si
         if not 0.0 < cover <= 20.0:
-            self.refuse("cover", f"cover = {cover:g}", 'Like "100 %".')
+            self.refuse(
+                "cover",
+                f"cover = {cover:g}: above 0 and up to 20",
+                'Write it like cover = "100 %".',
+            )
         ends = [self.number(row, k, "m", None).si if k in row else None for k in ("begin", "end")]
         return Layer(
             number=self.index + 1, line=self.line_of(""), kind=kind, turn_m=turn, angle=angle,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from threadline.errors import JobError, Place
-from threadline.jobs.winding.laid import Laid
+from threadline.jobs.winding.build_up import Laid
 from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding
 from threadline.laminate.theory import (
     Laminate,

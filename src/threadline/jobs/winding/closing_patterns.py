@@ -1,0 +1,333 @@
+"""Patterns: how many circuits close over the mandrel, and what makes them close.
+
+Each of n circuits advances by whole turns and k/n of a turn. Then the fibre is back where it began,
+and n bands lie side by side. With ``p k = 1 (mod n)`` the band after p circuits lies beside the
+first one, ahead of it (leading); the band after n - p circuits lies behind it (lagging).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import JobError
+from threadline.jobs.winding.circuit import Circuit
+from threadline.jobs.winding.layers import MARGIN, Closing, Layer
+from threadline.jobs.winding.on_mandrel import Wrap
+
+_TURN = 2.0 * math.pi
+_SAMPLES = 9  # angles between which the table interpolates
+_HALVINGS = 14  # of the range of friction ratios in search of its end
+_MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
+_MOST_SHOWN = 1000
+_FARTHEST = 200  # circuits from the asked number, in search of a pattern that closes
+_FLAT = 1e-12
+_ROUNDS = 40
+_CLOSED = 1e-13  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """A pattern that closes.
+
+    Parameters
+    ----------
+    circuits, shift
+        n and k: each circuit advances by k/n of a turn more than whole turns.
+    coverage
+        Width of all bands at the largest radius over the circumference.
+    beside
+        Circuits after which a band lies beside the first; the smaller of p and n - p.
+    leading
+        Whether that band lies ahead of the first one.
+    turns
+        Turns of the mandrel in the layer.
+    off
+        What a circuit of the geodesic lacks, rad; negative: it goes too far.
+    ratio
+        Friction ratio on the domes that closes it; NaN if none does.
+    constant_m
+        Clairaut radius that closes it without friction; NaN if none does.
+    dwell
+        Angle on the parallels of the turns that closes it in each circuit, rad; NaN where no turn
+        can dwell.
+    """
+
+    circuits: int
+    shift: int
+    coverage: float
+    beside: int
+    leading: bool
+    turns: int
+    off: float
+    ratio: float = math.nan
+    constant_m: float = math.nan
+    dwell: float = math.nan
+
+    @property
+    def ways(self) -> tuple[Closing, ...]:
+        """What can close it."""
+        found: list[Closing] = []
+        for name, value in (
+            ("friction", self.ratio), ("angle", self.constant_m), ("dwell", self.dwell)
+        ):  # fmt: skip
+            if not math.isnan(value):
+                found.append(name)  # type: ignore[arg-type]
+        return tuple(found)
+
+
+def patterns(wrap: Wrap) -> list[Pattern]:
+    """Return the patterns that close with the wanted coverage, the nearest to the geodesic first.
+
+    Raises
+    ------
+    JobError
+        If there is none; names the nearest.
+    """
+    layer, base = wrap.layer, wrap.base
+    if layer.kind == "hoop":
+        count = layer.circuits or 1
+        turns = round(base.advance * count / _TURN)
+        return [Pattern(count, 0, float(count), 1, True, turns, 0.0, dwell=0.0)]
+    around = _TURN * base.widest_m * math.cos(base.angle) / wrap.width_m
+    if layer.circuits is not None:
+        counts = range(layer.circuits, layer.circuits + 1)
+    else:
+        low = max(math.ceil(layer.cover * around - 1e-9), 1)
+        counts = range(low, max(math.floor(_MORE * layer.cover * around), low) + 1)
+        if low > _MOST_SHOWN:
+            wrap.winding.refuse(
+                layer, f"a layer would need {low} circuits, limit {_MOST_SHOWN}",
+                f"Is the band so narrow? If so, write circuits = {low} into the layer.",
+            )  # fmt: skip
+    closing = _Ways(wrap)
+    closed = closing.closed(counts, layer.shift)
+    by_dwell = layer.close == "dwell" or not wrap.domes
+    closed.sort(key=lambda one: (one.dwell if by_dwell else abs(one.off), one.circuits))
+    if not closed:
+        wrap.winding.refuse(layer, f"no pattern {_asked(layer)}", _remedy(closing, counts))
+    return closed
+
+
+class _Ways:
+    """What can close the patterns of a layer."""
+
+    def __init__(self, wrap: Wrap) -> None:
+        self.wrap = wrap
+        base = wrap.base
+        self.around = _TURN * base.widest_m * math.cos(base.angle) / wrap.width_m
+        self._frictions, self._angles = _by_friction(wrap), _by_angle(wrap)
+        self._dwells = any(wrap.can_dwell(base, site) for site in wrap.sites)
+
+    def closed(self, counts: Sequence[int], shift: int | None) -> list[Pattern]:
+        """Return the patterns of some numbers of circuits that close in a way that is wanted."""
+        close, found = self.wrap.layer.close, []
+        for pattern in self.patterns(counts, shift):
+            dwell = pattern.off % _TURN if self._dwells else math.nan
+            one = replace(
+                pattern, ratio=self._frictions(pattern.off), constant_m=self._angles(pattern.off),
+                dwell=dwell,
+            )  # fmt: skip
+            if one.ways and (close is None or close in one.ways):
+                found.append(one)
+        return found
+
+    def patterns(self, counts: Sequence[int], shift: int | None) -> list[Pattern]:
+        """Return all patterns of some numbers of circuits, whether they close or not."""
+        advance = self.wrap.base.advance
+        return [
+            pattern for count in counts for pattern in _of_count(advance, count, self.around, shift)
+        ]
+
+    def nearest(self, counts: Sequence[int]) -> Pattern | None:
+        """Return a pattern that closes, with the number of circuits nearest to the asked ones."""
+        asked = (counts[0], counts[-1])
+        near = [list(counts)]
+        near += [[asked[0] - far, asked[1] + far] for far in range(1, _FARTHEST)]
+        for tried in near:
+            found = self.closed([count for count in tried if count > 0], None)
+            if found:
+                return min(found, key=lambda one: abs(one.off))
+        return None
+
+    def friction_for(self, counts: Sequence[int], shift: int | None) -> float | None:
+        """Return the least friction that closes one of the asked patterns; None if none does."""
+        if not all(site.dome for site in self.wrap.sites):
+            return None
+        ratios = _by_friction(replace(self.wrap, friction=1.0))
+        found = [abs(ratios(one.off)) for one in self.patterns(counts, shift)]
+        return min((one / MARGIN for one in found if one <= MARGIN), default=None)
+
+
+def _asked(layer: Layer) -> str:
+    """Return the words for the patterns that a layer asks for, and how they should close."""
+    found = "of this layer" if layer.circuits is None else f"with {layer.circuits} circuits"
+    if layer.shift is not None:
+        found += f" and shift {layer.shift}"
+    return found + " closes" + (f" by {layer.close}" if layer.close else "")
+
+
+def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
+    """Say what would close: the nearest pattern, or how much friction."""
+    wrap, told = closing.wrap, []
+    if wrap.layer.close == "dwell":
+        slips = max(wrap.slip_at(wrap.base, site) for site in wrap.sites)
+        told.append(
+            f"A dwell on the parallel has a slip tendency of {slips:.2g}, the friction holds "
+            f"{wrap.friction:.2g}: declare a [[boss]] or a ring of pins, or close by friction."
+        )
+    near = closing.nearest(counts)
+    if near is not None:
+        told.append(
+            f"The nearest that closes: circuits = {near.circuits}, shift = {near.shift}, "
+            f"{near.coverage:.1%} covered."
+        )
+    friction = closing.friction_for(counts, wrap.layer.shift)
+    if friction is not None and wrap.layer.close in (None, "friction"):
+        told.append(f"A friction of {friction:.2g} or more would close the asked one.")
+    return " ".join(told) or "Give another turn or angle, or a [[boss]] on which the fibre dwells."
+
+
+def _of_count(advance: float, count: int, around: float, shift: int | None) -> Iterator[Pattern]:
+    whole = math.floor(advance / _TURN)
+    shifts = range(count) if shift is None else (shift % count,)
+    for k in shifts:
+        if math.gcd(k, count) != 1:
+            continue
+        off = math.remainder(_TURN * k / count - advance, _TURN)
+        ahead = pow(k, -1, count) if count > 1 else 1
+        turns = round((advance + off) * count / _TURN) if whole >= 0 else 0
+        yield Pattern(
+            circuits=count, shift=k, coverage=count / around,
+            beside=min(ahead, count - ahead) or 1, leading=ahead <= count - ahead,
+            turns=turns, off=off,
+        )  # fmt: skip
+
+
+def _inverse(values: FloatArray, advances: FloatArray, base: float) -> Callable[[float], float]:
+    """Return the value for a wanted change of the advance, NaN beyond the samples."""
+    order = np.argsort(advances)
+    found, at = values[order], advances[order] - base
+    return lambda off: float(np.interp(off, at, found, left=np.nan, right=np.nan))
+
+
+def _none(_off: float) -> float:
+    return math.nan
+
+
+def _by_friction(wrap: Wrap) -> Callable[[float], float]:
+    """Return the friction ratio on the domes by what a circuit lacks."""
+    if not wrap.domes:
+        return _none
+
+    def tried(ratio: float) -> float:
+        try:
+            circuit = wrap.circuit(ratio)
+        except JobError:
+            return math.nan
+        return math.nan if _inside(wrap, circuit) else circuit.advance
+
+    ends = [_furthest(tried, sign * wrap.friction) for sign in (-1.0, 1.0)]
+    samples = np.concatenate([np.linspace(ends[0], 0.0, 5), np.linspace(0.0, ends[1], 5)[1:]])
+    advances = np.array([tried(float(ratio)) for ratio in samples])
+    known = np.isfinite(advances)
+    if known.sum() < 2:
+        return _none
+    return _inverse(samples[known], advances[known], wrap.base.advance)
+
+
+def _furthest(tried: Callable[[float], float], wanted: float) -> float:
+    """Return the value up to ``wanted`` at which a trial still succeeds, from 0 on."""
+    if not math.isnan(tried(wanted)):
+        return wanted
+    low, high = 0.0, wanted
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if math.isnan(tried(middle)) else (middle, high)
+    return low
+
+
+def _inside(wrap: Wrap, circuit: Circuit) -> bool:
+    """Return whether a circuit turns nearer to a pole than its band can, by more than a hair."""
+    return any(
+        site.dome and turn.radius_m < wrap.least_m - 1e-9
+        for site, turn in zip(wrap.sites, (circuit.left, circuit.right), strict=True)
+    )
+
+
+def _by_angle(wrap: Wrap) -> Callable[[float], float]:
+    """Return the Clairaut radius by what a circuit lacks, over 3 degrees of the angle."""
+    if wrap.layer.angle is not None and not wrap.domes:
+        spread = math.radians(1.0)
+    else:
+        spread = math.radians(3.0)
+    values, advances = [], []
+    middle = wrap.base.angle
+    low = max(middle - spread, math.asin(min(wrap.least_m / wrap.base.widest_m, 1.0)), 1e-3)
+    for angle in np.linspace(low, middle + spread, _SAMPLES):
+        constant = wrap.base.widest_m * math.sin(float(angle))
+        if constant <= 0.0 or angle >= 0.5 * math.pi:
+            continue
+        try:
+            circuit = wrap.circuit(constant_m=constant)
+        except JobError:
+            continue
+        if _inside(wrap, circuit):
+            continue
+        values.append(constant)
+        advances.append(circuit.advance)
+    if len(values) < 2 or not (np.diff(advances) * (advances[-1] - advances[0]) > 0.0).all():
+        return _none
+    return _inverse(np.array(values), np.array(advances), wrap.base.advance)
+
+
+def closed_circuit(wrap: Wrap, pattern: Pattern, by: Closing) -> Circuit:
+    """Return the circuit of a pattern, closed to ``1e-13`` rad.
+
+    Raises
+    ------
+    JobError
+        If it does not close in that way.
+    """
+    target = wrap.base.advance + pattern.off
+
+    def make(value: float) -> Circuit:
+        if by == "friction":
+            return wrap.circuit(ratio=value)
+        return wrap.circuit(constant_m=value)
+
+    if by == "dwell":
+        return wrap.circuit(dwell=pattern.dwell) if pattern.dwell else wrap.base
+    at, step = (pattern.ratio, 1e-4) if by == "friction" else (pattern.constant_m, 1e-6)
+    made = make(at)
+    last, error = at + step, made.advance - target
+    before = make(last).advance - target
+    for _ in range(_ROUNDS):
+        if abs(error) < _CLOSED or error == before:
+            break
+        following = at - error * (at - last) / (error - before)
+        if following == at:
+            break
+        last, before, at = at, error, following
+        made = make(at)
+        error = made.advance - target
+    return made
+
+
+def chosen(wrap: Wrap, found: list[Pattern]) -> tuple[Pattern, Closing]:
+    """Return the pattern of a layer and what closes it.
+
+    The first of the table is taken; friction closes it where there is a dome, else a dwell.
+    """
+    pattern = found[0]
+    if wrap.layer.close is not None:
+        return pattern, wrap.layer.close
+    ways: tuple[Closing, ...] = ("friction", "dwell", "angle")
+    for way in ways:
+        if way in pattern.ways:
+            return pattern, way
+    raise AssertionError("a listed pattern closes in one way at least")
