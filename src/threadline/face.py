@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from threadline.commands.plan import Plan
     from threadline.files import Recording
     from threadline.files.formats import Written
-    from threadline.jobs.winding.laid import Laid
+    from threadline.jobs.winding.build_up import Laid
     from threadline.motion.shaping import Shaper
     from threadline.proof.pipeline import Proof
     from threadline.proof.recorded import Judged
@@ -618,7 +618,7 @@ def wind(job: PathLike) -> tuple[Laid, ...]:
     JobError
         If the file cannot be read, or a layer cannot be wound.
     """
-    from threadline.jobs.winding.laid import design
+    from threadline.jobs.winding.build_up import design
     from threadline.jobs.winding.layers import read_layers
 
     return design(read_layers(Path(job)))

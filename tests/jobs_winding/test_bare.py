@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.jobs_winding.test_sheet import BAND, MANDREL, run
 
-from threadline.jobs.winding.laid import design
+from threadline.jobs.winding.build_up import design
 from threadline.jobs.winding.layers import read_layers
 from threadline.jobs.winding.thickness import grown
 

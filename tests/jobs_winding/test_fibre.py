@@ -12,11 +12,12 @@ from tests.winding.cartesian import Quadric, cone, ellipsoid
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import JobError
+from threadline.jobs.winding.build_up import Laid, bridged, design
 from threadline.jobs.winding.circuit import Site, traced, turn_of
-from threadline.jobs.winding.closing import patterns, wrap_of
+from threadline.jobs.winding.closing_patterns import patterns
 from threadline.jobs.winding.eye_path import eye_path
-from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import read_layers
+from threadline.jobs.winding.on_mandrel import wrap_of
 from threadline.winding.shapes import ellipse
 from threadline.winding.surface import line, surface_of
 

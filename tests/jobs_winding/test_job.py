@@ -14,7 +14,7 @@ from threadline.base.arrays import FloatArray
 from threadline.errors import InputError, JobError, OptionError
 from threadline.jobs import own_product, read_job
 from threadline.jobs.operations import Job, Move, MoveRun
-from threadline.jobs.winding.laid import design
+from threadline.jobs.winding.build_up import design
 from threadline.jobs.winding.layers import read_layers
 from threadline.machine import load_machine
 from threadline.proof.options import options_of
@@ -52,7 +52,7 @@ def test_the_finished_program_lays_the_designed_fibre() -> None:
     assert first[0] > 0.0
     worst = 0.0
     for samples in programmed_fibre(plan, wound):
-        fibre = samples.fibre
+        (fibre,) = samples.fibres
         known = fibre.known & np.isfinite(fibre.u)
         if not known.any():
             continue
@@ -101,7 +101,7 @@ def test_other_eyes_lay_the_same_fibre(name: str) -> None:
     assert wound is not None
     known = 0
     for samples in programmed_fibre(plan, wound):
-        fibre = samples.fibre
+        (fibre,) = samples.fibres
         assert np.nanmax(np.abs(fibre.steer), initial=0.0) < 0.1
         known += int(fibre.known.sum())
         if known > 5000:
@@ -191,10 +191,10 @@ SMALL = SMALL.replace("6 mm", "8 mm")
 @pytest.mark.parametrize(
     ("layer", "said"),
     [
-        ("circuits = 1\n", r"no pattern with 1 circuits fits .* circuits = \d+, shift = \d+, "),
+        ("circuits = 1\n", r"no pattern with 1 circuits closes\. .*circuits = \d+, shift = \d+, "),
         (
             "circuits = 38\nshift = 4\n",
-            r"circuits and shift 4 fits .* closes: circuits = 38, shift",
+            r"circuits and shift 4 closes\. .* closes: circuits = 38, shift",
         ),
         ('[fibre]\nenvelope = "0.001 mm"\n', r"an envelope of 0.001 mm: 1 to 1000 mm. .*leave it"),
         ('[fibre]\nenvelope = "5 m"\n', "an envelope of 5000 mm: 1 to 1000 mm"),
@@ -245,7 +245,7 @@ def test_a_join_with_too_little_friction_says_how_much_would_do(tmp_path: Path) 
         ends = '[mandrel]\nat = "-300 mm"\n[coverage]\nbegin = "290 mm"\nend = "310 mm"\n'
         return f'{ends}{tube}[[layer]]\nangle = "70 deg"\n[[layer]]\nangle = "50 deg"\n'
 
-    with pytest.raises(JobError, match=r"cannot change from 70\.0 deg to 50\.0") as caught:
+    with pytest.raises(JobError, match=r"cannot change from 70\.0 deg to 50\.0 deg") as caught:
         read_job(_written(tmp_path, text(0.2)), WINDER)
     found = re.search(r"A friction of ([\d.]+) would do", caught.value.remedy)
     assert found is not None and float(found[1]) > 0.2

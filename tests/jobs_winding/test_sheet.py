@@ -11,7 +11,7 @@ import pytest
 from threadline.cli.main import main
 from threadline.errors import JobError
 from threadline.jobs import own_product
-from threadline.jobs.winding.laid import Laid, design
+from threadline.jobs.winding.build_up import Laid, design
 from threadline.jobs.winding.layers import Winding, read_layers
 from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate
 from threadline.machine import load_machine
@@ -170,7 +170,12 @@ def test_thickness_and_tex_give_the_fibre_volume(tmp_path: Path) -> None:
         ('"9 N"', '"0 N"', "tension must be above 0", 37),
         ('"9 N"', '"9 kg"', "tension: ", 37),
         ("60 EUR/h", "60", "hour = '60' is no rate", 30),
-        ("60 EUR/h", "60 USD/h", "prices in EUR and USD cannot be added", 0),
+        ("60 EUR/h", "60 USD/h", "prices in EUR and USD cannot be added", 30),
+        (
+            '[cost]\nhour = "60 EUR/h"', '[[material]]\nname = "m"\nlike = "e-glass"\nprice = '
+            '"2 USD/kg exact, assumed"\n[[layer]]\nturn = "30 mm"\nmaterial = "m/epoxy"',
+            "prices in EUR and USD", 32,
+        ),
         ("hour =", "hours =", "unknown key 'hours'", 30),
         ("[cost]", '[[material]]\nname = "e-glass"\nlike = "t300"\n[cost]', "already", 30),
         ("[cost]", '[[material]]\nname = "mine"\nlike = "e-glas"\n[cost]', "no material 'e-g", 31),

@@ -14,8 +14,8 @@ from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.errors import OptionError
 from threadline.jobs.winding.bare import bare_of, write_meridian
-from threadline.jobs.winding.closing import Pattern
-from threadline.jobs.winding.laid import Laid, bridged, design
+from threadline.jobs.winding.build_up import Laid, bridged, design
+from threadline.jobs.winding.closing_patterns import Pattern
 from threadline.jobs.winding.layers import Winding, read_layers
 from threadline.jobs.winding.rings import rings_of
 from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate

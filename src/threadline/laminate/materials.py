@@ -124,6 +124,12 @@ class Composite:
         )  # fmt: skip
         return ply_of(fibre, (self.resin["modulus"], self.resin["poisson"]), fibre_volume)
 
+    @property
+    def prices(self) -> tuple[Price, ...]:
+        """Known prices of its materials."""
+        every = (self.prepreg,) if self.prepreg is not None else (self.fibre, self.resin)
+        return tuple(one.price for one in every if one is not None and one.price is not None)
+
     def cost(self, fibre_kg: float, resin_kg: float) -> Price | None:
         """Return the whole cost of fibre and resin as the ``per_kg`` of a price; None: unknown."""
         if self.prepreg is not None:

@@ -9,8 +9,8 @@ import numpy as np
 
 from threadline.commands.plan import Plan
 from threadline.files import tick_table
+from threadline.jobs.winding.build_up import Laid, design
 from threadline.jobs.winding.job import is_winding
-from threadline.jobs.winding.laid import Laid, design
 from threadline.jobs.winding.layers import Winding, layers_of_text
 from threadline.jobs.winding.sheet import Sheet, sheet_of, sheet_warnings, wound_laminate
 from threadline.report.document import Document, Table, origin_facts

@@ -11,7 +11,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.base.writing import staged_file
 from threadline.errors import JobError, Place
-from threadline.jobs.winding.laid import Laid, design
+from threadline.jobs.winding.build_up import Laid, design
 from threadline.jobs.winding.layers import Winding
 from threadline.jobs.winding.thickness import grown
 from threadline.winding.shapes import table

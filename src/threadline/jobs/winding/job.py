@@ -26,10 +26,10 @@ from threadline.jobs.operations import (
     OperationStream,
     Source,
 )
+from threadline.jobs.winding.build_up import Laid, bridged, design
 from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, positions
 from threadline.jobs.winding.joins import Join, join
-from threadline.jobs.winding.laid import Laid, bridged, design
 from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding, read_layers
 from threadline.machine import Machine
 from threadline.machine.tool import Tool

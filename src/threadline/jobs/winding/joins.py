@@ -12,8 +12,8 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import JobError, Place
+from threadline.jobs.winding.build_up import Laid
 from threadline.jobs.winding.circuit import Site, Turn, traced, turn_of
-from threadline.jobs.winding.laid import Laid
 from threadline.jobs.winding.layers import MARGIN
 from threadline.winding.surface import Surface
 

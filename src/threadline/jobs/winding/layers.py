@@ -200,6 +200,7 @@ class _LayerReader(ProductReader):
             found[key] = self.number(fibre, key, unit, None).si if key in fibre else None
             if key in fibre and not (found[key] or 0.0) > 0.0:
                 self.refuse(key, f"{key} must be above 0", 'Like "30 mm", "200 mm/s".')
+        hour = self._hour(content, layers)
         envelope = found["envelope"]
         if envelope is not None and not _ENVELOPES_M[0] <= envelope <= _ENVELOPES_M[1]:
             low, high = (1e3 * one for one in _ENVELOPES_M)
@@ -210,18 +211,34 @@ class _LayerReader(ProductReader):
             )  # fmt: skip
         return Winding(
             path, text, product, tuple(layers), found["envelope"], found["speed"],
-            found["tolerance"] or 2e-5, self._hour(content),
+            found["tolerance"] or 2e-5, hour,
         )  # fmt: skip
 
-    def _hour(self, content: Mapping[str, Any]) -> HourlyRate | None:
+    def _hour(self, content: Mapping[str, Any], layers: Sequence[Layer]) -> HourlyRate | None:
+        """Return what an hour of the machine costs, in the currency of the materials."""
         cost = self.table_of(content, "cost")
-        text = cost.get("hour")
-        if text is None:
-            return None
-        match = _HOUR.fullmatch(text) if isinstance(text, str) else None
-        if match is None:
-            self.refuse("hour", f"hour = {str(text)[:40]!r} is no rate", 'Like hour = "60 EUR/h".')
-        return HourlyRate(float(match[1]), match[2])
+        text, rate = cost.get("hour"), None
+        if text is not None:
+            match = _HOUR.fullmatch(text) if isinstance(text, str) else None
+            if match is None:
+                self.refuse(
+                    "hour", f"hour = {str(text)[:40]!r} is no rate", 'Like hour = "60 EUR/h".'
+                )  # fmt: skip
+            rate = HourlyRate(float(match[1]), match[2])
+        composites = (layer.band.composite for layer in layers)
+        currencies = {price.currency for one in composites if one for price in one.prices}
+        if rate is not None:
+            currencies.add(rate.currency)
+        if len(currencies) > 1:
+            if rate is None:  # then a material of the file has another currency
+                self.table, self.index = "material", 0
+            self.refuse(
+                "price" if rate is None else "hour",
+                f"prices in {' and '.join(sorted(currencies))} cannot be added",
+                'Write all in one currency: [[material]] with like = "e-glass" and price, and '
+                "[cost] hour.",
+            )
+        return rate
 
     def _tensions(
         self, rows: Sequence[Mapping[str, Any]], fibre: Mapping[str, Any]

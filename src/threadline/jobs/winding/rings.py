@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import JobError, Place
-from threadline.jobs.winding.laid import Laid
+from threadline.jobs.winding.build_up import Laid
 from threadline.laminate.deck import DeckPly, Rings
 from threadline.laminate.theory import Ply
 

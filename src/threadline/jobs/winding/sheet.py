@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from threadline.errors import JobError, Place
-from threadline.jobs.winding.laid import Laid
+from threadline.errors import Place
+from threadline.jobs.winding.build_up import Laid
 from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding
 from threadline.laminate.theory import (
     Laminate,
@@ -144,11 +144,6 @@ def sheet_of(
     seconds
         Time of every layer by its number, s, from a plan; None: length over the speed of
         the fibre.
-
-    Raises
-    ------
-    JobError
-        If prices and the rate of the machine are in different currencies.
     """
     speed = winding.speed_m_s or USUAL_SPEED_M_S
     found, currencies, unpriced = [], [], False
@@ -183,13 +178,6 @@ def sheet_of(
                 layer.tension_n, share, length, fibre, resin, time_s, cost,
             )
         )  # fmt: skip
-    if len(set(currencies)) > 1:
-        raise JobError(
-            f"prices in {' and '.join(sorted(set(currencies)))} cannot be added",
-            place=Place(str(winding.path)),
-            remedy='Write the prices in one currency: [[material]] with like = "e-glass" and '
-            "price, and [cost] hour.",
-        )
     parts = [] if unpriced else ["material"]
     parts += [] if winding.hour is None else ["machine time"]
     return Sheet(

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from threadline.errors import JobError, Place
 from threadline.jobs.winding.circuit import Circuit
-from threadline.jobs.winding.closing import (
-    Pattern,
-    Wrap,
-    chosen,
-    closed_circuit,
-    patterns,
-    wrap_of,
-)
+from threadline.jobs.winding.closing_patterns import Pattern, chosen, closed_circuit, patterns
 from threadline.jobs.winding.layers import Closing, Layer, Winding
+from threadline.jobs.winding.on_mandrel import Wrap, wrap_of
 from threadline.jobs.winding.thickness import Thickness, grown, hoops, thickness
 
 _HOLLOW = 1e-6  # of 1 / r, of a curvature that points outwards
@@ -168,8 +161,3 @@ def bridged(laid: Laid) -> str | None:
         f"{place}: the fibre bridges the hollow of the mandrel at {begin:.4g} to {end:.4g} mm. "
         "An angle nearer to 90 deg lies closer; threadline prove tells the height."
     )
-
-
-def degrees(angle: float) -> str:
-    """Return an angle in degrees with four digits behind the point."""
-    return f"{math.degrees(angle):.4f} deg"

@@ -15,16 +15,9 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import JobError
-from threadline.jobs.winding.circuit import (
-    LEVEL,
-    ROUGH_LEVEL,
-    Circuit,
-    Site,
-    circuit_of,
-    widest,
-)
-from threadline.jobs.winding.layers import MARGIN, Closing, Layer, Winding
-from threadline.winding.surface import Surface
+from threadline.jobs.winding.circuit import Circuit
+from threadline.jobs.winding.layers import MARGIN, Closing, Layer
+from threadline.jobs.winding.on_mandrel import Wrap
 
 _TURN = 2.0 * math.pi
 _SAMPLES = 9  # angles between which the table interpolates
@@ -33,11 +26,8 @@ _MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
 _MOST_SHOWN = 1000
 _FARTHEST = 200  # circuits from the asked number, in search of a pattern that closes
 _FLAT = 1e-12
-_BETWEEN = 1025  # places between begin and end
 _ROUNDS = 40
 _CLOSED = 1e-13  # rad
-_HOOP_ROWS = 100
-_NEAR_BANDS = 3.0  # of a turn, within which a boss or pins hold a dwell
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,253 +80,6 @@ class Pattern:
         return tuple(found)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Wrap:
-    """A layer on its surface, before its pattern is chosen.
-
-    Parameters
-    ----------
-    base
-        The circuit without anything that closes a pattern.
-    sites
-        Where it turns, left and right.
-    least_m
-        Radius below which the band's centre must not turn on a dome: opening and half a band.
-    width_m
-        Of the band.
-    friction
-        Largest friction ratio.
-    """
-
-    winding: Winding
-    layer: Layer
-    surface: Surface
-    sites: tuple[Site, Site]
-    base: Circuit
-    least_m: float
-    width_m: float
-    friction: float
-
-    @property
-    def name(self) -> str:
-        """Of the layer, before a message."""
-        return f"layer {self.layer.number}: "
-
-    @property
-    def domes(self) -> bool:
-        """Whether the fibre turns by Clairaut at one end at least."""
-        return any(site.dome for site in self.sites)
-
-    def circuit(
-        self, ratio: float = 0.0, constant_m: float | None = None, dwell: float = 0.0
-    ) -> Circuit:
-        """Return a circuit with a friction ratio on its domes, a Clairaut radius and dwells.
-
-        A positive ``ratio`` steers towards the pole: the fibre turns later and further round.
-        """
-        constant = self.base.constant_m if constant_m is None else constant_m
-        ratios = tuple(-ratio if site.dome else self.friction for site in self.sites)
-        made = circuit_of(self.surface, self.sites, constant, (ratios[0], ratios[1]), self.name)
-        if dwell == 0.0:
-            return made
-        can = [self.can_dwell(made, site) for site in self.sites]
-        share = dwell / sum(can)
-        return replace(
-            made,
-            left=replace(made.left, dwell=share if can[0] else 0.0),
-            right=replace(made.right, dwell=share if can[1] else 0.0),
-        )
-
-    def slip_at(self, circuit: Circuit, site: Site) -> float:
-        """Return the slip tendency of a dwell on the parallel where a circuit turns."""
-        turn = circuit.right if site.side > 0 else circuit.left
-        x, r = self.surface.at(turn.rows[-1:, 1])
-        return abs(float(r[0, 1] / x[0, 1]))
-
-    def can_dwell(self, circuit: Circuit, site: Site) -> bool:
-        """Return whether a dwell holds: by friction, or by a boss or pins beside the turn."""
-        if self.slip_at(circuit, site) <= self.friction:
-            return True
-        turn = circuit.right if site.side > 0 else circuit.left
-        at = float(self.surface.at(turn.rows[-1:, 1])[0][0, 0])
-        near = _NEAR_BANDS * self.width_m
-        return any(
-            ring.name.startswith("the boss") or ring.name.startswith("the pins")
-            for ring in self.winding.product.rings
-            if min(abs(ring.begin_m - at), abs(ring.end_m - at)) <= near
-            or ring.begin_m <= at <= ring.end_m
-        )
-
-
-def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
-    """Return a helical layer on the surface that it is wound on.
-
-    Raises
-    ------
-    JobError
-        If the layer cannot be wound there.
-    """
-    product, width = winding.product, winding.product.width.si
-    level = LEVEL if surface is product.surface else ROUGH_LEVEL
-    most, first, last = widest(surface, level)
-    if layer.kind == "hoop":
-        return _hoops(winding, layer, surface)
-    begin, end = _full(winding, layer)
-    if surface is not product.surface and begin is not None and end is not None:
-        most, first, last = _between(surface, (begin, end), (most, first, last))
-    bottoms = [_least(surface, first, -1), _least(surface, last, 1)]
-    rims = [_rim(surface, side, width, winding.friction) for side in (-1, 1)]
-    narrow = [low < 0.95 * most for low in bottoms]
-    domes_m = [rim.band_m for rim, one in zip(rims, narrow, strict=True) if one and rim.steep]
-    if layer.turn_m is not None:
-        constant = layer.turn_m
-    elif layer.angle is not None:
-        constant = most * math.sin(layer.angle)
-    elif domes_m and len(domes_m) == sum(narrow):
-        constant = max(domes_m)
-    else:
-        winding.refuse(layer, "the mandrel has no dome that gives an angle", 'angle = "55 deg"')
-    turned = [rim for rim, one in zip(rims, narrow, strict=True) if one and rim.end_m < constant]
-    least = max((rim.band_m for rim in turned), default=0.0)
-    if constant >= most * math.cos(math.radians(0.5)):
-        winding.refuse(
-            layer, f"a turn at {1e3 * constant:.4g} mm leaves no angle on a mandrel of "
-            f"{1e3 * most:.4g} mm", "Give a smaller turn, or a hoop layer.",
-        )  # fmt: skip
-    wanted = max([min(domes_m, default=0.0), *(rim.band_m for rim in turned)])
-    if constant < wanted - 1e-9:
-        winding.refuse(
-            layer,
-            f"a turn at {1e3 * constant:.4g} mm: the opening and half a band are "
-            f"{1e3 * wanted:.4g} mm",
-            "Give a larger turn or angle, or a narrower band.",
-        )
-    sites = []
-    for side, low, joint, at in ((-1, bottoms[0], first, begin), (1, bottoms[1], last, end)):
-        dome = low < constant
-        if not dome and at is None:
-            winding.refuse(
-                layer,
-                f"the fibre turns by friction at the {'left' if side < 0 else 'right'} end, and "
-                "nothing says from where on",
-                "Give [coverage] begin and end, or begin and end of the layer.",
-            )
-        place = joint if dome else float(surface.place_of(np.array([at]))[0])
-        sites.append(Site(side, place, dome))
-    # On a cone the widest place lies beyond what is covered.
-    if sites[0].dome and not sites[1].dome:
-        sites[0] = replace(sites[0], joint=min(sites[0].joint, sites[1].joint))
-    if sites[1].dome and not sites[0].dome:
-        sites[1] = replace(sites[1], joint=max(sites[1].joint, sites[0].joint))
-    if not sites[0].joint <= sites[1].joint:
-        winding.refuse(
-            layer,
-            "begin is not left of end",
-            "Give begin a smaller place along the mandrel than end.",
-        )
-    both = (sites[0], sites[1])
-    ratios = tuple(0.0 if site.dome else winding.friction for site in both)
-    name = f"layer {layer.number}: "
-    try:
-        base = circuit_of(surface, both, constant, (ratios[0], ratios[1]), name)
-    except JobError as error:
-        winding.refuse(layer, error.message, error.remedy)
-    return Wrap(winding, layer, surface, both, base, least, width, winding.friction)
-
-
-def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
-    """Return a hoop layer: one band further on in every turn, where the mandrel is widest."""
-    most, first, last = widest(surface, ROUGH_LEVEL)
-    width, friction = winding.product.width.si, winding.friction
-    covered = winding.product.covered or (-math.inf, math.inf)
-    ends = surface.at(np.array([first, last]))[0][:, 0]
-    begin = max(layer.begin_m if layer.begin_m is not None else covered[0], float(ends[0]))
-    end = min(layer.end_m if layer.end_m is not None else covered[1], float(ends[1]))
-    angle = math.atan(_TURN * most / width)
-    # The turn needs a little room, on the cylinder as well.
-    room = 1.5 * most / friction * (1.0 / math.sin(angle) - 1.0)
-    begin, end = begin + room, end - room
-    if not end - begin > width:
-        winding.refuse(
-            layer, "no cylinder is left for a hoop layer",
-            "Hoops lie where the mandrel is widest: give a cylinder, or begin and end on it.",
-        )  # fmt: skip
-    places = surface.place_of(np.array([begin, end]))
-    sites = Site(-1, float(places[0]), False), Site(1, float(places[1]), False)
-    base = circuit_of(
-        surface, sites, most * math.sin(angle), (friction, friction), f"layer {layer.number}: "
-    )
-    # Straight in u and angle round: a row in every radian or so is enough.
-    rows = base.middle
-    base = replace(base, middle=np.vstack([rows[:-1:_HOOP_ROWS], rows[-1:]]))
-    return Wrap(winding, layer, surface, sites, base, 0.0, width, friction)
-
-
-def _full(winding: Winding, layer: Layer) -> tuple[float | None, float | None]:
-    """Return the places between which a layer has its full angle, m; None where none is given."""
-    covered = winding.product.covered or (None, None)
-    return (
-        covered[0] if layer.begin_m is None else layer.begin_m,
-        covered[1] if layer.end_m is None else layer.end_m,
-    )
-
-
-def _between(
-    surface: Surface, ends_m: tuple[float, float], whole: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    """Return what ``widest`` returns, between two places, if the rest of the mandrel is wider.
-
-    Where the layers below turned on an open end, they stand higher than the product.
-    """
-    places = surface.place_of(np.array(ends_m))
-    between = np.linspace(float(places[0]), float(places[1]), _BETWEEN)
-    radii = surface.at(between)[1][:, 0]
-    most = float(radii.max())
-    if most >= whole[0] * (1.0 - ROUGH_LEVEL):
-        return whole
-    wide = between[radii >= most * (1.0 - ROUGH_LEVEL)]
-    return most, float(wide[0]), float(wide[-1])
-
-
-@dataclass(frozen=True, slots=True)
-class _Rim:
-    """An end of the mandrel.
-
-    Parameters
-    ----------
-    end_m
-        Radius there.
-    band_m
-        Smallest radius at which a band has room: its centre is half a band from the end.
-    steep
-        Whether the end is a dome: no friction holds a parallel there.
-    """
-
-    end_m: float
-    band_m: float
-    steep: bool
-
-
-def _rim(surface: Surface, side: int, width_m: float, friction: float) -> _Rim:
-    """Return the right (``side`` 1) or the left end of a mandrel.
-
-    On a dome half a band counts in radius, as where the meridian is square to the axis; on a cone
-    it counts along the meridian.
-    """
-    end = surface.length_m if side > 0 else 0.0
-    inside = min(max(end - side * 0.5 * width_m, 0.0), surface.length_m)
-    x, r = surface.at(np.array([end, inside]))
-    steep = bool(abs(r[0, 1]) > friction * abs(x[0, 1]))
-    radius = float(r[0, 0])
-    return _Rim(radius, radius + 0.5 * width_m if steep else float(r[1, 0]), steep)
-
-
-def _least(surface: Surface, begin: float, side: int) -> float:
-    """Return the smallest radius from a place to an end."""
-    end = surface.length_m if side > 0 else 0.0
-    return float(surface.at(np.linspace(begin, end, 513))[1][:, 0].min())
-
-
 def patterns(wrap: Wrap) -> list[Pattern]:
     """Return the patterns that close with the wanted coverage, the nearest to the geodesic first.
 
@@ -366,9 +109,7 @@ def patterns(wrap: Wrap) -> list[Pattern]:
     by_dwell = layer.close == "dwell" or not wrap.domes
     closed.sort(key=lambda one: (one.dwell if by_dwell else abs(one.off), one.circuits))
     if not closed:
-        wrap.winding.refuse(
-            layer, f"no pattern {_asked(layer)}fits this mandrel", _remedy(closing, counts)
-        )
+        wrap.winding.refuse(layer, f"no pattern {_asked(layer)}", _remedy(closing, counts))
     return closed
 
 
@@ -423,11 +164,11 @@ class _Ways:
 
 
 def _asked(layer: Layer) -> str:
-    """Return the words for the patterns that a layer asks for."""
-    found = "of this layer " if layer.circuits is None else f"with {layer.circuits} circuits "
+    """Return the words for the patterns that a layer asks for, and how they should close."""
+    found = "of this layer" if layer.circuits is None else f"with {layer.circuits} circuits"
     if layer.shift is not None:
-        found += f"and shift {layer.shift} "
-    return found + (f"closed by {layer.close} " if layer.close else "")
+        found += f" and shift {layer.shift}"
+    return found + " closes" + (f" by {layer.close}" if layer.close else "")
 
 
 def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
