@@ -364,6 +364,8 @@ class Reading:
         Dialect of the program.
     dropped
         Letters whose words are read and left out.
+    wrapped
+        Axes whose absolute angles count within one turn, with the direction as their sign.
     """
 
     file: str
@@ -372,6 +374,7 @@ class Reading:
     names: tuple[str, ...]
     dialect: Dialect
     dropped: frozenset[str] = frozenset()
+    wrapped: frozenset[int] = frozenset()
 
 
 def dialect_of(machine: Machine, name: str | None) -> str:
