@@ -52,7 +52,8 @@ from threadline.verdict.replayed import (
 )
 from threadline.winding.clearance import Clearance
 from threadline.winding.fit import fitting_radius
-from threadline.winding.product import Product, Toleranced, product_of_text, product_text
+from threadline.winding.product import Product, product_of_text, product_text
+from threadline.winding.product_parts import Toleranced
 from threadline.winding.raster import Gap, Raster
 from threadline.winding.replay import Replay
 

@@ -17,7 +17,7 @@ from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
 from threadline.verdict.fibre import Closing
 from threadline.verdict.replayed import WoundJob, programmed_fibre, wound_job
-from threadline.winding.product import Toleranced
+from threadline.winding.product_parts import Toleranced
 
 _ALIKE = 0.25  # of the band: gaps that differ by less are alike
 _SMALL = 0.05  # of the band: a gap below this, a cell of the raster, is none

@@ -5,60 +5,28 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.reading import read_text, within_folder
-from threadline.base.wording import nearest, toml_fault
-from threadline.errors import JobError, Place, UnitError
-from threadline.units import parse_quantity
-from threadline.winding.meridians import (
-    MAX_BYTES,
-    read_points,
-    read_section,
-    shifted,
-    stretches_of,
-)
+from threadline.base.wording import toml_fault
+from threadline.errors import JobError, Place
+from threadline.winding.meridians import MAX_BYTES, read_points, read_section
 from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
-from threadline.winding.shapes import ellipse, isotensoid, nose, table
-from threadline.winding.surface import Stretch, Surface, line, surface_of
+from threadline.winding.product_parts import TABLES, MandrelReader, Toleranced
+from threadline.winding.surface import Surface
 
 _MOST_FRICTION = 1.0
-_FARTHEST = 1e4  # m, and tex
-_LEAST_M = 1e-6  # of every size of a part: less is no part
-_NOT_NEGATIVE = ("thickness", "tex", "take_up", "clearance", "gap")
-_TABLES: Mapping[str, tuple[str, ...]] = {
-    "": ("name", "mandrel", "part", "boss", "pin", "band", "friction", "fibre", "coverage"),
-    "mandrel": ("at", "radius_error", "edge", "shaft", "slip"),
-    "boss": ("at", "length", "radius"),
-    "pin": ("at", "radius", "diameter"),
-    "band": ("width", "thickness", "tex"),
-    "friction": ("value",),
-    "fibre": ("tied", "take_up", "clearance", "envelope", "speed", "tolerance"),
-    "coverage": ("begin", "end", "gap"),
-}
-_PARTS: Mapping[str, tuple[str, ...]] = {
-    "cylinder": ("radius", "length"),
-    "cone": ("radius", "end_radius", "length"),
-    "hemisphere": ("radius", "opening", "pole"),
-    "ellipsoid": ("radius", "height", "opening", "pole"),
-    "isotensoid": ("radius", "opening", "pole"),
-    "nose": ("radius", "height", "opening", "pole"),
-    "table": ("file", "layer"),
-}
-_LISTS = ("part", "boss", "pin", "layer")
 _ENDLESS_M = 100.0
 _TURN = 2.0 * math.pi
 _EXAMPLE = '[[part]] kind = "cylinder", radius = "50 mm", length = "200 mm"'
-_NUMBER = re.compile(r"(?P<value>.+?)(?:\s*(?:\+-|\+/-|±)\s*(?P<tolerance>.+))?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +37,6 @@ class Ring:
     begin_m: float
     end_m: float
     radius_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Toleranced:
-    """A number in SI with the half width of its tolerance."""
-
-    si: float
-    tolerance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -210,42 +170,14 @@ def product_of_text(text: str) -> Product:
     return ProductReader(file, "", text).product(content)
 
 
-@dataclass(slots=True)
-class ProductReader:
-    """Reads the content of a product file; knows the line of each key while the file is there."""
-
-    file: str
-    written: str
-    text: str = ""
-    table: str = ""
-    index: int = -1
-    lengths: dict[str, float] = field(default_factory=dict)
-
-    def refuse(self, key: str, message: str, remedy: str) -> NoReturn:
-        """Raise a ``JobError`` at the line of a key."""
-        raise JobError(message, place=Place(self.file, self._line(key)), remedy=remedy)
-
-    def _line(self, key: str) -> int:
-        """Return the line of a key in the present table, of the table without it, or 0."""
-        table, header, count = "", 0, dict.fromkeys(_LISTS, -1)
-        for number, row in enumerate(self.written.splitlines(), start=1):
-            opened = re.match(r"\s*\[\[?\s*([A-Za-z_]+)\s*\]", row)
-            if opened:
-                table = opened[1]
-                if table in count:
-                    count[table] += 1
-            here = table == self.table and (table not in _LISTS or count[table] == self.index)
-            if here and opened:
-                header = number
-            if here and re.match(rf"\s*{re.escape(key)}\s*=", row):
-                return number
-        return header
+class ProductReader(MandrelReader):
+    """Reads the content of a product file."""
 
     def product(self, content: Any) -> Product:
         """Return the product of the content of a file."""
         if not isinstance(content, dict):
             self.refuse("", "a product is a table", _EXAMPLE)
-        self._known(content, (*_TABLES[""], "layer"))
+        self._known(content, (*TABLES[""], "layer"))
         name = content.get("name", Path(self.file).name.removesuffix(".wind.toml"))
         if not isinstance(name, str):
             self.refuse("name", "name must be a text", 'Write name = "vessel".')
@@ -346,7 +278,7 @@ class ProductReader:
             if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
                 self.refuse(name, f"{name} must be a list of tables", f"Write [[{name}]].")
             for self.index, row in enumerate(rows):
-                self._known(row, _TABLES[name])
+                self._known(row, TABLES[name])
                 at = self._number(row, "at", "m", None).si
                 radius = self._number(row, "radius", "m", None).si
                 long = self._number(row, size, "m", None).si
@@ -358,138 +290,6 @@ class ProductReader:
                 found.append(Ring(words, begin, begin + long, radius))
         self.index = -1
         return tuple(found)
-
-    def _known(self, content: Mapping[str, Any], keys: Sequence[str]) -> None:
-        for key in content:
-            if key not in keys:
-                self.refuse(key, f"unknown key {key[:60]!r}", nearest(key, keys))
-
-    def _table(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-        self.table = name
-        found = content.get(name, {})
-        if not isinstance(found, dict):
-            self.table = ""
-            self.refuse(name, f"{name} must be a table", f"Write [{name}].")
-        self._known(found, _TABLES[name])
-        return found
-
-    def _number(
-        self, content: Mapping[str, Any], key: str, unit: str, default: str | None
-    ) -> Toleranced:
-        text = content.get(key, default)
-        like = f'Write {key} = "{"0.25 +- 0.05" if not unit else "5 mm +- 0.3 mm"}".'
-        if text is None:
-            self.refuse(key, f"{self.table}.{key} is missing", like)
-        if not unit and isinstance(text, int | float) and not isinstance(text, bool):
-            text = repr(text)
-        if not isinstance(text, str):
-            self.refuse(key, f"{key} = {str(text)[:60]!r} is not a quantity", like)
-        match = _NUMBER.fullmatch(text.strip())
-        try:
-            if match is None:
-                raise UnitError("there is no number")
-            value = parse_quantity(match["value"].strip(), unit)
-            spread = (match["tolerance"] or "").strip()
-            if spread.endswith("%"):
-                around = abs(value) * parse_quantity(spread, "")
-            else:
-                around = parse_quantity(spread, unit) if spread else 0.0
-        except UnitError as error:
-            self.refuse(key, f"{key}: {error.message}", like)
-        if abs(value) > _FARTHEST or not 0.0 <= around <= _FARTHEST:
-            self.refuse(key, f"{key} = {text[:60]!r} is out of reach", like)
-        if value < 0.0 and key in _NOT_NEGATIVE:
-            self.refuse(key, f"{key} = {text[:60]!r} is below 0", like)
-        return Toleranced(value, around)
-
-    def _surface(self, parts: Sequence[Mapping[str, Any]], edge: float) -> Surface:
-        chain: list[Stretch] = []
-        for index, part in enumerate(parts):
-            self.index = index
-            held = next((key for key in ("points", "section") if key in part), None)
-            kind = part.get("kind", "table" if held else None)
-            if not isinstance(kind, str) or kind not in _PARTS:
-                self.refuse("kind", f"a part of the kind {kind!r}"[:80], nearest(str(kind), _PARTS))
-            own = (held,) if kind == "table" and held else _PARTS[kind]
-            self._known(part, ("kind", *own))
-            x = 0.0 if not chain else float(chain[-1].x[-1, 0])
-            made = self._part(kind, part, x)
-            if chain:
-                before, after = float(chain[-1].r[-1, 0]), float(made[0].r[0, 0])
-                if abs(before - after) > 1e-6:
-                    self.refuse(
-                        "radius",
-                        f"the mandrel is open at x = {1e3 * x:.6g} mm: a part ends with radius "
-                        f"{1e3 * before:.6g} mm, and the next begins with {1e3 * after:.6g} mm",
-                        "Let each part begin with the radius at which the one before it ends.",
-                    )
-            chain += made
-        self.index = len(parts) - 1
-        return surface_of(chain, edge, self.file)
-
-    def _part(self, kind: str, part: Mapping[str, Any], x: float) -> list[Stretch]:
-        if kind == "table" and "section" in part:
-            stretches = stretches_of(part["section"])
-            if stretches is None:
-                self.refuse("section", "the section of this product is damaged", "Read it again.")
-            return shifted(stretches, x)
-        if kind == "table":
-            points = self._table_points(part.get("points"))
-            points[:, 0] += x - points[0, 0]
-            return table(points)
-        sizes = {}
-        for key in _PARTS[kind]:
-            if key == "pole":
-                continue
-            sizes[key] = self._number(part, key, "m", None).si
-            if sizes[key] < _LEAST_M:
-                self.refuse(
-                    key,
-                    f"{key} = {1e3 * sizes[key]:g} mm: the mandrel would reach its axis"
-                    if "radius" in key or key == "opening"
-                    else f"{key} = {1e3 * sizes[key]:g} mm, the least is {1e3 * _LEAST_M:g} mm",
-                    f'Write {key} = "50 mm".',
-                )
-        radius = sizes["radius"]
-        if kind == "cylinder":
-            return [line(x, radius, x + sizes["length"], radius)]
-        if kind == "cone":
-            return [line(x, radius, x + sizes["length"], sizes["end_radius"])]
-        pole = part.get("pole")
-        if pole not in ("left", "right"):
-            self.refuse("pole", f"pole = {pole!r}", 'Write pole = "left" or pole = "right".')
-        left, opening = pole == "left", sizes["opening"]
-        most = radius / math.sqrt(1.5) if kind == "isotensoid" else radius
-        if opening >= 0.999 * most:
-            self.refuse(
-                "opening",
-                f"the opening of {1e3 * opening:g} mm is too large for a radius of "
-                f"{1e3 * radius:g} mm",
-                f"It must be below {1e3 * most:.4g} mm.",
-            )
-        height = sizes.get("height", radius)
-        # With the pole on the left the equator comes last: shift the part to begin at x.
-        shift = 0.0
-        for _ in range(2):
-            if kind == "isotensoid":
-                made = isotensoid(x - shift, radius, opening, left=left)
-            elif kind == "nose":
-                made = nose(x - shift, radius, height, opening, left=left)
-            else:
-                made = [ellipse(x - shift, radius, height, opening, left=left)]
-            shift = float(made[0].x[0, 0]) - x
-        return made
-
-    def _table_points(self, points: Any) -> FloatArray:
-        try:
-            found = np.array(points, dtype=np.float64)
-        except (TypeError, ValueError):
-            found = np.empty(0)
-        if found.ndim != 2 or found.shape[1:] != (2,) or len(found) < 2:
-            self.refuse("file", "a table needs a file", 'Write file = "meridian.csv".')
-        if not (np.isfinite(found).all() and (np.diff(found[:, 0]) > 0.0).all()):
-            self.refuse("file", "the points of a meridian must go from left to right", "Sort them.")
-        return found
 
 
 def _within(ends: FloatArray) -> str:
