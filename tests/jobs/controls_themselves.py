@@ -112,15 +112,18 @@ def run(program: Path, programs: Sequence[Sequence[str]]) -> list[Told]:
     return told
 
 
-def interpreted(rs274: str, program: Path, timeout_s: float = 60.0) -> str:
+def interpreted(
+    rs274: str, program: Path, timeout_s: float = 60.0, settings: Path | None = None
+) -> str:
     """Return what LinuxCNC's interpreter says of a program: its calls, or its refusal.
 
     Now and then it dies of SIGBUS while other processes of LinuxCNC share its memory; it is asked
     again.
     """
+    given = [] if settings is None else ["-i", str(settings)]
     for _ in range(_TRIES):
         done = subprocess.run(
-            [rs274, "-g", program.name], cwd=program.parent, capture_output=True, text=True,
+            [rs274, "-g", *given, program.name], cwd=program.parent, capture_output=True, text=True,
             timeout=timeout_s, check=False,
         )  # fmt: skip
         if done.returncode >= 0:

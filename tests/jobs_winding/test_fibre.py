@@ -43,7 +43,7 @@ tex = 1200
 [friction]
 value = "0.25 +- 0.05"
 """
-"""The vessel of the issue: the centre of its band turns at a radius of 20 mm."""
+"""A vessel: the centre of its band turns at a radius of 20 mm."""
 
 
 def laid(folder: Path, text: str) -> tuple[Laid, ...]:
@@ -136,7 +136,7 @@ def _cartesian(
 
 @pytest.mark.parametrize("ratio", [0.0, -0.05, 0.15])
 def test_a_turn_on_an_ellipsoid_is_the_cartesian_one(ratio: float) -> None:
-    """Bar of the issue: 1e-6 rad."""
+    """Within 1e-6 rad."""
     height, radius, angle = 0.06, 0.1, math.radians(25.0)
     surface = surface_of([ellipse(0.0, radius, height, 0.02, left=False)], 1e-3)
     turn = turn_of(surface, Site(1, 0.0, True), radius * math.sin(angle), ratio)
@@ -212,7 +212,7 @@ def test_patterns_close_and_cover(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("layer", ['turn = "20 mm"', 'turn = "60 mm"', 'angle = "25 deg"'])
 def test_a_layer_keeps_the_volume_of_its_fibre(tmp_path: Path, layer: str) -> None:
-    """Bar of the issue: 1 %; the fibre's length comes from the course, not from the thickness."""
+    """Within 1 %; the fibre's length comes from the course, not from the thickness."""
     (one,) = laid(tmp_path, f"{VESSEL}[[layer]]\n{layer}\n")
     spread = one.spread()
     assert spread is not None

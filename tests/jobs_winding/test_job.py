@@ -37,7 +37,7 @@ def _positions(job: Job) -> FloatArray:
 
 
 def test_the_finished_program_lays_the_designed_fibre() -> None:
-    """Bar of the issue: 0.02 mm, by the replay that proofs use, over all 44 circuits."""
+    """At most 0.02 mm, by the replay that proofs use, over all 44 circuits."""
     (laid,) = design(read_layers(VESSEL_FILE))
     options = options_of(interpolation="linear", product=own_product(VESSEL_FILE))
     plan = plan_job(open_job(VESSEL_FILE, WINDER, options), WINDER, options)
@@ -52,7 +52,7 @@ def test_the_finished_program_lays_the_designed_fibre() -> None:
     assert first[0] > 0.0
     worst = 0.0
     for samples in programmed_fibre(plan, wound):
-        (fibre,) = samples.fibres
+        fibre = samples.fibre
         known = fibre.known & np.isfinite(fibre.u)
         if not known.any():
             continue
@@ -101,7 +101,7 @@ def test_other_eyes_lay_the_same_fibre(name: str) -> None:
     assert wound is not None
     known = 0
     for samples in programmed_fibre(plan, wound):
-        (fibre,) = samples.fibres
+        fibre = samples.fibre
         assert np.nanmax(np.abs(fibre.steer), initial=0.0) < 0.1
         known += int(fibre.known.sum())
         if known > 5000:

@@ -53,7 +53,6 @@ from threadline.cli.yield_tables import (
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.machine.variants import not_drawn
 from threadline.proof.asked import Words
 from threadline.proof.option_words import parse_yield
 from threadline.proof.pipeline import check_machine, open_job, plan_job, with_product
@@ -404,7 +403,7 @@ def _show(
     say(f"worst machine, {how}: {bad.used}")
     if judged.left_out:
         say(f"not judged, because it compares runs of one machine: {', '.join(judged.left_out)}")
-    for why, names in grouped(not_drawn(judged.plan.machine)).items():
+    for why, names in grouped(judged.same).items():
         say(f"the same in every machine, {why}: {', '.join(names)}")
 
 
@@ -426,7 +425,7 @@ def _content(
         "interval": [low, high],
         "confidence": 0.95,
         "not_judged": list(judged.left_out),
-        "not_drawn": not_drawn(judged.plan.machine),
+        "not_drawn": judged.same,
         "criteria": [
             {
                 "name": row.name,

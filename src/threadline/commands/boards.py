@@ -181,8 +181,17 @@ def refuse_lost(job: Job, machine: Machine, target: str) -> None:
     Raises
     ------
     PlanError
-        If there is such a word; the message names the first few words with their lines.
+        If there is such a word, the message names the first few words with their lines. Also if an
+        axis is wrapped: programs that are written turn on and on.
     """
+    for name, axis in machine.axes.items():
+        if axis.wrapped and name in job.axes:
+            raise PlanError(
+                f"axes.{name} is wrapped: its control reads angles in one turn, and the program to "
+                "be written turns on",
+                remedy=f"Set WRAPPED_ROTARY = 0 in [AXIS_{name}] of the control, and remove "
+                "wrapped from the machine file.",
+            )
     source = firmware_of(job, machine)
     if source == target:
         return

@@ -273,6 +273,10 @@ class Axis:
     Without it: only ``travel`` limits a job."""
     endless: StrictBool = False
     """Whether the axis turns without end and has no ``travel``."""
+    wrapped: StrictBool = False
+    """Whether LinuxCNC reads the angles of an endless rotary axis in one turn, as with its
+    ``WRAPPED_ROTARY``: in G90 an angle is below 360 degrees, and its sign says which way the axis
+    turns to it."""
     radius: Annotated[Quantity, Units(("m",), positive=True)] | None = None
     """Distance at which a rotary axis acts on the work: the mandrel's radius, or half of the band's
     width for an eye that rolls. Without it: ``radius`` of ``[tool]``."""
@@ -320,6 +324,8 @@ class Axis:
                 raise ValueError(f"travel of a {self.kind} axis is in {length}")
             if low.si >= high.si:
                 raise ValueError(f"travel must increase, got {low.si} to {high.si} {length}")
+        if self.wrapped and not (self.kind == "rotary" and self.endless):
+            raise ValueError("wrapped is for a rotary axis with endless = true: remove it")
         if self.stroke is not None:
             if self.travel is None:
                 raise ValueError("an endless axis has no stroke: remove it")

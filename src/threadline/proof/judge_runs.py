@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import cpu_count
@@ -243,8 +244,10 @@ class RunsJudge:
             product = None if products is None else products[places]
             return self._part(some, own, product, told)
 
+        # A thread of a pool has no context of its own: progress is told to the command that asked.
+        contexts = [copy_context() for _ in parts]
         with ThreadPoolExecutor(self._threads) as pool:
-            found = list(pool.map(part, parts))
+            found = list(pool.map(lambda context, of: context.run(part, of), contexts, parts))
         order = np.argsort(np.concatenate([places for _, places in parts]), kind="stable")
         return EachRun.joined(found).taken(order)
 

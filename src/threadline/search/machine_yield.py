@@ -10,7 +10,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
 from threadline.machine.model import check_dynamics
-from threadline.machine.variants import MOST_CORNERS, Uncertain, corners, drawn
+from threadline.machine.variants import MOST_CORNERS, Uncertain, corners, drawn, not_drawn
 from threadline.proof.judge_runs import Done
 from threadline.proof.worst_machine import WithinTolerances, Worst, shares_of
 from threadline.proof.worst_search import WorstSearch
@@ -18,12 +18,16 @@ from threadline.search.yield_state import YieldState
 from threadline.verdict import CriterionRow, EachRun, Spec
 from threadline.verdict.each_run import clopper_pearson
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.replayed import NUMBERS, product_of, toleranced
 
 AT_ONCE = 4096
 """Machines that are judged, and kept in a state, as one part; results do not depend on it."""
 _AT_ONCE_ALONE = 32
 _SEARCHED = 2000
 """Most machines that the search for the worst tries, where they are simulated in batches."""
+_OF_PRODUCT = (
+    "as the product file has it: a yield counts machines, and prove varies the product too"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,6 +92,13 @@ class MachineYield(WithinTolerances):
                 )
         self.left_out = tuple(dict.fromkeys(c.name for c in asked if c.limit is not None))
         super().__init__(plan, spec, threads=threads)
+
+    @property
+    def same(self) -> dict[str, str]:
+        """Why each toleranced number is the same in every machine, by its name."""
+        product = product_of(self.plan)
+        names = [] if product is None else [NUMBERS[k] for k in toleranced(product)]
+        return {**not_drawn(self.plan.machine), **dict.fromkeys(names, _OF_PRODUCT)}
 
     def drawn(
         self,

@@ -99,6 +99,8 @@ class Block(NamedTuple):
         Number of the S word in ``acts``, 0 without one.
     length
         G43 with its H as written, empty without G43; ``acts`` contains it, too.
+    back
+        Wrapped axes (``Reading.wrapped``) whose words have a minus sign, that of 0 as well.
     """
 
     line: int
@@ -121,6 +123,7 @@ class Block(NamedTuple):
     acts: tuple[str, ...] = ()
     power: float = 0.0
     length: str = ""
+    back: tuple[int, ...] = ()
 
     @property
     def goes(self) -> bool:
@@ -183,6 +186,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     p_number = ""
     waits = output = False
     seen = length = tool = ""
+    back: tuple[int, ...] = ()
     groups: tuple[str, ...] = ()
     for letter, number in words:
         value = exact(number)
@@ -266,6 +270,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
             if dialect.points and "." not in number and value:
                 refuse_without_point(letter, number, line, reading)
             axes = (*axes, (index, value))
+            if number.startswith("-") and index in reading.wrapped:
+                back = (*back, index)
         elif letter in reading.dropped:
             idle = (*idle, letter)
         elif letter == "F":
@@ -325,6 +331,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         line, motion, action, settings, axes, feed, p, 1 if passes is None else passes, curve,
         dwell_s or 0.0, program, ends, spindle, waits, idle, label, tags,
         (*acts, f"P{p_number}") if output else acts, power, length,
+        back,
     )  # fmt: skip
 
 

@@ -356,6 +356,8 @@ class Reading:
         Dialect of the program.
     dropped
         Letters whose words are read and left out.
+    wrapped
+        Axes whose absolute angles count within one turn, with the direction as their sign.
     """
 
     file: str
@@ -364,6 +366,7 @@ class Reading:
     names: tuple[str, ...]
     dialect: Dialect
     dropped: frozenset[str] = frozenset()
+    wrapped: frozenset[int] = frozenset()
 
 
 def dialect_of(machine: Machine, name: str | None) -> str:

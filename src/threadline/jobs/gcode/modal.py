@@ -39,6 +39,7 @@ from threadline.jobs.operations import (
 RAPID = Feed(FeedMode.RAPID, 0.0)
 MILLIMETRE = 10  # tenths of a millimetre
 _MM_PER_M = 1000 * ONE
+_TURN = 360 * ONE
 _CHANGE = 6  # M6
 _SPINDLE = frozenset({"M3", "M4", "M5"})
 _OFF = ("M5", "M9")
@@ -103,6 +104,7 @@ class Modal:
         self._letters = program.reading.names
         self._waiting: list[ToolEvent] = []  # for the next move
         self._length = ""  # G43 in force
+        self._wrapped = program.reading.wrapped
         self._moved = self._acted = False
         self._one_system = not program.systems
         zeros = (c for c, zero in program.systems.items() if c != MACHINE and not any(zero))
@@ -340,7 +342,40 @@ class Modal:
         if MACHINE in block.settings:
             base = self._zeros.machine
         for index, value in block.axes:
-            self._put(index, base[index] + self._scaled(index, value))
+            if index in self._wrapped and not self._relative:
+                self._put(index, self._within_turn(block, index, value))
+            else:
+                self._put(index, base[index] + self._scaled(index, value))
+
+    def _within_turn(self, block: Block, index: int, value: int) -> int:
+        """Return the position to which a wrapped axis turns for an absolute angle.
+
+        The sign is the direction, not a part of the angle. Source: ``unwrap_rotary`` of LinuxCNC
+        2.9, ``interp_find.cc``; ``rs274`` is compared with it.
+        """
+        letter = self._letters[index]
+        if MACHINE in block.settings:
+            raise self._error(
+                block.line,
+                f"G53 with the wrapped axis {letter}: its machine coordinates are not read",
+                f"Leave out {letter}, or give its angle in another block.",
+            )
+        if not abs(value) < _TURN:
+            raise self._error(
+                block.line,
+                f"{letter}{value / ONE:g}: LinuxCNC takes angles of a wrapped axis between -360 "
+                "and 360",
+                "Write the angle within one turn; its sign says which way the axis turns.",
+            )
+        zero = self._zeros.offset[index]
+        at = self._exact[index] - zero
+        to = abs(value) + at // _TURN * _TURN
+        back = index in block.back
+        if not back and to < at:
+            to += _TURN
+        elif back and to > at:
+            to -= _TURN
+        return zero + to
 
     def _move(self, block: Block) -> Iterator[Operation]:
         rapid = self._motion == 0 and not self._dialect.rapid_is_feed
@@ -388,7 +423,12 @@ class Modal:
     def _stays(self, block: Block) -> bool:
         """Return whether the axis words of a block name the present position."""
         base = self._exact if self._relative else self._zeros.offset
-        return all(base[i] + self._scaled(i, v) == self._exact[i] for i, v in block.axes)
+        return all(
+            self._within_turn(block, i, v) == self._exact[i]
+            if i in self._wrapped and not self._relative
+            else base[i] + self._scaled(i, v) == self._exact[i]
+            for i, v in block.axes
+        )
 
     def _along(
         self, block: Block, before: tuple[int, ...], feed: Feed, source: Source, tags: Tags
@@ -427,10 +467,18 @@ class Modal:
         A control that homes moves to the home position directly, and has its zero there afterwards.
         """
         source = self._source(block)
+        named = [i for i, _ in block.axes] or range(len(self._exact))
+        if not self._wrapped.isdisjoint(named):
+            letter = self._letters[min(self._wrapped.intersection(named))]
+            raise self._error(
+                block.line,
+                f"G28 moves the wrapped axis {letter}, and which way it turns home is not read",
+                f"Name the axes of G28 without {letter}, and turn {letter} in another block.",
+            )
         if block.axes and not self._dialect.homes:
             self._go(block)
             yield self._to(RAPID, source)
-        for index in [i for i, _ in block.axes] or range(len(self._exact)):
+        for index in named:
             self._put(index, self._zeros.home[index])
             if self._dialect.homes:
                 self._zeros.offset[index] = 0

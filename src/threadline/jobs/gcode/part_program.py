@@ -300,8 +300,9 @@ def read_part_program(
     file = identify(path)
     letters = letters_of(machine, axes)
     reading = Reading(
-        str(path), machine.name, letters.axes, machine.axis_names, spoken, letters.dropped
-    )
+        str(path), machine.name, letters.axes, machine.axis_names, spoken, letters.dropped,
+        wrapped_axes(machine, spoken.name),
+    )  # fmt: skip
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
     program: PartProgram | ParametricProgram
     if spoken.flavour is not None and is_parametric(file):
@@ -336,6 +337,24 @@ def read_part_program(
         feed_rule=rule.text,
         dialect=spoken.name,
     )
+
+
+def wrapped_axes(machine: Machine, dialect: str) -> frozenset[int]:
+    """Return the indices of the axes whose angles count within one turn.
+
+    Raises
+    ------
+    MachineError
+        If the dialect knows no such axes.
+    """
+    found = [at for at, axis in enumerate(machine.axes.values()) if axis.wrapped]
+    if found and dialect != "linuxcnc":
+        raise MachineError(
+            f"axes.{machine.axis_names[found[0]]}.wrapped: LinuxCNC alone reads angles in one "
+            f"turn, and the program is read as {dialect}",
+            remedy='Remove it from the machine file, or take dialect = "linuxcnc".',
+        )
+    return frozenset(found)
 
 
 def _runs(program: PartProgram | ParametricProgram) -> Iterator[Operation | MoveRun]:

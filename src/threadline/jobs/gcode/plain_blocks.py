@@ -443,7 +443,9 @@ class PlainReader:
 def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> PlainReader:
     """Return the compiled reader for the dialect of a program."""
     dialect = reading.dialect
-    plain = PlainReader(reading.axes, linear, follow)
+    # The compiled reader knows no wrapped axes, and stops before their words.
+    axes = {letter: at for letter, at in reading.axes.items() if at not in reading.wrapped}
+    plain = PlainReader(axes, linear, follow)
     plain.state[RAPID_FEED] = dialect.rapid_is_feed
     plain.state[EACH_G] = dialect.each_g
     grammar = dialect.grammar

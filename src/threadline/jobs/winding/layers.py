@@ -200,7 +200,6 @@ class _LayerReader(ProductReader):
             found[key] = self.number(fibre, key, unit, None).si if key in fibre else None
             if key in fibre and not (found[key] or 0.0) > 0.0:
                 self.refuse(key, f"{key} must be above 0", 'Like "30 mm", "200 mm/s".')
-        hour = self._hour(content, layers)
         envelope = found["envelope"]
         if envelope is not None and not _ENVELOPES_M[0] <= envelope <= _ENVELOPES_M[1]:
             low, high = (1e3 * one for one in _ENVELOPES_M)
@@ -209,6 +208,7 @@ class _LayerReader(ProductReader):
                 "It is the distance between eye and mandrel: leave it out, and the fastest that "
                 "keeps clear is taken.",
             )  # fmt: skip
+        hour = self._hour(content, layers)
         return Winding(
             path, text, product, tuple(layers), found["envelope"], found["speed"],
             found["tolerance"] or 2e-5, hour,

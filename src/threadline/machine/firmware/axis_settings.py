@@ -54,6 +54,8 @@ class AxisSettings:
         Distance from the lowest to the highest position, in mm (degrees).
     microsteps
         Microsteps per full step of its driver.
+    wrapped
+        Whether the control reads the angles of a rotary axis in one turn.
     """
 
     steps: SettingValue | None = None
@@ -61,6 +63,7 @@ class AxisSettings:
     acceleration: SettingValue | None = None
     travel: SettingValue | None = None
     microsteps: SettingValue | None = None
+    wrapped: bool = False
 
 
 @dataclass(slots=True)

@@ -208,6 +208,9 @@ def _set_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: 
         if not way >= _ENDLESS:
             name = f"{letter} MIN_LIMIT {low[0]} MAX_LIMIT"
             settings.say(letter, "travel", repr(way * factor), high[1], name)
+    for keys in (axis, joint):
+        if keys.get("WRAPPED_ROTARY", ("0", None))[0] not in ("", "0"):
+            settings.axes[letter].wrapped = settings.turning[letter]
     backlash = joint.get("BACKLASH")
     if backlash is not None and number_or_nan(backlash[0]) != 0.0:
         settings.leave_out(

@@ -470,6 +470,8 @@ def _limits_of(
     )
     if turns:
         yield "endless = true"
+        if said.wrapped:
+            yield "wrapped = true"
         return
     way = answers.of("travel", axis)
     if said.travel is not None:
