@@ -7,15 +7,16 @@ amplitude and phase, on a grid of its own. What it finds is checked at closer fr
 searched again for less where that is over the tolerance. Prints JSON: the time of both searches,
 and the largest swing that the second one leaves. MACHINE is a machine or one of ``OWN``.
 
-``--robust 0.25`` plans for that share of the tolerances of loads and springs, as the planner's
-option does. ``--damping exact`` leaves out that the damping may be 0.7 or 1.3 times that of the
-file, which the planner always allows for.
+Behind MACHINE may stand the share of the tolerances of loads and springs to plan for, as the
+planner's ``--robust`` has it (0.05), ``exact`` to leave out that the damping may be 0.7 or 1.3
+times that of the file, which the planner always allows for (``any``), and the states that are kept
+for each speed (15).
 """
 
 from __future__ import annotations
 
-import argparse
 import json
+import sys
 from dataclasses import dataclass
 from math import ceil, log, pi
 from pathlib import Path
@@ -175,15 +176,18 @@ def beam(problem: Problem, frame: Frame, asked_m: float, width: int) -> Floats |
     kept = np.exp(frame.poles[None, None, :] * pair_s[:, :, None])
     to_go = _to_go(problem, frame, fresh, turn_s, reach, pair_s, asked_m)
     named = [int(np.flatnonzero(frame.axis == column)[0]) for column in (0, 1)]
-    first = np.flatnonzero(np.isfinite(to_go[0]))
+    able = np.isfinite(to_go[0])
+    if problem.needle[0]:
+        able &= np.abs(problem.ways_m[0, frame.axis] * fresh).max(axis=1) <= asked_m
+    first = np.flatnonzero(able)
     at, time = first, np.zeros(len(first))
     swing = problem.ways_m[0, frame.axis] * fresh[first]
     backs, ats = [np.zeros(len(first), np.int64)], [first]
     for k in range(1, len(problem.ways_m)):
         source = np.repeat(np.arange(len(at)), [len(reach[j]) for j in at])
         then = np.concatenate([reach[j] for j in at])
-        able = np.isfinite(to_go[k][then])
-        source, then = source[able], then[able]
+        ends = np.isfinite(to_go[k][then])
+        source, then = source[ends], then[ends]
         spent = pair_s[at[source], then]
         now = swing[source] * kept[at[source], then]
         now += problem.ways_m[k, frame.axis] * fresh[then]
@@ -314,13 +318,7 @@ def answers(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("design")
-    parser.add_argument("machine")
-    parser.add_argument("--robust", default="0.05")
-    parser.add_argument("--damping", default="any", choices=("any", "exact"))
-    parser.add_argument("--width", default="15")
-    print(json.dumps(answers(**vars(parser.parse_args())), indent=1))
+    print(json.dumps(answers(*sys.argv[1:]), indent=1))
 
 
 if __name__ == "__main__":

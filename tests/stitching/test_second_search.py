@@ -1,0 +1,55 @@
+"""The second search for the speeds of a shaft keeps its tolerance, by scipy's integrator."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from tools.second_stitches import Problem, beam, frames, machine_of, modified_sine, total_s
+
+LENGTHS = (30, -80, 120, 5, -165, 60, 60, -20)  # tenths of a millimetre, along X
+
+
+def test_its_schedule_leaves_what_it_may() -> None:
+    """Each needle entry of the frame of the file, without the search's own sums of swings."""
+    machine = machine_of("schiffli-frame")
+    assert machine.shaft is not None and machine.shaft.acceleration is not None
+    ways = np.zeros((len(LENGTHS), 2))
+    ways[:, 0] = np.array(LENGTHS) * 1e-4
+    share, tolerance_m = 1.0 / 3.0, 1e-4
+    problem = Problem(
+        ways_m=ways,
+        needle=np.ones(len(LENGTHS), dtype=np.int64),
+        shortest_s=np.full(len(LENGTHS), 0.36),
+        share=share,
+        change=2.0 * (1.0 - share) * machine.shaft.acceleration.si / (2.0 * pi),
+        slowest_s=6.0,
+        tolerance_m=tolerance_m,
+    )
+    turn_s = beam(problem, frames(machine, 0.0, 0.01, (0.7, 1.0, 1.3)), tolerance_m, 15)
+    assert turn_s is not None
+    assert total_s(turn_s, share) < 0.8 * len(LENGTHS)
+    assert np.all(np.abs(np.diff(turn_s**-2.0)) <= problem.change * (1.0 + 1e-9))
+    mass, stiffness, damping = 1000.0, 5.685e6, 2916.0 + 100.0
+    decay, omega = damping / (2.0 * mass), np.sqrt(stiffness / mass)
+    turned = np.sqrt(omega**2 - decay**2)
+    state, left = np.zeros(2), []
+    for k, turn in enumerate(turn_s):
+        window, way = share * turn, ways[k, 0]
+
+        def rates(t: float, x: np.ndarray, window: float = window, way: float = way) -> list[float]:
+            base = way / window**2 * float(modified_sine(np.array(t / window)))
+            return [x[1], -2.0 * decay * x[1] - omega**2 * x[0] - base]
+
+        done = solve_ivp(rates, (0.0, window), state, rtol=1e-9, atol=1e-13, max_step=window / 50)
+        place, speed = done.y[:, -1]
+        left.append(float(np.hypot(place, (speed + decay * place) / turned)))
+        if k + 1 < len(turn_s):
+            rest = 2.0 * (1.0 - share) / (1.0 / turn + 1.0 / turn_s[k + 1])
+            ring = np.exp((-decay + 1j * turned) * rest) * complex(
+                place, -(speed + decay * place) / turned
+            )
+            state = np.array([ring.real, -ring.imag * turned - decay * ring.real])
+    assert max(left) <= tolerance_m * (1.0 + 1e-6)
+    assert max(left) > 0.3 * tolerance_m  # the moves do swing the frame
