@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linprog
 from scipy.signal import TransferFunction, step
-from tools.control_plans import control_stitcher, control_winder
+from tools.control_plans import control_fastest, control_stitcher, control_winder
 
 from threadline.dynamics.inverse import corner_responses
 from threadline.dynamics.linear_model import linear_model
@@ -483,7 +483,8 @@ NAMES: dict[str, Callable[..., Any]] = {
     for f in (
         winder_step, winder_reversal, winder_proportional, winder_one_set, stitcher_overshoot,
         stitcher_proportional, stitcher_corners, stitcher_two_stitches, placer_model,
-        placer_left, placer_beam, frame_windows, frame_best, control_stitcher, control_winder,
+        placer_left, placer_beam, frame_windows, frame_best, control_stitcher, control_fastest,
+        control_winder,
     )
 }  # fmt: skip
 

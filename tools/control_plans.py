@@ -94,6 +94,16 @@ def control_stitcher(name: str, needle: str) -> dict[str, float]:
     return best | {f"worst_{key}": worst[key] for key in ("contour_m", "length")}
 
 
+def control_fastest(name: str, lag_ms: str) -> dict[str, float]:
+    """Return the fastest needle of a controller on the test path by place and length."""
+    text = SPEC.read_text(encoding="utf-8")
+    with TemporaryDirectory() as kept:
+        spec = Path(kept) / "spec.toml"
+        spec.write_text(re.sub(r'delay = "\d+ ms"', f'delay = "{lag_ms} ms"', text))
+        machine = designed("stitcher", STITCHER[name][0], Path(kept))
+        return {"best": tl.fastest(SEAM, machine, spec=spec, level="nominal").best or 0.0}
+
+
 def control_winder(name: str, feed: str) -> dict[str, float]:
     """Return the figures of a controller or plan on the thesis's circuit, at counts per tick."""
     words, options = WINDER[name]
