@@ -61,7 +61,7 @@ print(*sorted(name for name in sys.modules if name.startswith("threadline.")))
 def test_a_proof_of_a_part_program_imports_what_it_uses(examples: Path) -> None:
     """Other kinds of work, other files and the drawing of reports are imported where they begin.
 
-    217 modules are imported, seven of them for the measures of a winding; a few may come.
+    228 modules are imported, twelve of them for the measures of a winding; a few may come.
     """
     words = _PROVE.format(job=str(examples / "x-180.prg"))
     found = subprocess.run(

@@ -22,11 +22,8 @@ from threadline.verdict.replayed import (
 )
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.types import Criterion
-from threadline.winding.clearance import Clearance
-from threadline.winding.fit import Witness, turn_error
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
 from threadline.winding.product import Product
-from threadline.winding.raster import Raster
 from threadline.winding.surface import Surface
 
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
@@ -185,6 +182,8 @@ class Near:
     """How far eye, arm and free fibre come nearer to what turns than the product allows."""
 
     def __init__(self, jobs: Sequence[WoundJob]) -> None:
+        from threadline.winding.clearance import Clearance
+
         self._runs = [
             Clearance(
                 job.surface, job.rings, job.tool, job.product.clearance or 0.0,
@@ -207,6 +206,8 @@ class _Covering:
     """The largest gap between the bands of each run."""
 
     def __init__(self, jobs: Sequence[WoundJob], axes: int) -> None:
+        from threadline.winding.raster import Raster
+
         self._worst = Worst(len(jobs), axes, note=_NEVER)
         self._rasters = []
         for job in jobs:
@@ -299,6 +300,8 @@ class Closing:
 
     def found(self) -> RunFindings:
         """Return the distance of each run across the bands, at the last circuit."""
+        from threadline.winding.fit import turn_error
+
         values, operations, notes = [], [], []
         for run in range(len(self._circuits)):
             rows = self.circuits(run)
@@ -386,6 +389,8 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     taking["planned_pattern_closure"] = Closing([job], axes)
     if job.product.covered is not None:
         taking["planned_coverage_gap"] = _Covering([job], axes)
+    from threadline.winding.fit import Witness
+
     witness = Witness(job.surface)
     for samples in planned_fibre(plan, job):
         witness.take(samples.eyes, samples.fibre)

@@ -24,7 +24,6 @@ from threadline.winding.meridians import (
     read_points,
     read_section,
 )
-from threadline.winding.other_planners import ENDINGS, MERIDIANS, foreign_product, meridian_of
 from threadline.winding.product_reader import TABLES, Toleranced
 from threadline.winding.surface import Surface
 
@@ -121,6 +120,8 @@ def product_text(given: str | Path) -> str:
     text = str(given)
     if text.startswith("{"):
         return product_of_text(text).text
+    from threadline.winding.other_planners import ENDINGS, foreign_product
+
     path = within_folder(Path(text))
     if path.suffix.lower() in ENDINGS:
         content = foreign_product(path)
@@ -166,6 +167,8 @@ def _embed(part: dict[str, Any], folder: Path, reader: ProductReader) -> None:
             "layer belongs to a drawing in DXF",
             "Leave layer out: a table of points has none.",
         )
+    from threadline.winding.other_planners import MERIDIANS, meridian_of
+
     read = meridian_of if Path(name).suffix.lower() in MERIDIANS else read_points
     part["points"] = read(folder / name)
 
