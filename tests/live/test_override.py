@@ -102,12 +102,11 @@ def test_a_slower_run_takes_longer_and_tells_it_in_a_few_events(percent: int) ->
     check_whole(bench)
     ticks = plan_ticks(bench.kept.blocks, len(bench.commanded()))
     arrived = int(np.argmax(ticks >= len(ROWS) - 1e-6))
-    # 25 rows are behind it or sent already, and 55 of a hundred ticks are played on the way to 10 %.
-    faster = 80.0 * (100.0 / percent - 1.0)
-    assert arrived == pytest.approx(
-        len(ROWS) * 100.0 / percent - faster / 2.0, abs=5.0 + faster / 2
-    )
-    assert len(events(bench, "plan")) < 60
+    # 25 rows were sent; it changes in 100 ticks, by the mean of both rates; the rest is slow.
+    rate = percent / 100.0
+    slow = (len(ROWS) - 25 - 100 * (1.0 + rate) / 2.0) / rate
+    assert arrived == pytest.approx(125 + slow, abs=2.0)
+    assert len(events(bench, "plan")) < 110
     assert [(e.name, e.value) for e in events(bench, "override")] == [
         (f"feed {percent} %", percent / 100.0)
     ]
@@ -127,7 +126,7 @@ def test_a_hold_keeps_the_override_and_a_stop_works_from_it() -> None:
     bench.desk.ask(Cause.RESUME)
     bench.go_on(600)
     ticks = plan_ticks(bench.kept.blocks, 590)
-    assert np.diff(ticks[200:290]) == pytest.approx(0.4)
+    assert np.diff(ticks[230:290]) == pytest.approx(0.4)
     assert np.diff(ticks[350:420]) == pytest.approx(0.0)
     assert np.diff(ticks[540:]) == pytest.approx(0.4)
     bench.desk.ask(Cause.STOP)
