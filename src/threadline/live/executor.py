@@ -73,7 +73,7 @@ class Executor(AtRest):
         self._rest: int | None = None  # tick from which on nothing is commanded any more
         self._owes_go = self._brake_again = False
         self._braked = False  # the sent rows end in a requested braking
-        self.no_override = ""
+        self.no_override = self._run_kind.no_override
 
     @property
     def percent(self) -> int:

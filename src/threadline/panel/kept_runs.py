@@ -180,7 +180,8 @@ class KeptRuns:
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
         """Keep the reason of a change of state, and write the change into the open run."""
-        if text or state is not self._state:  # a stop in a fault keeps the fault's reason
+        # A stop in a fault keeps the fault's reason; an override is shown by itself.
+        if (text or state is not self._state) and cause is not Cause.OVERRIDE:
             self.why = text
         self._state = state
         if self._open is not None:
