@@ -64,6 +64,7 @@ class GrblModel(threading.Thread):
         self.target, self.feed = np.zeros(4), 0.0
         self.ahead_s = 0.0
         self.overrides = self.told_overrides = (100, 100, 100)
+        self.overridable = True
         self.at_stop = False
         self.client: socket.socket | None = None
         self.over = False
@@ -116,12 +117,24 @@ class GrblModel(threading.Thread):
             self.client = None
             return
         self.heard += came
+        if self.overridable:
+            self._override({byte for byte in came if 0x90 <= byte <= 0x94})
         for byte in came:
             if byte in b"?!~\x18\x85":
                 self._at_once(byte)
+            elif 0x90 <= byte <= 0x94:
+                continue
             elif byte != 13:
                 self.rx.append(byte)
         self.overflowed = self.overflowed or len(self.rx) > self.characters
+
+    def _override(self, flags: set[int]) -> None:
+        """Step the override of the feed: grbl keeps one flag for each byte until it acts."""
+        feed = 100 if 0x90 in flags else self.overrides[0]
+        for byte, by in ((0x91, 10), (0x92, -10), (0x93, 1), (0x94, -1)):
+            if byte in flags:
+                feed = min(max(feed + by, 10), 200)
+        self.overrides = (feed, *self.overrides[1:])
 
     def _at_once(self, byte: int) -> None:
         if byte == ord("?"):

@@ -201,7 +201,9 @@ def test_a_hold_that_nobody_can_end_is_stopped(
     alone: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(operator_keys, "UNATTENDED_S", 0.0)
-    run = SimpleNamespace(state=State.HOLDING, why="its door is open", stopped_by="", time_s=1.0)
+    run = SimpleNamespace(
+        state=State.HOLDING, why="its door is open", stopped_by="", time_s=1.0, percent=100
+    )
     desk = Desk()
     keys = AtTheKeys(desk, 10.0, None, None if alone else 0)
     monkeypatch.setattr(keys, "_pressed", lambda _: None)
@@ -435,6 +437,42 @@ def test_an_override_set_at_the_controller_is_written_down() -> None:
         assert noted(kept) == [
             ("override", "feed 50 %, rapids 25 %"), ("override", "none"), ("completed", ""),
         ]  # fmt: skip
+
+
+@pytest.mark.parametrize("percent", [10, 37, 99])
+def test_an_override_of_the_operator_is_stepped_to_and_read_back(percent: int) -> None:
+    """Equal bytes that come together count as one; it is noted once, where it is reached."""
+    model = GrblModel(settings())
+    with meeting(model) as (one, desk, kept):
+        ready(one, program())
+        go_on(one, moving(model))
+        desk.override(percent)
+        go_on(one, lambda: one.percent == percent and len(noted(kept)) == 1)
+        assert model.overrides == (percent, 100, 100)
+        desk.override(100)
+        go_on(one, lambda: one.percent == 100)
+        desk.override(110)
+        go_on(one)
+        assert one.ended == (RunEnd.COMPLETED, "")
+        assert noted(kept) == [
+            ("override", f"feed {percent} %"), ("override", "none"), ("completed", ""),
+        ]  # fmt: skip
+        refused = [text for *_, text in kept.log if "not within" in text]
+        assert refused == [
+            "an override of 110 % is not within the 10 to 100 % that the proof covers"
+        ]
+
+
+def test_a_controller_that_takes_no_override_is_told_of() -> None:
+    model = GrblModel(settings(), faster=0.5)
+    model.overridable = False
+    with meeting(model) as (one, desk, kept):
+        ready(one, program())
+        go_on(one, moving(model))
+        desk.override(50)
+        go_on(one, lambda: kept.log[-1][2] is Cause.OVERRIDE)
+        assert kept.log[-1][3].endswith("override the feed by 50 %, and reports 100 %")
+        assert one.state is State.RUNNING
 
 
 @pytest.mark.parametrize("lasts", [True, False])

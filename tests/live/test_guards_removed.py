@@ -21,6 +21,7 @@ from tests.live import (
     test_jog,
     test_loads_follow,
     test_many_ticks,
+    test_override,
     test_scans,
     test_tail,
 )
@@ -190,6 +191,10 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     "the limit switches": (
         attribute(Guards, "_switch_hit", nothing),
         lambda: test_guards.test_a_fault_brakes_on_the_path(*BY_SWITCH),
+    ),
+    "the range of an override": (
+        attribute(executor, "refuse_override", nothing),
+        lambda: test_override.test_more_or_less_than_was_proven_is_refused(101, "10 to 100 %"),
     ),
     "homing before a run": (
         transition(State.ENABLED, Cause.START, State.RUNNING),

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from tests.live.bench import winder
 from tests.panel.bench import (
@@ -34,6 +35,7 @@ from threadline.panel import calculating, kept_runs
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
 from threadline.panel.panel import end_words
+from threadline.panel.protocol import CLIENT_MESSAGE
 
 SPEED = 2.0
 
@@ -109,6 +111,37 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         proof = anna.state["proven"]["proof"]
         anna.allows("start")
         assert "the run begins at 0" in anna.act("start", proof=proof)
+
+
+def test_the_feed_is_overridden_by_who_has_control_within_what_was_proven(project: Path) -> None:
+    with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
+        anna.ready()
+        assert "override-feed" not in anna.state["allowed"]
+        assert "not possible now: the machine is idle" in anna.act("override-feed", percent=50)
+        started(anna)
+        anna.allows("override-feed")
+        assert "not in control" in ben.act("override-feed", percent=50)
+        assert anna.state["feed_percent"] == 100
+        assert anna.act("override-feed", percent=50) == ""
+        while anna.until("state")["feed_percent"] != 50:
+            pass
+        assert anna.state["why"] == ""  # it is shown by itself
+        while anna.state["state"] == "running" and anna.state["progress"]["time_s"] < 2.0:
+            anna.until("state")
+        done, at = anna.state["progress"]["time_s"], anna.state["time_s"]
+        assert done < at  # of the plan, and by the clock
+        anna.see("idle")
+        while not anna.until("state")["progress"]["verdict"]:
+            pass
+        assert anna.state["progress"]["verdict"].startswith("IN SPEC")
+
+
+@pytest.mark.parametrize("percent", [9, 101, 50.5, "50"])
+def test_a_message_beyond_what_was_proven_is_none(percent: object) -> None:
+    command = {"what": "override-feed", "percent": percent}
+    act = {"type": "act", "lease": "x", "seen": 1, "number": 1, "command": command}
+    with pytest.raises(ValidationError):
+        CLIENT_MESSAGE.validate_json(json.dumps(act))
 
 
 def test_who_has_no_control_moves_nothing(project: Path) -> None:

@@ -218,3 +218,43 @@ def test_without_the_server_everything_is_stale(browser: Browser, plant: Plant) 
     os.kill(plant.server, signal.SIGCONT)
     expect(page.locator("body")).not_to_have_class("stale", timeout=60_000)
     page.close()
+
+
+def test_the_feed_of_a_run_is_overridden_by_buttons_and_keys(
+    browser: Browser, plant: Plant
+) -> None:
+    page = opened(browser, plant)
+    ready(page)
+    calculate(page)
+    expect(page.locator("#figures")).to_contain_text("IN SPEC")
+    slower = page.get_by_role("button", name="Feed 10 % slower")
+    faster = page.get_by_role("button", name="Feed 10 % faster")
+    expect(slower).to_be_disabled()
+    press(page, "Start")
+    state(page, "running")
+    expect(page.locator("#feed-percent")).to_have_text("")
+    expect(faster).to_be_disabled()  # 100 % is the most that was proven
+    slower.click()
+    expect(page.locator("#feed-percent")).to_have_text("at 90 %")
+    slower.focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#feed-percent")).to_have_text("at 80 %")
+    page.keyboard.press("-")
+    expect(page.locator("#feed-percent")).to_have_text("at 70 %")
+    for one in (slower, faster):
+        box = one.bounding_box()
+        assert box is not None
+        assert min(box["width"], box["height"]) >= 48.0
+    shot(page, "9-override")
+    press(page, "Hold")
+    state(page, "holding")
+    page.keyboard.press("+")
+    expect(page.locator("#feed-percent")).to_have_text("at 80 %")
+    press(page, "Resume")
+    state(page, "running")
+    expect(page.locator("#feed-percent")).to_have_text("at 80 %")
+    page.keyboard.press("Escape")
+    state(page, "idle")
+    expect(page.locator("#feed-percent")).to_have_text("")
+    expect(slower).to_be_disabled()
+    page.close()

@@ -17,13 +17,17 @@ const LOOKS: Record<string, string> = {
   gone: "wrong",
 };
 const FEED_MS = 250;
+export const STEP_PERCENT = 10;
 
 export class Bar {
   private chip = "";
   private feedMs = 0;
   private was: State | null = null; // the state from which the feed is measured
 
-  constructor(private readonly session: Session) {}
+  constructor(private readonly session: Session) {
+    by("slower").onclick = () => session.overrideFeed(-STEP_PERCENT);
+    by("faster").onclick = () => session.overrideFeed(STEP_PERCENT);
+  }
 
   /** Show the state as a chip, with its reason beside it. */
   tellState(state: State | null, refused: string): void {
@@ -51,11 +55,24 @@ export class Bar {
     if (line) tell("now-line", `line ${line}`);
     const circuit = at < 0 ? 0 : figures!.lines.circuit[at]!;
     tell("now-circuit", circuit && figures!.circuits ? `circuit ${circuit} of ${figures!.circuits}` : "");
-    const left = runs ? run.duration_s - run.time_s : state.proven && figures ? figures.duration_s : null;
+    const slower = 100 / state.feed_percent;
+    const left = runs
+      ? (run.duration_s - run.time_s) * slower
+      : state.proven && figures
+        ? figures.duration_s
+        : null;
     tell("time-left", left === null ? "–" : clock(left));
     tell("left-told", runs ? "time left" : "duration");
     this.tellFeed(state);
+    this.tellOverride(state, runs);
     return line;
+  }
+
+  /** Show an override of the feed, if there is one, and its steps, if the machine takes any. */
+  private tellOverride(state: State, runs: boolean): void {
+    const { session } = this;
+    for (const id of ["slower", "faster"]) put(by(id), "hidden", !session.feedOverride);
+    tell("feed-percent", runs && state.feed_percent !== 100 ? `at ${state.feed_percent} %` : "");
   }
 
   /** Speed of the command over all linear axes, or of the fastest other one. */

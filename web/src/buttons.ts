@@ -1,5 +1,6 @@
 /** Which buttons can be pressed now, and why the others cannot. */
 
+import { STEP_PERCENT } from "./bar";
 import type { Continuing } from "./continuing";
 import { put } from "./dom";
 import type { Jogging } from "./jogging";
@@ -31,10 +32,16 @@ export class Buttons {
     for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) {
       const what = one.dataset.what!;
       const waits = (what === "start" && unreasoned) || (changed && OF_CALCULATION.has(what));
-      const may = !stale && this.can(what, state) && !waits;
+      const may = !stale && this.can(what, state) && !waits && !this.ends(one);
       put(one, "disabled", !this.jogging.keeps(one) && !may);
       put(one, "title", this.why(one, what, state));
     }
+  }
+
+  /** Whether it is a step of the feed beyond what was proven. */
+  private ends(one: HTMLButtonElement): boolean {
+    const by = { slower: -STEP_PERCENT, faster: STEP_PERCENT }[one.id];
+    return by !== undefined && this.session.overriddenBy(by) === null;
   }
 
   private can(what: string, state: State | null): boolean {
@@ -47,12 +54,15 @@ export class Buttons {
     const { session } = this;
     const homeless =
       state !== null && session.mine() && (state.state === "disabled" || state.state === "enabled");
+    const refused = state?.no_override ? `this run cannot be overridden: ${state.no_override}` : "";
+    const overridden = refused || (session.can(what) && "10 to 100 % of the feed: a proof covers no more");
     const byPlace = session.byHand ? homeless && HOME_FIRST : "this machine cannot be moved by hand";
     return (
       session.lacking(what) ||
       (OF_PROGRAMS.has(what) && session.untaught) ||
       (what === "continue" && this.continuing.whole(this.traces.chosen)) ||
       (BY_PLACE.has(what) && byPlace) ||
+      (what === "override-feed" && overridden) ||
       (one.disabled && state !== null && session.waits(what)) ||
       ""
     );

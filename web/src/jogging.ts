@@ -1,5 +1,6 @@
 /** Manual operation: positions; jogs, while a button or key is held; steps. */
 
+import { STEP_PERCENT } from "./bar";
 import { button, by, made, put, typing, value, writing } from "./dom";
 import type { Axis } from "./messages";
 import type { Positions } from "./positions";
@@ -221,10 +222,12 @@ export class Jogging {
     for (const kind of ["input", "change"]) list.dispatchEvent(new Event(kind, { bubbles: true }));
   }
 
-  /** In a run h holds, r resumes, any other key stops. */
+  /** In a run h holds, r resumes, - and + override the feed, any other key stops. */
   private inRun(key: string): void {
     const what = { h: "hold", r: "resume" }[key];
-    if (what === undefined) this.session.link.stop();
+    const step = { "-": -STEP_PERCENT, "+": STEP_PERCENT }[key];
+    if (step !== undefined) this.session.overrideFeed(step);
+    else if (what === undefined) this.session.link.stop();
     else if (this.session.can(what)) this.session.link.act({ what });
   }
 

@@ -153,6 +153,8 @@ export interface State {
   axes: Record<string, Where>;
   signals: Record<string, number>;
   late_ticks: number;
+  feed_percent: number;
+  no_override: string;
   control: Holder;
   progress: Progress | null;
   rest: RestOfRun | null;
@@ -188,6 +190,7 @@ export interface Welcome {
   notes: string[];
   untaught: string;
   by_hand: boolean;
+  feed_override: boolean;
   options: string[];
   normal_feed: boolean;
   axes: Axis[];

@@ -256,7 +256,7 @@ export class Program {
     const run = state.progress;
     if (!run) return "";
     if (run.ended) return toldRun(run);
-    const left = Math.max(run.duration_s - run.time_s, 0);
+    const left = (Math.max(run.duration_s - run.time_s, 0) * 100) / state.feed_percent;
     const percent = Math.floor((100 * Math.min(run.time_s, run.duration_s)) / run.duration_s);
     return `${percent} %: ${run.time_s.toFixed(1)} s, ${left.toFixed(1)} s left`;
   }

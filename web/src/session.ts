@@ -4,6 +4,7 @@ import { Link } from "./link";
 import type { Axis, Figures, FromPanel, Progress, State, Welcome } from "./messages";
 
 const RENEW_MS = 80;
+const [LEAST_PERCENT, MOST_PERCENT] = [10, 100]; // the panel refuses more
 const STARTS = "a start is being checked"; // a text of the panel
 /** Commands that wait until the panel is no longer busy. */
 const FOR_RUNS = new Set(["start", "start-rest", "continue", "calculate"]);
@@ -15,6 +16,8 @@ export class Session {
   axes: Axis[] = [];
   /** Whether the axes can be moved by hand. */
   byHand = true;
+  /** Whether the feed of a run can be overridden. */
+  feedOverride = true;
   /** Planning options that apply to the machine. */
   options: string[] = [];
   /** Whether the machine has an operator's normal feed. */
@@ -47,6 +50,7 @@ export class Session {
     this.lacks = found.lacks;
     this.untaught = found.untaught;
     this.byHand = found.by_hand;
+    this.feedOverride = found.feed_override;
     this.options = found.options;
     this.normalFeed = found.normal_feed;
     this.figuresAt = 0;
@@ -63,6 +67,18 @@ export class Session {
   }
   can(what: string): boolean {
     return this.mine() && (this.state?.allowed.includes(what) ?? false);
+  }
+  /** Override the feed of the run by a step; nothing beyond 10 to 100 %, which were proven. */
+  overrideFeed(by: number): void {
+    const percent = this.overriddenBy(by);
+    if (percent !== null) this.link.act({ what: "override-feed", percent });
+  }
+  /** The feed after a step, %; null where there is no such step now. */
+  overriddenBy(by: number): number | null {
+    if (!this.can("override-feed")) return null;
+    const now = this.state!.feed_percent;
+    const percent = Math.min(Math.max(now + by, LEAST_PERCENT), MOST_PERCENT);
+    return percent === now ? null : percent;
   }
   /** Why no part program can be taught to this machine; empty if one can. */
   untaught = "";

@@ -17,15 +17,22 @@ import typer
 from threadline.base.progress import Progress
 from threadline.cli.messages import note
 from threadline.commands.plan import Plan
-from threadline.errors import OptionError
+from threadline.errors import CommandError, OptionError
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
 from threadline.live.derived import Rest
+from threadline.live.feed_override import (
+    MOST_PERCENT,
+    STEP_PERCENT,
+    feed_words,
+    refuse_override,
+)
 from threadline.live.guards import clock_s
 from threadline.live.links import Running
 from threadline.live.states import Cause, Desk, State
 from threadline.live.store.whole_trace import refuse_other_rows, trace_of, unfinished_run
 
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
+_OVERRIDES = {"-": -STEP_PERCENT, "+": STEP_PERCENT}
 """Any other key stops."""
 UNATTENDED_S = 10.0
 """Longest hold in s while nobody is at the keys to end it."""
@@ -67,6 +74,8 @@ class AtTheKeys:
         self._told_hold = ""  # message already printed about the current hold
         self._ends_s: float | None = None  # when an unattended hold ends
         self._told = terminal is None
+        self._asked: int | None = None  # override in %, by the latest keys
+        self._overridden = MOST_PERCENT  # that was told
         self.time_s = 0.0
         """Time of the run at its latest step, s."""
 
@@ -91,13 +100,39 @@ class AtTheKeys:
         """Pass the keys to the desk; print progress, and a message while the run holds."""
         if not self._told:
             self._told = True
-            note("h holds, r goes on, any other key stops; none of them is the emergency stop")
+            note(
+                "- and + override the feed by 10 %, h holds, r goes on, any other key stops; none "
+                "of them is the emergency stop"
+            )
         for key in (self._pressed(16) or b"").decode("utf-8", "replace"):
-            self._desk.ask(_KEYS.get(key, Cause.STOP))
+            if key in _OVERRIDES:
+                self._override(executor, _OVERRIDES[key])
+            else:
+                self._desk.ask(_KEYS.get(key, Cause.STOP))
+        self._tell_override(executor)
         self._tell_hold(executor)
         self.time_s = executor.time_s
         if self._progress is not None:
-            self._progress("running", min(self.time_s / self._duration_s, 1.0))
+            self._progress("running", min(executor.plan_s / self._duration_s, 1.0))
+
+    def _override(self, executor: Running, by: int) -> None:
+        """Ask for an override by a step, or say why there is none."""
+        percent = (executor.percent if self._asked is None else self._asked) + by
+        try:
+            refuse_override(percent, executor.state, executor.no_override)
+        except CommandError as error:
+            note(str(error))
+            return
+        self._asked = percent
+        self._desk.override(percent)
+
+    def _tell_override(self, executor: Running) -> None:
+        """Print an override that is in force."""
+        if self._asked == executor.percent:
+            self._asked = None
+        if executor.percent != self._overridden:
+            self._overridden = executor.percent
+            note(feed_words(self._overridden))
 
     def _tell_hold(self, executor: Running) -> None:
         """Print why a run holds and who can resume it; stop a hold that nobody can end."""

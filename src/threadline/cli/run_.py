@@ -49,15 +49,18 @@ from threadline.commands.plan import Plan
 from threadline.errors import LinkFaultError, OptionError, RecordingError, StoreError
 from threadline.files import Recording, RunEnd
 from threadline.files.formats import write_recording
-from threadline.live.hold_deviation import hold_waits, hold_words
-from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import Link, link_of
 from threadline.live.sim_machine import SimFault, parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
 from threadline.live.states import Desk
 from threadline.live.store.run_store import OpenRun, RunStore, check_folder
 from threadline.live.store.whole_trace import as_one, joined_with, whole_recording
-from threadline.live.supervised import check_halts, check_override, check_runnable
+from threadline.live.supervised import (
+    check_halts,
+    check_override,
+    check_runnable,
+    interventions,
+)
 from threadline.proof.asked import Words
 from threadline.proof.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.proof.proof_file import read_proof, write_proof
@@ -157,8 +160,8 @@ def run(
     """Run JOB on the machine: prove it, execute it, record it, and judge the recording.
 
     Ctrl-C brakes along the path to a standstill; a second Ctrl-C leaves the machine to its own
-    braking. On a terminal: h holds on the path, r resumes, any other key stops. None of them is an
-    emergency stop, which must be a circuit of the machine.
+    braking. On a terminal: h holds on the path, r resumes, - and + override the feed by 10 %, any
+    other key stops. None of them is an emergency stop, which must be a circuit of the machine.
 
     Exit status: 0 in spec, 1 out of spec or stopped, 2 wrong input, 3 a fault of machine or link.
 
@@ -199,8 +202,9 @@ def run(
         known = check_runnable(proof_file, plan, asked, execution.override, secret)
         for line in over.prepare(plan):
             note(line)
-        leaves_m = run_kind_of(chosen).hold_deviation_m(plan)
-        at_rest, spoiled = _holds_at_rest(plan, asked, leaves_m)
+        may = interventions(plan, asked)
+        for line in may.notes:
+            note(line)
         told = {
             "link": execution.link,
             **({} if (twin := words.text("actual")) is None else {"simulated": twin}),
@@ -212,7 +216,7 @@ def run(
             execution.continue_,
             execution.at,
             plan,
-            lambda operation: over.rest(plan, operation, at_rest=at_rest),
+            lambda operation: over.rest(plan, operation, at_rest=may.hold_at_rest),
             asks=not confirmed,
         )
         told |= known_of
@@ -225,7 +229,8 @@ def run(
             kept,
         ):
             ended, text = over.run(
-                plan, desk, kept, pass_stops=execution.pass_stops, hold_at_rest=at_rest,
+                plan, desk, kept, pass_stops=execution.pass_stops,
+                hold_at_rest=may.hold_at_rest, no_override=may.no_override,
                 watch=keys.step, again=again,
                 confirmed=(lambda: True) if confirmed else keys.confirmed,
             )  # fmt: skip
@@ -239,9 +244,13 @@ def run(
         "run": kept.path.name,
         "trace": str(kept.trace),
         "ended": ended.value,
-        "hold_deviation_m": finite(leaves_m),
-        "hold_waits_for_rest": at_rest,
-        "spoiled_by_holds": spoiled,
+        "hold_deviation_m": finite(may.hold_deviation_m),
+        "hold_waits_for_rest": may.hold_at_rest,
+        "spoiled_by_holds": [
+            {"name": r.name, "axis": r.axis, "measured": r.measured, "limit": r.limit}
+            for r in may.spoiled_by_holds
+        ],
+        "no_feed_override": may.no_override,
         **({"judged_with": before} if before else {}),
     }
     _judged(kept, content, ended, text)
@@ -320,19 +329,6 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
         remedy=f"What was recorded is in {kept.path}. {over.after_fault} Look at the machine, "
         "then home it.",
     )
-
-
-def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> tuple[bool, list[dict[str, Any]]]:
-    """Print the effect of a hold on the work; return whether to hold at a rest only, and why."""
-    at_rest = hold_waits(plan, spec, leaves_m)
-    spoiled = () if at_rest else run_kind_of(plan.machine).spoiled_by_holds(plan, spec)
-    at_rest = at_rest or bool(spoiled)
-    if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
-        note(words)
-    told = (
-        {"name": r.name, "axis": r.axis, "measured": r.measured, "limit": r.limit} for r in spoiled
-    )
-    return at_rest, list(told)
 
 
 def _show(

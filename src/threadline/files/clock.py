@@ -89,10 +89,11 @@ class Event:
         ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action;
         ``end`` is the end of the job. In recordings ``hold`` and ``resume`` stop and continue the
         rows, ``late`` means that rows were missing for ``value`` ticks, ``override`` gives the
-        speed overrides set at the controller itself in ``name``, and ``completed``, ``stopped`` or
-        ``fault`` ends the run, with the reason in ``name``. ``plan`` maps this tick
-        to the plan time ``value`` in s. After it plan time runs with the clock; it stands still if
-        the preceding ``plan`` event has the same ``value``.
+        speed overrides in ``name``, and in ``value`` the share of the feed if the run itself was
+        overridden, 0 if the controller was; and ``completed``, ``stopped`` or ``fault`` ends the
+        run, with the reason in ``name``. ``plan`` maps this tick
+        to the plan time ``value`` in s. After it plan time runs with the clock, or at the rate in
+        ``name``; it stands still if the preceding ``plan`` event has the same ``value``.
     operation
         Index of the job operation of the event; -1 for none.
     name, value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
 from typing import Any
@@ -13,7 +13,8 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.errors import CommandError, LimitError
 from threadline.files import Commands, Event, tick_table
-from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
+from threadline.live.braking import MOST_PLACES, CountLimits, brake, change_rate, most_changed
+from threadline.live.feed_override import feed_words
 from threadline.live.pace import place_words
 from threadline.live.path_window import PathWindow
 from threadline.live.wire import Message, event_row
@@ -22,6 +23,8 @@ from threadline.machine import Machine
 _KEPT = 4  # past ticks that are kept
 SETTLE_S = 0.5
 """Recording time in s after the last row, as in a simulation."""
+OVERRIDE_S = 0.5
+"""Shortest duration of a change of the feed by an override, s: four periods of a mode of 8 Hz."""
 _LIMIT_COUNTS = 2.0
 """Tolerance of the limits, in counts: rounding adds up to one count at either end of a row."""
 
@@ -47,6 +50,9 @@ class Ahead:
     to_rest
         Whether the rows end at the program's next rest, for a hold that would leave the path
         anywhere else.
+    rate
+        Rows of the table per tick that the run is to play: 1, or from 0.1 to 0.99. The next refill
+        begins the change.
     """
 
     keeps_home = True  # positions are counted through every stop
@@ -67,11 +73,16 @@ class Ahead:
         self.settle_ticks = ticks_in(SETTLE_S, machine) + 1
         self._first = 0  # tick of the first place that is kept
         self._places = np.zeros(1)  # at the ticks from there on
-        self._rising: FloatArray = np.empty(0)  # places on the way back to the full rate
+        self.rate = 1.0
+        self._gently = float(ticks_in(OVERRIDE_S, machine))
+        self._rate = 1.0  # that the rows play, or are on the way to
+        self._on_the_way: FloatArray = np.empty(0)  # places up to that rate
+        self._line = (0, 0.0)  # tick and place from which on that rate is played
+        self._overrides = [(-1, 1.0)]  # ticks and rates of which the machine was told
         self._given: list[tuple[int, Event]] = []  # sent events, and their ticks
         self._window.reach(MOST_PLACES)
         self.to_rest = False
-        self._before_cut: tuple[int, FloatArray, FloatArray, list[tuple[int, Event]]] | None = None
+        self._before_cut: tuple[Any, ...] | None = None
 
     @property
     def end(self) -> int:
@@ -135,40 +146,72 @@ class Ahead:
     def extend(self, until: int) -> Message:
         """Return the refill with the rows up to tick ``until`` and a braking tail after them."""
         begin, self._before_cut = self.end, None
-        self._window.reach(self.place + (until - begin) + MOST_PLACES)
+        changes = most_changed(self._gently) if self.rate != self._rate else 0
+        self._window.reach(self.place + (until - begin) + max(changes, MOST_PLACES))
         stop = float(self._end_of_path())
         added: list[float] = []
         place = self.place
-        for _ in range(begin, until):
-            if len(self._rising):
-                following, self._rising = float(self._rising[0]), self._rising[1:]
-            else:
-                following = place + 1.0
+        for tick in range(begin + 1, until + 1):
             if place >= stop:
                 break
-            place = min(following, stop)
+            place = self._following(tick, place, stop)
             added.append(place)
         self._places = np.concatenate([self._places, added])
         tail = np.empty(0) if self.place >= stop else self._brake()
-        return self._refill(begin, tail)
+        return self._refill(begin, tail, self._told_override(begin))
+
+    def _following(self, tick: int, place: float, stop: float) -> float:
+        """Return the place at ``tick`` after ``place``, at most ``stop``; begin a change of rate.
+
+        At a constant rate it is on a line: adding up steps would add up their rounding.
+        """
+        if not len(self._on_the_way) and self._rate != self.rate:
+            rates, self._rate = (self._rate, self.rate), self.rate
+            self._on_the_way = change_rate(self._window, place, rates, self._limits, self._gently)
+        if len(self._on_the_way):
+            following, self._on_the_way = float(self._on_the_way[0]), self._on_the_way[1:]
+            if not len(self._on_the_way):
+                self._line = tick, following
+        else:
+            begun, origin = self._line
+            following = origin + self._rate * (tick - begun)
+        if following >= stop:
+            self._on_the_way, self._line = np.empty(0), (tick, stop)
+        return min(following, stop)
+
+    def _told_override(self, begin: int) -> list[Event]:
+        """Return the event of a change of rate that the rows from ``begin`` on begin."""
+        if self._rate == self._overrides[-1][1]:
+            return []
+        self._overrides.append((begin, self._rate))
+        operation = int(self._window.operations(np.array([self.place_at(begin)]))[0])
+        told = Event(
+            tick=begin, kind="override", operation=operation,
+            name=feed_words(round(100.0 * self._rate)), value=self._rate,
+        )  # fmt: skip
+        return [told]
 
     def cut(self, tick: int) -> Message:
         """Return the refill that brakes along the path from ``tick`` on."""
         tick = min(max(tick, self._first), self.end)
-        self._before_cut = (self._first, self._places, self._rising, self._given)
+        rates = self._rate, self._on_the_way, self._line, self._overrides
+        self._before_cut = (self._first, self._places, self._given, rates)
         self._places = self._places[: tick - self._first + 1]
-        self._rising = np.empty(0)
         back = [event for at, event in self._given if at >= tick]
         self._given = [given for given in self._given if given[0] < tick]
+        self._overrides = [told for told in self._overrides if told[0] < tick]
         self._window.put_back(back)
         self._places = np.concatenate([self._places, self._brake()])
+        self._rate, self._on_the_way = self.rate, np.empty(0)  # from the next start on
+        self._line = self.end, self.place
         return self._refill(tick, np.empty(0))
 
     def undo(self) -> bool:
         """Undo the last cut, which the machine refused; return whether there was one."""
         if self._before_cut is None:
             return False
-        self._first, self._places, self._rising, given = self._before_cut
+        self._first, self._places, given, rates = self._before_cut
+        self._rate, self._on_the_way, self._line, self._overrides = rates
         self._before_cut = None
         self._window.take_events(self.place)  # events that the cut had put back
         self._given = given
@@ -178,11 +221,14 @@ class Ahead:
         """Extend the rest of the run to ``tick``."""
         still = np.full(max(tick - self.end, 0), self.place)
         self._places = np.concatenate([self._places, still])
+        if len(still):
+            self._line = self.end, self.place
 
     def start_again(self) -> None:
-        """Start from rest: the rate rises from 0 to 1 over the next rows."""
+        """Start from rest: the rate rises from 0 to that of the run over the next rows."""
         self._window.reach(self.place + MOST_PLACES)
-        self._rising = rise(self._window, self.place, self._limits)
+        self._rate = self.rate
+        self._on_the_way = change_rate(self._window, self.place, (0.0, self._rate), self._limits)
 
     def _end_of_path(self) -> int:
         """Return the place at which rows end: the next stop, wait or wanted rest, or the end."""
@@ -198,7 +244,7 @@ class Ahead:
         stop = float(self._end_of_path())
         return np.minimum(brake(self._window, before, self._limits), stop)
 
-    def _refill(self, begin: int, tail: FloatArray) -> Message:
+    def _refill(self, begin: int, tail: FloatArray, told: Sequence[Event] = ()) -> Message:
         places = np.concatenate([self._places[begin - self._first :], tail])
         wanted = self.end - begin
         stands = self._window.counts(places)
@@ -209,7 +255,7 @@ class Ahead:
             "first": begin,
             "wanted": wanted,
             "last": self.complete,
-            "events": [event_row(event) for event in self._events(begin)],
+            "events": [event_row(event) for event in (*told, *self._events(begin))],
         }
         arrays = {
             "at": at[0], "counts": counts, "operation": self._window.operations(places[:-1]),

@@ -1,9 +1,10 @@
-"""Brake along the path and start again on it, within the limits of every axis.
+"""Brake along the path, start again on it and change its rate, within the limits of every axis.
 
 The *rate* of a run is the number of rows of its table per tick, 1 in normal running. To brake, the
 rate falls to 0 along a smooth curve, so that the axes slow down together and stay on the path. To
-start again, it rises along the mirrored curve and ends on a whole row, so that all later rows are
-those of the table.
+start again, it rises along the mirrored curve. An override changes it along the same curve, but
+slowly: nothing hurries, and loads are not to swing. A way to the rate 1 ends on a whole row, so
+that all later rows are those of the table.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 
 """Braking durations in ticks to try in turn; the first one that keeps every limit is used."""
 MOST_PLACES = ceil(_DURATIONS[-1]) + 2
 """Number of rows beyond its beginning that braking or starting may read."""
+_LANDS = 200
+"""Most ticks by which a way from a rate of at most 0.99 to 1 is longer, to end on a whole row."""
+_LONGER = (1.0, 2.0, 4.0)
+"""Durations of a change of the rate to try in turn, in parts of the shortest one."""
 _ROUNDED = (0.5, 1.0, 2.0, 4.0)
 """Largest error, in counts, that rounding to whole counts causes in a position and in its first,
 second and third difference (velocity, acceleration and jerk)."""
@@ -190,9 +195,7 @@ def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -
 
 
 def rise(path: Path, place: float, limits: CountLimits) -> FloatArray:
-    """Return the (n,) places at the next ticks for starting again from rest.
-
-    The last of them is a whole number; after it one row of the table is played at each tick.
+    """Return the (n,) places at the next ticks for starting again from rest, up to the rate 1.
 
     Parameters
     ----------
@@ -203,18 +206,65 @@ def rise(path: Path, place: float, limits: CountLimits) -> FloatArray:
     limits
         Limits of the axes, as for ``brake``.
     """
+    return change_rate(path, place, (0.0, 1.0), limits)
+
+
+def most_changed(gently: float) -> int:
+    """Return the number of rows beyond its beginning that a change of the rate may read."""
+    return ceil(_LONGER[-1] * gently) + _LANDS + 2 if gently else MOST_PLACES
+
+
+def change_rate(
+    path: Path, place: float, rates: tuple[float, float], limits: CountLimits, gently: float = 0.0
+) -> FloatArray:
+    """Return the (n,) places at the next ticks for another rate, not empty.
+
+    If that rate is 1, the last place is a whole number; after it one row of the table is played at
+    each tick.
+
+    Parameters
+    ----------
+    path
+        The path, known for ``most_changed`` beyond ``place``, or to its end.
+    place
+        Place at which the change begins.
+    rates
+        The rate before, 0 at rest, else between 0.1 and 1, and the other one after it, above 0. One
+        that is less than 1 is at most 0.99.
+    limits
+        Limits of the axes, as for ``brake``.
+    gently
+        Shortest duration, in ticks; 0 for as short as the limits allow.
+    """
+    before, after = rates
     best, least = np.empty(0), np.inf
-    own = path.counts(np.arange(floor(place), floor(place) + MOST_PLACES + 2, dtype=np.float64))
-    beyond = 2.0 * (place - floor(place))  # makes place + ticks/2 + the rest of a tick whole
-    for wanted in _DURATIONS:
-        ticks = beyond + 2.0 * max(ceil((wanted - beyond) / 2.0), 0 if beyond else 1)
+    comes = place - before * np.arange(2.0, -1.0, -1.0)
+    last = floor(place) + most_changed(gently) + 2
+    own = path.counts(np.arange(floor(comes[0]), last, dtype=np.float64))
+    for wanted in [gently * part for part in _LONGER] if gently else _DURATIONS:
+        ticks = _landing(place, before, wanted) if after == 1.0 else wanted
         k = np.arange(1, ceil(ticks) + 1)
-        share = np.minimum(k / ticks, 1.0)
-        places = np.asarray(place + ticks * _risen(share) + np.maximum(k - ticks, 0.0))
-        whole = np.concatenate([[place] * 3, places, places[-1] + np.arange(1, 4)])
+        part = np.minimum(k, ticks)
+        places = np.asarray(
+            place
+            + before * part
+            + (after - before) * ticks * _risen(part / ticks)
+            + after * np.maximum(k - ticks, 0.0)
+        )
+        whole = np.concatenate([comes, places, places[-1] + after * np.arange(1, 4)])
         excess = limits.excess(path.counts(whole), own)
         if excess < least:
             best, least = places, excess
         if excess <= 1.0:
             break
-    return np.concatenate([best[:-1], np.rint(best[-1:])])
+    return np.concatenate([best[:-1], np.rint(best[-1:])]) if after == 1.0 else best
+
+
+def _landing(place: float, before: float, wanted: float) -> float:
+    """Return a duration of at least ``wanted`` ticks after which the rate 1 begins on a whole row.
+
+    A change in T ticks is T (1 - before) / 2 rows shorter than T ticks at the rate 1.
+    """
+    row = 2.0 / (1.0 - before)  # ticks that lose a row
+    beyond = row * (place - floor(place))
+    return beyond + row * max(ceil((wanted - beyond) / row), 0 if beyond else 1)

@@ -14,8 +14,9 @@ import numpy as np
 from threadline.base.arrays import IntArray
 from threadline.errors import CommandError, LimitError, LinkFaultError
 from threadline.files import Commands, RunEnd
-from threadline.live.ahead import ticks_in
+from threadline.live.ahead import Ahead, ticks_in
 from threadline.live.at_rest import AtRest
+from threadline.live.feed_override import feed_words, refuse_override
 from threadline.live.jogging import JogAhead, MoveAhead
 from threadline.live.kinds_run import RunAhead, run_kind_of
 from threadline.live.states import MOVING, Cause, Desk, Sink, State, next_state
@@ -72,6 +73,21 @@ class Executor(AtRest):
         self._rest: int | None = None  # tick from which on nothing is commanded any more
         self._owes_go = self._brake_again = False
         self._braked = False  # the sent rows end in a requested braking
+        self.no_override = self._run_kind.no_override
+
+    @property
+    def percent(self) -> int:
+        """Override of the feed that the run has, %."""
+        ahead = self._ahead
+        return round(100.0 * ahead.rate) if ahead and not isinstance(ahead, JogAhead) else 100
+
+    @property
+    def plan_s(self) -> float:
+        """Time of the plan that the machine has played, as last reported, s."""
+        ahead = self._ahead
+        if not isinstance(ahead, Ahead):
+            return self.time_s
+        return ahead.place_at(self.tick) * float(self._machine.tick_clock.period_s)
 
     @property
     def under_way(self) -> bool:
@@ -86,6 +102,7 @@ class Executor(AtRest):
         hold_at_rest: bool = False,
         loads_follow: bool = False,
         from_rest: bool = False,
+        no_override: str = "",
     ) -> None:
         """Begin a run. The caller has checked the proof; the limits of each row are checked here.
 
@@ -101,6 +118,9 @@ class Executor(AtRest):
             Whether the commands make the loads follow the motion (``RunKind.loads_follow``).
         from_rest
             Whether their first rows are at speed, so that it must start as after a hold.
+        no_override
+            Why the feed of this run cannot be overridden; empty if it can. The caller has
+            simulated what overrides do (``no_override``).
 
         Raises
         ------
@@ -115,6 +135,7 @@ class Executor(AtRest):
         )
         ahead.refuse_elsewhere(self._stands)
         self._hold_at_rest = hold_at_rest
+        self.no_override = self._run_kind.no_override or no_override
         if from_rest:
             ahead.start_again()
         self._set_out(Cause.START, ahead, ahead.start)
@@ -238,6 +259,36 @@ class Executor(AtRest):
             self._hear(message)
         elif self._link.lost:
             self._lost("the link is gone")
+
+    def obey(self) -> None:
+        """Execute the commands of the desk; an impossible one is recorded and dropped."""
+        super().obey()
+        percent = self._desk.take_override()
+        if percent is None:
+            return
+        try:
+            self.override(percent)
+        except CommandError as error:
+            self._sink.state(self.tick, self.state, Cause.OVERRIDE, error.message)
+
+    def override(self, percent: int) -> None:
+        """Override the feed of the run: the next refill begins the change, a hold keeps it.
+
+        Parameters
+        ----------
+        percent
+            From 10 to 100: a proof covers no more.
+
+        Raises
+        ------
+        CommandError
+            If it is beyond that, there is no run, or this run allows none.
+        """
+        refuse_override(percent, self.state, self.no_override)
+        ahead = self._ahead
+        assert not isinstance(ahead, JogAhead | None)
+        ahead.rate = percent / 100.0
+        self._sink.state(self.tick, self.state, Cause.OVERRIDE, feed_words(percent))
 
     def _command(self, cause: Cause) -> None:
         moving = self.state in MOVING

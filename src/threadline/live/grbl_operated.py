@@ -175,10 +175,10 @@ class GrblOperated(GrblRun):
         assert load.program is not None
         self.refuse_program(load.program, self._starts(load))
 
-    def run(self, load: Load, *, hold_at_rest: bool) -> None:  # noqa: ARG002  # it holds on its path
+    def run(self, load: Load, *, hold_at_rest: bool, no_override: str = "") -> None:  # noqa: ARG002  # it holds on its path
         """Begin a run."""
         assert load.program is not None
-        self.start(load.program, self._starts(load))
+        self.start(load.program, self._starts(load), no_override=no_override)
         self._set_out = True
 
     def starts(self, load: Load) -> IntArray:

@@ -15,6 +15,7 @@ from threadline.base.arrays import FloatArray
 from threadline.errors import CommandError, LinkFaultError
 from threadline.files import RunEnd
 from threadline.live.at_rest import OPERATOR
+from threadline.live.feed_override import refuse_override
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_program import ReportTrace, way_passed
 from threadline.live.grbl_words import (
@@ -28,6 +29,7 @@ from threadline.live.grbl_words import (
     Program,
     Status,
     in_words,
+    override_bytes,
     override_words,
     program_of,
     status_of,
@@ -48,6 +50,7 @@ OFF_PATH_M = 1e-3
 _STANDS_S = 1.0  # short of the end of its program, after which the run has failed
 ANSWERS_S = 30.0  # beyond the time of its lines: a spindle may be waited for
 _LISTENS_S = 0.05  # at a time: the operator may have sent a command meanwhile
+_OVERRIDES_S = 5.0  # for an override: nine coarse and nine fine steps, a report for each
 _HOLDS_S = 2.0  # beyond twice its braking time, after which a hold has failed
 
 
@@ -114,6 +117,11 @@ class GrblRun:
         self._brakes_until_s = self._stood_s = np.inf
         self._told_s = -np.inf  # time of the last hold or resume command
         self._looked_s = clock_s()
+        self.no_override = ""
+        self._unnoted = False  # whether overrides have changed that were not noted yet
+        self._wanted: int | None = None  # override of the feed, %, until the controller has it
+        self._overrode_s = -np.inf  # time of the latest step to it
+        self._override_until_s = np.inf  # when it has failed
         self._last_state_words = ""  # reported by the controller while it holds
         self._unready = ""  # why it cannot resume
         self._passed = -1  # line of the M0 that was passed last
@@ -159,7 +167,7 @@ class GrblRun:
                 return True
         return False
 
-    def start(self, program: Program, starts: FloatArray) -> None:
+    def start(self, program: Program, starts: FloatArray, *, no_override: str = "") -> None:
         """Begin a run.
 
         Parameters
@@ -168,6 +176,8 @@ class GrblRun:
             Its lines.
         starts
             (axes,) starting position, m or rad.
+        no_override
+            Why the feed of this run cannot be overridden; empty if it can.
 
         Raises
         ------
@@ -186,7 +196,7 @@ class GrblRun:
             )
         self._forget()
         self._trace.again(self._at)
-        self._program = program
+        self._program, self.no_override = program, no_override
         self._go(Cause.START)
         self._sent_from = starts
         self._begun_s = self._heard_s = clock_s()
@@ -272,6 +282,55 @@ class GrblRun:
                 self._command(cause)
             except CommandError as error:
                 self._sink.state(self._trace.tick, self.state, cause, error.message)
+        if (percent := self._desk.take_override()) is not None:
+            try:
+                self.override(percent)
+            except CommandError as error:
+                self._sink.state(self._trace.tick, self.state, Cause.OVERRIDE, error.message)
+
+    @property
+    def percent(self) -> int:
+        """Override of the feed that the controller has reported, %."""
+        return round(float(self._overrides[0]))
+
+    @property
+    def plan_s(self) -> float:
+        """Time of the program at its feeds that the reports have passed, s."""
+        return float(self._program.durations_s[: self.executed].sum())
+
+    def override(self, percent: int) -> None:
+        """Override the feed of the run at the controller, step by step as it reports them.
+
+        Parameters
+        ----------
+        percent
+            From 10 to 100: a proof covers no more.
+
+        Raises
+        ------
+        CommandError
+            If it is beyond that, there is no run, or this run allows none.
+        """
+        refuse_override(percent, self.state, self.no_override)
+        self._wanted, self._override_until_s = percent, clock_s() + _OVERRIDES_S
+        self._override_on()
+
+    def _override_on(self) -> None:
+        """Send the next step to the wanted override; end where the controller has it."""
+        if self._wanted is None or self._wanted == self.percent:
+            self._wanted = None
+            return
+        now_s = clock_s()
+        if now_s > self._override_until_s:
+            text = (
+                f"the controller was told to override the feed by {self._wanted} %, and reports "
+                f"{self.percent} %"
+            )
+            self._wanted = None
+            self._sink.state(self._trace.tick, self.state, Cause.OVERRIDE, text)
+            return
+        self._overrode_s = now_s
+        self._port.send(override_bytes(self._wanted, self.percent))
 
     def _listen(self) -> None:
         """Act on the controller's messages, or on its silence."""
@@ -354,7 +413,10 @@ class GrblRun:
             if self.over:
                 self._leave()
             return
-        if self._knows_overrides(found):
+        self._unnoted = self._knows_overrides(found) or self._unnoted
+        if found.overrides is not None or self._heard_s - self._overrode_s > OBEYS_S:
+            self._override_on()
+        if self._unnoted and self._wanted is None:  # steps on the way to one are not told
             self._note_overrides()
         if found.state != "Idle":
             self._stood_s = np.inf
@@ -382,6 +444,7 @@ class GrblRun:
 
     def _note_overrides(self) -> None:
         """Write the overrides, set at the controller itself, into recording and log."""
+        self._unnoted = False
         text = override_words(self._overrides)
         self._trace.note("override", text, self._operation)
         text = f"overrides set at the controller: {text}"

@@ -22,6 +22,9 @@ RX_BYTES = 128
 """Characters that grbl's receive buffer holds, unless it reports fewer (``$I``)."""
 AS_IS = 100.0
 """An override that changes nothing, %; grbl has it after each reset."""
+_FEED_AS_IS = b"\x90"
+_COARSE = 10  # %, of a coarse step; a fine one is 1 %
+_COARSER, _FINER = (b"\x92", b"\x91"), (b"\x94", b"\x93")  # down, up
 _STANDS = frozenset({"Idle", "Alarm", "Sleep", "Check"})
 _STANDING = {"Hold": (-1, 0), "Door": (-1, 0, 1)}
 """Details after states in which the machine stands; -1 is none."""
@@ -155,6 +158,23 @@ def status_of(line: str) -> Status | None:
         numbers(fields[name]) if name in fields else None for name in ("MPos", "WCO", "Ov")
     )
     return Status(state, -1 if detail is None else int(detail), place, offset, overrides)
+
+
+def override_bytes(percent: int, told: int) -> bytes:
+    r"""Return the bytes for the next step from an override of the feed to another, both in %.
+
+    grbl keeps a flag for each of its steps, so that two equal bytes may count as one: a coarse and
+    a fine step at most are sent at once ("Grbl v1.1 Commands", feed overrides).
+
+    >>> override_bytes(100, 50), override_bytes(37, 100), override_bytes(52, 51)
+    (b'\x90', b'\x92\x94', b'\x93')
+    """
+    if percent == AS_IS:
+        return _FEED_AS_IS
+    left = percent - told
+    coarse, fine = divmod(abs(left), _COARSE)
+    up = left > 0
+    return (_COARSER[up] if coarse else b"") + (_FINER[up] if fine else b"")
 
 
 def override_words(overrides: FloatArray) -> str:

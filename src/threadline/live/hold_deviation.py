@@ -1,9 +1,10 @@
-"""Effect of a hold on the work: its distance from the path, and vibration due to its braking.
+"""Effect of a hold or an override on the work: its distance from the path, and vibration.
 
 With feed-forward or a shaper the commands are not the path itself: they make the loads follow it at
 the full rate. In a hold the loads come to rest at the commanded positions, which lie beside the
 path. If the commands are the path, the axes brake along it as hard as their limits allow, which may
-shake a load more than the plan does: that is simulated.
+shake a load more than the plan does: that is simulated. So is a run that is overridden: slower rows
+may meet a mode that the plan's own do not.
 """
 
 from __future__ import annotations
@@ -19,7 +20,16 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
 from threadline.files import Event, RecordingBlock, Stream, TickBlock, TickTable, tick_table
-from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
+from threadline.live.ahead import OVERRIDE_S, ticks_in
+from threadline.live.braking import (
+    MOST_PLACES,
+    CountLimits,
+    brake,
+    change_rate,
+    most_changed,
+    rise,
+)
+from threadline.live.pace import Pace
 from threadline.live.path_window import HALTS, PathWindow, rest_rows
 from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import simulate
@@ -33,6 +43,7 @@ _HOLDS = 8  # simulated holds, each at the fastest rows of a part of the table
 _STANDS_S = 0.5  # duration of each: the loads come to rest in it
 _MOST_ROWS = 200_000  # longest table that is simulated with holds
 _SPARE = 0.97  # share of a limit that a hold may use by its prediction
+_SLOWER = (0.75, 0.5, 0.25, 0.1)  # rates of simulated overrides
 
 
 def hold_deviation_m(plan: Plan) -> float:
@@ -117,20 +128,49 @@ def spoiled_by_holds(plan: Plan, spec: Spec) -> tuple[Result, ...]:
     nominal machine: it brakes and starts again as the executor does. A criterion that fails without
     a hold too is not counted.
     """
+    table = tick_table(plan.commands)
+    window = PathWindow(table, pass_stops=True)
+    places, until = _held_places(table, window, plan)
+    return _spoiled(plan, spec, window, places) if until else ()
+
+
+def spoiled_by_override(plan: Plan, spec: Spec, *, holds: bool) -> tuple[int, tuple[Result, ...]]:
+    """Return an override in % that would bring the work out of specification, and the criteria.
+
+    100 and nothing if none does. Two runs at each of ``_SLOWER`` rates are simulated on the nominal
+    machine: one that keeps its rate, and one that at the fastest rows of ``_HOLDS`` parts of its
+    table is played at the full feed for a while, or held, in turn.
+
+    Parameters
+    ----------
+    holds
+        Whether it is held anywhere, and not at rests only.
+    """
+    table = tick_table(plan.commands)
+    for rate in _SLOWER:
+        window = PathWindow(table, pass_stops=True)
+        rows = int(window.reach(rate * _MOST_ROWS))
+        evenly = np.minimum(rate * np.arange(ceil(rows / rate) + 1.0), rows)
+        changing = _overridden_places(window, plan, (rate, rows), holds=holds)
+        for places in (_resting(evenly, window, plan), changing):
+            if len(places) and (found := _spoiled(plan, spec, window, places)):
+                return round(100.0 * rate), found
+    return 100, ()
+
+
+def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> tuple[Result, ...]:
+    """Return the criteria that a run with (n,) places at its ticks brings out of specification."""
     asked = [c for c in spec.criteria if c.limit and not c.hard]
     narrower = tuple(replace(c, limit=_SPARE * (c.limit or 0.0)) for c in asked)
     if not asked:
         return ()
     table = tick_table(plan.commands)
-    window = PathWindow(table, pass_stops=True)
-    places, until = _held_places(table, window, plan)
-    if not until:
-        return ()
     counts = np.diff(window.rounded(places), axis=0)
     operation = window.operations(places[:-1])
     rows = TickBlock(first_tick=0, counts=counts, operation=operation)
     held = simulate(replace(table, blocks=Stream.of([rows])), plan.machine)
-    told = _plan_events(places, until, float(table.clock.period_s))
+    pace, ticks = Pace(table.clock), len(counts)
+    told = (*pace.played(0, places[1:]), *pace.ended(ticks, 1))
     recording = replace(held, blocks=Stream(_with_events, held.blocks, told, table.clock.name))
     failed = [
         result
@@ -177,13 +217,58 @@ def _held_places(table: TickTable, window: PathWindow, plan: Plan) -> tuple[Floa
     return np.concatenate([places, rest]), until
 
 
-def _plan_events(places: FloatArray, until: int, tick_s: float) -> list[Event]:
-    """Return an event for each tick up to ``until`` at which the plan's time differs."""
-    held = np.flatnonzero(places[:until] != np.arange(until))
-    return [
-        Event(tick=int(k), kind="plan", operation=-1, value=float(places[k]) * tick_s)
-        for k in (*held.tolist(), *([until] if len(places) > until else []))
-    ]
+def _overridden_places(
+    window: PathWindow, plan: Plan, slower: tuple[float, int], *, holds: bool
+) -> FloatArray:
+    """Return the (n,) places at the ticks of a run at a rate, up to a row; empty if none moves."""
+    rate, rows = slower
+    radius = plan.machine.radius_m / plan.machine.counts_per_unit
+    step = np.diff(window.counts(np.arange(rows + 1.0)), axis=0) * radius
+    speed = np.linalg.norm(step, axis=1)
+    if not speed.any():
+        return np.empty(0)
+    limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
+    stands, gently = ticks_in(_STANDS_S, plan.machine), float(ticks_in(OVERRIDE_S, plan.machine))
+    places = np.arange(3.0)
+
+    def go_on(more: FloatArray) -> None:
+        nonlocal places
+        places = np.concatenate([places, np.minimum(more, rows)])
+        window.reach(places[-1] + stands + 2.0 * most_changed(gently))
+
+    def change(before: float, after: float) -> None:
+        slowly = gently if before else 0.0
+        go_on(change_rate(window, float(places[-1]), (before, after), limits, slowly))
+
+    go_on(np.empty(0))
+    change(1.0, rate)
+    for part, (begin, end) in enumerate(pairwise(np.linspace(0, rows, _HOLDS + 1).astype(int))):
+        fastest = begin + int(np.argmax(speed[begin:end])) if end > begin else begin
+        if fastest <= places[-1] or fastest + 2 >= rows:
+            continue
+        go_on(places[-1] + rate * np.arange(1.0, (fastest - places[-1]) / rate + 1.0))
+        if holds and part % 2:
+            go_on(brake(window, (places[-3], places[-2], places[-1]), limits))
+            go_on(np.full(stands, places[-1]))
+            change(0.0, rate)
+        else:
+            change(rate, 1.0)
+            go_on(places[-1] + np.arange(1.0, stands + 1.0))
+            change(1.0, rate)
+    go_on(places[-1] + rate * np.arange(1.0, (rows - places[-1]) / rate + 1.0))
+    if places[-1] < rows:
+        go_on(np.array([float(rows)]))
+    return _resting(places, window, plan)
+
+
+def _resting(places: FloatArray, window: PathWindow, plan: Plan) -> FloatArray:
+    """Return places with a braking behind them, if they end before the table does."""
+    window.reach(places[-1] + MOST_PLACES)
+    limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
+    if window.at_end and places[-1] >= window.reach(places[-1]):
+        return places
+    down = brake(window, (places[-3], places[-2], places[-1]), limits)
+    return np.concatenate([places, np.minimum(down, window.reach(places[-1]))])
 
 
 def _with_events(
@@ -211,11 +296,7 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Re
         The criteria that a hold would bring out of specification, by simulation.
     """
     if spoiled and math.isfinite(leaves_m):
-        found = ", ".join(
-            f"{' '.join(filter(None, (r.name, r.axis)))} {shown(r.measured or 0.0, r.unit)} of "
-            f"{shown(r.limit or 0.0, r.unit)}"
-            for r in spoiled
-        )
+        found = _results_words(spoiled)
         until = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
         return f"braking at full speed would shake the load ({found}), so h stands {until}"
     if not 0.0 < leaves_m < math.inf:
@@ -229,6 +310,33 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Re
     if rests_within(plan):
         return f"a hold may stand {places}, so h stands at the next rest"
     return f"a hold may stand {places}, so h waits for a rest, and there is none before the end"
+
+
+def override_words(leaves_m: float, percent: int, spoiled: Sequence[Result]) -> str:
+    """Return why an override would spoil the work; empty if it would not.
+
+    Parameters
+    ----------
+    leaves_m
+        Distance in m that loads at a slower rate get from the path at most, if that is too far;
+        else 0.
+    percent, spoiled
+        As ``spoiled_by_override`` returns them.
+    """
+    if leaves_m > 0.0:
+        return (
+            "its commands make the loads follow the path at the full feed alone; slower they "
+            f"would come up to {1e3 * leaves_m:.2f} mm from where they are due"
+        )
+    return f"at {percent} % its loads would shake ({_results_words(spoiled)})" if spoiled else ""
+
+
+def _results_words(results: Sequence[Result]) -> str:
+    return ", ".join(
+        f"{' '.join(filter(None, (r.name, r.axis)))} {shown(r.measured or 0.0, r.unit)} of "
+        f"{shown(r.limit or 0.0, r.unit)}"
+        for r in results
+    )
 
 
 def rests_within(plan: Plan) -> bool:

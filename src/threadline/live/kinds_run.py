@@ -22,7 +22,14 @@ from threadline.files import (
 from threadline.live.ahead import Ahead, halts_of_rows
 from threadline.live.derived import Rest, rest_of_rows, rest_of_scans, rest_of_turns
 from threadline.live.guards import Guards, ScanGuards, TurnGuards
-from threadline.live.hold_deviation import hold_deviation_m, spoiled_by_holds
+from threadline.live.hold_deviation import (
+    hold_ahead_m,
+    hold_deviation_m,
+    hold_waits,
+    override_words,
+    spoiled_by_holds,
+    spoiled_by_override,
+)
 from threadline.live.scans_ahead import ScansAhead, waits_of_schedule
 from threadline.live.turns_ahead import TurnsAhead
 from threadline.live.wire import Message
@@ -38,6 +45,8 @@ class RunAhead(Protocol):
     """Whether positions are known after a stop."""
     to_rest: bool
     """Whether a hold waits for the next rest of the program."""
+    rate: float
+    """Rows of the table per tick that it is to play, where ``RunKind.no_override`` is empty."""
 
     @property
     def start(self) -> IntArray:
@@ -151,6 +160,11 @@ class RunKind:
         Whether the commands of a plan make the loads follow the motion (feed-forward).
     reports_plan_time
         Whether the machine reports the plan's time of its rows (events ``plan``).
+    no_override
+        Why the feed of its runs cannot be overridden; empty if it can.
+    override_spoils
+        Returns why an override would spoil the work of a plan; empty if it would not. Its last
+        arguments are the distance of a hold from the path, and whether holds wait for a rest.
     by_hand
         Whether its axes can be moved by hand, one at a time.
     """
@@ -165,6 +179,15 @@ class RunKind:
     loads_follow: Callable[[Plan], bool] = lambda _: False
     by_hand: bool = False
     reports_plan_time: bool = False
+    no_override: str = ""
+    override_spoils: Callable[[Plan, Spec, float, bool], str] = lambda *_: ""
+
+
+def _override_spoils(plan: Plan, spec: Spec, leaves_m: float, at_rest: bool) -> str:
+    """Return why an override would spoil the work of axes; empty if it would not."""
+    if hold_waits(plan, spec, leaves_m):
+        return override_words(max(leaves_m, hold_ahead_m(plan)), 100, ())
+    return override_words(0.0, *spoiled_by_override(plan, spec, holds=not at_rest))
 
 
 _RUN_KINDS: dict[type[Commands], RunKind] = {
@@ -175,6 +198,7 @@ _RUN_KINDS: dict[type[Commands], RunKind] = {
         halts=halts_of_rows,
         hold_deviation_m=hold_deviation_m,
         spoiled_by_holds=spoiled_by_holds,
+        override_spoils=_override_spoils,
         rest=rest_of_rows,
         loads_follow=lambda plan: plan.motion.of_loads is not None,
         by_hand=True,
@@ -187,6 +211,7 @@ _RUN_KINDS: dict[type[Commands], RunKind] = {
         halts=waits_of_schedule,
         hold_deviation_m=lambda _: float("inf"),
         rest=rest_of_scans,
+        no_override="its cylinders move as fast as their air, whatever the schedule is",
     ),
     StepPlay: RunKind(
         start=lambda commands: played(commands).start_steps,
@@ -195,6 +220,7 @@ _RUN_KINDS: dict[type[Commands], RunKind] = {
         halts=lambda _: (),
         hold_deviation_m=lambda _: 0.0,
         rest=rest_of_turns,
+        no_override="its frame moves by the turns of the main shaft, whose speed is set there",
     ),
 }
 

@@ -46,6 +46,18 @@ class Running(Protocol):
     """Who stopped it, if it was stopped."""
 
     @property
+    def percent(self) -> int:
+        """Override of its feed, %."""
+
+    @property
+    def no_override(self) -> str:
+        """Why its feed cannot be overridden; empty if it can."""
+
+    @property
+    def plan_s(self) -> float:
+        """Time of the plan that was played, as far as it is known, s."""
+
+    @property
     def time_s(self) -> float:
         """Time since its beginning, s."""
 
@@ -88,12 +100,13 @@ class Link(Protocol):
         pass_stops: bool,
         hold_at_rest: bool,
         watch: Callable[[Running], None],
+        no_override: str = "",
         again: Continued | None = None,
         confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[RunEnd, str]:
         """Run the plan, or the rest of it; return how it ended, and why.
 
-        ``again`` and ``confirmed`` are as for ``run_commands``.
+        ``no_override``, ``again`` and ``confirmed`` are as for ``run_commands``.
         """
 
 
@@ -193,6 +206,7 @@ class GrblLink:
         pass_stops: bool,
         hold_at_rest: bool,  # noqa: ARG002  # it holds on its path, whatever it is
         watch: Callable[[Running], None],
+        no_override: str = "",
         again: Continued | None = None,
         confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[RunEnd, str]:
@@ -214,7 +228,7 @@ class GrblLink:
             in_order = sorted(starts, key=lambda way: machine.axes[way[0]].kind != "linear")
             if why := moved_in_turn(one, machine, in_order, watch):
                 return why
-        one.run(load, hold_at_rest=False)
+        one.run(load, hold_at_rest=False, no_override=no_override)
         while not one.over:
             one.step()
             watch(one)
@@ -359,13 +373,14 @@ class RowsOperated(Executor):
         """Refuse a plan that does not begin where the machine stands."""
         self._run_kind.ahead(load.commands, self._machine).refuse_elsewhere(self.stands)
 
-    def run(self, load: Load, *, hold_at_rest: bool) -> None:
+    def run(self, load: Load, *, hold_at_rest: bool, no_override: str = "") -> None:
         """Begin a run; see ``Executor.start``."""
         self.start(
             load.commands,
             hold_at_rest=hold_at_rest,
             loads_follow=run_kind_of(self._machine).loads_follow(load.plan),
             from_rest=load.rest is not None,
+            no_override=no_override,
         )
 
 

@@ -80,6 +80,14 @@ class Operated(Protocol):
         """Age of the latest position beyond its due time, s; 0 if none is due."""
 
     @property
+    def percent(self) -> int:
+        """Override of the feed of the run, %."""
+
+    @property
+    def no_override(self) -> str:
+        """Why the feed of the run cannot be overridden; empty if it can."""
+
+    @property
     def share_done(self) -> float | None:
         """Executed share of a run, 0 to 1; None if its time gives it."""
 
@@ -132,5 +140,8 @@ class Operated(Protocol):
     def refuse(self, load: Load) -> None:
         """Refuse a load that does not begin where the machine stands."""
 
-    def run(self, load: Load, *, hold_at_rest: bool) -> None:
-        """Begin a run."""
+    def run(self, load: Load, *, hold_at_rest: bool, no_override: str = "") -> None:
+        """Begin a run; ``no_override`` says why its feed cannot be overridden, if it cannot."""
+
+    def override(self, percent: int) -> None:
+        """Override the feed of the run, 10 to 100 %."""

@@ -1,7 +1,7 @@
 """The plan's time at each tick of a run, if rows are not played one per tick.
 
-A hold, a stop and a start from rest play rows at another rate than one per tick. Only the machine
-knows which were played: rows carry their places, and the machine reports them.
+A hold, a stop, a start from rest and an override play rows at another rate than one per tick. Only
+the machine knows which were played: rows carry their places, and the machine reports them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,19 @@ from threadline.base.arrays import FloatArray
 from threadline.files import Clock, Event
 from threadline.machine import Machine
 
+_SAME = 1e-7
+"""Rows by which a place is off a line of another rate than 1, at most: some rounding errors."""
+_DIGITS = 6  # of a rate; an override has two
+_AT_ONCE = 1 << 12  # places that are compared at once
+
 
 class Pace:
     """Makes events of the kind ``plan`` from played rows; none at one row per tick.
 
     Each event has the plan's time at its tick. After an event the plan advances one row per tick,
-    or stands still if the previous event had the same time; a tick gets its own event only if it
-    differs from that.
+    or as many as its name says, or stands still if the previous event had the same time; a tick
+    gets its own event only if it differs from that. So a long stretch at a constant rate has a few
+    events at its beginning.
 
     Parameters
     ----------
@@ -32,6 +38,8 @@ class Pace:
         self._per_row = float(clock.period_s.numerator), float(clock.period_s.denominator)
         self._rate = 1.0
         self._told: float | None = None  # place of the latest event
+        self._since = 0  # ticks since that event
+        self._step = 0.0  # rows played in the latest tick with an event
         self.place = 0.0
         """Number of played rows of the table, whole or not."""
 
@@ -45,20 +53,51 @@ class Pace:
         places
             (n,) number of rows of the table, whole or not, played after each of them.
         """
-        ahead = self.place + self._rate * np.arange(1.0, len(places) + 1.0)
-        if np.array_equal(places, ahead):
-            self.place = float(places[-1]) if len(places) else self.place
-            return ()
         found: list[Event] = []
-        for tick, place in enumerate(places.tolist(), first + 1):
-            if place != self.place + self._rate:
-                # Rounded as a clock converts ticks to seconds: a whole row has its tick's time.
-                time_s = place * self._per_row[0] / self._per_row[1]
-                found.append(Event(tick=tick, kind="plan", operation=-1, value=time_s))
-                self._rate = 0.0 if place == self._told else 1.0
-                self._told = place
-            self.place = place
+        at = 0
+        while at < len(places):
+            expected = self._goes_on(places[at : at + _AT_ONCE])
+            if expected:
+                self._since += expected
+                self._step = self._rate
+                self.place = float(places[at + expected - 1])
+                at += expected
+                continue
+            found.append(self._event(first + 1 + at, float(places[at])))
+            at += 1
         return tuple(found)
+
+    def _goes_on(self, places: FloatArray) -> int:
+        """Return how many of the next places are those that a reader expects."""
+        ticks = np.arange(1.0, len(places) + 1.0)
+        if self._rate in (0.0, 1.0):
+            differs = places != self.place + self._rate * ticks
+        else:
+            assert self._told is not None
+            expected = self._told + self._rate * (self._since + ticks)
+            differs = np.abs(places - expected) > _SAME
+        return int(np.argmax(differs)) if differs.any() else len(places)
+
+    def _event(self, tick: int, place: float) -> Event:
+        """Return the event of a place that a reader does not expect."""
+        # Rounded as a clock converts ticks to seconds: a whole row has its tick's time.
+        time_s = place * self._per_row[0] / self._per_row[1]
+        step, name = place - self.place, ""
+        self._rate = 0.0 if place == self._told else 1.0
+        rate = round(step, _DIGITS)
+        if 0.0 < rate < 1.0 and max(abs(step - self._step), abs(step - rate)) <= _SAME:
+            self._rate, name = rate, f"{rate:g}"  # twice the same: it is likely to last
+        self._told, self._step, self._since, self.place = place, step, 0, place
+        return Event(tick=tick, kind="plan", operation=-1, name=name, value=time_s)
+
+    def ended(self, first: int, ticks: int) -> tuple[Event, ...]:
+        """Return the events of ticks from ``first`` on after the last row: the clock goes on.
+
+        None if the rows were played one per tick, or stood: a reader knows that already.
+        """
+        if self._rate in (0.0, 1.0):
+            return ()
+        return self.played(first, self.place + np.arange(1.0, ticks + 1.0))
 
     def stood(self, first: int, ticks: int) -> tuple[Event, ...]:
         """Return the events of ticks from ``first`` on at which nothing was played."""

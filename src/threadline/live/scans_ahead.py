@@ -51,6 +51,7 @@ class ScansAhead:
     """
 
     keeps_home = False  # an interrupted schedule leaves cylinders anywhere
+    rate = 1.0  # nothing overrides it
 
     def __init__(
         self,

@@ -182,7 +182,10 @@ class SimRows(SimMachine):
         elif stands and not self.starved:
             session.hold()
         block = session.advance(ticks=room)
-        return _telling(block, self._pace.stood(first, self.tick - first) if stands else ())
+        gone = self.tick - first
+        if self._last:
+            return _telling(block, self._pace.ended(first, gone))
+        return _telling(block, self._pace.stood(first, gone) if stands else ())
 
 
 def _telling(block: RecordingBlock, more: tuple[Event, ...]) -> RecordingBlock:

@@ -47,7 +47,7 @@ class Cause(StrEnum):
     AT_REST_UNHOMED = "at rest, not homed"  # reported, after a stop of homing
     COMPLETED = "completed"  # reported: every row was played
     FAULT = "fault"  # reported by the machine, the link or a guard
-    OVERRIDE = "override"  # reported: speeds were changed at the controller; the state stays
+    OVERRIDE = "override"  # reported: speeds were changed; the state stays
     RESET = "reset"
 
 
@@ -129,6 +129,7 @@ class Desk:
     def __init__(self) -> None:
         self._asked: deque[Cause] = deque()
         self._stop = False
+        self._percent: int | None = None
         self._reads, self._writes = socket.socketpair()
         self._reads.setblocking(False)
         self._writes.setblocking(False)
@@ -141,6 +142,16 @@ class Desk:
             self._asked.append(cause)
         self.wake()
 
+    def override(self, percent: int) -> None:
+        """Ask for an override of the feed, in place of an earlier one that was not taken yet."""
+        self._percent = percent
+        self.wake()
+
+    def take_override(self) -> int | None:
+        """Return the override that was asked for, %; None if there is none."""
+        percent, self._percent = self._percent, None
+        return percent
+
     def wake(self) -> None:
         """Wake a waiting executor, for something that is not in the queue."""
         with suppress(OSError):  # full: it is woken already
@@ -152,7 +163,7 @@ class Desk:
         A stop drops all commands before it, so that a waiting resume cannot undo it.
         """
         if self._stop:
-            self._stop = False
+            self._stop, self._percent = False, None
             self._asked.clear()
             return Cause.STOP
         return self._asked.popleft() if self._asked else None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -16,12 +17,13 @@ from threadline.jobs.feed_times import SLOWER
 from threadline.live.continuing import Continued, ContinuedSink
 from threadline.live.derived import Rest
 from threadline.live.executor import Executor
+from threadline.live.hold_deviation import hold_waits, hold_words
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Desk, Sink, State
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.proof.proof_file import ProofFile, check_proof, read_proof
-from threadline.verdict import Spec
+from threadline.verdict import Result, Spec
 
 _ASK_S = 0.05
 """Interval in s at which the operator's answer is polled."""
@@ -71,6 +73,50 @@ def check_runnable(
             "there is nothing to override: the job is in specification", remedy="Leave it out."
         )
     return proof
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interventions:
+    """What an operator may do in a run without spoiling its work.
+
+    Parameters
+    ----------
+    hold_deviation_m
+        Distance of a hold from the path, m; infinite if work can be held only at its rests.
+    hold_at_rest
+        Whether a hold waits for the next rest of the program.
+    spoiled_by_holds
+        The criteria that a hold elsewhere would bring out of specification, by simulation.
+    no_override
+        Why the feed of the run cannot be overridden; empty if it can.
+    notes
+        Notes on them for the operator before the run.
+    """
+
+    hold_deviation_m: float
+    hold_at_rest: bool
+    spoiled_by_holds: Sequence[Result]
+    no_override: str
+    notes: Sequence[str]
+
+
+def interventions(plan: Plan, spec: Spec) -> Interventions:
+    """Return what holds and overrides of the feed do to the work of a plan."""
+    kind = run_kind_of(plan.machine)
+    leaves_m = kind.hold_deviation_m(plan)
+    at_rest = hold_waits(plan, spec, leaves_m)
+    spoiled = () if at_rest else kind.spoiled_by_holds(plan, spec)
+    at_rest = at_rest or bool(spoiled)
+    notes = [hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled)]
+    if why := kind.override_spoils(plan, spec, leaves_m, at_rest):
+        notes.append(f"the feed of this run cannot be overridden: {why}")
+    return Interventions(
+        hold_deviation_m=leaves_m,
+        hold_at_rest=at_rest,
+        spoiled_by_holds=spoiled,
+        no_override=kind.no_override or why,
+        notes=[note for note in notes if note],
+    )
 
 
 def check_halts(plan: Plan, *, answered: bool) -> None:
@@ -128,6 +174,7 @@ def run_commands(
     pass_stops: bool = False,
     hold_at_rest: bool = False,
     loads_follow: bool = False,
+    no_override: str = "",
     watch: Callable[[Executor], None] | None = None,
     again: Continued | None = None,
     confirmed: Callable[[], bool | None] = lambda: True,
@@ -142,7 +189,7 @@ def run_commands(
         The machine, and the link to it.
     desk, sink, speed
         See ``Executor``.
-    pass_stops, hold_at_rest, loads_follow
+    pass_stops, hold_at_rest, loads_follow, no_override
         See ``Executor.start``.
     watch
         Called after each step, for progress.
@@ -177,6 +224,7 @@ def run_commands(
             hold_at_rest=hold_at_rest,
             loads_follow=loads_follow,
             from_rest=again is not None,
+            no_override=no_override,
         )
         while not executor.over:
             executor.step()
@@ -317,6 +365,7 @@ class ExecutedLink(ABC):
         pass_stops: bool,
         hold_at_rest: bool,
         watch: Callable[[Executor], None],
+        no_override: str = "",
         again: Continued | None = None,
         confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[RunEnd, str]:
@@ -332,6 +381,7 @@ class ExecutedLink(ABC):
             pass_stops=pass_stops,
             hold_at_rest=hold_at_rest,
             loads_follow=run_kind.loads_follow(plan),
+            no_override=no_override,
             watch=watch,
             again=again,
             confirmed=confirmed,

@@ -66,6 +66,7 @@ class TurnsAhead:
     """
 
     keeps_home = True
+    rate = 1.0  # nothing overrides it
     rests = False
 
     def __init__(

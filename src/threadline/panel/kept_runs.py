@@ -39,7 +39,6 @@ from threadline.live.continuing import (
     last_executed,
     operation_at,
 )
-from threadline.live.hold_deviation import hold_waits, hold_words
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load, Operated
 from threadline.live.states import Cause, Sink, State
@@ -52,7 +51,13 @@ from threadline.live.store.whole_trace import (
     unfinished_run,
     whole_recording,
 )
-from threadline.live.supervised import check_halts, check_override, check_runnable
+from threadline.live.supervised import (
+    Interventions,
+    check_halts,
+    check_override,
+    check_runnable,
+    interventions,
+)
 from threadline.machine import Machine
 from threadline.panel.programs import planned
 from threadline.proof.pipeline import with_shaping
@@ -74,8 +79,8 @@ class Prepared:
         Number of the request.
     stops
         Number of stops received when it was requested.
-    leaves_m, at_rest
-        Distance of a hold from the path, and whether a hold waits for a rest of the program.
+    may
+        What holds and overrides of the feed do to its work.
     again, continues
         The rest of an interrupted run, and that run's name; else None, and empty.
     """
@@ -87,8 +92,7 @@ class Prepared:
     proof: ProofFile
     override: str | None
     inputs: tuple[Path, ...]
-    leaves_m: float
-    at_rest: bool
+    may: Interventions
     again: Continued | None = None
     continues: str = ""
 
@@ -176,7 +180,8 @@ class KeptRuns:
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
         """Keep the reason of a change of state, and write the change into the open run."""
-        if text or state is not self._state:  # a stop in a fault keeps the fault's reason
+        # A stop in a fault keeps the fault's reason; an override is shown by itself.
+        if (text or state is not self._state) and cause is not Cause.OVERRIDE:
             self.why = text
         self._state = state
         if self._open is not None:
@@ -237,14 +242,10 @@ class KeptRuns:
             inputs = tuple(file for file in inputs_read() if not file.samefile(proof_file))
         if proof.content["sha256"] != told["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
-        leaves_m = run_kind_of(self._machine).hold_deviation_m(plan)
-        at_rest = hold_waits(plan, spec, leaves_m)
-        spoiled = () if at_rest else run_kind_of(self._machine).spoiled_by_holds(plan, spec)
-        at_rest = at_rest or bool(spoiled)
+        may = interventions(plan, spec)
         load, number = executor.prepare(plan), int(told["number"])
-        if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
-            load = replace(load, notes=(*load.notes, words))
-        found = Prepared(number, stops, load, spec, proof, override, inputs, leaves_m, at_rest)
+        load = replace(load, notes=(*load.notes, *may.notes))
+        found = Prepared(number, stops, load, spec, proof, override, inputs, may)
         if "run" not in told:
             return found
         return self._rest_of(str(told["run"]), str(told["at"]), found, executor)
@@ -255,7 +256,7 @@ class KeptRuns:
         plan = whole.load.plan
         refuse_other_rows(record, plan)
         operation = operation_at(plan, last_executed(trace_of(folder, record)), at)
-        load = executor.rest(whole.load, operation, at_rest=whole.at_rest)
+        load = executor.rest(whole.load, operation, at_rest=whole.may.hold_at_rest)
         assert load.rest is not None
         again = continued_by(plan, load.rest)
         return replace(whole, load=load, again=again, continues=folder.name)
@@ -292,7 +293,8 @@ class KeptRuns:
             "duration_s": plan.duration_s,
         }
         try:
-            executor.run(ready.load, hold_at_rest=ready.at_rest)
+            may = ready.may
+            executor.run(ready.load, hold_at_rest=may.hold_at_rest, no_override=may.no_override)
         except ThreadlineError as error:
             self._break_off(error)
             raise
@@ -336,7 +338,7 @@ class KeptRuns:
             "run": run.path.name,
             "trace": str(run.trace),
             "ended": ended,
-            "hold_deviation_m": finite(ready.leaves_m),
+            "hold_deviation_m": finite(ready.may.hold_deviation_m),
         }
         before = joined_with(run.trace)
         content |= {"judged_with": before} if before else {}

@@ -251,6 +251,8 @@ class Owner:
             k = self._machine.axis_names.index(str(head["axis"]))
             to = int(executor.stands[k]) + int(head["by"])
             self._moves.begin([(str(head["axis"]), to)], asked.stops, clock_s())
+        elif what == "override-feed":
+            executor.override(int(head["percent"]))
         elif what in _LATER:
             self._refuse_impossible(Cause.START)
             self._rest = None
@@ -366,6 +368,8 @@ class Owner:
             ),
             signals=signals(channels, executor.latest),
             late_ticks=executor.late_ticks,
+            percent=executor.percent if executor.under_way else 100,
+            no_override=executor.no_override,
             moving=executor.under_way or bool(self._moves.left),
             busy=self._runs.busy,
             lost=executor.lost,

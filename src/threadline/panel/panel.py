@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any, assert_never
 
 from threadline.errors import CommandError, ThreadlineError
+from threadline.live.feed_override import MAY_OVERRIDE
 from threadline.live.guards import clock_s
 from threadline.live.jogging import manual_feed
 from threadline.live.kinds_run import run_kind_of
@@ -227,7 +228,13 @@ class Panel:
 
     def _pass_on(
         self,
-        command: say.Simple | say.ZeroAxis | say.Jog | say.Step | say.Start | say.Continue,
+        command: say.Simple
+        | say.ZeroAxis
+        | say.Jog
+        | say.Step
+        | say.OverrideFeed
+        | say.Start
+        | say.Continue,
         number: int,
     ) -> None:
         owner, machine = self._owner, self.machine
@@ -246,6 +253,8 @@ class Panel:
             case say.ZeroAxis():
                 self._axis(command.axis)
                 owner.send("zero-axis", number=number, to=[[command.axis, 0]])
+            case say.OverrideFeed():
+                owner.send("override-feed", number=number, percent=command.percent)
             case say.Start():
                 told = self.calculation.to_start(command.proof)
                 owner.send("start", number=number, override=command.override, **told)
@@ -293,6 +302,8 @@ class Panel:
         ]
         if not run_kind_of(self.machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
+        if state in MAY_OVERRIDE and not now["no_override"]:
+            found.append("override-feed")
         if calculation.proven is None:
             found = [what for what in found if what not in _OF_PROVEN]
         if now["rest"] is None:
@@ -355,6 +366,8 @@ class Panel:
             },
             signals=now.get("signals", {}),
             late_ticks=int(now.get("late_ticks", 0)),
+            feed_percent=int(now.get("percent", 100)),
+            no_override=str(now.get("no_override", "")),
             control=say.Holder(
                 client=holder,
                 name=names.get(holder or 0, ""),

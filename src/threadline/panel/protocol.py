@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
 
+from threadline.live.feed_override import LEAST_PERCENT, MOST_PERCENT
 from threadline.proof.option_form import Door, Type
 from threadline.proof.option_table import options_for
 
@@ -77,6 +78,13 @@ class Step(_Strict):
     """Distance in m or rad; its sign is the direction."""
 
 
+class OverrideFeed(_Strict):
+    """Override the feed of the run: 10 to 100 % were proven."""
+
+    what: Literal["override-feed"]
+    percent: Annotated[int, Field(ge=LEAST_PERCENT, le=MOST_PERCENT)]
+
+
 def _option_fields() -> dict[str, Any]:
     """Return the options of a calculation as the fields of a message, from their declarations."""
     fields: dict[str, Any] = {}
@@ -131,7 +139,8 @@ class Continue(_Strict):
 
 
 Command = Annotated[
-    Simple | ZeroAxis | Jog | Step | Calculate | Start | Continue, Field(discriminator="what")
+    Simple | ZeroAxis | Jog | Step | OverrideFeed | Calculate | Start | Continue,
+    Field(discriminator="what"),
 ]
 
 
@@ -231,6 +240,8 @@ class Welcome(BaseModel):
     """Why no part program can be taught to the machine; empty if one can."""
     by_hand: bool = True
     """Whether its axes can be moved by hand, one at a time."""
+    feed_override: bool = True
+    """Whether the machine has runs whose feed can be overridden."""
     options: list[str] = []
     """Planning options that apply to the machine, as a command line names them."""
     normal_feed: bool = False
@@ -309,6 +320,10 @@ class State(BaseModel):
     signals: dict[str, float]
     """State of each digital input and output."""
     late_ticks: int
+    feed_percent: int = 100
+    """Override of the feed of the run, %."""
+    no_override: str = ""
+    """Why the feed of the run cannot be overridden; empty if it can."""
     control: Holder
     progress: Progress | None
     rest: RestOfRun | None = None

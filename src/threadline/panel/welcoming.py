@@ -102,6 +102,7 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
         lacks=dict(far_end.lacks),
         notes=list(far_end.notes),
         untaught=untaught(machine),
+        feed_override=not run_kind_of(machine).no_override,
         by_hand=run_kind_of(machine).by_hand,
         options=list(kind_of(machine).planned_by),
         normal_feed=machine.operator is not None,

@@ -258,6 +258,7 @@ class _Events:
         self._late: Event | None = None
         self._late_ticks = 0
         self._overrides = 0
+        self._by_run = False  # whether the run itself was overridden, not the controller alone
         self._brakes = (0, -1)  # first and last tick of the latest hold
         self.stopped_s: float | None = None
 
@@ -272,8 +273,10 @@ class _Events:
             self._late_ticks += int(event.value)
         elif event.kind == "override":
             self._overrides += 1
+            self._by_run = self._by_run or event.value > 0.0
             if self._overrides <= MOST_NAMED:
-                self._add(Change.OVERRIDE, f"overrides set at the controller: {event.name}", event)
+                where = "in the run" if event.value > 0.0 else "at the controller"
+                self._add(Change.OVERRIDE, f"overrides set {where}: {event.name}", event)
         elif event.kind in _ENDS:
             if event.kind == "stopped" and self._clock is not None:
                 held, until = self._brakes
@@ -300,7 +303,8 @@ class _Events:
                 )
             )
         if self._overrides > MOST_NAMED:
-            times = f"overrides were set at the controller {self._overrides} times in all"
+            where = "" if self._by_run else " at the controller"
+            times = f"overrides were set{where} {self._overrides} times in all"
             self._found.append(Disturbance(change=Change.OVERRIDE, text=times, time_s=None))
         if self._late is not None:
             ticks = f"{self._late_ticks} tick{'s' if self._late_ticks > 1 else ''}"

@@ -154,8 +154,8 @@ class PlanClock:
     """Follows the ``plan`` events of a recording, in bounded memory.
 
     Without events the plan's time equals the recording's. After an event it advances with the
-    clock, or stands still if the previous event had the same plan time within ``_ROUNDING`` of a
-    period. It never goes back.
+    clock, or at the rate that the event names, or stands still if the previous event had the same
+    plan time within ``_ROUNDING`` of a period. It never goes back.
 
     Parameters
     ----------
@@ -194,13 +194,14 @@ class PlanClock:
                     "again.",
                 )
             self._tick = event.tick
+        named = np.array([_rate_of(event) for event in told])
         due = np.array([event.value for event in told])
         before = np.append(self._due_s[-1:] if len(self._due_s) else [np.nan], due[:-1])
         times = np.array([self._clock.time_s(event.tick) for event in told])
         self._from_s = np.concatenate([self._from_s, times])
         self._due_s = np.concatenate([self._due_s, due])
         stands = np.abs(due - before) <= self._slack_s
-        self._rate = np.concatenate([self._rate, np.where(stands, 0.0, 1.0)])
+        self._rate = np.concatenate([self._rate, np.where(stands, 0.0, named)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, NDArray[np.bool_] | None]:
         """Return the plan's time at (n,) ascending instants, later than those of earlier calls.
@@ -220,10 +221,33 @@ class PlanClock:
         due_s = np.maximum(np.maximum.accumulate(due_s), self._latest_s)
         number = known + self._gone
         moved = np.diff(number, prepend=self._passed) > 0
-        slow = moved | ((number > 0) & (self._rate[last] == 0.0))
+        slow = moved | ((number > 0) & (self._rate[last] < 1.0))
         self._passed, self._latest_s = int(number[-1]), float(due_s[-1])
         done = max(int(known[-1]) - 1, 0)
         self._gone += done
         self._from_s, self._due_s = self._from_s[done:], self._due_s[done:]
         self._rate = self._rate[done:]
         return due_s, slow
+
+
+def _rate_of(event: Event) -> float:
+    """Return how fast the plan's time advances after an event that does not let it stand.
+
+    Raises
+    ------
+    RecordingError
+        If the name of the event is no rate from 0 to 1.
+    """
+    if not event.name:
+        return 1.0
+    try:
+        rate = float(event.name)
+    except ValueError:
+        rate = np.nan
+    if not 0.0 < rate <= 1.0:
+        raise RecordingError(
+            f"an event says that the plan goes on at the rate {event.name[:20]!r}",
+            remedy="A run plays at most one row of its plan per tick: a rate is above 0 and at "
+            "most 1; record it again.",
+        )
+    return rate

@@ -212,7 +212,7 @@ class Change(StrEnum):
     LOST_STEPS = "lost-steps"  # the torque or force asked of a drive exceeded its limit
     HOLD = "hold"  # the rows of the commands were held
     LATE = "late"  # rows of the commands came late
-    OVERRIDE = "override"  # speeds were changed at the controller itself
+    OVERRIDE = "override"  # speeds were changed, in the run or at the controller itself
     STOPPED = "stopped"  # the run ended early
     FAULT = "fault"
 
