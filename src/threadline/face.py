@@ -611,7 +611,7 @@ def wind(job: PathLike) -> tuple[Laid, ...]:
     Parameters
     ----------
     job
-        Product file with layers, ``NAME.wind.toml``.
+        Product file with layers, ``NAME.wind.toml``, or FiberPath's ``NAME.wind``.
 
     Raises
     ------

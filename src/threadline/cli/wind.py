@@ -19,6 +19,7 @@ from threadline.jobs.winding.closing_patterns import Pattern
 from threadline.jobs.winding.layers import Winding, read_layers
 from threadline.jobs.winding.rings import rings_of
 from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate
+from threadline.jobs.winding.write_fiberpath import check_wind, write_wind
 from threadline.laminate.deck import shell_deck
 from threadline.units import parse_number
 
@@ -27,7 +28,10 @@ _MOST_PA = 1e9
 
 
 def wind(
-    product: Annotated[Path, typer.Argument(help="Product file with layers, NAME.wind.toml.")],
+    product: Annotated[
+        Path,
+        typer.Argument(help="Product file with layers, NAME.wind.toml, or FiberPath's NAME.wind."),
+    ],
     every: Annotated[
         bool, typer.Option("--all", help=f"List all patterns that close, not {_SHOWN} of them.")
     ] = False,
@@ -48,6 +52,10 @@ def wind(
     pressure: Annotated[
         str | None, typer.Option(help='Internal pressure of --deck, "10 bar" (default).')
     ] = None,
+    definition: Annotated[
+        Path | None,
+        typer.Option("--wind", help="Write the layers as a definition of FiberPath, NAME.wind."),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """List the patterns, lengths and thickness of a winding.
@@ -64,11 +72,14 @@ def wind(
     inside_pa = _pressure(pressure, deck)
     check_outputs(file=deck, folder=report)
     check_outputs(file=bare)
+    check_outputs(file=definition)
     winding = read_layers(product)
+    if definition is not None:
+        check_wind(winding)
     found = None if bare is None else bare_of(winding)
     laid = design(winding) if found is None else found.laid
-    written = None
-    with together(bare, deck):
+    written, left_out = None, []
+    with together(bare, deck, definition):
         if bare is not None and found is not None:
             write_meridian(bare, found.points)
         if deck is not None:
@@ -76,6 +87,8 @@ def wind(
             text = shell_deck(winding.product.name, rings, materials, inside_pa)
             with staged_file(deck) as stream:
                 stream.write(text.encode("ascii", "replace"))
+        if definition is not None:
+            left_out = write_wind(definition, laid)
         if report is not None:
             from threadline.report.wound import write_sheet
 
@@ -113,7 +126,9 @@ def wind(
         )
     if deck is not None:
         say(f"Shell model: {deck}")
-    for said in [*filter(None, map(bridged, laid)), *sheet_warnings(winding, sheet)]:
+    if definition is not None:
+        say(f"FiberPath's definition: {definition}")
+    for said in [*left_out, *filter(None, map(bridged, laid)), *sheet_warnings(winding, sheet)]:
         warning(said)
 
 

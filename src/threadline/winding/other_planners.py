@@ -1,42 +1,34 @@
-"""Mandrels and bands from files of other planners: FiberPath's ``.wind`` 1.x, and CADFIL's.
+"""Mandrels and bands from files of other planners: FiberPath's (``fiberpath.py``), and CADFIL's.
 
-FiberPath publishes the specification of its format, a JSON document. CADFIL's help describes the
-fibre path ``.FIB`` and the payout path ``.PAY`` field by field; of a control file ``.CTL`` it says
-that it lists payout files. A path of CADFIL shows the mandrel only where its fibre lies.
+CADFIL's help describes the fibre path ``.FIB`` and the payout path ``.PAY`` field by field; of a
+control file ``.CTL`` it says that it lists payout files. A path of CADFIL shows the mandrel only
+where its fibre lies.
 """
 
 from __future__ import annotations
 
-import json
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from threadline.base.reading import read_text
 from threadline.errors import JobError, Place
+from threadline.winding.fiberpath import FRICTION, NAMED, SUFFIX, Content, WindFile
 
-ENDINGS = (".wind", ".fib", ".pay", ".ctl")
+ENDINGS = (SUFFIX, ".fib", ".pay", ".ctl")
 """Endings of the files that ``foreign_product`` reads, in lower case."""
 MERIDIANS = (".fib", ".pay")
 """Endings of the files that ``meridian_of`` reads."""
 _MAX_BYTES = 20_000_000
 _MOST_POINTS = 200_000
-_FRICTION = 0.2
-"""Default slip limit of FiberPath's machine profile; neither planner writes a friction."""
-_NAMED = f"friction {_FRICTION:g} assumed"
 _MOST_MM = 1e6
-_BANDS = 2.0  # widths of the band by which a mandrel is longer than FiberPath's winding length
 _SAME_M = 1e-5  # two points of a meridian are one
 _FIB_LINES, _PAY_LINES = 4, 4  # before the points
 _FIB_WIDTHS = (5, *(11,) * 6)
 _PAY_WIDTHS = (10,) * 9
 _NAME = re.compile(r"[^\s,;\"']+")
-
-Content = dict[str, Any]
 
 
 def foreign_product(path: Path) -> Content:
@@ -48,8 +40,8 @@ def foreign_product(path: Path) -> Content:
         If the file cannot be read, is damaged, or describes what is no body of revolution here.
     """
     ending = path.suffix.lower()
-    if ending == ".wind":
-        return _of_fiberpath(path)
+    if ending == SUFFIX:
+        return WindFile(path).product()
     paths = [path] if ending != ".ctl" else list(_listed(path))
     widths = [_width_mm(each) for each in paths]
     points = np.vstack([_cadfil_points(each) for each in paths])
@@ -61,11 +53,11 @@ def foreign_product(path: Path) -> Content:
         )
     meridian = _meridian(points, path)
     return {
-        "name": f"{path.stem} ({_NAMED})",
+        "name": f"{path.stem} ({NAMED})",
         "mandrel": {"at": f"{1e3 * meridian[0][0]:.9g} mm"},
         "part": [{"points": meridian}],
         "band": {"width": f"{widths[0]!r} mm"},
-        "friction": {"value": _FRICTION},
+        "friction": {"value": FRICTION},
     }
 
 
@@ -78,105 +70,6 @@ def meridian_of(path: Path) -> list[list[float]]:
         As ``foreign_product``.
     """
     return _meridian(_cadfil_points(path), path)
-
-
-# --- FiberPath ---
-
-
-def _of_fiberpath(path: Path) -> Content:
-    text = read_text(path, _MAX_BYTES, JobError, "winding definition", "utf-8-sig")
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        line = getattr(error, "lineno", 0)
-        raise JobError(
-            f"it is no JSON: {getattr(error, 'msg', 'nested too deeply')}",
-            place=Place(str(path), line),
-            remedy="FiberPath writes .wind as JSON; correct that line.",
-        ) from error
-    wind = _Wind(path, content if isinstance(content, dict) else {})
-    version = wind.content.get("schemaVersion", "1.0")
-    if not isinstance(version, str) or not re.fullmatch(r"1(\.\d{1,6})?", version):
-        wind.refuse(f"schemaVersion {str(version)[:20]!r}: versions 1.x are read", "Convert it.")
-    mandrel, tow = wind.table("mandrelParameters"), wind.table("towParameters")
-    radius = 0.5 * wind.length(mandrel, "diameter")
-    length, width = wind.length(mandrel, "windLength"), wind.length(tow, "width")
-    profile = mandrel.get("profile")
-    more = _BANDS * width
-    if profile is not None:
-        kind = profile.get("type") if isinstance(profile, dict) else profile
-        if kind != "vonKarman":
-            wind.refuse(f"a mandrel of the profile {str(kind)[:40]!r}", "vonKarman is read.")
-        # Half of the radius at which the lowest geodesic turns back: no fibre comes nearer.
-        tip = min([math.sin(math.radians(a)) for a in wind.angles()] or [1.0])
-        opening = max(0.5 * radius * tip, 0.51 * width)
-        nose = {"kind": "nose", "radius": radius, "height": length, "opening": opening}
-        base = {"kind": "cylinder", "radius": radius, "length": more}
-        parts: list[Content] = [base, nose | {"pole": "right"}]
-        covered = None
-    else:
-        end = 0.5 * wind.length(mandrel, "endDiameter") if "endDiameter" in mandrel else radius
-        slope = (end - radius) / length
-        parts = [
-            {"kind": "cone", "radius": radius - more * slope, "length": length + 2.0 * more,
-             "end_radius": max(end + more * slope, 0.1 * end)}
-        ]  # fmt: skip
-        covered = {"begin": f"{more!r} mm", "end": f"{more + length!r} mm"}
-    written = [
-        {key: f"{value!r} mm" if isinstance(value, float) else value for key, value in part.items()}
-        for part in parts
-    ]
-    found: Content = {
-        "name": f"{path.stem} ({_NAMED})",
-        "mandrel": {"at": f"{-more!r} mm"},
-        "part": written,
-        "band": {"width": f"{width!r} mm", "thickness": f"{wind.length(tow, 'thickness')!r} mm"},
-        "friction": {"value": _FRICTION},
-    }
-    return found if covered is None else found | {"coverage": covered}
-
-
-class _Wind:
-    """The content of a ``.wind`` with its checks; members that are not known are not looked at."""
-
-    def __init__(self, path: Path, content: Mapping[str, Any]) -> None:
-        self.path, self.content = path, content
-
-    def refuse(self, what: str, remedy: str) -> None:
-        raise JobError(what, place=Place(str(self.path)), remedy=remedy)
-
-    def table(self, name: str) -> Mapping[str, Any]:
-        found = self.content.get(name)
-        if not isinstance(found, dict):
-            raise JobError(
-                f"{name} is missing",
-                place=Place(str(self.path)),
-                remedy='FiberPath writes {"mandrelParameters": {"diameter": 70, ...}, ...}.',
-            )
-        return found
-
-    def length(self, table: Mapping[str, Any], key: str) -> float:
-        """Return a length above 0, mm."""
-        value = table.get(key)
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not 1e-6 < float(value) < 1e6:  # type: ignore[arg-type]
-            raise JobError(
-                f"{key} is {str(value)[:40]}, not a length above 0 mm",
-                place=Place(str(self.path)),
-                remedy=f'Write "{key}": 70.',
-            )
-        return float(value)  # type: ignore[arg-type]
-
-    def angles(self) -> Iterator[float]:
-        """Yield the winding angles of the layers that can be read, degrees."""
-        layers = self.content.get("layers")
-        for layer in layers if isinstance(layers, list) else ():
-            angle = layer.get("windAngle") if isinstance(layer, dict) else None
-            if isinstance(angle, int | float) and 0.0 < angle <= 90.0:
-                yield float(angle)
-
-
-# --- CADFIL ---
 
 
 def _listed(path: Path) -> Iterator[Path]:

@@ -15,6 +15,7 @@ from threadline.errors import JobError, Place
 from threadline.jobs.winding.circuit import widest
 from threadline.laminate.materials import Material
 from threadline.winding.band import Band, own_band, read_materials
+from threadline.winding.fiberpath import SUFFIX, layered
 from threadline.winding.meridians import MAX_BYTES
 from threadline.winding.other_planners import ENDINGS
 from threadline.winding.product import Product, ProductReader, product_of_text, product_text
@@ -141,6 +142,8 @@ def read_layers(path: str | Path) -> Winding:
     """
     path = Path(path)
     text = product_text(path)
+    if path.suffix.lower() == SUFFIX:
+        text = json.dumps({"file": path.name, **layered(path, MARGIN)}, sort_keys=True)
     written = (
         ""
         if path.suffix.lower() in ENDINGS
