@@ -222,6 +222,18 @@ def test_a_mill_goes_in_g0_with_its_spindle_on(tmp_path: Path, spindle: str) -> 
             write(plan(tmp_path, machine, laser), "nc", tmp_path / "no.ngc")
 
 
+@pytest.mark.parametrize("length", ["G43 H1\nG0 Z15\n", "G43 Z15 H1\n"])
+def test_the_tool_goes_over_the_place_before_its_length_holds(tmp_path: Path, length: str) -> None:
+    """Over the place first, then down with G43: no chord before G43 moves Z, none behind G49."""
+    machine = made_machine(tmp_path, "XYZ", "", '[programs]\ndialect = "linuxcnc"\n')
+    text = f"M3 S900\nG0 X20 Y10\n{length}G1 Z-2 F300\nG0 Z15\nG49\nG0 X0 Y0\nM5\nM2\n"
+    lines = compiled(tmp_path, machine, text, "linuxcnc").splitlines()
+    begins, ends = lines.index("G43 H1"), lines.index("G49")
+    lowered = [at for at, line in enumerate(lines) if "Z" in line]
+    assert begins < lowered[0] and lowered[-1] < ends
+    assert lines[begins - 1] == "G0 X20 Y10"
+
+
 def test_lines_for_fluidnc_and_linuxcnc_are_as_long_as_these_take(
     tmp_path: Path, machines: dict[str, Machine]
 ) -> None:

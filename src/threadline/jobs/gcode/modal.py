@@ -134,7 +134,7 @@ class Modal:
             self._cancelled = block.motion == CANCEL
         self._check_modes(block)
         if NO_LENGTH in block.settings and self._length:
-            self._waiting.append(ToolEvent("G49", 0.0, self._source(block), "G49"))
+            yield from self._rest(ToolEvent("G49", 0.0, self._source(block), "G49"))
         self._length = block.length or ("" if NO_LENGTH in block.settings else self._length)
         first, then = self._split(block) if block.acts else ((), ())
         yield from self._worked(block, first)
@@ -187,7 +187,9 @@ class Modal:
         text, source = " ".join(words), self._source(block)
         if block.ends == "stop" and f"M{block.program}" in words:
             yield from self._rest(Stop(False, source, text))
-        elif block.waits or not _SPINDLE.isdisjoint(words):
+        elif block.waits or block.length or not _SPINDLE.isdisjoint(words):
+            # LinuxCNC ends the motion before it takes or leaves a tool length. Without the rest a
+            # rounded corner would move Z before G43.
             yield from self._rest(ToolEvent(text, block.power, source, text))
         else:
             beside = bool(block.axes) and block.action not in (*TAKES_AXES, DWELL)
