@@ -139,7 +139,7 @@ def test_a_found_cycle_reads_back_with_its_angles(tmp_path: Path) -> None:
     [
         ('kind = "rotary"\npushes = "arm"', 'pushes = "arm"', 'of a linear cylinder is in m'),
         ('speed = "240 deg/s', 'speed = "0.2 m/s', "speed of a rotary cylinder is in rad/s"),
-        ('at = "5 deg +- 1 deg', 'at = "5 mm +- 1 mm', 
+        ('at = "5 deg +- 1 deg', 'at = "5 mm +- 1 mm',
          r"toml:\d+: contacts\.c_is_in\.at: it is in m"),
         ('pushes = "arm"', 'pushes = "gripper"', "'gripper' is a linear body"),
         ('frame = { column = "250 mm/rad', 'frame = { column = "1', r"column: the weight of a rot"),
