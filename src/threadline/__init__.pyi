@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from threadline.face import Answer, FastestResult, PathLike, Proved
+from threadline.face import control as control
 from threadline.face import fit as fit
 from threadline.face import load_machine as load_machine
 from threadline.face import measure as measure
@@ -23,6 +24,7 @@ __version__: str
 __all__ = [
     "compare",
     "compile",
+    "control",
     "equal",
     "fastest",
     "fit",

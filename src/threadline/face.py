@@ -20,6 +20,7 @@ from threadline.base.arguments import checked
 from threadline.base.arrays import FloatArray
 from threadline.base.option_defaults import DEFAULT_INTERPOLATION
 from threadline.base.wording import plain
+from threadline.base.writing import check_machine_output
 from threadline.errors import OptionError
 from threadline.files.recording import columns_of
 from threadline.identify.commissioning import fit, measure, trim
@@ -29,6 +30,7 @@ from threadline.proof.asked import (
     Words,
     check_target,
     chosen_machine,
+    in_arguments,
     with_options,
     with_radii_of,
 )
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from threadline.proof.pipeline import Proof
     from threadline.proof.recorded import Judged
     from threadline.search import Certainty, Comparison, Mismatch
+    from threadline.search.controller_design import ControlDesign
     from threadline.search.equal import Equality
     from threadline.search.learned_job import LearnedJob, LearnedRuns
     from threadline.search.tune import Tuning
@@ -252,6 +255,7 @@ class FastestResult:
 __all__ = [
     "compare",
     "compile",
+    "control",
     "equal",
     "fastest",
     "fit",
@@ -492,6 +496,61 @@ def compile(
     return write(plan, target, out, slower=slower)
 
 
+@in_arguments
+@checked
+def control(
+    machine: PathLike | Machine,
+    design: str,
+    out: PathLike,
+    *,
+    gain: float | None = None,
+    sensors: Sequence[str] | None = None,
+    ahead: int | None = None,
+    smoothing: int | None = None,
+    axes: Sequence[str] | None = None,
+    direction: str | None = None,
+    coupling: str | None = None,
+) -> ControlDesign:
+    """Design a state-space controller, and write the machine with it.
+
+    Parameters
+    ----------
+    machine
+        As ``load_machine`` takes it.
+    design
+        ``"lqg"``, ``"preview"``, ``"zpetc"`` or ``"cross-coupled"``.
+    out
+        Machine file to write, based on ``machine``.
+    gain, sensors
+        Not of ``"cross-coupled"``: gain at rest in gains of the present controllers, and sensors to
+        read besides the encoders.
+    ahead
+        Of ``"preview"``: references to look ahead.
+    smoothing
+        Of ``"zpetc"``: references in each of its averages, an odd number.
+    axes, direction, coupling
+        Of ``"cross-coupled"``: the two axes, ``"45 deg"``, and ``"50 %"``.
+
+    Raises
+    ------
+    InputError
+        As on the command line; nothing is written then.
+    """
+    from threadline.search.controller_design import Wanted, design_controllers
+
+    wanted = Wanted(
+        design=design,
+        gain=gain,
+        sensors=None if sensors is None else tuple(sensors),
+        ahead=ahead,
+        smoothing=smoothing,
+        axes=None if axes is None else tuple(axes),
+        direction=direction,
+        coupling=coupling,
+    )
+    return design_controllers(chosen_machine(machine), wanted, Path(out))
+
+
 @with_options
 @checked
 def equal(
@@ -624,6 +683,7 @@ def wind(job: PathLike) -> tuple[Laid, ...]:
     return design(read_layers(Path(job)))
 
 
+@in_arguments
 @checked
 def tune(
     machine: PathLike | Machine,
@@ -674,6 +734,8 @@ def tune(
     chosen = chosen_machine(machine, None)
     kind = usual_controller(chosen) if controller is None else parse_controller(controller)
     by = parse_rule(rule)
+    if out is not None:
+        check_machine_output(Path(out))
     found = tune_machine(
         chosen, asked(chosen, axis, margin, crossover), [Path(job) for job in jobs]
     )

@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 from scipy.linalg import lstsq
-from threadline.identify.of_recordings import driven_by_volts
 
 from tests.twin.test_state_space import compare, run, swinger
 from threadline.cli.main import main
@@ -24,6 +23,7 @@ from threadline.dynamics.state_designs import (
     zero_phase_ticks,
 )
 from threadline.errors import MachineError
+from threadline.identify.time_domain import driven_by_volts
 from threadline.machine import Machine, load_machine
 
 

@@ -39,6 +39,10 @@ def line_of(old: str) -> int:
          "controllers.all.sensors names the encoder 'pot'"),
         ('sensors = ["motor", "felt", "pot"]', 'sensors = ["motor", "felt", "por"]',
          "controllers.all.sensors names the sensor 'por'"),
+        ("D = [[1.1, -1.1, 0.8, -0.9]]", "D = [[1.1, -1.1, 0.8, 1e300]]",
+         "controllers.all.D.0.3: must be at most 1000000000000"),
+        ("A = [[0.9, 0.05], [-0.02, 0.7]]", "A = [[0.9, 0.05], [-1e13, 0.7]]",
+         "controllers.all.A.1.0: must be at least -1000000000000"),
         ('references = ["X"]', 'references = ["Y"]',
          "controllers.all.references names the axis 'Y'"),
         ('drives = ["motor"]', 'drives = ["motor", "more"]', "drives: 2 names"),
@@ -111,3 +115,31 @@ def test_an_accelerometer_that_a_motor_moves_at_once_closes_no_analysed_loop(tmp
                    'reads = { motor = "1 exact, assumed" }')  # fmt: skip
     with pytest.raises(MachineError, match=r"reads sensors\.felt, whose body a motor accelerates"):
         linear_model(machine)
+
+
+def test_an_encoder_of_another_loop_is_refused_in_words(tmp_path):
+    """Its counts belong to one loop; a controller that needs both encoders moves both axes."""
+    (tmp_path / "both.toml").write_text(BOTH)
+    with pytest.raises(MachineError) as caught:
+        load_machine(tmp_path / "both.toml")
+    assert "controllers.all.sensors: it reads the encoder 'y', which controllers.y" in str(
+        caught.value
+    )
+    assert caught.value.place is not None
+    assert caught.value.place.line == BOTH[: BOTH.index("sensors =")].count("\n") + 1
+
+
+BOTH = """base = "lathe-winder"
+[controllers]
+x = "none"
+[controllers.all]
+kind = "state-space"
+clock = "servo"
+references = ["X"]
+sensors = ["x", "y"]
+drives = ["x"]
+D = [[6.0, -6.0, 0.1]]
+dac = { bits = "12 bit exact, assumed", range = "10 V exact, assumed" }
+[axes.X]
+controller = "all"
+"""

@@ -139,12 +139,17 @@ def test_a_found_cycle_reads_back_with_its_angles(tmp_path: Path) -> None:
     [
         ('kind = "rotary"\npushes = "arm"', 'pushes = "arm"', 'of a linear cylinder is in m'),
         ('speed = "240 deg/s', 'speed = "0.2 m/s', "speed of a rotary cylinder is in rad/s"),
-        ('at = "5 deg +- 1 deg', 'at = "5 mm +- 1 mm', r"contacts\.c_is_in\.at is in m"),
+        ('at = "5 deg +- 1 deg', 'at = "5 mm +- 1 mm',
+         r"toml:\d+: contacts\.c_is_in\.at: it is in m"),
         ('pushes = "arm"', 'pushes = "gripper"', "'gripper' is a linear body"),
         ('frame = { column = "250 mm/rad', 'frame = { column = "1', r"column: the weight of a rot"),
         ('radius = "250 mm exact, assumed: where the gripper is"\n', "", "radius is missing"),
         ('air_damping = "0.33', 'air_stiffness = "25 N*m/rad exact, assumed"\nair_damping = "0.33',
          "air_stiffness and torque both"),
+        ('pistons = "2 exact', 'pistons = "1.5 exact', "pistons.*must be a whole number"),
+        ('air_ramp = "5 deg',
+         'cushion = { length = "200 deg exact, assumed", flow = "20 % exact, assumed" }\n'
+         'air_ramp = "5 deg', "cushion.length 200 deg is not shorter than the stroke, 180 deg"),
     ],
 )  # fmt: skip
 def test_lengths_and_angles_are_not_mixed(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin
 
+from threadline.base.reading import noting_inputs
 from threadline.errors import BudgetError, OptionError
 
 P = ParamSpec("P")
@@ -31,7 +32,8 @@ _WORDS = {
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """Return a function that refuses arguments of other types than its annotations say.
 
-    Unusable files and a lack of memory raise the same errors as on the command line.
+    Unusable files and a lack of memory raise the same errors as on the command line, and no output
+    replaces a file that the same call has read.
 
     Raises
     ------
@@ -43,7 +45,8 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
     def wrapper(*positional: P.args, **named: P.kwargs) -> T:
         _check(function, positional, named)
         try:
-            return function(*positional, **named)
+            with noting_inputs():
+                return function(*positional, **named)
         except OSError as error:
             raise OptionError(
                 f"cannot use {error.filename or 'a file'}: {error.strerror or error}",

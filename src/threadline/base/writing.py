@@ -65,6 +65,22 @@ def check_output(path: Path) -> None:
         )
 
 
+def check_machine_output(path: Path) -> None:
+    """Refuse a path that is no name for a machine file, or must not be overwritten.
+
+    Raises
+    ------
+    OptionError
+        If ``path`` does not end in .toml, is the name of a specification, or as ``check_output``.
+    """
+    if path.suffix != ".toml" or path.name.endswith(".spec.toml"):
+        raise OptionError(
+            f"{str(path)!r} is no name for a machine file",
+            remedy="Give one that ends in .toml and not in .spec.toml.",
+        )
+    check_output(path)
+
+
 def is_stdout(path: Path) -> bool:
     """Return whether ``path`` is the present standard output, and not a replaceable file."""
     try:

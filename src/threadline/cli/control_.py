@@ -2,37 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from threadline.cli.arguments import JsonOption, keep_inputs
+from threadline.cli.arguments import JsonOption
 from threadline.cli.output import check_outputs, print_json, print_table, say
-from threadline.dynamics.analysis import AxisAnalysis, analyse
-from threadline.dynamics.contouring import cross_coupled
-from threadline.dynamics.design_overlay import overlay_text
-from threadline.dynamics.state_designs import (
-    DESIGNS,
-    PREVIEW,
-    Designed,
-    lqg,
-    preview,
-    regulators,
-    zero_phase,
-    zero_phase_ticks,
-)
-from threadline.errors import OptionError
-from threadline.files.formats.common import atomic_file
-from threadline.machine import Machine, load_machine
-from threadline.machine.load import split_reference
+from threadline.dynamics.state_designs import DESIGNS
+from threadline.machine import load_machine
 from threadline.report.analysis import analysis_tables
-from threadline.units import parse_quantity
-
-_MOST_GAIN = 100.0
-_MOST_SMOOTHING = 15
+from threadline.search.controller_design import ControlDesign, Wanted, design_controllers
 
 
 def control(
@@ -44,32 +24,42 @@ def control(
         Path, typer.Option("--output", "-o", help="Write the machine with the design here (.toml).")
     ],
     gain: Annotated[
-        float,
+        float | None,
         typer.Option(
-            help="lqg, preview, zpetc: gain at rest, in gains at rest of the present controllers."
+            help="lqg, preview, zpetc: gain at rest, in gains at rest of the present controllers. "
+            "Default: 1."
         ),
-    ] = 1.0,
+    ] = None,
     sensors: Annotated[
-        str, typer.Option(help="lqg, preview, zpetc: sensors to read besides the encoders: x_pot.")
-    ] = "",
-    ahead: Annotated[int, typer.Option(help="preview: references to look ahead.")] = 4,
+        str | None,
+        typer.Option(help="lqg, preview, zpetc: sensors to read besides the encoders: x_pot."),
+    ] = None,
+    ahead: Annotated[
+        int | None, typer.Option(help="preview: references to look ahead. Default: 4.")
+    ] = None,
     smoothing: Annotated[
-        int,
+        int | None,
         typer.Option(
             help="zpetc: references, an odd number, in each of the four averages before the "
-            "inverse: whole counts step, and an inverse makes much of steps."
+            "inverse: whole counts step, and an inverse makes much of steps. Default: 1."
         ),
-    ] = 1,
+    ] = None,
     axes: Annotated[
-        str, typer.Option(help="cross-coupled: the two axes; without it the first two linear ones.")
-    ] = "",
+        str | None,
+        typer.Option(help="cross-coupled: the two axes; without it the first two linear ones."),
+    ] = None,
     direction: Annotated[
-        str, typer.Option(help="cross-coupled: direction of the line, from the first axis.")
-    ] = "45 deg",
+        str | None,
+        typer.Option(
+            help="cross-coupled: direction of the line, from the first axis. Default: 45 deg."
+        ),
+    ] = None,
     coupling: Annotated[
-        str,
-        typer.Option(help="cross-coupled: what an error across the line weighs more than lag."),
-    ] = "50 %",
+        str | None,
+        typer.Option(
+            help="cross-coupled: what an error across the line weighs more than lag. Default: 50 %."
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Design a state-space controller for MACHINE, and write the machine with it.
@@ -81,132 +71,46 @@ def control(
 
     Example: threadline control stitcher --design lqg --gain 2 -o reports/stitcher-lqg.toml
     """
+    wanted = Wanted(
+        design=design,
+        gain=gain,
+        sensors=_listed(sensors),
+        ahead=ahead,
+        smoothing=smoothing,
+        axes=_listed(axes),
+        direction=direction,
+        coupling=coupling,
+    )
     chosen = load_machine(machine)
-    _check(chosen, design, output)
-    keep_inputs(output, chosen.file)
     check_outputs(file=output)
-    words = f"threadline control {machine} --design {design}"
-    if design == "cross-coupled":
-        pair = _pair(chosen, axes)
-        theta = parse_quantity(direction, "rad")
-        weight = parse_quantity(coupling, "")
-        if not 0.0 <= weight <= _MOST_GAIN:
-            raise OptionError(f"--coupling {coupling!r} is not between 0 and {_MOST_GAIN:.0%}")
-        words += f" --axes {','.join(pair)} --direction {math.degrees(theta):g}deg"
-        words += f" --coupling {100 * weight:g}%"
-        found = [cross_coupled(chosen, pair, theta, weight)]
-    else:
-        found, said = _of_regulators(chosen, design, (gain, sensors, ahead, smoothing))
-        words += said
-    text = overlay_text(chosen, _base(machine, chosen, output), words, found)
-    with atomic_file(output) as stream:
-        stream.write(text.encode())
-    analyses = analyse(load_machine(str(output)))
-    stable = all(one.stable for one in analyses.values())
+    found = design_controllers(chosen, wanted, output)
     if json:
-        print_json(_content(chosen, design, found, analyses, output))
+        print_json(found.content())
     else:
-        _show(chosen, found, analyses, output)
-    raise typer.Exit(0 if stable else 1)
+        _show(found)
+    raise typer.Exit(0 if found.stable else 1)
 
 
-def _check(machine: Machine, design: str, output: Path) -> None:
-    if design not in DESIGNS:
-        raise OptionError(f"no design {design!r}", remedy=f"There are: {', '.join(DESIGNS)}.")
-    if not machine.controllers or machine.takes_positions:
-        raise OptionError(
-            f"machine {machine.name!r} has no control loops, so there is no controller to design",
-            remedy="Name a machine with controllers and axes.",
-        )
-    if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
-        raise OptionError(
-            f"{str(output)!r} is no name for a machine file",
-            remedy="Give one that ends in .toml and not in .spec.toml.",
-        )
+def _listed(text: str | None) -> tuple[str, ...] | None:
+    """Return the names of a list with commas."""
+    if text is None:
+        return None
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def _of_regulators(
-    machine: Machine, design: str, told: tuple[float, str, int, int]
-) -> tuple[list[Designed], str]:
-    """Return the designs of all pieces with a regulator, and the options that made them."""
-    gain, sensors, ahead, smoothing = told
-    if not 0.0 < gain <= _MOST_GAIN:
-        raise OptionError(f"--gain {gain:g} is not above 0 and at most {_MOST_GAIN:g}")
-    if design == "preview" and not PREVIEW[0] <= ahead <= PREVIEW[1]:
-        raise OptionError(f"--ahead {ahead} is not from {PREVIEW[0]} to {PREVIEW[1]}")
-    if smoothing % 2 == 0 or not 1 <= smoothing <= _MOST_SMOOTHING:
-        raise OptionError(f"--smoothing {smoothing} is no odd number from 1 to {_MOST_SMOOTHING}")
-    others = tuple(name.strip() for name in sensors.split(",") if name.strip())
-    found = regulators(machine, gain, others)
-    said = f" --gain {gain:g}" + (f" --sensors {','.join(others)}" if others else "")
-    if design == "lqg":
-        return [lqg(one) for one in found], said
-    if design == "preview":
-        return [preview(one, ahead) for one in found], f"{said} --ahead {ahead}"
-    late = max(zero_phase_ticks(one, smoothing) for one in found)
-    made = [zero_phase(one, late, smoothing) for one in found]
-    return made, f"{said} --smoothing {smoothing}"
-
-
-def _pair(machine: Machine, axes: str) -> tuple[str, str]:
-    linear = [name for name, axis in machine.axes.items() if axis.kind == "linear"]
-    names = [name.strip() for name in axes.split(",")] if axes else linear[:2]
-    if len(names) != 2 or len(set(names)) != 2 or not set(names) <= set(machine.axes):
-        raise OptionError(
-            f"--axes {axes or ', '.join(names)!r} is no pair of the axes of {machine.name!r}",
-            remedy=f"It has: {', '.join(machine.axes)}.",
-        )
-    return names[0], names[1]
-
-
-def _base(reference: str, machine: Machine, output: Path) -> str:
-    """Return the machine's reference as seen from the folder of the output."""
-    name, overlays = split_reference(reference)
-    if name.endswith(".toml"):
-        name = os.path.relpath(machine.file, output.parent)
-    return "+".join([Path(name).as_posix(), *overlays])
-
-
-def _content(
-    machine: Machine,
-    design: str,
-    found: list[Designed],
-    analyses: dict[str, AxisAnalysis],
-    output: Path,
-) -> dict[str, Any]:
-    return {
-        "machine": machine.name,
-        "design": design,
-        "controllers": [
-            {"axes": list(one.axes), "sensors": list(one.sensors), "states": len(one.A),
-             "delay_s": _delay_s(machine, one)}
-            for one in found
-        ],
-        "axes": {axis: analysis.as_json() for axis, analysis in analyses.items()},
-        "stable": all(one.stable for one in analyses.values()),
-        "written": str(output),
-    }  # fmt: skip
-
-
-def _delay_s(machine: Machine, design: Designed) -> float:
-    return design.delay_ticks * float(machine.clock(design.clock).period_s)
-
-
-def _show(
-    machine: Machine, found: list[Designed], analyses: dict[str, AxisAnalysis], output: Path
-) -> None:
-    for table in analysis_tables(analyses):
+def _show(found: ControlDesign) -> None:
+    for table in analysis_tables(found.axes):
         print_table(table.title, table.header, table.rows)
-    for one in found:
-        delay = _delay_s(machine, one)
+    for one in found.controllers:
+        delay = found.delay_s(one)
         late = f"; it delays the motion by {1e3 * delay:g} ms" if delay else ""
         say(
             f"axes {', '.join(one.axes)}: {len(one.A)} states, from {', '.join(one.sensors)} to "
             f"{', '.join(one.drives)}{late}"
         )
-    for analysis in analyses.values():
+    for analysis in found.axes.values():
         say(analysis.verdict())
-    say(f"Wrote {output}")
+    say(f"Wrote {found.file}")
 
 
 def register(app: typer.Typer) -> None:

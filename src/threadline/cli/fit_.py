@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.base.writing import check_machine_output
 from threadline.cli.arguments import JsonOption, keep_inputs
 from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.errors import OptionError
@@ -63,11 +64,7 @@ def fit_numbers(
     chosen = load_machine(machine)
     names = parse_numbers(numbers, chosen)
     if output is not None:
-        if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
-            raise OptionError(
-                f"{str(output)!r} is no name for a machine file",
-                remedy="Give one that ends in .toml and not in .spec.toml.",
-            )
+        check_machine_output(output)
         keep_inputs(output, chosen.file, *(Path(text.rpartition(":")[2]) for text in data))
     elif job is not None:
         raise OptionError("--job needs the fitted machine as a file", remedy="Add -o FILE.toml.")

@@ -9,10 +9,18 @@ import typer
 
 from threadline.cli.arguments import JsonOption, keep_inputs
 from threadline.cli.output import check_outputs, print_json, print_table, say
-from threadline.errors import LinkFaultError, OptionError
+from threadline.errors import LinkFaultError
 from threadline.files import RunEnd
 from threadline.files.formats import write_recording
-from threadline.identify.experiment_run import LINKS, Measurement, Prediction, measure, predict
+from threadline.identify.experiment_run import (
+    LINKS,
+    Measurement,
+    Prediction,
+    check_measurement_file,
+    check_same_axes,
+    measure,
+    predict,
+)
 from threadline.identify.planned_experiment import EXPERIMENTS, experiment, parse_band
 from threadline.live.sim_machine import parse_fault
 from threadline.machine import Machine, load_machine
@@ -63,10 +71,7 @@ def measure_axis(
     Example: threadline measure lathe-winder --axis X --experiment sweep -o sweep.npz
     """
     chosen = load_machine(machine)
-    if output.suffix.lower() not in {".npz", ".mcap"}:
-        raise OptionError(
-            f"{str(output)!r} cannot hold a measurement", remedy="Give one that ends in .npz."
-        )
+    check_measurement_file(output)
     keep_inputs(output, chosen.file)
     check_outputs(file=output)
     unit = "m" if chosen.axes.get(axis) is None or chosen.axes[axis].kind == "linear" else "rad"
@@ -78,6 +83,8 @@ def measure_axis(
         band_hz=None if band is None else parse_band(band),
     )
     other = None if actual is None else load_machine(actual)
+    if other is not None:
+        check_same_axes(chosen, other)
     fault = None if inject is None else parse_fault(inject, chosen)
     foreseen = predict(chosen, planned)
     if not json:

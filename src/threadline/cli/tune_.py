@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from threadline.base.wording import toml_string
+from threadline.base.writing import check_machine_output
 from threadline.cli.arguments import JsonOption, SpecOption, keep_inputs
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.errors import OptionError
@@ -42,11 +43,12 @@ def tune_loops(
     ],
     axis: Annotated[str | None, typer.Option(help="Only this axis.")] = None,
     margin: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="Phase margin of the rule margin, which also asks for a gain margin of 2."
+            help="Phase margin of the rule margin, which also asks for a gain margin of 2. "
+            "Default: 60 deg."
         ),
-    ] = "60 deg",
+    ] = None,
     crossover: Annotated[
         str | None,
         typer.Option(
@@ -67,7 +69,9 @@ def tune_loops(
         str | None,
         typer.Option(help="With -o: p, pi, pd, pid or lead. Default: the machine's own kind."),
     ] = None,
-    rule: Annotated[str, typer.Option(help=f"With -o: {', '.join(RULES)}.")] = "margin",
+    rule: Annotated[
+        str | None, typer.Option(help=f"With -o: {', '.join(RULES)}. Default: margin.")
+    ] = None,
     amplifiers: Annotated[
         bool,
         typer.Option(
@@ -99,28 +103,31 @@ def tune_loops(
     """
     chosen = load_machine(machine)
     if output is not None:
-        if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
-            raise OptionError(
-                f"{str(output)!r} is no name for a machine file",
-                remedy="Give one that ends in .toml and not in .spec.toml.",
-            )
+        check_machine_output(output)
         keep_inputs(output, chosen.file, spec, *(job or ()))
     check_outputs(file=output)
     if amplifiers:
-        if job or crossover is not None or controller is not None:
+        designing = {
+            "--job": job, "--spec": spec, "--crossover": crossover, "--controller": controller,
+            "--margin": margin, "--rule": rule,
+        }  # fmt: skip
+        if given := [word for word, value in designing.items() if value]:
             raise OptionError(
                 "--trim measures amplifiers and designs no controllers",
-                remedy="Leave out --job, --crossover and --controller.",
+                remedy=f"Leave out {', '.join(given)}.",
             )
         _trim(chosen, axis, amplitude, (link, actual), output, json=json)
         return
     if actual is not None or amplitude is not None or link != "sim":
         raise OptionError("--link, --actual and --amplitude are for --trim", remedy="Add --trim.")
-    if output is None and controller is not None:
-        raise OptionError("--controller says what -o writes", remedy="Add -o FILE.toml.")
+    for word, value in (("--controller", controller), ("--rule", rule)):
+        if output is None and value is not None:
+            raise OptionError(f"{word} says what -o writes", remedy="Add -o FILE.toml.")
+    if spec is not None and not job:
+        raise OptionError("--spec is the specification of jobs", remedy="Add --job FILE.")
     kind = usual_controller(chosen) if controller is None else parse_controller(controller)
-    by = parse_rule(rule)
-    wanted = asked(chosen, axis, margin, crossover)
+    by = parse_rule(rule or "margin")
+    wanted = asked(chosen, axis, margin or "60 deg", crossover)
     judged = None if spec is None else load_spec(spec, chosen)
     with progress_bar(not json) as progress:
         found = tune(chosen, wanted, job or (), judged, progress)

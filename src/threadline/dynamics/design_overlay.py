@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
+from itertools import count
 
 from threadline.base.arrays import FloatArray
+from threadline.base.wording import ascii_only, toml_string
 from threadline.dynamics.state_designs import Designed
 from threadline.machine import Machine
 
@@ -21,10 +22,12 @@ def overlay_text(machine: Machine, base: str, made: str, designs: Sequence[Desig
         How the numbers were made: one line.
     """
     gone = [machine.axes[axis].controller for design in designs for axis in design.axes]
-    names = ["-".join(axis.lower() for axis in design.axes) + "-designed" for design in designs]
+    names: list[str] = []
+    for design in designs:
+        names.append(_name(design.axes, {*machine.controllers, *names}))
     lines = [
-        f"# {made}",
-        f"base = {json.dumps(base)}",
+        f"# {ascii_only(made)}",
+        f"base = {toml_string(base)}",
         "",
         "[controllers]",
         *(f'{name} = "none"' for name in dict.fromkeys(gone)),
@@ -37,7 +40,7 @@ def overlay_text(machine: Machine, base: str, made: str, designs: Sequence[Desig
             f"references = {_names(design.axes)}",
             f"sensors = {_names(design.sensors)}",
             f"drives = {_names(design.drives)}",
-            f"made = {json.dumps(made)}",
+            f"made = {toml_string(made)}",
         ]
         for key in ("A", "B", "C", "D", "L"):
             lines.append(f"{key} = {_matrix(getattr(design, key))}")
@@ -54,6 +57,13 @@ def overlay_text(machine: Machine, base: str, made: str, designs: Sequence[Desig
         for axis in design.axes:
             lines += ["", f"[axes.{axis}]", f'controller = "{name}"']
     return "\n".join(lines) + "\n"
+
+
+def _name(axes: Sequence[str], taken: set[str]) -> str:
+    """Return a name for the controller of axes: a machine may have a design before this one."""
+    first = "-".join(axis.lower() for axis in axes) + "-designed"
+    others = (f"{first}-{number}" for number in count(2))
+    return first if first not in taken else next(one for one in others if one not in taken)
 
 
 def _names(names: Sequence[str]) -> str:

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from threadline.base.arguments import checked
+from threadline.base.writing import check_machine_output
 from threadline.machine import Machine, load_machine
+from threadline.proof.asked import in_arguments
 from threadline.units import parse_quantity
 
 if TYPE_CHECKING:
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from threadline.identify.parameter_fit import Fit
 
 
+@in_arguments
 @checked
 def fit(
     data: str | Path | Sequence[str | Path],
@@ -55,12 +58,15 @@ def fit(
     chosen = load_machine(str(machine))
     names = parse_numbers(",".join(numbers), chosen)
     opened = [open_data(str(file), str(machine), axis) for file in files]
+    if out is not None:
+        check_machine_output(Path(out))
     found = fitted(chosen, opened, names)
     if out is not None:
         write_fitted(found, ", ".join(one.name for one in opened), Path(out))
     return found
 
 
+@in_arguments
 @checked
 def measure(
     machine: str | Path,
@@ -100,12 +106,14 @@ def measure(
         If the machine does not answer.
     """
     from threadline.files.formats import write_recording
+    from threadline.identify.experiment_run import check_measurement_file, predict
     from threadline.identify.experiment_run import measure as measured
-    from threadline.identify.experiment_run import predict
     from threadline.identify.planned_experiment import experiment as planned_of
     from threadline.identify.planned_experiment import parse_band
 
     chosen = load_machine(str(machine))
+    if out is not None:
+        check_measurement_file(Path(out))
     unit = "rad" if axis in chosen.axes and chosen.axes[axis].kind == "rotary" else "m"
     planned = planned_of(
         chosen,
@@ -122,6 +130,7 @@ def measure(
     return found
 
 
+@in_arguments
 @checked
 def trim(
     machine: str | Path,

@@ -6,12 +6,14 @@ import json
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.base.writing import check_output
 from threadline.dynamics.loop import axis_loop
-from threadline.errors import LimitError, OptionError, RecordingError
+from threadline.errors import LimitError, MachineError, OptionError, RecordingError
 from threadline.files import (
     Channel,
     Recording,
@@ -80,14 +82,57 @@ class Measurement:
     why: str
 
 
+def check_measurement_file(file: Path) -> None:
+    """Refuse a name of a file that cannot hold a measurement, or must not be overwritten.
+
+    Raises
+    ------
+    OptionError
+        If it does not end in .npz or .mcap, or as ``check_output``.
+    """
+    if file.suffix.lower() not in {".npz", ".mcap"}:
+        raise OptionError(
+            f"{str(file)!r} cannot hold a measurement", remedy="Give one that ends in .npz."
+        )
+    check_output(file)
+
+
+def check_same_axes(machine: Machine, actual: Machine) -> None:
+    """Refuse to simulate a machine with other axes in place of ``machine``.
+
+    Raises
+    ------
+    OptionError
+        If its axes have other names.
+    """
+    if actual.axis_names != machine.axis_names:
+        raise OptionError(
+            f"{actual.name} has other axes than {machine.name}",
+            remedy="Name a machine with the same axes.",
+        )
+
+
 def predict(machine: Machine, planned: Experiment) -> Prediction:
     """Simulate an experiment on the machine file; refuse it outside the limits.
 
     Raises
     ------
+    MachineError
+        If a sweep could not be evaluated, because a state-space controller is faster than its
+        references.
     LimitError
         If the load would leave its travel, exceed the speed of the axis, or the motor its current.
     """
+    own = axis_loop(machine, planned.axis)
+    tick_s = float(machine.tick_clock.period_s)
+    if planned.kind == "sweep" and not own.single and own.period_s != tick_s:
+        raise MachineError(
+            f"axis {planned.axis}: its state-space controller runs every {1e3 * own.period_s:.4g} "
+            f"ms and its references come every {1e3 * tick_s:.4g} ms, so that a recording shows "
+            "its volts at some ticks only; nothing has moved",
+            place=machine.place,
+            remedy="Measure with a controller of another kind on this axis.",
+        )
     recording = simulate(planned.commands, machine)
     columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
     axis, limits = planned.axis, machine.axes[planned.axis]
@@ -220,11 +265,7 @@ def _connected(
     if link == "sim":
         # The simulated machine gives itself out for the one in the file, as a real one would.
         far = machine if actual is None else replace(actual, sha256=machine.sha256)
-        if far.axis_names != machine.axis_names:
-            raise OptionError(
-                f"{far.name} has other axes than {machine.name}",
-                remedy="Name a machine with the same axes.",
-            )
+        check_same_axes(machine, far)
         return sim_link(far, start, speed, fault)
     if link not in LINKS:
         raise OptionError(
@@ -255,8 +296,7 @@ def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> Mea
     volts = columns[f"{axis}.voltage"]
     tick_s = float(machine.tick_clock.period_s)
     own = axis_loop(machine, axis)
-    digital = own.filters[own.index]
-    held = digital.period_s == tick_s
+    held = own.period_s == tick_s
     if held:  # the volts of a sample act before it
         volts = np.append(volts[1:], volts[-1])
     periods = (len(position) - planned.first) // planned.period
@@ -271,12 +311,12 @@ def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> Mea
     if not held:
         wanted = lines(columns[f"{axis}.commanded"] * machine.axes[axis].counts.si)
         error = wanted * _hold(hertz, tick_s) - M
-        U = error * digital.sampled_response(2.0 * np.pi * hertz)
+        U = error * own.filters[own.index].sampled_response(2.0 * np.pi * hertz)
     cross, force = (M * U.conj()).sum(axis=0), (np.abs(U) ** 2).sum(axis=0)
     reached = (np.abs(M) ** 2).sum(axis=0)
     moved = (force > 0.0) & (reached > 0.0)
     hertz = hertz[moved]
-    value = cross[moved] / force[moved] / _hold(hertz, digital.period_s)
+    value = cross[moved] / force[moved] / _hold(hertz, own.period_s)
     return MeasuredResponse(
         frequency_hz=hertz,
         value=np.asarray(value, dtype=np.complex128),

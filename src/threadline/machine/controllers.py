@@ -210,7 +210,10 @@ class VelocityController(Loop):
     dac: Dac
 
 
-Matrix = tuple[tuple[Annotated[float, Field(strict=True, allow_inf_nan=False)], ...], ...]
+MOST_ENTRY = 10**12
+"""Largest entry of the matrices of a state-space controller, without sign."""
+Entry = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MOST_ENTRY, le=MOST_ENTRY)]
+Matrix = tuple[tuple[Entry, ...], ...]
 MOST_STATES = 64
 """Largest number of states of a state-space controller."""
 

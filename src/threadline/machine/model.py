@@ -285,6 +285,7 @@ class Machine(AxisArrays):
                 check_known(own, encoders, f"{where}.sensors", "encoder")
                 check_known(controller.sensors, self.sensors, f"{where}.sensors", "sensor")
                 check_known(controller.drives, self.motors, f"{where}.drives", "drive")
+                self._check_read_once(name, controller)
                 moved = [n for n, axis in self.axes.items() if axis.controller == name]
                 if set(moved) != set(controller.references):
                     raise ValueError(
@@ -294,6 +295,24 @@ class Machine(AxisArrays):
                 continue
             check_known([controller.sensor], encoders, f"{where}.sensor", "encoder")
             check_known([controller.drive], self.motors, f"{where}.drive", "drive")
+
+    def _check_read_once(self, name: str, controller: StateSpaceController) -> None:
+        """Refuse an encoder that another controller reads: its counts are kept for one loop."""
+        others = controller.sensors[len(controller.references) :]
+        for other, one in self.controllers.items():
+            if other == name:
+                continue
+            own = (
+                one.sensors[: len(one.references)]
+                if isinstance(one, StateSpaceController)
+                else (one.sensor,)
+            )
+            for sensor in sorted(set(own) & set(others)):
+                raise ValueError(
+                    f"controllers.{name}.sensors: it reads the encoder {sensor!r}, which "
+                    f"controllers.{other} reads: one controller that reads both encoders must move "
+                    "both axes"
+                )
 
     def _on_off_references(self) -> None:
         if not self.axes and not self.cylinders:

@@ -165,7 +165,7 @@ class Torque:
     """Area of the vane, or of one piston on the rack."""
     radius: Annotated[Quantity, Units(("m",), positive=True)]
     """Distance of the middle of the vane from the shaft, or pitch radius of the pinion."""
-    pistons: Annotated[Quantity, Units(("",), positive=True)] | None = None
+    pistons: Annotated[Quantity, Units(("",), positive=True, whole=True)] | None = None
     """Vanes, or pistons on racks, that push together. Without it: 1."""
 
     @property
@@ -258,6 +258,11 @@ class Cylinder:
                     f"{name} of a {self.kind} cylinder is in {wanted}, not {part.unit}"
                     + ("" if turns else '; one that turns has kind = "rotary"')
                 )
+        if cushion is not None and cushion.si >= self.stroke.si:
+            raise ValueError(
+                f"cushion.length {self.place(cushion.si)} is not shorter than the stroke, "
+                f"{self.place(self.stroke.si)}"
+            )
         if turns != (self.radius is not None):
             raise ValueError(
                 "radius is missing: a rotary cylinder does its work at some distance from its shaft"
@@ -367,7 +372,7 @@ def check_contacts(
         one = cylinders[contact.cylinder]
         if contact.at.unit != one.stroke.unit:
             raise ValueError(
-                f"contacts.{name}.at is in {contact.at.unit}, and the stroke of "
+                f"contacts.{name}.at: it is in {contact.at.unit}, and the stroke of "
                 f"{contact.cylinder}, a {one.kind} cylinder, in {one.stroke.unit}"
             )
         stroke, at = one.stroke.si, contact.at.si

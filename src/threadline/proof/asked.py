@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import product
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
+from threadline.base.reading import note_input
 from threadline.errors import OptionError, ThreadlineError
 from threadline.jobs import own_product
 from threadline.machine import Machine, load_machine
@@ -30,6 +31,8 @@ from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
 from threadline.verdict import Spec, load_spec
 
+P = ParamSpec("P")
+T = TypeVar("T")
 VerbT = TypeVar("VerbT", bound=Callable[..., object])
 _LEVELS = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANCES}
 
@@ -43,6 +46,7 @@ def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None)
         If there is no machine with that name, or the file does not describe one.
     """
     found = machine if isinstance(machine, Machine) else load_machine(machine)
+    note_input(Path(found.file))
     if par is None:
         return found
     from threadline.machine.par import read_parameters
@@ -333,6 +337,9 @@ _TYPED_OPTION = re.compile(r"""(?<![\w-])--([a-z][a-z-]*)(?:[ =]?("[^"]*"|'[^']*
 _OTHER_ARGUMENTS = {
     "nominal": 'level="nominal"', "tolerances": 'level="over tolerances"', "slower": "slower=True",
     "target": "target=", "out": "out=", "job": "job=", "machine": "machine=", "sign": "sign=",
+    "gain": "gain=", "sensors": "sensors=", "ahead": "ahead=", "direction": "direction=",
+    "coupling": "coupling=", "controller": "controller=", "rule": "rule=", "axis": "axis=",
+    "amplitude": "amplitude=", "link": "link=", "numbers": "numbers=", "experiment": "experiment=",
 }  # fmt: skip
 
 
@@ -372,14 +379,11 @@ _PYTHON: Mapping[Type, tuple[str, Any]] = {
 }
 
 
-def with_options(function: VerbT) -> VerbT:
-    """Give a function the signature that lists every option of its verb, with its default.
-
-    Its errors name arguments of the function where the command line names options.
-    """
+def in_arguments(function: Callable[P, T]) -> Callable[P, T]:
+    """Return a function whose errors name arguments where the command line names options."""
 
     @wraps(function)
-    def verb(*positional: Any, **named: Any) -> object:
+    def verb(*positional: P.args, **named: P.kwargs) -> T:
         try:
             return function(*positional, **named)
         except ThreadlineError as error:
@@ -387,6 +391,15 @@ def with_options(function: VerbT) -> VerbT:
             error.args = (error.message, *error.args[1:])
             raise
 
+    return verb
+
+
+def with_options(function: VerbT) -> VerbT:
+    """Give a function the signature that lists every option of its verb, with its default.
+
+    Its errors name arguments of the function where the command line names options.
+    """
+    verb = in_arguments(function)
     own = inspect.signature(function)
     first = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
     listed = [

@@ -285,6 +285,8 @@ def tune(
     ------
     OptionError
         If there is no such axis, it has no loop, or a number is out of range.
+    MachineError
+        If an axis has a state-space controller, or shares bodies with one.
     JobError
         If a job cannot be read.
     """
@@ -295,6 +297,14 @@ def tune(
         )
     loops = {name: axis_loop(machine, name) for name in names}
     for loop in loops.values():
+        if not loop.single:
+            raise MachineError(
+                f"axis {loop.axis}: controllers.{machine.axes[loop.axis].controller} or one beside "
+                "it has the kind state-space, and the rules are for a controller of one error and "
+                "one drive",
+                place=machine.place,
+                remedy="Name another --axis, or tune the machine file without that controller.",
+            )
         check_wanted(loop, wanted.phase_margin_deg, wanted.crossover_hz)
     axes = []
     for k, name in enumerate(names):

@@ -1,0 +1,239 @@
+"""Controllers for many sensors: what is asked for, its design, and the machine file with it."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from threadline.base.reading import note_input
+from threadline.base.writing import check_output
+from threadline.dynamics.analysis import AxisAnalysis, analyse
+from threadline.dynamics.contouring import cross_coupled
+from threadline.dynamics.design_overlay import overlay_text
+from threadline.dynamics.state_designs import (
+    DESIGNS,
+    PREVIEW,
+    Designed,
+    lqg,
+    preview,
+    regulators,
+    zero_phase,
+    zero_phase_ticks,
+)
+from threadline.errors import OptionError
+from threadline.files.formats.common import atomic_file
+from threadline.machine import Machine, load_machine
+from threadline.machine.load import split_reference
+from threadline.units import parse_number
+
+_MOST_GAIN = 100.0
+_MOST_SMOOTHING = 15
+_REGULATORS = ("lqg", "preview", "zpetc")
+_FOR: Mapping[str, tuple[str, ...]] = {
+    "gain": _REGULATORS, "sensors": _REGULATORS, "ahead": ("preview",), "smoothing": ("zpetc",),
+    "axes": ("cross-coupled",), "direction": ("cross-coupled",), "coupling": ("cross-coupled",),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """A design and its options; None stands for an option that was not given.
+
+    Parameters
+    ----------
+    design
+        One of ``DESIGNS``.
+    gain
+        Gain at rest, in gains at rest of the present controllers; 1.
+    sensors
+        Sensors to read besides the encoders of the axes; none.
+    ahead
+        References that ``preview`` looks ahead; 4.
+    smoothing
+        References in each average of ``zpetc``, an odd number; 1.
+    axes
+        The two axes of ``cross-coupled``; the first two linear ones.
+    direction, coupling
+        Direction of the line of ``cross-coupled``, ``"45 deg"``, and what an error across it weighs
+        more than lag, ``"50 %"``.
+    """
+
+    design: str
+    gain: float | None = None
+    sensors: tuple[str, ...] | None = None
+    ahead: int | None = None
+    smoothing: int | None = None
+    axes: tuple[str, ...] | None = None
+    direction: str | None = None
+    coupling: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ControlDesign:
+    """A designed machine.
+
+    Parameters
+    ----------
+    design
+        Name of the design.
+    base, machine
+        The machine before, and with the designed controllers.
+    controllers
+        The designed controllers.
+    axes
+        The loops of the designed machine by axis.
+    file
+        The written machine file.
+    """
+
+    design: str
+    base: Machine
+    machine: Machine
+    controllers: tuple[Designed, ...]
+    axes: Mapping[str, AxisAnalysis]
+    file: Path
+
+    @property
+    def stable(self) -> bool:
+        """Whether every loop is stable."""
+        return all(one.stable for one in self.axes.values())
+
+    def delay_s(self, controller: Designed) -> float:
+        """Return the time by which a controller delays the motion."""
+        return controller.delay_ticks * float(self.base.clock(controller.clock).period_s)
+
+    def content(self) -> dict[str, Any]:
+        """Return the answer as JSON content."""
+        return {
+            "machine": self.base.name,
+            "design": self.design,
+            "controllers": [
+                {"axes": list(one.axes), "sensors": list(one.sensors), "states": len(one.A),
+                 "delay_s": self.delay_s(one)}
+                for one in self.controllers
+            ],
+            "axes": {axis: analysis.as_json() for axis, analysis in self.axes.items()},
+            "stable": self.stable,
+            "written": str(self.file),
+        }  # fmt: skip
+
+
+def design_controllers(machine: Machine, wanted: Wanted, file: Path) -> ControlDesign:
+    """Design controllers, and write the machine with them, which is based on ``machine``.
+
+    The file is written when the machine in it can be read and analysed, and not at all otherwise.
+
+    Raises
+    ------
+    OptionError
+        If an option is out of range or of another design, or the file must not be written.
+    MachineError
+        If there is no such controller for this machine.
+    RecordingError
+        If the file cannot be written.
+    """
+    _check(machine, wanted, file)
+    words = f"threadline control {machine.reference} --design {wanted.design}"
+    if wanted.design == "cross-coupled":
+        found, said = _coupled(machine, wanted)
+    else:
+        found, said = _of_regulators(machine, wanted)
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / "designed.toml"
+        trial.write_text(overlay_text(machine, _base(machine, None), words + said, found))
+        axes = analyse(load_machine(trial))
+    with atomic_file(file) as stream:
+        stream.write(overlay_text(machine, _base(machine, file), words + said, found).encode())
+    return ControlDesign(
+        design=wanted.design,
+        base=machine,
+        machine=load_machine(str(file)),
+        controllers=tuple(found),
+        axes=axes,
+        file=file,
+    )
+
+
+def _check(machine: Machine, wanted: Wanted, file: Path) -> None:
+    if wanted.design not in DESIGNS:
+        raise OptionError(
+            f"no design {wanted.design[:40]!r}", remedy=f"There are: {', '.join(DESIGNS)}."
+        )
+    for name, designs in _FOR.items():
+        if getattr(wanted, name) is not None and wanted.design not in designs:
+            raise OptionError(
+                f"--{name} is for the design {' or '.join(designs)}, not for {wanted.design}",
+                remedy="Leave it out.",
+            )
+    if not machine.controllers or machine.takes_positions:
+        raise OptionError(
+            f"machine {machine.name!r} has no control loops, so there is no controller to design",
+            remedy="Name a machine with controllers and axes.",
+        )
+    if file.suffix != ".toml" or file.name.endswith(".spec.toml"):
+        raise OptionError(
+            f"{str(file)!r} is no name for a machine file",
+            remedy="Give one that ends in .toml and not in .spec.toml.",
+        )
+    note_input(Path(machine.file))
+    check_output(file)
+
+
+def _of_regulators(machine: Machine, wanted: Wanted) -> tuple[list[Designed], str]:
+    """Return the designs of all pieces with a regulator, and the options that made them."""
+    gain = 1.0 if wanted.gain is None else wanted.gain
+    ahead = 4 if wanted.ahead is None else wanted.ahead
+    smoothing = 1 if wanted.smoothing is None else wanted.smoothing
+    if not 0.0 < gain <= _MOST_GAIN:
+        raise OptionError(f"--gain {gain:g} is not above 0 and at most {_MOST_GAIN:g}")
+    if not PREVIEW[0] <= ahead <= PREVIEW[1]:
+        raise OptionError(f"--ahead {ahead} is not from {PREVIEW[0]} to {PREVIEW[1]}")
+    if smoothing % 2 == 0 or not 1 <= smoothing <= _MOST_SMOOTHING:
+        raise OptionError(f"--smoothing {smoothing} is no odd number from 1 to {_MOST_SMOOTHING}")
+    others = wanted.sensors or ()
+    found = regulators(machine, gain, others)
+    said = f" --gain {gain:g}" + (f" --sensors {','.join(others)}" if others else "")
+    if wanted.design == "lqg":
+        return [lqg(one) for one in found], said
+    if wanted.design == "preview":
+        return [preview(one, ahead) for one in found], f"{said} --ahead {ahead}"
+    late = max(zero_phase_ticks(one, smoothing) for one in found)
+    made = [zero_phase(one, late, smoothing) for one in found]
+    return made, f"{said} --smoothing {smoothing}"
+
+
+def _coupled(machine: Machine, wanted: Wanted) -> tuple[list[Designed], str]:
+    """Return the controller of two coupled axes, and the options that made it."""
+    pair = _pair(machine, wanted.axes)
+    theta = parse_number("--direction", wanted.direction or "45 deg", "rad", "45 deg")
+    coupling = wanted.coupling or "50 %"
+    weight = parse_number("--coupling", coupling, "", "50 %")
+    if not 0.0 <= weight <= _MOST_GAIN:
+        raise OptionError(f"--coupling {coupling!r} is not between 0 and {_MOST_GAIN:.0%}")
+    said = f" --axes {','.join(pair)} --direction {math.degrees(theta):g}deg"
+    return [cross_coupled(machine, pair, theta, weight)], f"{said} --coupling {100 * weight:g}%"
+
+
+def _pair(machine: Machine, axes: Sequence[str] | None) -> tuple[str, str]:
+    linear = [name for name, axis in machine.axes.items() if axis.kind == "linear"]
+    names = linear[:2] if axes is None else list(axes)
+    if len(names) != 2 or len(set(names)) != 2 or not set(names) <= set(machine.axes):
+        raise OptionError(
+            f"--axes {', '.join(names)[:40]!r} is no pair of the axes of {machine.name!r}",
+            remedy=f"It has: {', '.join(machine.axes)}.",
+        )
+    return names[0], names[1]
+
+
+def _base(machine: Machine, file: Path | None) -> str:
+    """Return the machine's reference as seen from the folder of a file; None: from anywhere."""
+    name, overlays = split_reference(machine.reference)
+    if name.endswith(".toml"):
+        own = Path(machine.file).resolve()
+        name = str(own) if file is None else os.path.relpath(own, file.resolve().parent)
+    return "+".join([Path(name).as_posix(), *overlays])
