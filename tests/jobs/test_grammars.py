@@ -291,6 +291,7 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
         ("set_velocity_limit ACCEL=500", "SET_VELOCITY_LIMIT sets the limits"),
         ("RESTORE_GCODE_STATE NAME=a", "takes back the zero and the feed"),
         ("M204 S500", "M204 is what sets the acceleration anew"),
+        ("M201 X500 Y500", "klipper has them in its printer.cfg, and passes this word over"),
         ("M220 S50", "M220 is a share of every feed"),
         ("G20", "G20 is the inch, which klipper refuses"),
         ("G4 S1", "S1 is no word of klipper's G4"),
