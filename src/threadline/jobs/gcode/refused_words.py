@@ -169,8 +169,8 @@ def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading
         raise JobError(
             f"E{_short(number)} is {_FILAMENT}",
             place=place,
-            remedy="Take the E words out: the way of the head alone is then planned, without "
-            "extrusion.",
+            remedy="Leave the E words out (--axes E=none): the way of the head alone is then "
+            "planned, without extrusion and the time of moves of E alone.",
         )
     whole = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
     why = WHY_IN.get(dialect.name, {}).get(f"{letter}{whole}")
