@@ -386,3 +386,18 @@ def test_no_lower_acceleration_is_tried_where_none_can_win(
     whole = tl.fastest(job, machine, **words)  # type: ignore[arg-type]
     assert whole.best == found.best and len(whole.of.rungs) > 1
     assert whole.of.best.duration_s == found.of.best.duration_s
+
+
+def test_the_feed_is_named_above_which_the_job_gets_no_faster(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A triangle of d at a ends at sqrt(d a); from 0.956 of it on, it lasts 0.1 % longer."""
+    machine, job = files(tmp_path, "G1 X2 F60")
+    axis = load_machine(machine).axes["X"]
+    peak = math.sqrt(2e-3 * axis.acceleration.si)
+    assert peak < 0.5 * axis.velocity.si  # the limit of velocity is out of reach
+    found = tl.fastest(job, machine, interpolation="auto", level="nominal").of
+    assert found.enough is not None and found.best.found.best is not None
+    assert 0.95 * peak < found.enough < 1.0 * peak < found.best.found.best
+    code, out, _ = run(capsys, "fastest", job, "-m", machine, "--interpolation", "auto")
+    assert code == 0 and "takes the same time within 0.1 %: above it acceleration" in out

@@ -137,6 +137,7 @@ BLOCKS = [
     ("X[1+2]", "'X[1+2]': parameters and expressions are not read"),
     ("/X1", "a line that begins with / is run or left out by a switch of the control"),
     ("O100 sub", "'sub': the letter S has no number"),
+    ("$H", "'$H' is a command to grbl's terminal and no part of a program"),
     ("X1 % 5", "'% 5' is not part of this dialect"),
     ("X\xb2", "'X\xb2': the letter X has no number"),
 ]

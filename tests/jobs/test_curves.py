@@ -207,7 +207,7 @@ def test_a_centre_of_0_along_the_third_axis_is_idle_but_for_linuxcnc(
         ("G5 X10 Y0 I1 J1", "G5 needs P and Q"),
         ("G18 G5 X10 I1 J1 P1 Q1", "G5 is a curve of X and Y"),
         ("G1 X5 I3", "I has no use in this block"),
-        ("G80\nX5", "axis words before any G0 or G1"),
+        ("G80\nX5", "axis words without G0 or G1 behind G80, which ends the cycle"),
         ("G92", "G92 names no axis"),
         ("G41 D1", "G41 is compensation of the cutter's radius"),
         ("G43 H1", "G43 is compensation of the tool's length"),

@@ -107,6 +107,31 @@ def test_an_x_winder_program_goes_to_other_axes(tmp_path: Path, axy: Machine) ->
     assert [(p["A"], p["X"]) for p in ours] == [(p["C"], p["Z"]) for p in theirs]
 
 
+def test_the_head_of_a_3d_print_goes_its_way_without_e(tmp_path: Path) -> None:
+    """``G92 E0`` and ``G28 E`` without their words would take every axis; they do nothing."""
+    machine = made_machine(tmp_path, "XY", "")
+    printed = "G28\nG92 E0\nG1 X5 Y2 F600 E1.2\nG1 E0.4 F2400\nG92 E0\nG1 X9 F900 E3\n"
+    job = made(tmp_path, printed, machine, dialect="klipper", axes="E=none")
+    bare = "G28\nG1 X5 Y2 F600\nG1 F2400\nG1 X9 F900\n"
+    assert moves(job) == moves(made(tmp_path, bare, machine, "b.nc", dialect="klipper"))
+    assert any("E (line 2)" in said and "compile writes no E" in said for said in job.warnings)
+    for refused in ("E=X", "E=A"):
+        with pytest.raises(InputError, match="axes"):
+            made(tmp_path, printed, machine, dialect="klipper", axes=refused)
+
+
+@pytest.mark.parametrize(
+    ("left", "words"), [("G92 B0", ""), ("G28 B0", ""), ("G92 X5 B0", "G92 X5")]
+)
+def test_a_word_left_out_does_not_make_a_block_one_of_all_axes(
+    tmp_path: Path, axy: Machine, left: str, words: str
+) -> None:
+    text = "G1 F600 X7\n{}\nG1 X9\nM2\n"
+    job = made(tmp_path, text.format(left), axy, dialect="linuxcnc", axes="B=none")
+    own = made(tmp_path, text.format(words), axy, "b.nc", dialect="linuxcnc")
+    assert moves(job) == moves(own)
+
+
 @pytest.mark.parametrize(
     ("text", "dialect", "mark"),
     [

@@ -291,6 +291,7 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
         ("set_velocity_limit ACCEL=500", "SET_VELOCITY_LIMIT sets the limits"),
         ("RESTORE_GCODE_STATE NAME=a", "takes back the zero and the feed"),
         ("M204 S500", "M204 is what sets the acceleration anew"),
+        ("M201 X500 Y500", "klipper has them in its printer.cfg, and passes this word over"),
         ("M220 S50", "M220 is a share of every feed"),
         ("G20", "G20 is the inch, which klipper refuses"),
         ("G4 S1", "S1 is no word of klipper's G4"),
@@ -498,9 +499,7 @@ def test_a_3d_print_is_refused_as_one(tmp_path: Path, xyza: Machine) -> None:
     for line in ("G1 X7 E1.2", "G92 E0", "G1 E-5 F1800"):
         with pytest.raises(JobError, match=r"nc:2: E\S+ is the filament of a 3D print") as refused:
             read(tmp_path, xyza, f"G1 X1 F600\n{line}\n", "marlin")
-        assert "Take the E words out: the way of the head alone is then planned" in str(
-            refused.value
-        )
+        assert "(--axes E=none): the way of the head alone is then planned" in str(refused.value)
 
 
 def test_marlin_sets_the_place_of_an_axis_by_g92_9(tmp_path: Path, xyza: Machine) -> None:

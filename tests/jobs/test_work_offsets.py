@@ -164,7 +164,7 @@ def _words(job: Job) -> list[str]:
     [
         (
             "G0 Z1\nG43 H1\nZ2\nM2\n",
-            "a.nc:2: G43 is compensation of the tool's length",
+            "or a program for each tool (leave out the move on line 1, if it only lifts the tool",
         ),
         ("G43 H1\nG0 Z1\nG43 H2\nZ2\nM2\n", "G43 H2 begins it between moves"),
         ("G43 H1\nG0 Z1\nG49\nZ2\nM2\n", "G49 on line 3 ends it between moves"),

@@ -204,6 +204,9 @@ _UNITS = {
 """By feed mode: unit of printed feeds, and factor from m/s."""
 
 
+_MUCH_LESS = 1.1  # ratio of the highest feed to ``enough`` from which the output names it
+
+
 class FeedOutput(SearchOutput):
     """Output of a search over feeds and shares of the limits."""
 
@@ -251,6 +254,13 @@ class FeedOutput(SearchOutput):
             f"{limit_words(best.found.limited_by, self._end)}; "
             f"{tried} plans tried"
         )
+        enough = self.of.enough
+        if enough is not None and enough < best.found.best / _MUCH_LESS:
+            least = self._feed_text(float(f"{1.0005 * enough:.4g}"))
+            yield (
+                f"{least} takes the same time within 0.1 %: above it acceleration, corners and "
+                "rapid moves set the time, not the feed"
+            )
         yield f"feeds {resolution_words(best.found)}"
         if best.found.alone:
             yield alone_words(best.found, unit, per_m_s)
@@ -294,6 +304,7 @@ class FeedOutput(SearchOutput):
             "feed": self.asked.job.feed_rule if by_word else result.by.value,
             "limits": result.best.share,
             "duration_s": result.best.duration_s,
+            "enough": result.enough,
             "moves": result.moves,
             "judged_moves": result.judged_moves,
             "parts": result.parts,

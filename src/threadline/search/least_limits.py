@@ -26,7 +26,7 @@ from threadline.proof.pipeline import check_loops, plan_job
 from threadline.search.allowance import FastestJob, Rung, fastest_allowed
 from threadline.search.chosen_plans import fastest_chosen
 from threadline.search.distinct import LongMoves, distinct_parts, moves_in
-from threadline.search.fastest import FINE, Fastest, Grid, check_range
+from threadline.search.fastest import FINE, RANGE, Fastest, Grid, check_range
 from threadline.search.feed import fastest_feed, feed_unit, search_range, searched_by
 from threadline.search.forbidden import Interval, closeness, worst_criterion
 from threadline.search.paced import Question
@@ -253,7 +253,31 @@ def fastest_job(asked: Question) -> FastestJob:
         whole=whole,
         ended="" if until is None else until.ended,
         by=by,
+        enough=None if stopped or not _only_limits(asked) else _enough(best, planned_s),
     )
+
+
+_SAME_TIME = 1e-3
+_ENOUGH_STEP = 1.02  # ratio of neighbouring feeds at which the search for ``enough`` ends
+
+
+def _enough(best: Rung, planned_s: Callable[[float, float], float]) -> float | None:
+    """Return the lowest feed found of the best interval with the time of its upper end.
+
+    Above it the moves never reach their feed, or an axis holds them back: only acceleration,
+    corners and the axes' own limits set the time.
+    """
+    interval = best.found.fastest
+    if interval is None or best.duration_s is None or best.found.limited_by != RANGE:
+        return None
+    low, high = interval.low, interval.high
+    while high > low * _ENOUGH_STEP:
+        feed = math.sqrt(low * high)
+        if planned_s(best.share, feed) <= best.duration_s * (1.0 + _SAME_TIME):
+            high = feed
+        else:
+            low = feed
+    return high
 
 
 _OF_WHOLE = ("planned_coverage_gap", "coverage_gap")

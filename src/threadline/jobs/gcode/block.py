@@ -306,6 +306,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     if curve and 640 in settings and not axes and motion not in (*_CURVED, *DRILLING):
         # G64 P Q sets how far LinuxCNC's planner may leave the path; the reader ignores it.
         curve = tuple(one for one in curve if one[0] != "Q")
+    if action in (SHIFT, SET_NATIVE, 280) and not axes and not reading.dropped.isdisjoint(idle):
+        action = -1  # it names axes that the user leaves out; without words it would take all axes
     if action == 40 and dwell_s is None and p is not None:  # P stands before G4
         dwell_s = p / ONE * dialect.dwell_s["P"]["." in p_number]
     if (

@@ -18,6 +18,8 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 
 LETTERS = "ABCUVWXYZ"
+FILAMENT = "E"
+"""Letter of the extruder of a 3D print, which no machine here has; its words may be left out."""
 _NONE = "NONE"
 _HEAD_BYTES = 1 << 16
 _EXAMPLE = 'Write the letter of the program first: "C=A,Z=X".'
@@ -38,7 +40,8 @@ def letters_of(machine: Machine, text: str | None) -> Letters:
     text
         Pairs like ``"C=A,Z=X,B=none"``: the letter of the program, then the axis of the machine, or
         ``none`` to leave the words of that letter out. An axis without a pair keeps its own letter,
-        unless a pair takes that letter. None renames none.
+        unless a pair takes that letter. ``E=none`` leaves out the filament of a 3D print. None
+        renames none.
 
     Raises
     ------
@@ -56,7 +59,7 @@ def letters_of(machine: Machine, text: str | None) -> Letters:
     pairs: dict[str, str] = {}
     for part in text.split(","):
         letter, sign, name = (piece.strip().upper() for piece in part.partition("="))
-        if not sign or len(letter) != 1 or letter not in LETTERS:
+        if not sign or len(letter) != 1 or letter not in LETTERS + FILAMENT * (name == _NONE):
             raise OptionError(f"axes {part.strip()[:40]!r} is no pair of axes", remedy=_EXAMPLE)
         if name not in (*names, _NONE):
             raise OptionError(

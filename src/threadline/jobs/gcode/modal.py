@@ -384,6 +384,12 @@ class Modal:
         feed = RAPID if rapid else self._feed
         if feed is None and self._motion == 0 and self._stays(block):
             feed = RAPID  # no feed matters for no motion; CAM programs begin like this
+        if self._motion == -1 and self._cancelled:
+            raise self._error(
+                block.line,
+                "axis words without G0 or G1 behind G80, which ends the cycle and every motion",
+                "Write G0 (or G1 and a feed) in this block.",
+            )
         if self._motion == -1 or (self._dialect.each_g and block.motion == -1):
             raise self._error(
                 block.line,

@@ -17,7 +17,7 @@ from threadline.jobs.gcode import plain_blocks as kernel
 from threadline.jobs.gcode.block import CHANGE, Block
 from threadline.jobs.gcode.dialects import DIALECTS, SILENT, Dialect, Reading, dialect_of
 from threadline.jobs.gcode.feeds import f_rule, normal_feed_m_s, travelling
-from threadline.jobs.gcode.foreign import letters_of
+from threadline.jobs.gcode.foreign import FILAMENT, LETTERS, letters_of
 from threadline.jobs.gcode.modal import MILLIMETRE, RAPID, Modal, ProgramText
 from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
 from threadline.jobs.gcode.scan import Findings, Scanner
@@ -484,6 +484,8 @@ def _warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[s
         words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
         silent = " ".join(w for w in findings.idle if w[1:].isdigit() and int(w[1:]) in SILENT)
         left = f" compile leaves out what only shows or stores something: {silent}." * bool(silent)
+        dropped = " ".join(w for w in findings.idle if w in LETTERS + FILAMENT)
+        left += f" compile writes no {dropped}: --axes leaves it out." * bool(dropped)
         warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.{left}")
     return _first(warnings)
 

@@ -34,6 +34,11 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
     "klipper": {
         "G20": "the inch, which klipper refuses",
         "G92.1": "no word of klipper, which passes it over",
+        **dict.fromkeys(
+            ("M92", "M201", "M203", "M205"),
+            "what sets steps or limits in marlin; klipper has them in its printer.cfg, and passes "
+            "this word over",
+        ),
         "M204": "what sets the acceleration anew",
         "M220": "a share of every feed behind it",
         "S": "no word of klipper's G4, whose time is P in ms",
@@ -164,8 +169,8 @@ def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading
         raise JobError(
             f"E{_short(number)} is {_FILAMENT}",
             place=place,
-            remedy="Take the E words out: the way of the head alone is then planned, without "
-            "extrusion.",
+            remedy="Leave the E words out (--axes E=none): the way of the head alone is then "
+            "planned, without extrusion and the time of moves of E alone.",
         )
     whole = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
     why = WHY_IN.get(dialect.name, {}).get(f"{letter}{whole}")

@@ -217,6 +217,12 @@ def _diagnose(text: str, file: str, line: int) -> NoReturn:
             place=place,
             remedy="Write a letter and a number, like X 15.79.",
         )
+    if rest.startswith("$"):
+        raise JobError(
+            f"{_shown(rest)} is a command to grbl's terminal and no part of a program",
+            place=place,
+            remedy="Take it out, and type it before the program runs ($H homes).",
+        )
     raise JobError(
         f"{_shown(rest)} is not part of this dialect",
         place=place,

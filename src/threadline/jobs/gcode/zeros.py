@@ -86,7 +86,7 @@ class ToolLengths:
     line: int = 0
     _now: str = ""
     _left: int = 0  # line of a G49 that ended a tool length
-    _moved: bool = False
+    _moved: int = 0  # line of the first move of Z
 
     def take(
         self, length: str, settings: Sequence[int], line: int, *, moves: bool, later: bool
@@ -109,16 +109,23 @@ class ToolLengths:
             self._left = line
             if later:
                 self._refuse("G49 ends it", line)
-        self._moved = self._moved or moves
+        if moves:
+            self._moved = self._moved or line
         if moves and self._left:
             self._refuse(f"G49 on line {self._left} ends it", line)
 
     def _refuse(self, what: str, line: int) -> NoReturn:
+        retract = "."
+        if self._moved and not self.line:
+            retract = (
+                f" (leave out the move on line {self._moved}, if it only lifts the tool to change "
+                "it)."
+            )
         raise JobError(
             f"G43 is compensation of the tool's length: {what} between moves of Z, and how far it "
             "shifts them the control alone knows",
             place=self.file.place(line),
-            remedy="Write one G43 before the first move of Z, or a program for each tool.",
+            remedy=f"Write one G43 before the first move of Z, or a program for each tool{retract}",
         )
 
 
