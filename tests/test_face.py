@@ -281,7 +281,7 @@ def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
         tl.judge: {"recordings": "good.npz"},
         tl.learn: {"job": job, "machine": machine},
         tl.compile: {"job": job, "machine": machine, "target": "csv", "out": "out.csv"},
-        tl.control: {"machine": machine, "design": "lqg", "out": "out.toml"},
+        tl.control: {"machine": machine, "design": "cross-coupled", "out": "out.toml"},
         tl.equal: {"job": job, "machine": machine},
         tl.shaper: {"text": "zv:10Hz"},
         tl.measure: {"machine": machine, "axis": "X"},

@@ -60,6 +60,20 @@ def test_python_names_its_arguments_in_errors(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"gain": float("nan")}, {"gain": 10**400}, {"gain": -1}, {"ahead": 10**400},
+        {"ahead": True}, {"sensors": "x_pot"}, {"sensors": ["x"]},
+    ],
+)  # fmt: skip
+def test_odd_numbers_and_names_are_refused_by_python_in_one_line(tmp_path, odd):
+    with pytest.raises(InputError) as caught:
+        tl.control("stitcher", "preview", tmp_path / "no.toml", **odd)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_designed_machine_can_be_designed_again(tmp_path):
     """The second file cancels the controllers of the first one, and names its own differently."""
     first = tl.control("lathe-winder", "lqg", tmp_path / "first.toml")

@@ -69,6 +69,8 @@ def test_only_the_way_down_is_at_the_feed(tmp_path: Path, xyza: Machine) -> None
         ("G83 X1 Z-5 R2", "G83 has no Q"),
         ("G83 X1 Z-5 R2 Q0", "Q of G83 must be greater than 0"),
         ("G82 X1 Z-5 R2", "G82 has no P"),
+        ("G82 X1 Z-5 R2 P-1", "P of G82 must not be negative"),
+        ("G89 X1 Z-5 R2 P-0.5", "P of G89 must not be negative"),
         ("G81 X1 Z-5 R2 P1", "P has no use in G81"),
         ("G81 X1 Z-5 R2 Q1", "Q has no use in G81"),
         ("G81 X1 Z-5 R2 I1", "I has no use in G81"),

@@ -176,6 +176,22 @@ def test_thickness_and_tex_give_the_fibre_volume(tmp_path: Path) -> None:
             '"2 USD/kg exact, assumed"\n[[layer]]\nturn = "30 mm"\nmaterial = "m/epoxy"',
             "prices in EUR and USD", 32,
         ),
+        (
+            "[cost]", '[[material]]\nname = "m"\nlike = "epoxy"\nprice = "-3 EUR/kg exact, '
+            'assumed"\n[cost]', "is not from 0 to 1e+06 per kg", 32,
+        ),
+        (
+            "[cost]", '[[material]]\nname = "m"\nlike = "epoxy"\nmodulus = "1e18 Pa exact, '
+            'assumed"\n[cost]', "must be at most 1e+15 Pa", 32,
+        ),
+        (
+            "[cost]", '[[material]]\nname = "m"\nlike = "epoxy"\ndensity = "0 g/cm^3 exact, '
+            'assumed"\n[cost]', 'Like density = "1.6 g/cm^3', 32,
+        ),
+        ("[cost]", '[[material]]\nname = "a/b"\nlike = "epoxy"\n[cost]', "and names have a-z", 30),
+        ("[cost]", '[[material]]\nname = "m"\nkind = "metal"\n[cost]', "no kind 'metal'", 31),
+        ("[cost]", '[[material]]\nname = "m"\n[cost]', "a material has no kind", 29),
+        ("tex = 2400", "tex = -1", 'Write tex = "2400"', 21),
         ("hour =", "hours =", "unknown key 'hours'", 30),
         ("[cost]", '[[material]]\nname = "e-glass"\nlike = "t300"\n[cost]', "already", 30),
         ("[cost]", '[[material]]\nname = "mine"\nlike = "e-glas"\n[cost]', "no material 'e-g", 31),

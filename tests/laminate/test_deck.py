@@ -65,6 +65,7 @@ def test_bad_loads_are_refused_and_nothing_is_written(
     for words, said in (
         (("--pressure", "10 bar"), "Add --deck NAME.inp"),
         (("--pressure", "0 bar", "--deck", tmp_path / "a.inp"), "above 0 and at most 10000 bar"),
+        (("--pressure", "20000 bar", "--deck", tmp_path / "a.inp"), "at most 10000 bar"),
         (("--pressure", "10 mm", "--deck", tmp_path / "a.inp"), "--pressure"),
     ):
         code, out, err = run(capsys, file, *words)

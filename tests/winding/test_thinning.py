@@ -12,12 +12,12 @@ from threadline.winding.thinning import LONGEST_M, STRAIGHT_M, Thinning, moves_o
 AXES, REACH_M = ("A", "X", "Y"), 0.05
 
 
-def _run(samples: int) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Return times, operations and positions of a winder that swings and hunts by 2 um."""
+def _run(samples: int, swing: float = 1.1) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Return times, operations and positions of a winder that swings (rad/s) and hunts by 2 um."""
     random = np.random.default_rng(42)
     time = 0.005 * np.arange(samples)
     turn = 0.35 * time + random.uniform(-1.0, 1.0, samples) * 2e-6 / REACH_M
-    along, across = 0.05 * np.sin(0.2 * time), 0.06 + 0.01 * np.sin(1.1 * time)
+    along, across = 0.05 * np.sin(0.2 * time), 0.06 + 0.01 * np.sin(swing * time)
     return time, np.arange(samples) // 33, np.column_stack([turn, along, across])
 
 
@@ -52,6 +52,24 @@ def test_what_is_dropped_lies_on_the_line_between_what_is_kept() -> None:
     # Where the mandrel begins to turn the fibre begins: there nothing is off.
     first = np.abs(size[:, 0] - size[0, 0]) < 0.9 * LONGEST_M
     assert away[: int(np.argmin(first))].max() < 2e-7
+
+
+def test_a_fast_swing_is_kept_to_five_micrometres_and_a_millimetre() -> None:
+    """Over a millimetre of the mandrel it leaves a line by 90 um: only the distance limits it."""
+    time, operation, places = _run(20_000, swing=5.0)
+    kept = _thinning().kept(time, 0 * operation, places)
+    kept[-1] = True
+    size = places * _scale()
+    between = [np.interp(time, time[kept], column[kept]) for column in size.T]
+    away = np.column_stack(between) - size
+    assert 0.1 < kept.mean() < 0.9
+    assert -5e-6 * (1.0 + 1e-6) <= away.min() < -3e-6
+    assert 3e-6 < away.max() <= 5e-6 * (1.0 + 1e-6)
+    slow = _run(20_000, swing=0.1)[2] * _scale()
+    few = _thinning().kept(time, 0 * operation, slow / _scale())
+    few[-1] = True
+    moves = np.linalg.norm(np.diff(slow[few], axis=0), axis=1)
+    assert 0.8e-3 < moves.max() <= 1e-3 * (1.0 + 1e-6)
 
 
 @pytest.mark.parametrize("length", [1, 2, 7, 4096])

@@ -35,6 +35,8 @@ _WORDS = ("title", "price")
 _OWN = ("name", "kind", "like")
 _PRICE = re.compile(r"\s*(?P<value>[^\sA-Za-z]+)\s*(?P<currency>[A-Z]{3})\s*/\s*kg\b(?P<rest>.*)")
 _PRICE_LIKE = 'price = "2.5 EUR/kg +- 10 %, printed: offer of May"'
+_LIKE = {"kg/m^3": "1.6 g/cm^3", "Pa": "74 GPa", "": "0.2"}
+_MOST_NUMBER, _MOST_PRICE = 1e15, 1e6
 Refusing = Callable[[str, str, str], NoReturn]
 """Refuses a key of a material with a message and a remedy."""
 
@@ -174,7 +176,8 @@ def material_of(
     """
     name = row.get("name")
     if not isinstance(name, str) or not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,39}", name):
-        refuse("name", f"a material with the name {str(name)[:40]!r}", 'Like name = "my-glass".')
+        told = f"a material has the name {str(name)[:40]!r}, and names have a-z, 0-9 and hyphens"
+        refuse("name", told, 'Like name = "my-glass".')
     like = row.get("like")
     base = None
     if like is not None:
@@ -185,7 +188,10 @@ def material_of(
             refuse("kind", f"{base.name} is a {base.kind}", "Leave kind out.")
     kind = base.kind if base is not None else row.get("kind")
     if kind not in KINDS:
-        refuse("kind", f"a material of the kind {str(kind)[:40]!r}", f"{', '.join(KINDS)}.")
+        refuse(
+            "kind", "a material has no kind" if kind is None else f"no kind {str(kind)[:40]!r}",
+            f"There are: {', '.join(KINDS)}; or write like = \"e-glass\".",
+        )  # fmt: skip
     keys = (*_OWN, *_WORDS, *_NUMBERS[kind], *(("fibre",) if kind == "prepreg" else ()))
     for key in row:
         if key not in keys:
@@ -212,15 +218,17 @@ def material_of(
 
 
 def _number(key: str, text: Any, refuse: Refusing) -> Quantity:
-    like = f'Like {key} = "{"0.2" if not _UNITS[key] else "74 GPa"} +- 3 %, printed: data sheet".'
+    like = f'Like {key} = "{_LIKE[_UNITS[key]]} +- 3 %, printed: data sheet".'
     if not isinstance(text, str):
         refuse(key, f"{key} = {str(text)[:40]!r} is not a quantity", like)
     try:
         found = parse_machine_quantity(text, (_UNITS[key],))
     except UnitError as error:
         refuse(key, f"{key}: {error.message}", error.remedy or like)
-    if not found.least > 0.0 or found.most > 1e15:
+    if not found.least > 0.0:
         refuse(key, f"{key} = {text[:40]!r} must be above 0", like)
+    if found.most > _MOST_NUMBER:
+        refuse(key, f"{key} = {text[:40]!r} must be at most {_MOST_NUMBER:g} {_UNITS[key]}", like)
     if key == "poisson" and found.most >= 0.5:
         refuse(key, f"a contraction of {found.si:g} must be below 0.5", like)
     return found
@@ -235,8 +243,9 @@ def _price(text: Any, refuse: Refusing) -> Price:
         per_kg = parse_machine_quantity(f"{match['value']} kg{match['rest']}", ("kg",)).si
     except UnitError as error:
         refuse("price", f"price: {error.message}", f"Like {_PRICE_LIKE}.")
-    if not 0.0 <= per_kg <= 1e6:
-        refuse("price", f"price = {text[:40]!r}", f"Like {_PRICE_LIKE}.")
+    if not 0.0 <= per_kg <= _MOST_PRICE:
+        told = f"price = {text[:40]!r} is not from 0 to {_MOST_PRICE:g} per kg"
+        refuse("price", told, f"Like {_PRICE_LIKE}.")
     return Price(per_kg, match["currency"])
 
 
@@ -259,8 +268,7 @@ def composite_of(name: Any, known: Mapping[str, Material], refuse: Refusing, key
             of_kind = [one for one, material in known.items() if material.kind == kind]
             refuse(
                 key, f"there is no {kind} {part[:40]!r}",
-                f"{nearest(part, of_kind)} Known: {', '.join(sorted(of_kind))}; or write a "
-                "[[material]].",
+                f"Known: {', '.join(sorted(of_kind))}; or write a [[material]].",
             )  # fmt: skip
         return found
 

@@ -281,15 +281,6 @@ class Cylinder:
         return self
 
     @property
-    def spring(self) -> float:
-        """Stiffness of its air, N/m or N m/rad."""
-        if self.air_stiffness is not None:
-            return self.air_stiffness.si
-        assert self.torque is not None
-        absolute = self.torque.pressure.si + ATMOSPHERE_PA
-        return SPRING_OF_FORCE * absolute * self.torque.lever_m3 / self.stroke.si
-
-    @property
     def usual(self) -> tuple[float, str]:
         """Factor from SI to the usual unit of its places, and that unit: mm or deg."""
         return (1e3, "mm") if self.kind == "linear" else (180.0 / math.pi, "deg")

@@ -12,6 +12,7 @@ from threadline.errors import JobError, Place, UnitError
 from threadline.units import parse_quantity
 
 _FARTHEST = 1e4  # m, and tex
+_LIKE = {"tex": "2400", "fibre_volume": "60 %"}
 _NOT_NEGATIVE = ("thickness", "tex", "take_up", "clearance", "gap")
 TABLES: Mapping[str, tuple[str, ...]] = {
     "": (
@@ -99,7 +100,8 @@ class KeyReader:
     ) -> Toleranced:
         """Return the number of a key of the present table, in SI; None as default: it must be."""
         text = content.get(key, default)
-        like = f'Write {key} = "{"0.25 +- 0.05" if not unit else "5 mm +- 0.3 mm"}".'
+        usual = _LIKE.get(key, "0.25 +- 0.05" if not unit else "5 mm +- 0.3 mm")
+        like = f'Write {key} = "{usual}".'
         if text is None:
             self.refuse(key, f"{self.table}.{key} is missing", like)
         if not unit and isinstance(text, int | float) and not isinstance(text, bool):

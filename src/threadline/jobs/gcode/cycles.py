@@ -175,6 +175,8 @@ class Cycles:
             if self._motion != motion or letter not in self._kept:
                 raise _error(frame, f"G{motion} has no {letter}")
             found[letter] = self._kept[letter]
+        if "P" in needed and found["P"] < 0:
+            raise _error(frame, f"P of G{motion} must not be negative")
         if "Q" in needed and found["Q"] <= 0:
             raise _error(frame, f"Q of G{motion} must be greater than 0")
         return found
