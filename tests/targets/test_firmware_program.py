@@ -355,3 +355,18 @@ def test_linuxcnc_s_own_time_is_that_of_its_blends(tmp_path: Path, xya: Machine)
     (file,) = write(made, "linuxcnc", tmp_path / "out.ngc")
     told = re.search(r"([0-9.]+) s as the planner of linuxcnc runs it", file.warnings[0])
     assert told is not None and float(told[1]) == pytest.approx(2.0 + 0.01 / 5.0, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("first", "early"), [("G0 X20 Y10", True), ("G0 X20 Y10 Z5", False), ("G0 X20 Y10\nM0", False)]
+)
+def test_an_axis_that_moves_before_the_job_names_it_is_told(
+    tmp_path: Path, first: str, early: bool
+) -> None:
+    """The rounded corner before a descent would move Z from the program's zero while it crosses."""
+    machine = made_machine(tmp_path, "XYZ", "A", '[programs]\nfeed_mode = "grbl"\n')
+    text = f"G21 G90\n{first}\nG0 Z7\nG1 X40 F1000\nG0 X0 Y0\nM30\n"
+    found = plan(tmp_path, machine, text, dialect="grbl", interpolation="auto")
+    (written,) = write(found, "grbl", tmp_path / "out.nc")
+    told = [one for one in written.warnings if one.startswith("Z moves before line 3")]
+    assert bool(told) == early

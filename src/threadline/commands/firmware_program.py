@@ -20,6 +20,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, refuse_lost
+from threadline.commands.early_moves import early_moves
 from threadline.commands.endless_numbers import EndlessNumbers
 from threadline.commands.nc_blocks import operation_words
 from threadline.commands.planned_job import (
@@ -106,7 +107,9 @@ def write_firmware_program(
                 told, as_run_s = _written_once(replace(planned, own_feeds=True), file, programmed)
                 told += "; F is that of the job, since the planned speeds as F would be slower"
             refuse_slower(target, job, as_run_s, override)
-    return replace(written(path, (f"{path.name}: {told}",)), as_run_s=as_run_s)
+        ways = (item.points for item in planned if isinstance(item, Chord))
+        early = tuple(early_moves(job, ways, machine))
+    return replace(written(path, (f"{path.name}: {told}", *early)), as_run_s=as_run_s)
 
 
 def _written_once(
