@@ -140,7 +140,7 @@ def test_the_kernel_of_a_machine_is_known_by_its_shape(monkeypatch: pytest.Monke
     shape = Shape(
         lanes=1, width=1, matrix=((0,),), drives=(), controllers=(), axes=(), guards=(), inputs=0,
         lengths=1, terms=1, sections=1, peak=False, quantised=False, delayed=False, shared=False,
-        kinds=(), uniform=(),
+        kinds=(), uniform=(), observing=(),
     )  # fmt: skip
     for one in (shape, shape._replace(terms=2)):
         run._kernel.__wrapped__(one)
