@@ -127,7 +127,7 @@ def test_tables_do_what_named_places_do(seed: int) -> None:
 
 
 def test_a_long_list_plays_its_schedule(tmp_path: Path) -> None:
-    """801 moves: each switching in order, as long after the last input as the schedule has it."""
+    """800 moves: each switching in order, as long after the last input as the schedule has it."""
     made = scheduled_long(tmp_path, 200)
     text = structured_text(made).units
     assert len(text) < 100_000

@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 from math import pi
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from tools.second_stitches import Problem, beam, frames, machine_of, modified_sine, total_s
+from tools.second_stitches import (
+    Problem,
+    beam,
+    frames,
+    machine_of,
+    modified_sine,
+    swings_left,
+    total_s,
+)
+
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 
 LENGTHS = (30, -80, 120, 5, -165, 60, 60, -20)  # tenths of a millimetre, along X
 
@@ -53,3 +65,27 @@ def test_its_schedule_leaves_what_it_may() -> None:
             state = np.array([ring.real, -ring.imag * turned - decay * ring.real])
     assert max(left) <= tolerance_m * (1.0 + 1e-6)
     assert max(left) > 0.3 * tolerance_m  # the moves do swing the frame
+
+
+def test_the_planner_is_as_fast_on_a_light_frame(examples: Path) -> None:
+    """20 Hz and four times the damping: 74.79 s by ``python -m tools.second_stitches``.
+
+    The planner's schedule leaves at most the tolerance by that search's own modes and swings, and
+    no schedule is much below it.
+    """
+    machine = machine_of("light-frame")
+    assert machine.shaft is not None and machine.tables is not None
+    plan = plan_job(open_job(examples / "rosette.dst", machine, Options()), machine, Options())
+    share, turns = float(machine.shaft.window_share), plan.stitched.turns
+    time_s = total_s(turns.turn_s, share)
+    assert time_s <= 1.005 * 74.79
+    assert plan.stitched.bound_s is not None
+    assert 0.995 * time_s <= plan.stitched.bound_s <= 74.79
+    left_m = swings_left(
+        frames(machine, 0.05, 0.003, (0.7, 1.0, 1.3)),
+        np.asarray(turns.moves.units * machine.tables.unit.si, dtype=np.float64),
+        np.asarray(turns.moves.needle, dtype=np.int64),
+        turns.turn_s,
+        share,
+    )
+    assert left_m <= 1e-4 * (1.0 + 1e-6)

@@ -242,29 +242,32 @@ class Pace:
         speeds, asked_m = self._speeds(moves, shortest_s), self.tolerance_m
         swings = self._swings(speeds)
         best: tuple[float, FastestTurns] | None = None
+        bound_s: float | None = None
         asked = (ways_m, moves.needle, shortest_s)
         for _ in range(_ROUNDS):
             found = fastest_turns(speeds, swings, asked, asked_m, self.share)
             if 0.0 < found.missed.mean() < _HOPELESS:
                 found = fastest_turns(speeds, swings, asked, asked_m, self.share, WIDER)
+            # Later rounds ask for less, so their bounds are none for the tolerance.
+            bound_s = found.bound_s if bound_s is None else bound_s
             most_m = float(self.robust_swings_m(moves, found.turn_s).max())
             if best is None or most_m < best[0]:
                 best = most_m, found
             if most_m <= self.tolerance_m * _EXCESS or found.missed.any():
                 break
             asked_m *= _LESS * self.tolerance_m / most_m
-        assert best is not None
+        assert best is not None and bound_s is not None
         most_m, found = best
         slowest = np.full(len(moves.needle), self.shaft.slowest_turn.si)
         if most_m > self.tolerance_m * _EXCESS and (
             self.robust_swings_m(moves, slowest).max() < most_m
         ):
-            return Schedule(turn_s=slowest, bound_s=found.bound_s)
+            return Schedule(turn_s=slowest, bound_s=bound_s)
         even = self._even_turn_s(moves, float(found.turn_s.mean()))
         if even is not None:
             count = len(moves.needle)
-            return Schedule(turn_s=np.full(count, even), bound_s=min(found.bound_s, even * count))
-        return Schedule(turn_s=found.turn_s, bound_s=found.bound_s)
+            return Schedule(turn_s=np.full(count, even), bound_s=min(bound_s, even * count))
+        return Schedule(turn_s=found.turn_s, bound_s=bound_s)
 
     def _speeds(self, moves: Moves, shortest_s: FloatArray) -> Speeds:
         """Return the grid of turn times: fine as far as moves need it, coarse beyond."""

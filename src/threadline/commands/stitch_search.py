@@ -5,10 +5,11 @@ The next speed decides how long the swing decays and turns before the next move 
 move adds. The same swing is followed on several machines at once (damping, mode off by a share);
 each of them must be within the tolerance when a needle enters.
 
-A dynamic program over the speeds alone gives the shortest time to go. It lets the swing before each
-turn be whatever is best within the tolerance, so it is a lower bound for every schedule on the
-grid. The beam ranks its states by the time so far plus this bound, and keeps the best of each cell
-of swings, because a long move later needs a swing of the right phase before it.
+A dynamic program over pairs of speeds gives the shortest time to go. It lets the swing before each
+pair of turns be whatever is best within the tolerance, so it is a lower bound for every schedule on
+the grid. The beam ranks its states by the time so far plus this bound. At each speed it keeps the
+best of each cell of swings, because a long move later needs a slow turn before it, and a swing of
+the right phase. Of two states of one speed and one cell, the later one is given up.
 """
 
 from __future__ import annotations
@@ -24,13 +25,12 @@ from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.compiled import njit
 
 _COARSE = 0.03  # relative steps of the turn time beyond the fine grid
-WIDTH, WIDER = 300, 1200
-"""States kept per turn, and in a second search."""
-_LEAST_WIDTH = 60
-_PER_GROUP, _GROUPS_OF = 40, 20  # states per group of neighbouring speeds, and speeds in a group
+WIDTH, WIDER = 5, 20
+"""States kept per turn at each speed, and in a second search."""
+_MISSING = 300  # states kept where none keeps the tolerance
 _CELLS, _OUTER = 3.0, 12.0  # cells of the swing per tolerance, and cells to each side
 _MOST_KEPT = 60_000_000  # states of all turns
-_TABLE = 1 << 17
+_BUCKETS = 4096  # of ranks: states in one of them are not told apart
 _SLACK = 1.0 + 1e-12
 
 
@@ -165,25 +165,38 @@ def fastest_turns(
     share
         Share of the window in a turn.
     width
-        States kept per turn; very long designs keep fewer.
+        States kept per turn at each speed; very long designs keep fewer.
     """
     ways_m, needle, _ = moves
     ends_s = (1.0 - share) * speeds.turn_s
     after = speeds.after
+    kept = np.exp(-np.outer(speeds.pair_s, swings.poles))
+    # Two turns in a row are judged where their needles enter, and the needle before them did.
+    entered = np.concatenate(([True], needle == 1))
+    judged = entered[:-1] & entered[1:] & np.append(entered[2:], False)
     for strict in (True, False):
         allowed = _allowed(speeds, swings, moves, tolerance_m if strict else np.inf)
-        to_go = _time_to_go(allowed, ends_s, speeds.begin, after, speeds.pair_s)
+        to_go = _time_to_go(
+            allowed, ends_s, speeds.begin, after, speeds.pair_s, judged & strict, tolerance_m,
+            ways_m, swings.fresh, kept, swings.axis, swings.late, _left(speeds, swings),
+        )  # fmt: skip
         if np.isfinite(to_go[0]).any():
             break
     bound_s = float((to_go[0] + share * speeds.turn_s).min())
-    kept = np.exp(-np.outer(speeds.pair_s, swings.poles))
-    width = min(width, max(_LEAST_WIDTH, _MOST_KEPT // len(needle)))
+    width = min(width, max(1, _MOST_KEPT // (len(needle) * len(speeds.turn_s))))
     index, missed = _beam(
         ways_m, needle, to_go, speeds.first, speeds.begin, speeds.pair_s,
         swings.fresh, kept, swings.late, swings.axis, swings.last, swings.named,
         tolerance_m, width,
     )  # fmt: skip
     return FastestTurns(turn_s=speeds.turn_s[index], missed=missed, bound_s=bound_s)
+
+
+def _left(speeds: Speeds, swings: Swings) -> FloatArray:
+    """Return (N, M) the most that a swing within a tolerance of 1 m leaves at the next window."""
+    least_s = np.full(len(speeds.turn_s), np.inf)
+    np.minimum.at(least_s, speeds.after, speeds.pair_s)
+    return np.asarray(np.exp(-np.outer(least_s, swings.poles.real)) / swings.late.min(axis=0))
 
 
 def _allowed(
@@ -201,14 +214,12 @@ def _allowed(
     allowed = speeds.turn_s[None, :] >= shortest_s[:, None] / _SLACK
     if not np.isfinite(tolerance_m):
         return np.asarray(allowed)
-    after, least_s = speeds.after, np.full(len(speeds.turn_s), np.inf)
-    np.minimum.at(least_s, after, speeds.pair_s)
+    left = _left(speeds, swings)
     entered = np.concatenate(([1], needle[:-1])) == 1
     judged = np.flatnonzero((needle == 1) & entered)
-    for column, pole in enumerate(swings.poles):
-        late = swings.late[:, column]
+    for column in range(len(swings.poles)):
         # Before the first turn nothing swings, which this bound leaves out.
-        most = tolerance_m * (1.0 / late + np.exp(-pole.real * least_s) / late.min())
+        most = tolerance_m * (1.0 / swings.late[:, column] + left[:, column])
         with np.errstate(divide="ignore"):
             longest_m = most / np.abs(swings.fresh[:, column])
         ways = np.abs(ways_m[judged, swings.axis[column]])
@@ -216,9 +227,39 @@ def _allowed(
     return np.asarray(allowed)
 
 
+def _possible(
+    k: int, i: int, j: int, pair: int, tolerance_m: float,
+    ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray, axis: IntArray,
+    late: FloatArray, left: FloatArray,
+) -> bool:  # fmt: skip
+    """Return whether some swing before turn ``k`` lets this turn and the next keep the tolerance.
+
+    The swing at the end of the window of ``k`` is in three disks: around 0 for its needle, around
+    the swing of its move for what came before, and around what the next move takes off. If two of
+    them do not meet, no swing is in all.
+    """
+    for c in range(len(axis)):
+        z = kept[pair, c]
+        share = np.sqrt(z.real * z.real + z.imag * z.imag)
+        then = tolerance_m / late[j, c]
+        own = ways_m[k + 1, axis[c]] * fresh[j, c]
+        most = (then + share * tolerance_m / late[i, c]) * _SLACK
+        if own.real * own.real + own.imag * own.imag > most * most:
+            return False
+        both = own + z * (ways_m[k, axis[c]] * fresh[i, c])
+        most = (then + share * tolerance_m * left[i, c]) * _SLACK
+        if k > 0 and both.real * both.real + both.imag * both.imag > most * most:
+            return False
+        if k == 0 and both.real * both.real + both.imag * both.imag > then * then * _SLACK:
+            return False
+    return True
+
+
 def _to_go(
     allowed: NDArray[np.bool_], ends_s: FloatArray,
-    begin: IntArray, after: IntArray, pair_s: FloatArray,
+    begin: IntArray, after: IntArray, pair_s: FloatArray, judged: NDArray[np.bool_],
+    tolerance_m: float, ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray,
+    axis: IntArray, late: FloatArray, left: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Return (n, N) the shortest time from the window of each turn to the end; inf if none."""
     turns, count = allowed.shape
@@ -228,11 +269,18 @@ def _to_go(
             found[turns - 1, j] = ends_s[j]
     for k in range(turns - 2, -1, -1):
         for i in range(count):
-            if allowed[k, i]:
-                best = np.inf
-                for pair in range(begin[i], begin[i + 1]):
-                    best = min(best, pair_s[pair] + found[k + 1, after[pair]])
-                found[k, i] = best
+            if not allowed[k, i]:
+                continue
+            best = np.inf
+            for pair in range(begin[i], begin[i + 1]):
+                j = after[pair]
+                time = pair_s[pair] + found[k + 1, j]
+                if time < best and (
+                    not judged[k]
+                    or _pair(k, i, j, pair, tolerance_m, ways_m, fresh, kept, axis, late, left)
+                ):
+                    best = time
+            found[k, i] = best
     return found
 
 
@@ -267,13 +315,11 @@ def _largest(
 
 
 def _continued(
-    k: int, most_m: float, states: int, at: IntArray, so_far: FloatArray,
-    to_go: FloatArray, first: IntArray, begin: IntArray, pair_s: FloatArray, needle: IntArray,
-    ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray, axis: IntArray,
-    swing: ComplexArray, late: FloatArray, last: IntArray, named: IntArray, cell_m: float,
-    time: FloatArray, over: FloatArray, speed: IntArray, source: IntArray, key: IntArray,
+    k: int, states: int, at: IntArray, so_far: FloatArray,
+    to_go: FloatArray, first: IntArray, begin: IntArray, pair_s: FloatArray,
+    time: FloatArray, speed: IntArray, source: IntArray,
 ) -> int:  # fmt: skip
-    """Fill ``time`` to ``key`` with what may follow each state; return their number."""
+    """Fill ``time`` to ``source`` with what may follow each state; return their number."""
     found = 0
     for h in range(states):
         low, high = 0, to_go.shape[1]
@@ -281,48 +327,70 @@ def _continued(
             low = first[at[h]]
             high = low + begin[at[h] + 1] - begin[at[h]]
         for j in range(low, high):
-            if to_go[k, j] == np.inf:
-                continue
-            pair, worst = begin[at[h]] + j - low, 0.0
-            if needle[k] == 1:
-                worst = _most(k, h, j, pair, most_m, ways_m, fresh, kept, axis, swing, late, last)
-            if worst > most_m:
-                continue
-            cell: Any = j // _GROUPS_OF
-            for c in named:
-                value = _swung(k, h, j, c, pair, ways_m, fresh, kept, axis, swing)
-                # Swings far outside of the tolerance share the outer cells.
-                for part in (value.real, value.imag):
-                    near = min(max(part / cell_m, -_OUTER), _OUTER)
-                    cell = cell * 64 + np.int64(np.floor(near)) + 32
-            time[found] = so_far[h] + pair_s[pair] if k > 0 else 0.0
-            over[found] = worst
-            speed[found], source[found], key[found] = j, h, cell
-            found += 1
+            if to_go[k, j] < np.inf:
+                pair = begin[at[h]] + j - low
+                time[found] = so_far[h] + pair_s[pair] if k > 0 else 0.0
+                speed[found], source[found] = j, h
+                found += 1
     return found
 
 
+def _sorted(rank: FloatArray, found: int, count: IntArray, order: IntArray) -> None:
+    """Fill ``order`` with the places of ``rank`` by rising value, to a share of their range."""
+    least, most = np.inf, -np.inf
+    for q in range(found):
+        least, most = min(least, rank[q]), max(most, rank[q])
+    scale = (len(count) - 2) / (most - least) if most > least else 0.0
+    count[:] = 0
+    for q in range(found):
+        count[int((rank[q] - least) * scale) + 1] += 1
+    for b in range(1, len(count)):
+        count[b] += count[b - 1]
+    for q in range(found):
+        b = int((rank[q] - least) * scale)
+        order[count[b]] = q
+        count[b] += 1
+
+
 def _selected(
-    k: int, order: IntArray, speed: IntArray, key: IntArray,
-    seen: IntArray, stamp: IntArray, in_group: IntArray, chosen: IntArray,
+    k: int, most_m: float, order: IntArray, at: IntArray, first: IntArray, begin: IntArray,
+    needle: IntArray, ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray,
+    axis: IntArray, swing: ComplexArray, late: FloatArray, last: IntArray, named: IntArray,
+    tolerance_m: float, width: int, speed: IntArray, source: IntArray,
+    seen: IntArray, stamp: IntArray, of_speed: IntArray, chosen: IntArray,
 ) -> int:  # fmt: skip
-    """Fill ``chosen`` with the first of each cell in ``order``; return their number."""
-    in_group[:] = 0
+    """Fill ``chosen`` with the first of each speed and cell in ``order``; return their number.
+
+    Only the swings of those that still have a place at their speed are calculated.
+    """
+    of_speed[:] = 0
     states = 0
     for q in order:
-        group = speed[q] // _GROUPS_OF
-        if in_group[group] >= _PER_GROUP:
+        h, j = source[q], speed[q]
+        if of_speed[j] >= width:
             continue
-        slot = (key[q] * 2654435761) % _TABLE
-        while stamp[slot] == k and seen[slot] != key[q]:
-            slot = (slot + 1) % _TABLE
+        pair = begin[at[h]] + j - first[at[h]]
+        cell: Any = j
+        for c in named:
+            value = _swung(k, h, j, c, pair, ways_m, fresh, kept, axis, swing)
+            # Swings far outside of the tolerance share the outer cells.
+            for part in (value.real, value.imag):
+                near = min(max(part * (_CELLS / tolerance_m), -_OUTER), _OUTER)
+                cell = cell * 64 + np.int64(np.floor(near)) + 32
+        slot = (cell * 2654435761) % len(seen)
+        while stamp[slot] == k and seen[slot] != cell:
+            slot = (slot + 1) % len(seen)
         if stamp[slot] == k:
             continue
-        stamp[slot], seen[slot] = k, key[q]
-        in_group[group] += 1
+        if needle[k] == 1 and most_m < np.inf:
+            over = _most(k, h, j, pair, most_m, ways_m, fresh, kept, axis, swing, late, last)
+            if over > most_m:
+                continue
+        stamp[slot], seen[slot] = k, cell
+        of_speed[j] += 1
         chosen[states] = q
         states += 1
-        if states == len(chosen):
+        if most_m == np.inf and states == _MISSING:
             break
     return states
 
@@ -335,34 +403,43 @@ def _search(
 ) -> tuple[IntArray, IntArray]:  # fmt: skip
     """Return (n,) index of the turn time of each turn, and (n,) 1 where the tolerance is missed."""
     turns, count = to_go.shape
-    room = max(width * int((begin[1:] - begin[:-1]).max()), count)
-    time, over = np.empty(room), np.empty(room)
+    most_states = width * count
+    room = max(width * len(pair_s), count)
+    time, rank, order = np.empty(room), np.empty(room), np.empty(room, np.int64)
     speed, source = np.empty(room, np.int64), np.empty(room, np.int64)
-    key, chosen = np.empty(room, np.int64), np.empty(width, np.int64)
-    back, taken = np.empty((turns, width), np.int32), np.empty((turns, width), np.int32)
+    buckets, chosen = np.empty(_BUCKETS, np.int64), np.empty(most_states, np.int64)
+    back, taken = np.empty((turns, most_states), np.int32), np.empty((turns, most_states), np.int16)
     missed = np.zeros(turns, np.int64)
-    at, so_far = np.zeros(width, np.int64), np.zeros(width)
-    swing = np.zeros((width, len(axis)), np.complex128)
-    seen, stamp = np.zeros(_TABLE, np.int64), np.full(_TABLE, -1, np.int64)
-    in_group = np.zeros(count // _GROUPS_OF + 1, np.int64)
+    at, so_far = np.zeros(most_states, np.int64), np.zeros(most_states)
+    swing = np.zeros((most_states, len(axis)), np.complex128)
+    places = 4 * most_states + 1
+    seen, stamp = np.zeros(places, np.int64), np.full(places, -1, np.int64)
+    of_speed = np.zeros(count, np.int64)
     states = 1
     for k in range(turns):
-        found = 0
+        found = _followers(k, states, at, so_far, to_go, first, begin, pair_s, time, speed, source)
+        states_now = 0
         for most_m in (tolerance_m, np.inf):
-            found = _followers(
-                k, most_m, states, at, so_far, to_go, first, begin, pair_s, needle, ways_m, fresh,
-                kept, axis, swing, late, last, named, tolerance_m / _CELLS,
-                time, over, speed, source, key,
+            for q in range(found):
+                rank[q] = time[q] + to_go[k, speed[q]]
+                if most_m == np.inf and needle[k] == 1:
+                    # The least swing goes first; the time decides among equals.
+                    h, j = source[q], speed[q]
+                    pair = begin[at[h]] + j - first[at[h]]
+                    over = _most(
+                        k, h, j, pair, most_m, ways_m, fresh, kept, axis, swing, late, last
+                    )
+                    rank[q] = over + 1e-9 * tolerance_m * rank[q]
+            _by_rank(rank, found, buckets, order)
+            states_now = _best_states(
+                k, most_m, order[:found], at, first, begin, needle, ways_m, fresh, kept, axis,
+                swing, late, last, named, tolerance_m, width, speed, source,
+                seen, stamp, of_speed, chosen,
             )  # fmt: skip
-            if found > 0:
+            if states_now > 0:
                 break
             missed[k] = 1
-        rank = np.empty(found)
-        for q in range(found):
-            rank[q] = time[q] + to_go[k, speed[q]]
-            if missed[k] == 1:  # the least swing goes first; the time decides among equals
-                rank[q] = over[q] + 1e-9 * tolerance_m * rank[q]
-        states = _kept_states(k, np.argsort(rank), speed, key, seen, stamp, in_group, chosen)
+        states = states_now
         new_swing = np.empty((states, len(axis)), np.complex128)
         new_at, new_time = np.empty(states, np.int64), np.empty(states)
         for s in range(states):
@@ -381,9 +458,11 @@ def _search(
     return index, missed
 
 
+_pair = njit(nogil=True)(_possible)
 _time_to_go = njit(nogil=True)(_to_go)
 _swung = njit(nogil=True)(_value)
 _most = njit(nogil=True)(_largest)
 _followers = njit(nogil=True)(_continued)
-_kept_states = njit(nogil=True)(_selected)
+_by_rank = njit(nogil=True)(_sorted)
+_best_states = njit(nogil=True)(_selected)
 _beam = njit(nogil=True)(_search)
