@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -52,6 +52,8 @@ _REST_S = 0.5
 _RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as what full speed draws in so many seconds
 _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
 _LEAST_S = 1e-4  # of a move
+_UNITS = 1e9  # parts of a mm or deg: in 1000 circuits rounding adds up to 5e-7 deg
+_COARSE = 10_000  # units between the points of a circuit, so that its words are short
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,8 +152,9 @@ def read_winding(path: str | Path, *, machine: Machine) -> Job:
         made, words = _laps(winding, one, machine, tool, side)
         laps.append(made)
         said += words
-    laps = _in_a_row(laps, machine, tool)
-    stream = Stream(_runs, tuple(laps), str(path), machine.axis_names, _approach(tool))
+    linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
+    laps = [_on_grid(one, _Grid(linear)) for one in laps]
+    stream = Stream(_runs, tuple(laps), str(path), machine.axis_names, (_approach(tool), linear))
     return Job(
         capped=_capped(tuple(laps), machine, winding),
         name=winding.product.name,
@@ -212,21 +215,6 @@ def _joined(winding: Winding, way: Join, laid: Laid, machine: Machine, tool: Too
     kept = kept_points(path.eye, _JOIN * winding.tolerance_m)
     made = _timed(winding, laid, path, kept, machine, tool)
     return replace(made, count=1, further=np.zeros(len(machine.axis_names)))
-
-
-def _in_a_row(laps: list[Laps], machine: Machine, tool: Tool) -> list[Laps]:
-    """Return the laps with every first turn of the mandrel where the laps before it ended."""
-    assert tool.turn is not None
-    column = machine.axis_names.index(tool.turn.axis)
-    found = laps[:1]
-    for one in laps[1:]:
-        last = found[-1]
-        end = last.points[-1, column] + (last.count - 1) * last.further[column]
-        points = one.points.copy()
-        # Between two surfaces the eye moves outwards alone.
-        points[:, column] += end - points[0, column]
-        found.append(replace(one, points=points))
-    return found
 
 
 def _laps(
@@ -419,22 +407,60 @@ def _from_rest(seconds: FloatArray) -> tuple[tuple[int, Feed | None], ...]:
     return tuple((k, Feed(FeedMode.INVERSE_TIME, feed)) for k, feed in enumerate(feeds))
 
 
+class _Grid:
+    """Positions as whole parts of a mm or a degree, in which equal circuits are equal to the digit.
+
+    Parameters
+    ----------
+    linear
+        (axes,) whether each axis is linear.
+    """
+
+    def __init__(self, linear: Sequence[bool]) -> None:
+        self._linear = np.array(linear)
+
+    def units(self, places: FloatArray) -> IntArray:
+        """Return whole units of (..., axes) positions, m or rad."""
+        given = np.where(self._linear, 1e3 * places, np.degrees(places))
+        return np.rint(given * _UNITS).astype(np.int64)
+
+    def places(self, units: IntArray) -> FloatArray:
+        """Return positions, m or rad: those that a reader makes of the decimals."""
+        return np.where(self._linear, units / (1e3 * _UNITS), np.radians(units / _UNITS))
+
+
+def _on_grid(one: Laps, grid: _Grid) -> Laps:
+    """Return laps between whole units; the last point of a circuit begins the next one."""
+    points = grid.units(one.points)
+    points = _COARSE * np.rint(points / _COARSE).astype(np.int64)
+    further = grid.units(one.further)
+    if one.count > 1:
+        points[-1] = points[0] + further
+    return replace(one, points=grid.places(points), further=grid.places(further))
+
+
 def _runs(
-    laps: tuple[Laps, ...], file: str, axes: tuple[str, ...], approach: tuple[str, ...]
+    laps: tuple[Laps, ...],
+    file: str,
+    axes: tuple[str, ...],
+    order: tuple[tuple[str, ...], tuple[bool, ...]],
 ) -> Iterator[Operation | MoveRun]:
-    """Yield the moves: to the first point, axis by axis, then every circuit."""
-    at = np.zeros(len(axes))
-    first = laps[0].points[0]
+    """Yield the moves: to the first point, axis by axis, then every circuit.
+
+    ``order`` has the axes that move to the first point one by one, and which axes are linear.
+    """
+    approach, grid = order[0], _Grid(order[1])
+    first = grid.units(laps[0].points[0])
+    at = np.zeros(len(axes), dtype=np.int64)
     turn = [index for index, name in enumerate(axes) if name not in approach]
-    shift = np.zeros(len(axes))
-    shift[turn] = -first[turn]
     for name in approach:
         column = axes.index(name)
-        way = abs(first[column] - at[column])
-        if way > 0.0:
+        if first[column]:
             at[column] = first[column]
-            feed = Feed(FeedMode.INVERSE_TIME, _APPROACH_M_S / way)
-            yield Move(tuple(at.tolist()), feed, Source(file, laps[0].line))
+            feed = Feed(
+                FeedMode.INVERSE_TIME, _APPROACH_M_S / abs(float(laps[0].points[0, column]))
+            )
+            yield Move(tuple(grid.places(at).tolist()), feed, Source(file, laps[0].line))
             # A plan would round the corners, and the fibre would start beside its place.
             yield Dwell(_REST_S, Source(file, laps[0].line))
     number = 0
@@ -443,15 +469,18 @@ def _runs(
         for index, seconds in enumerate(one.seconds.tolist()):
             feeds.append((index, Feed(FeedMode.INVERSE_TIME, 1.0 / seconds)))
         lines = np.full(len(one.points) - 1, one.line, dtype=np.int64)
-        if number and not np.array_equal(one.points[0] + shift, at):
-            yield Move(tuple((one.points[0] + shift).tolist()), feeds[0][1], Source(file, one.line))
+        units, further = grid.units(one.points), grid.units(one.further)
+        # The mandrel goes on from where it is; between two surfaces the eye moves outwards alone.
+        units[:, turn] += at[turn] - units[0, turn]
+        if np.abs(units[0] - at).max() > _COARSE:
+            yield Move(tuple(grid.places(units[0]).tolist()), feeds[0][1], Source(file, one.line))
         for lap in range(one.count):
             number += 1
             yield MoveRun(
-                targets=one.points[1:] + lap * one.further + shift,
+                targets=grid.places(units[1:] + lap * further),
                 line=lines,
                 feeds=_from_rest(one.seconds) if number == 1 else tuple(feeds),
                 file=file,
                 passes=(number,),
             )
-        at = one.points[-1] + (one.count - 1) * one.further + shift
+        at = units[-1] + (one.count - 1) * further
