@@ -32,6 +32,7 @@ from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, pos
 from threadline.jobs.winding.joins import Join, join
 from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding, read_layers
 from threadline.machine import Machine
+from threadline.machine.motion_planner import MarlinPlanner
 from threadline.machine.tool import Tool
 from threadline.winding.product import product_of_text
 from threadline.winding.replay import Replay
@@ -52,6 +53,7 @@ _REST_S = 0.5
 _RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as what full speed draws in so many seconds
 _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
 _LEAST_S = 1e-4  # of a move
+_LINEAR = ("X", "Y", "Z")  # letters whose way is the length of a move
 _UNITS = 1e9  # parts of a mm or deg: in 1000 circuits rounding adds up to 5e-7 deg
 _COARSE = 10_000  # units between the points of a circuit, so that its words are short
 
@@ -142,7 +144,7 @@ def read_winding(path: str | Path, *, machine: Machine) -> Job:
     laid = design(winding)
     tied_place(winding, laid[0])
     laps: list[Laps] = []
-    said: list[str] = []
+    said: list[str] = [*_turning_at_once(machine, tool, path)]
     side = -1
     for before, one in zip((None, *laid), laid, strict=False):
         if before is not None:
@@ -185,6 +187,27 @@ def _capped(laps: tuple[Laps, ...], machine: Machine, winding: Winding) -> tuple
         f"{Place(str(winding.path))}: a fibre speed of {speed:g} mm/s is faster than the normal "
         f"feed of {normal:g} count/tick in {faster} of {moves} moves, which caps it. Choose "
         "another feed with --feed, or raise operator.normal_feed.",
+    )
+
+
+def _turning_at_once(machine: Machine, tool: Tool, path: Path) -> tuple[str, ...]:
+    """Return a warning if Marlin plans the mandrel as a rotary axis beside linear ones.
+
+    The length of a move is then that of its linear axes, and so are the speeds that two moves have
+    in common. Where the carriage turns back, its way vanishes, and with it the length: at the same
+    speed in mm/s one move turns the mandrel several times as fast as the next.
+    """
+    if not isinstance(machine.planner, MarlinPlanner):
+        return ()
+    assert tool.turn is not None
+    turn = tool.turn.axis
+    along = "" if tool.along is None else tool.along.axis
+    if turn in _LINEAR or along not in _LINEAR:
+        return ()
+    return (
+        f"{Place(str(path))}: Marlin counts the speed of a move along {along} alone, so the speed "
+        f"of {turn} jumps where {along} turns back. Wire the mandrel as X, Y or Z (overlay xyz of "
+        "stepper-winder).",
     )
 
 
