@@ -330,3 +330,32 @@ def test_layers_that_outgrow_a_fixed_eye_are_refused(tmp_path: Path) -> None:
         read_job(_written(tmp_path, text), machine)
     assert caught.value.remedy.startswith("The machine cannot move its eye across: ")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("overlays", "warned"), [("xab+marlin", True), ("xyz+marlin", False), ("xab+grbl", False)]
+)
+def test_a_mandrel_that_marlin_turns_as_a_rotary_axis_jumps(overlays: str, warned: bool) -> None:
+    """Marlin's length of a move is that of X Y Z: what it says of a turn is in the plan.
+
+    A stepper takes about 10 deg/s at once (the jump of Reprapfirmware in the machine file); the
+    mandrel turns at 150 deg/s.
+    """
+    machine = load_machine(f"stepper-winder+{overlays}")
+    file = Path(__file__).parents[2] / "examples" / "tube.wind.toml"
+    said = " ".join(read_job(file, machine).warnings)
+    assert ("Marlin counts the speed of a move along X alone" in said) is warned
+    options = options_of(product=str(file))
+    plan = plan_job(open_job(file, machine, options), machine, options)
+    trajectory = plan.motion.trajectory
+    column = trajectory.axes.index("Y" if "xyz" in overlays else "A")
+    before, largest = None, 0.0
+    for block in trajectory:
+        coefficients = block.coefficients[:, :, column]
+        powers = np.arange(coefficients.shape[1])
+        begin = coefficients[:, 1] / block.duration_s
+        end = coefficients @ powers / block.duration_s
+        steps = begin[1:] - end[:-1]
+        steps = steps if before is None else np.append(steps, begin[0] - before)
+        largest, before = max(largest, float(np.abs(steps).max(initial=0.0))), end[-1]
+    assert (math.degrees(largest) > 60.0) is warned, math.degrees(largest)

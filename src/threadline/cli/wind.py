@@ -9,18 +9,21 @@ from typing import Annotated, Any
 import typer
 
 from threadline.base.writing import staged_file, together
-from threadline.cli.arguments import JsonOption
+from threadline.cli.arguments import JsonOption, keep_inputs
 from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, say
+from threadline.commands.passes import write_passes
 from threadline.errors import OptionError
 from threadline.jobs.winding.bare import bare_of, write_meridian
 from threadline.jobs.winding.build_up import Laid, bridged, design
 from threadline.jobs.winding.closing_patterns import Pattern
+from threadline.jobs.winding.job import is_winding, read_winding
 from threadline.jobs.winding.layers import Winding, read_layers
 from threadline.jobs.winding.rings import rings_of
 from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate
 from threadline.jobs.winding.write_fiberpath import check_wind, write_wind
 from threadline.laminate.deck import shell_deck
+from threadline.machine import load_machine
 from threadline.units import parse_number
 
 _SHOWN = 12
@@ -56,6 +59,23 @@ def wind(
         Path | None,
         typer.Option("--wind", help="Write the layers as a definition of FiberPath, NAME.wind."),
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Write the circuits of each layer as a subroutine and its passes into this "
+            "program, for --machine.",
+        ),
+    ] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option("--machine", "-m", help="Machine of --out."),
+    ] = None,
+    dialect: Annotated[
+        str | None,
+        typer.Option(help="Dialect of --out: winder or linuxcnc. Default: the machine file's."),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """List the patterns, lengths and thickness of a winding.
@@ -70,25 +90,28 @@ def wind(
     Example: threadline wind examples/vessel.wind.toml
     """
     inside_pa = _pressure(pressure, deck)
-    check_outputs(file=deck, folder=report)
-    check_outputs(file=bare)
-    check_outputs(file=definition)
+    check_outputs(folder=report)
+    for file in (deck, bare, definition, out):
+        check_outputs(file=file)
+        keep_inputs(file, product)
+    if not (out is None and machine is None and dialect is None):
+        _check_program(product, machine, out, bare)
     winding = read_layers(product)
     if definition is not None:
         check_wind(winding)
     found = None if bare is None else bare_of(winding)
     laid = design(winding) if found is None else found.laid
-    written, left_out = None, []
-    with together(bare, deck, definition):
+    written, left_out, program = None, [], ""
+    with together(bare, deck, definition, out):
         if bare is not None and found is not None:
             write_meridian(bare, found.points)
         if deck is not None:
-            rings, materials = rings_of(laid)
-            text = shell_deck(winding.product.name, rings, materials, inside_pa)
-            with staged_file(deck) as stream:
-                stream.write(text.encode("ascii", "replace"))
+            _write_deck(deck, winding, laid, inside_pa)
         if definition is not None:
             left_out = write_wind(definition, laid)
+        if out is not None and machine is not None:
+            program, warnings = _write_program(product, machine, out, dialect)
+            left_out += warnings
         if report is not None:
             from threadline.report.wound import write_sheet
 
@@ -126,10 +149,41 @@ def wind(
         )
     if deck is not None:
         say(f"Shell model: {deck}")
+    if out is not None:
+        say(f"Program: {out}: {program}")
     if definition is not None:
         say(f"FiberPath's definition: {definition}")
     for said in [*left_out, *filter(None, map(bridged, laid)), *sheet_warnings(winding, sheet)]:
         warning(said)
+
+
+def _check_program(product: Path, machine: str | None, out: Path | None, bare: Path | None) -> None:
+    if machine is None or out is None:
+        raise OptionError(
+            "--out and --machine belong together: a program is written for a machine",
+            remedy="Like -m lathe-winder -o vessel.prg.",
+        )
+    if bare is not None or not is_winding(product):
+        raise OptionError(
+            "--out writes the program of a product file, NAME.wind.toml, without --bare",
+            remedy="Write the product file with the mandrel that is wound, and give that.",
+        )
+
+
+def _write_program(
+    product: Path, machine: str, out: Path, dialect: str | None
+) -> tuple[str, tuple[str, ...]]:
+    """Write the circuits as passes; return what the file is, and the warnings of the job."""
+    chosen = load_machine(machine)
+    job = read_winding(product, machine=chosen)
+    return write_passes(job, chosen, out, dialect), job.warnings
+
+
+def _write_deck(file: Path, winding: Winding, laid: tuple[Laid, ...], inside_pa: float) -> None:
+    rings, materials = rings_of(laid)
+    text = shell_deck(winding.product.name, rings, materials, inside_pa)
+    with staged_file(file) as stream:
+        stream.write(text.encode("ascii", "replace"))
 
 
 def _pressure(text: str | None, deck: Path | None) -> float:

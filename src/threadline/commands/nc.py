@@ -8,7 +8,7 @@ a line, and the main program only before its subroutines; both kinds of programs
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain, groupby, islice
@@ -27,6 +27,7 @@ from threadline.motion.timing.types import Trajectory
 
 MAX_BODY = 100_000
 _MAX_KEPT = 1_000_000
+_NINTH = 10**8 // 2  # one over two units in the ninth digit of a number that begins with 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +42,10 @@ def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
     """Return ``blocks`` with equal passes of outermost subroutines as loops.
 
     Nested subroutines are unrolled. Passes that differ, for example where a program sets absolute
-    positions, become separate loops. Bodies stay in memory until the end of the program. A body
-    longer than ``MAX_BODY`` blocks, and every body that would bring the blocks in memory above a
-    million, is written out instead.
+    positions, become separate loops. Times that differ in the ninth digit, from rounding, do not
+    count: passes take the times of the first. Bodies stay in memory until the end of the program.
+    A body longer than ``MAX_BODY`` blocks, and every body that would bring the blocks in memory
+    above a million, is written out instead.
     """
     kept: dict[tuple[OutBlock, ...], None] = {}
     kept_blocks = 0
@@ -56,7 +58,7 @@ def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
             yield from group
             continue
         body = tuple(block._replace(passes=()) for block in islice(group, MAX_BODY + 1))
-        if pending is not None and pass_ > 1 and body == pending.body:
+        if pending is not None and pass_ > 1 and _alike(body, pending.body):
             pending = Loop(body, pending.passes + 1)
             continue
         if pending is not None:
@@ -71,6 +73,22 @@ def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
         pending = Loop(body, 1)
     if pending is not None:
         yield pending
+
+
+def _alike(body: Sequence[OutBlock], other: Sequence[OutBlock]) -> bool:
+    """Return whether two passes are equal but for the last digit of their times."""
+    return len(body) == len(other) and all(
+        one == two
+        or (
+            one.inverse_time
+            and two.inverse_time
+            and one.feed is not None
+            and two.feed is not None
+            and abs(one.feed - two.feed) * _NINTH <= one.feed
+            and one._replace(feed=two.feed) == two
+        )
+        for one, two in zip(body, other, strict=True)
+    )
 
 
 def _outermost_pass(block: OutBlock) -> int:

@@ -11,7 +11,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.laid_error import Apart
-from threadline.verdict.measure import Measure
+from threadline.verdict.measure import Measure, Option
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
@@ -29,6 +29,8 @@ from threadline.winding.surface import Surface
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
 _NEVER = "the fibre is never known"
 _FEW = 0.01  # share of the laid fibre; less than this may lie anywhere
+EVENNESS_OPTIONS = {"over": Option(unit="s", default=0.02, above_0=True)}
+_AT_REST = 0.01  # of the mean speed of the fibre: below it nothing is drawn
 _OUTLINE = 8193  # places of the meridian among which the widest is searched
 
 
@@ -108,7 +110,9 @@ def _held(values: IntArray, before: int) -> IntArray:
 class _OfRun:
     """A measure that takes the samples of the shared replays."""
 
-    def __init__(self, setting: Setting, taking: _Largest | _Covering | Closing) -> None:
+    def __init__(
+        self, setting: Setting, taking: _Largest | _Covering | Closing | _Evenness
+    ) -> None:
         self._shared, self._taking = shared_replays(setting), taking
 
     def feed(self, block: Block) -> None:
@@ -176,6 +180,80 @@ def _paid_out(samples: Wound, _run: int) -> FloatArray:
     fibre, step_s = samples.fibre, np.diff(samples.time_s, prepend=samples.before_s)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(fibre.known, np.abs(fibre.used_m) / step_s, np.nan)
+
+
+class _Evenness:
+    """Standard deviation of the speed of the fibre over its mean, of each run.
+
+    The speed is a mean over ``over_s``, from the first known place to the last fibre that is drawn:
+    a rest in between counts, and the rest at the end does not.
+    """
+
+    def __init__(self, runs: int, axes: int, over_s: float) -> None:
+        self._worst = Worst(runs, axes, note=_NEVER)
+        self._over_s = over_s
+        # Time and drawn length from the beginning of the open window on; None: nothing is known.
+        self._open: list[tuple[FloatArray, FloatArray] | None] = [None] * runs
+        # Number, sum and sum of squares of the speeds; and of those since the fibre last moved.
+        self._sums, self._still = np.zeros((runs, 3)), np.zeros((runs, 3))
+
+    def take(self, runs: Sequence[Wound]) -> None:
+        """Take the next samples of every run."""
+        for run, samples in enumerate(runs):
+            known = samples.fibre.known
+            ends = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0))
+            if not len(known) or not known[0]:
+                self._open[run] = None
+            before_s = np.concatenate([[samples.before_s], samples.time_s])
+            for begin, end in ends.reshape(-1, 2).tolist():
+                drawn = np.cumsum(samples.fibre.used_m[begin:end])
+                time_s, length = self._open[run] or (before_s[begin : begin + 1], np.zeros(1))
+                time_s = np.concatenate([time_s, samples.time_s[begin:end]])
+                length = np.concatenate([length, length[-1] + drawn])
+                self._open[run] = self._windows(run, time_s, length)
+                if end < len(known):
+                    self._open[run] = None
+
+    def _windows(
+        self, run: int, time_s: FloatArray, length: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Add the whole windows of a stretch; return what is left of it."""
+        count = int((time_s[-1] - time_s[0]) / self._over_s + 1e-9)
+        edges = time_s[0] + self._over_s * np.arange(count + 1)
+        drawn = np.interp(edges, time_s, length)
+        self._add(run, np.diff(drawn) / self._over_s)
+        rest = time_s > edges[-1]
+        return (
+            np.concatenate([edges[-1:], time_s[rest]]),
+            np.concatenate([drawn[-1:], length[rest]]),
+        )
+
+    def _add(self, run: int, speeds: FloatArray) -> None:
+        if not len(speeds):
+            return
+        count, total, _ = self._sums[run]
+        least = _AT_REST * (total / count if count else float(speeds.max()))
+        moving = np.flatnonzero(speeds > max(least, 0.0))
+        drawn = int(moving[-1]) + 1 if len(moving) else 0
+        if drawn:
+            self._sums[run] += self._still[run] + _powers(speeds[:drawn])
+            self._still[run] = 0.0
+        self._still[run] += _powers(speeds[drawn:])
+
+    def found(self) -> RunFindings:
+        """Return the unevenness of each run."""
+        values, notes = [], []
+        for count, total, squares in self._sums.tolist():
+            mean = total / count if count else np.nan
+            even = mean > 0.0
+            values.append(np.sqrt(max(squares / count - mean**2, 0.0)) / mean if even else np.nan)
+            notes.append(f"mean {1e3 * mean:.4g} mm/s" if even else "")
+        self._worst.offer(np.array(values), note=np.array(notes, dtype=object))
+        return self._worst.found()
+
+
+def _powers(speeds: FloatArray) -> FloatArray:
+    return np.array([len(speeds), speeds.sum(), (speeds**2).sum()])
 
 
 class Near:
@@ -340,7 +418,7 @@ _OF_FIBRE: Mapping[str, tuple[Values, Note | None]] = {
 def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
     """Return the starter of a measure of the laid fibre."""
 
-    def start(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
+    def start(setting: Setting, options: Mapping[str, float]) -> Measure:
         runs, axes, plan = setting.runs, len(setting.axes), setting.plan
         shared = shared_replays(setting)
         jobs = [job for job in shared.jobs if job is not None]
@@ -358,6 +436,8 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
             return _OfRun(setting, noted)
         if name == "laid_error":
             return _OfRun(setting, _Largest(runs, axes, Apart(plan, jobs)))
+        if name == "fibre_speed_variation":
+            return _OfRun(setting, _Evenness(runs, axes, options["over"]))
         if name == "lifting":
             return _OfRun(setting, _Lifted(runs, axes))
         values, note = _OF_FIBRE[name]
@@ -366,7 +446,10 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
     return start
 
 
-MEASURED = (*_OF_FIBRE, "lifting", "clearance", "laid_error", "pattern_closure", "coverage_gap")
+MEASURED = (
+    *_OF_FIBRE, "fibre_speed_variation", "lifting", "clearance", "laid_error", "pattern_closure",
+    "coverage_gap",
+)  # fmt: skip
 """Names of the measures of a run."""
 PLANNED = (
     "planned_slip_tendency", "planned_bridging", "planned_lifting", "planned_pattern_closure",
@@ -428,6 +511,7 @@ def criteria_of(product: Product) -> tuple[Criterion, ...]:
         "laid_error": None,
         "free_length": None,
         "fibre_speed": None,
+        "fibre_speed_variation": None,
         "planned_pattern_closure": None,
         "pattern_closure": None,
     }

@@ -24,7 +24,7 @@ from threadline.verdict.demands import (
     measure_path_use,
 )
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
-from threadline.verdict.fibre import MEASURED, PLANNED, measure_planned, starter
+from threadline.verdict.fibre import EVENNESS_OPTIONS, MEASURED, PLANNED, measure_planned, starter
 from threadline.verdict.finding import Finding
 from threadline.verdict.measure import (
     Dimension,
@@ -83,7 +83,11 @@ def _sewn(
     return OfRun(run=StitchRun, start=whole(measure), needs=((needs,),))
 
 
-_DIMENSIONS: Mapping[str, Dimension] = {"slip_tendency": "ratio", "fibre_speed": "tool/s"}
+_DIMENSIONS: Mapping[str, Dimension] = {
+    "slip_tendency": "ratio",
+    "fibre_speed": "tool/s",
+    "fibre_speed_variation": "ratio",
+}
 """Dimensions of the measures of a fibre that are no lengths."""
 _FIBRE = (
     *(
@@ -100,7 +104,8 @@ _FIBRE = (
             name=name,
             dimension=_DIMENSIONS.get(name, "tool"),
             per_axis=False,
-            of_worst=name not in {"pattern_closure", "coverage_gap"},
+            of_worst=name not in {"pattern_closure", "coverage_gap", "fibre_speed_variation"},
+            options=EVENNESS_OPTIONS if name == "fibre_speed_variation" else {},
             reads=(_moved(starter(name), _ACTUAL, _OPERATION),),
         )
         for name in MEASURED

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, pos
 from threadline.jobs.winding.joins import Join, join
 from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding, read_layers
 from threadline.machine import Machine
+from threadline.machine.motion_planner import MarlinPlanner
 from threadline.machine.tool import Tool
 from threadline.winding.product import product_of_text
 from threadline.winding.replay import Replay
@@ -52,6 +53,9 @@ _REST_S = 0.5
 _RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as what full speed draws in so many seconds
 _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
 _LEAST_S = 1e-4  # of a move
+_LINEAR = ("X", "Y", "Z")  # letters whose way is the length of a move
+_UNITS = 1e9  # parts of a mm or deg: in 1000 circuits rounding adds up to 5e-7 deg
+_COARSE = 10_000  # units between the points of a circuit, so that its words are short
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +144,7 @@ def read_winding(path: str | Path, *, machine: Machine) -> Job:
     laid = design(winding)
     tied_place(winding, laid[0])
     laps: list[Laps] = []
-    said: list[str] = []
+    said: list[str] = [*_turning_at_once(machine, tool, path)]
     side = -1
     for before, one in zip((None, *laid), laid, strict=False):
         if before is not None:
@@ -150,8 +154,9 @@ def read_winding(path: str | Path, *, machine: Machine) -> Job:
         made, words = _laps(winding, one, machine, tool, side)
         laps.append(made)
         said += words
-    laps = _in_a_row(laps, machine, tool)
-    stream = Stream(_runs, tuple(laps), str(path), machine.axis_names, _approach(tool))
+    linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
+    laps = [_on_grid(one, _Grid(linear)) for one in laps]
+    stream = Stream(_runs, tuple(laps), str(path), machine.axis_names, (_approach(tool), linear))
     return Job(
         capped=_capped(tuple(laps), machine, winding),
         name=winding.product.name,
@@ -185,6 +190,27 @@ def _capped(laps: tuple[Laps, ...], machine: Machine, winding: Winding) -> tuple
     )
 
 
+def _turning_at_once(machine: Machine, tool: Tool, path: Path) -> tuple[str, ...]:
+    """Return a warning if Marlin plans the mandrel as a rotary axis beside linear ones.
+
+    The length of a move is then that of its linear axes, and so are the speeds that two moves have
+    in common. Where the carriage turns back, its way vanishes, and with it the length: at the same
+    speed in mm/s one move turns the mandrel several times as fast as the next.
+    """
+    if not isinstance(machine.planner, MarlinPlanner):
+        return ()
+    assert tool.turn is not None
+    turn = tool.turn.axis
+    along = "" if tool.along is None else tool.along.axis
+    if turn in _LINEAR or along not in _LINEAR:
+        return ()
+    return (
+        f"{Place(str(path))}: Marlin counts the speed of a move along {along} alone, so the speed "
+        f"of {turn} jumps where {along} turns back. Wire the mandrel as X, Y or Z (overlay xyz of "
+        "stepper-winder).",
+    )
+
+
 def _sha256(path: Path) -> str:
     with open_binary(path) as stream:
         return hashlib.sha256(stream.read()).hexdigest()
@@ -212,21 +238,6 @@ def _joined(winding: Winding, way: Join, laid: Laid, machine: Machine, tool: Too
     kept = kept_points(path.eye, _JOIN * winding.tolerance_m)
     made = _timed(winding, laid, path, kept, machine, tool)
     return replace(made, count=1, further=np.zeros(len(machine.axis_names)))
-
-
-def _in_a_row(laps: list[Laps], machine: Machine, tool: Tool) -> list[Laps]:
-    """Return the laps with every first turn of the mandrel where the laps before it ended."""
-    assert tool.turn is not None
-    column = machine.axis_names.index(tool.turn.axis)
-    found = laps[:1]
-    for one in laps[1:]:
-        last = found[-1]
-        end = last.points[-1, column] + (last.count - 1) * last.further[column]
-        points = one.points.copy()
-        # Between two surfaces the eye moves outwards alone.
-        points[:, column] += end - points[0, column]
-        found.append(replace(one, points=points))
-    return found
 
 
 def _laps(
@@ -419,22 +430,60 @@ def _from_rest(seconds: FloatArray) -> tuple[tuple[int, Feed | None], ...]:
     return tuple((k, Feed(FeedMode.INVERSE_TIME, feed)) for k, feed in enumerate(feeds))
 
 
+class _Grid:
+    """Positions as whole parts of a mm or a degree, in which equal circuits are equal to the digit.
+
+    Parameters
+    ----------
+    linear
+        (axes,) whether each axis is linear.
+    """
+
+    def __init__(self, linear: Sequence[bool]) -> None:
+        self._linear = np.array(linear)
+
+    def units(self, places: FloatArray) -> IntArray:
+        """Return whole units of (..., axes) positions, m or rad."""
+        given = np.where(self._linear, 1e3 * places, np.degrees(places))
+        return np.rint(given * _UNITS).astype(np.int64)
+
+    def places(self, units: IntArray) -> FloatArray:
+        """Return positions, m or rad: those that a reader makes of the decimals."""
+        return np.where(self._linear, units / (1e3 * _UNITS), np.radians(units / _UNITS))
+
+
+def _on_grid(one: Laps, grid: _Grid) -> Laps:
+    """Return laps between whole units; the last point of a circuit begins the next one."""
+    points = grid.units(one.points)
+    points = _COARSE * np.rint(points / _COARSE).astype(np.int64)
+    further = grid.units(one.further)
+    if one.count > 1:
+        points[-1] = points[0] + further
+    return replace(one, points=grid.places(points), further=grid.places(further))
+
+
 def _runs(
-    laps: tuple[Laps, ...], file: str, axes: tuple[str, ...], approach: tuple[str, ...]
+    laps: tuple[Laps, ...],
+    file: str,
+    axes: tuple[str, ...],
+    order: tuple[tuple[str, ...], tuple[bool, ...]],
 ) -> Iterator[Operation | MoveRun]:
-    """Yield the moves: to the first point, axis by axis, then every circuit."""
-    at = np.zeros(len(axes))
-    first = laps[0].points[0]
+    """Yield the moves: to the first point, axis by axis, then every circuit.
+
+    ``order`` has the axes that move to the first point one by one, and which axes are linear.
+    """
+    approach, grid = order[0], _Grid(order[1])
+    first = grid.units(laps[0].points[0])
+    at = np.zeros(len(axes), dtype=np.int64)
     turn = [index for index, name in enumerate(axes) if name not in approach]
-    shift = np.zeros(len(axes))
-    shift[turn] = -first[turn]
     for name in approach:
         column = axes.index(name)
-        way = abs(first[column] - at[column])
-        if way > 0.0:
+        if first[column]:
             at[column] = first[column]
-            feed = Feed(FeedMode.INVERSE_TIME, _APPROACH_M_S / way)
-            yield Move(tuple(at.tolist()), feed, Source(file, laps[0].line))
+            feed = Feed(
+                FeedMode.INVERSE_TIME, _APPROACH_M_S / abs(float(laps[0].points[0, column]))
+            )
+            yield Move(tuple(grid.places(at).tolist()), feed, Source(file, laps[0].line))
             # A plan would round the corners, and the fibre would start beside its place.
             yield Dwell(_REST_S, Source(file, laps[0].line))
     number = 0
@@ -443,15 +492,18 @@ def _runs(
         for index, seconds in enumerate(one.seconds.tolist()):
             feeds.append((index, Feed(FeedMode.INVERSE_TIME, 1.0 / seconds)))
         lines = np.full(len(one.points) - 1, one.line, dtype=np.int64)
-        if number and not np.array_equal(one.points[0] + shift, at):
-            yield Move(tuple((one.points[0] + shift).tolist()), feeds[0][1], Source(file, one.line))
+        units, further = grid.units(one.points), grid.units(one.further)
+        # The mandrel goes on from where it is; between two surfaces the eye moves outwards alone.
+        units[:, turn] += at[turn] - units[0, turn]
+        if np.abs(units[0] - at).max() > _COARSE:
+            yield Move(tuple(grid.places(units[0]).tolist()), feeds[0][1], Source(file, one.line))
         for lap in range(one.count):
             number += 1
             yield MoveRun(
-                targets=one.points[1:] + lap * one.further + shift,
+                targets=grid.places(units[1:] + lap * further),
                 line=lines,
                 feeds=_from_rest(one.seconds) if number == 1 else tuple(feeds),
                 file=file,
                 passes=(number,),
             )
-        at = one.points[-1] + (one.count - 1) * one.further + shift
+        at = units[-1] + (one.count - 1) * further

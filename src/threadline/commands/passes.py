@@ -1,0 +1,84 @@
+"""A winding as a part program of its circuits: a subroutine and its number of passes.
+
+The moves are those of the design, with the times in which the fibre has its speed; the control
+plans the motion. The chords of a planned motion (``nc``) do not repeat: a plan begins and ends at
+rest, and its chords lie elsewhere in every circuit.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.writing import staged_file
+from threadline.commands.nc import NcStyle, part_program_lines
+from threadline.errors import OptionError, PlanError
+from threadline.jobs.gcode import read_part_program
+from threadline.jobs.operations import Job, Move
+from threadline.machine import Machine
+
+_NEAR_M = 1e-5  # rotary axes at their radius
+
+
+def write_passes(job: Job, machine: Machine, path: Path, dialect: str | None = None) -> str:
+    """Write a job with equal passes as calls of subroutines, in a dialect, or in the machine's.
+
+    The program is read back and compared with the job. Returns the size of the program beside that
+    of the same moves one by one, for people.
+
+    Raises
+    ------
+    OptionError
+        If the dialect has no subroutines here.
+    PlanError
+        If a part program has no word for a part of the job, or the program read back is another.
+    """
+    dialect = dialect or machine.programs.dialect
+    if dialect not in set(NcStyle):
+        raise OptionError(
+            f"programs of passes are written for winder and linuxcnc, not for {dialect[:40]!r}",
+            remedy="Write --dialect linuxcnc, or every move with threadline compile.",
+        )
+    sizes = []
+    with staged_file(path) as stream:
+        for passes in (False, True):
+            size = 0
+            for line in part_program_lines(job, machine, style=dialect, subroutines=passes):
+                text = f"{line}\n".encode()
+                size += len(text)
+                if passes:
+                    stream.write(text)
+            sizes.append(size)
+        stream.flush()
+        off_m = _off(job, machine, Path(stream.name), dialect)
+    whole, short = sizes
+    return (
+        f"{short} bytes, {whole} with every move written out; read back within {1e3 * off_m:.1g} mm"
+    )
+
+
+def _off(job: Job, machine: Machine, path: Path, dialect: str) -> float:
+    """Return the largest distance, m, of the moves of a program from those of a job."""
+    radius = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
+    again = read_part_program(path, machine=machine, dialect=dialect)
+    order = [again.axes.index(axis) for axis in job.axes]
+    wanted, found = _ends(job), _ends(again)[:, order]
+    if wanted.shape != found.shape:
+        raise _another(f"{len(found)} moves instead of {len(wanted)}")
+    off = float(np.abs((found - wanted) * radius).max())
+    if off > _NEAR_M:
+        raise _another(f"{1e3 * off:.3g} mm beside the job")
+    return off
+
+
+def _ends(job: Job) -> FloatArray:
+    return np.array([operation.target for operation in job if isinstance(operation, Move)])
+
+
+def _another(what: str) -> PlanError:
+    return PlanError(
+        f"the program, read back, is not the job: {what}",
+        remedy="Report it with the product and the machine file.",
+    )
