@@ -14,7 +14,11 @@ from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
 from threadline.files import Recording, RunEnd, Stream
 from threadline.files.formats import read_recording, write_recording
-from threadline.live.hold_deviation import hold_deviation_m, spoiled_by_override
+from threadline.live.hold_deviation import (
+    hold_deviation_m,
+    override_exceeds,
+    spoiled_by_override,
+)
 from threadline.live.states import Cause, State
 from threadline.live.supervised import interventions
 from threadline.machine import load_machine
@@ -140,6 +144,20 @@ def test_a_rate_that_meets_a_mode_is_foreseen_and_named(tmp_path: Path) -> None:
         spoiled[0].measured or 0.0, rel=0.15
     )
     assert not judged.passed
+
+
+def test_slower_rows_that_jerk_an_axis_beyond_its_limit_are_refused(tmp_path: Path) -> None:
+    """Of 12.5 nm a count: 4 m/s^2 in one tick is far beyond 200 m/s^3, and in 80 counts nothing."""
+    plan, spec = zigzag(tmp_path)
+    assert override_exceeds(plan) == 100
+    fine = 1000.0 * plan.machine.axes["X"].counts.si
+    axis = plan.machine.axes["X"]
+    machine = replace(plan.machine, axes={
+        **plan.machine.axes, "X": replace(axis, counts=replace(axis.counts, si=fine)),
+    })  # fmt: skip
+    finer = plan_job(open_job(tmp_path / "zigzag.gcode", machine, Options()), machine, Options())
+    may = interventions(finer, spec)
+    assert "% its rows would go beyond the acceleration or jerk of an axis" in may.no_override
 
 
 def test_a_plan_that_stays_in_spec_may_be_overridden(tmp_path: Path) -> None:

@@ -158,6 +158,23 @@ def spoiled_by_override(plan: Plan, spec: Spec, *, holds: bool) -> tuple[int, tu
     return 100, ()
 
 
+def override_exceeds(plan: Plan) -> int:
+    """Return an override in % at which a row asks an axis for more than its limits; 100 if none.
+
+    Between two rows the axes go evenly, so that a row which lasts several ticks has its whole
+    change of speed in one of them. That shows where counts are fine and jerk is limited.
+    """
+    table = tick_table(plan.commands)
+    limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
+    for rate in _SLOWER:
+        window = PathWindow(table, pass_stops=True)
+        rows = int(window.reach(rate * _MOST_ROWS))
+        slower = window.counts(np.minimum(rate * np.arange(ceil(rows / rate) + 1.0), rows))
+        if limits.excess(slower, window.counts(np.arange(rows + 1.0))) > 1.0:
+            return round(100.0 * rate)
+    return 100
+
+
 def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> tuple[Result, ...]:
     """Return the criteria that a run with (n,) places at its ticks brings out of specification."""
     asked = [c for c in spec.criteria if c.limit and not c.hard]

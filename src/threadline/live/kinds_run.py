@@ -21,11 +21,13 @@ from threadline.files import (
 )
 from threadline.live.ahead import Ahead, halts_of_rows
 from threadline.live.derived import Rest, rest_of_rows, rest_of_scans, rest_of_turns
+from threadline.live.feed_override import MOST_PERCENT
 from threadline.live.guards import Guards, ScanGuards, TurnGuards
 from threadline.live.hold_deviation import (
     hold_ahead_m,
     hold_deviation_m,
     hold_waits,
+    override_exceeds,
     override_words,
     spoiled_by_holds,
     spoiled_by_override,
@@ -187,6 +189,8 @@ def _override_spoils(plan: Plan, spec: Spec, leaves_m: float, at_rest: bool) -> 
     """Return why an override would spoil the work of axes; empty if it would not."""
     if hold_waits(plan, spec, leaves_m):
         return override_words(max(leaves_m, hold_ahead_m(plan)), 100, ())
+    if (percent := override_exceeds(plan)) < MOST_PERCENT:
+        return f"at {percent} % its rows would go beyond the acceleration or jerk of an axis"
     return override_words(0.0, *spoiled_by_override(plan, spec, holds=not at_rest))
 
 
