@@ -27,6 +27,7 @@ from threadline.base.compiled import njit
 _COARSE = 0.03  # relative steps of the turn time beyond the fine grid
 WIDTH, WIDER = 5, 20
 """States kept per turn at each speed, and in a second search."""
+_COLUMNS = 100  # with more, fewer states are kept
 _MISSING = 300  # states kept where none keeps the tolerance
 _CELLS, _OUTER = 3.0, 12.0  # cells of the swing per tolerance, and cells to each side
 _MOST_KEPT = 60_000_000  # states of all turns
@@ -183,6 +184,8 @@ def fastest_turns(
         if np.isfinite(to_go[0]).any():
             break
     bound_s = float((to_go[0] + share * speeds.turn_s).min())
+    # A wide band has many machines, and the swing of each state is followed on all of them.
+    width = max(1, width * _COLUMNS // max(_COLUMNS, len(swings.poles)))
     width = min(width, max(1, _MOST_KEPT // (len(needle) * len(speeds.turn_s))))
     index, missed = _beam(
         ways_m, needle, to_go, speeds.first, speeds.begin, speeds.pair_s,
