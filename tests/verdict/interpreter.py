@@ -25,6 +25,7 @@ UNIT |= {"m/s^3": 1.0, "rad/s^3": 1.0, "stitch": 1.0, "kHz": 1e3}
 KIND_UNITS = {"voltage": {"V", "mV"}, "current": {"A", "mA"}, "operation": {""}}
 KIND_UNITS |= {"input": {""}, "output": {""}, "torque_share": {""}}
 KIND_UNITS |= {"velocity": {"mm/s", "m/s", "deg/s", "rad/s"}}
+KIND_UNITS |= {"sensor": {"V", "mV", "count", "m/s^2", "rad/s^2"}}
 LENGTHS, ANGLES = {"mm", "um", "m", "mm/s", "m/s"}, {"deg", "rad", "deg/s", "rad/s"}
 
 # The tables of the document: (alternatives, of every axis) for each measure of a recording.
