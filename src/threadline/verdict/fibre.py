@@ -30,7 +30,7 @@ _NO_PRODUCT = "no product: give --product NAME.wind.toml"
 _NEVER = "the fibre is never known"
 _FEW = 0.01  # share of the laid fibre; less than this may lie anywhere
 EVENNESS_OPTIONS = {"over": Option(unit="s", default=0.02, above_0=True)}
-_AT_REST = 0.01  # of the mean speed of the fibre: below it nothing is drawn
+_AT_REST_M_S = 1e-4  # speed of the fibre below which it rests: no winding is as slow
 _OUTLINE = 8193  # places of the meridian among which the widest is searched
 
 
@@ -202,7 +202,9 @@ class _Evenness:
         for run, samples in enumerate(runs):
             known = samples.fibre.known
             ends = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0))
-            if not len(known) or not known[0]:
+            if not len(known):
+                continue  # a block whose samples all wait for the next ones
+            if not known[0]:
                 self._open[run] = None
             before_s = np.concatenate([[samples.before_s], samples.time_s])
             for begin, end in ends.reshape(-1, 2).tolist():
@@ -231,9 +233,7 @@ class _Evenness:
     def _add(self, run: int, speeds: FloatArray) -> None:
         if not len(speeds):
             return
-        count, total, _ = self._sums[run]
-        least = _AT_REST * (total / count if count else float(speeds.max()))
-        moving = np.flatnonzero(speeds > max(least, 0.0))
+        moving = np.flatnonzero(speeds > _AT_REST_M_S)
         drawn = int(moving[-1]) + 1 if len(moving) else 0
         if drawn:
             self._sums[run] += self._still[run] + _powers(speeds[:drawn])
