@@ -71,9 +71,9 @@ def alone(monkeypatch):
 
 
 def tuned_by_linuxcnc(folder: Path) -> dict[str, float]:
-    folder.chmod(0o755)
-    for parent in (folder.parent, folder.parent.parent):
-        parent.chmod(0o755)
+    for parent in (folder, *folder.parents[:4]):  # HAL reads the file as another user
+        if parent.name.startswith(("pytest", "popen", "test_")):
+            parent.chmod(0o755)
     for seconds in (8, 24):  # sixty half periods are four seconds on an idle computer
         file, said = folder / "autotune.hal", folder / "said.txt"
         file.write_text(HAL.replace("SECONDS", str(seconds)))

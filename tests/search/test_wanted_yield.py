@@ -178,7 +178,7 @@ def judged_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("judged_once")
 def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
-    """The one that is in spec in 20 runs keeps no yield: drawn by hand, one in nine passes."""
+    """The one that is in spec in 20 runs keeps no yield: drawn by hand, one in thirteen passes."""
     stitcher = load_machine("stitcher")
     file = tmp_path / "corner.seam.toml"
     file.write_text(CORNER)
@@ -189,9 +189,9 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
     assert plain is not None and plain.verdict.passed
     plan = plan_job(read_job(file, plain.machine), plain.machine, Options())
-    assert MachineYield(plan, plain.spec).drawn(600, 7).interval[1] < 0.15
+    assert MachineYield(plan, plain.spec).drawn(600, 7).interval[1] < 0.125
     for_yield = design(
-        file, machine, spec, Options(), Wanted(trials=yielding(0.15), effort=NO_REGION)
+        file, machine, spec, Options(), Wanted(trials=yielding(0.125), effort=NO_REGION)
     )
     assert "rejects" in for_yield.refused
     assert for_yield.found is not None
