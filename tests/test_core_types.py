@@ -27,31 +27,29 @@ HERE = flags_of(Path("/proc/cpuinfo").read_text(encoding="utf-8"))
 CPUINFO = "processor\t: 0\nflags\t\t: fpu pni avx fma avx512f\nprocessor\t: 1\nflags\t\t: fpu\n"
 
 
-def test_the_suite_runs_on_one_other_core_type_and_the_numerics_on_three():
+def test_the_suite_runs_on_one_other_core_type_and_the_numerics_on_two():
     planned = runs(flags_of(CPUINFO), whole=True)
     assert planned[0] == (WHOLE, ())
     assert [core for core, _ in planned[1:]] == list(CORE_TYPES)
-    assert len({WHOLE, *CORE_TYPES}) == 4
+    assert len({WHOLE, *CORE_TYPES}) == 3
     for _, folders in planned[1:]:
         assert folders == tuple(f"tests/{name}" for name in NUMERICS)
 
 
 def test_a_core_type_that_would_stop_at_an_illegal_instruction_is_left_out():
     old = frozenset({"pni", "avx"})
-    assert [core for core, _ in runs(old, whole=True)] == ["Prescott", "Sandybridge"]
+    assert [core for core, _ in runs(old, whole=True)] == ["Prescott"]
     assert runs(flags_of("model name: none\n"), whole=True) == []
 
 
 def test_the_core_type_of_the_plain_run_is_not_run_again():
     flags = flags_of(CPUINFO)
     others = runs(flags, whole=True, own="SkylakeX")
-    assert [core for core, _ in others] == ["Prescott", "Haswell", "Sandybridge"]
+    assert [core for core, _ in others] == ["Prescott", "Haswell"]
     assert runs(flags, whole=True, own="Zen") == runs(flags, whole=True)
 
 
-@pytest.mark.parametrize(
-    "core", [core for core in ("Haswell", "Sandybridge") if NEEDS[core] in HERE]
-)
+@pytest.mark.parametrize("core", [core for core in ("Haswell", "Prescott") if NEEDS[core] in HERE])
 def test_numpy_says_which_core_type_it_has_picked(core: str):
     asked = "from tools.core_types import own_core_type; print(own_core_type())"
     told = subprocess.run(

@@ -39,9 +39,9 @@ ON_LINUXCNC = "linuxcnc and waits"
 computed in tests beside them, too."""
 WHOLE = "Prescott"
 """The kernel that no processor of today picks by itself: the whole suite runs on it."""
-CORE_TYPES = ("SkylakeX", "Haswell", "Sandybridge")
-"""512-bit, 256-bit with and without fused multiply-add: the numerics run on each."""
-NEEDS = {"SkylakeX": "avx512f", "Haswell": "fma", "Sandybridge": "avx", "Prescott": "pni"}
+CORE_TYPES = ("SkylakeX", "Haswell")
+"""512-bit and 256-bit, with fused multiply-add: the numerics run on each."""
+NEEDS = {"SkylakeX": "avx512f", "Haswell": "fma", "Prescott": "pni"}
 """Flag of /proc/cpuinfo without which the kernel of a core type stops at an illegal instruction."""
 BROWSED = "tests/panel/test_page*.py"
 """Tests of the page in a browser, whose arithmetic OpenBLAS does not do: a plain run has them."""
