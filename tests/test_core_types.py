@@ -49,7 +49,7 @@ def test_the_core_type_of_the_plain_run_is_not_run_again():
     assert runs(flags, whole=True, own="Zen") == runs(flags, whole=True)
 
 
-@pytest.mark.parametrize("core", [core for core in ("Haswell", "Prescott") if NEEDS[core] in HERE])
+@pytest.mark.parametrize("core", [core for core in CORE_TYPES if NEEDS[core] in HERE])
 def test_numpy_says_which_core_type_it_has_picked(core: str):
     asked = "from tools.core_types import own_core_type; print(own_core_type())"
     told = subprocess.run(
