@@ -12,7 +12,7 @@ PAGE := src/threadline/panel/page/index.html
 # Byte code is kept: without it each interpreter that tests start reads 109 000 lines anew, a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo docs panel wheel test test-cores bench lint format fuzz soak lock clean
+.PHONY: demo docs panel wheel test test-all test-cores bench lint format fuzz soak lock clean
 
 $(STAMP): requirements/dev.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Threadline needs Python 3.11 or newer; set PYTHON=..."; exit 2; }
@@ -36,11 +36,14 @@ wheel: $(PAGE)  ## Build the wheel, with the panel's page, and try it in a bare 
 demo: $(STAMP)  ## Prove the cone-dome-cylinder program on the simulated winder
 	$(BIN)/threadline prove examples/cone-dome-cylinder.prg -m lathe-winder --interpolation optimal --report reports/demo
 
-test: $(STAMP)  ## Run the tests, on every core
+test: $(STAMP)  ## Run all tests but the long ones, on every core
+	$(BIN)/python -m pytest -n auto --dist worksteal --without-long
+
+test-all: $(STAMP)  ## Run all tests, on every core
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-test-cores: $(STAMP)  ## What `make test` ran, as other processors round; half an hour
-	$(BIN)/python -m tools.core_types --whole --others
+test-cores: $(STAMP)  ## Run the tests of the numerics as other processors round
+	$(BIN)/python -m tools.core_types --others
 
 lint: $(STAMP)  ## Linters, types and the rules of the house
 	$(BIN)/ruff check .
@@ -69,8 +72,9 @@ docs: $(DOCS_STAMP)  ## Build the site of the documents into build/site; a warni
 bench: $(BENCH_STAMP)  ## Compare with peers in one run; writes benchmarks/results.json
 	.venv-bench/bin/python -m benchmarks
 
-fuzz: $(STAMP)  ## A million hostile inputs, two hours of hostile command lines, 400 interrupts
+fuzz: $(STAMP)  ## A million hostile inputs, 100 000 changes that must not matter, two hours of hostile command lines, 400 interrupts
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz --cases 1000000
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz_every_kind --rounds 30
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz_commands --minutes 120
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz_interrupts --cases 400
 
@@ -78,9 +82,10 @@ soak: $(STAMP)  ## A day of simulated running at 100 times real time, and 200 ki
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.soak
 
 lock:  ## Renew the locked requirements (needs uv)
-	for name in run dev bench panel docs; do \
-	  case $$name in run) from=pyproject.toml;; panel|docs) from=requirements/$$name.in;; \
-	    *) from="pyproject.toml requirements/$$name.in";; esac; \
+	for name in run cluster dev bench panel docs; do \
+	  case $$name in run) from=pyproject.toml;; cluster) from="--extra cluster -c requirements/run.txt pyproject.toml";; \
+	    panel|docs) from=requirements/$$name.in;; \
+	    *) from="--extra cluster pyproject.toml requirements/$$name.in";; esac; \
 	  uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 	    --custom-compile-command "make lock" $$from -o requirements/$$name.txt || exit 2; \
 	done

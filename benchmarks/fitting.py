@@ -4,14 +4,23 @@ Both see the recorded volts and positions of the simulated machine, rounded by i
 DAC. The error is that of the response from volts to counts, 1 to 20 Hz, beside the printed plant.
 The peer, nfoursid (N4SID, Van Overschee and De Moor 1994), knows nothing of the machine but that
 it has two states; Threadline knows the machine file and fits its two numbers.
+
+The second row is a real axis, EMPS, where ``THREADLINE_EMPS`` names its recording: the simulated
+position under the recorded references, beside the measured one, at all samples in motion. The peer
+sees references and positions of the first six seconds, and takes the number of states that fits
+best; Threadline knows the loop of the rig and fits mass, viscous and Coulomb friction.
 """
 
 from __future__ import annotations
 
+import os
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.identify.emps import COUNTS, NAMES, recorded
 
 from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.dynamics.loop import axis_loop
@@ -27,6 +36,8 @@ from threadline.twin.simulate import simulate
 NUMBERS = ("bodies.x.inertia", "drives.x.amplifier.gain")
 HERTZ = np.geomspace(1.0, 20.0, 40)
 _ROWS = 10
+_STATES = (2, 3, 4)
+_PEER_SAMPLES = 6000  # of 24 841, for which the peer takes 0.8 GB; for all of them 8 GB
 
 
 def printed() -> ComplexArray:
@@ -45,22 +56,72 @@ def ours(guess: Machine, recording: Recording) -> ComplexArray:
     return axis_loop(fitted, "X").plant_response(2 * np.pi * HERTZ)
 
 
-def subspace(volts: FloatArray, counts: FloatArray) -> ComplexArray | None:
-    """Return nfoursid's response, None where it is not installed."""
+def subspace(
+    inputs: FloatArray, outputs: FloatArray, states: Sequence[int] = (2,)
+) -> list[Any] | None:
+    """Return nfoursid's models with the matrices a, b, c, d; None where it is not installed."""
     try:
         import pandas
         from nfoursid.nfoursid import NFourSID
     except ImportError:
         return None
-    table = pandas.DataFrame({"u": volts, "y": counts})
+    table = pandas.DataFrame({"u": inputs, "y": outputs})
     found = NFourSID(table, output_columns=["y"], input_columns=["u"], num_block_rows=_ROWS)
     found.subspace_identification()
-    model, _ = found.system_identification(rank=2)
+    return [found.system_identification(rank=count)[0] for count in states]
+
+
+def response_of(model: Any) -> ComplexArray:
+    """Return the response of a model of two states at ``HERTZ``."""
     z = np.exp(2j * np.pi * HERTZ * 5e-3)
     states = np.linalg.solve(
         z[:, None, None] * np.eye(2) - model.a, np.broadcast_to(model.b, (len(z), 2, 1))
     )
     return np.asarray((model.c @ states + model.d)[:, 0, 0])
+
+
+def simulated_position(model: Any, inputs: FloatArray) -> FloatArray:
+    """Return what a model answers to inputs from rest, without seeing an output."""
+    state, outputs = np.zeros((len(model.a), 1)), np.empty(len(inputs))
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable model has no error
+        for k, value in enumerate(inputs.tolist()):
+            outputs[k] = float((model.c @ state + model.d * value)[0, 0])
+            state = model.a @ state + model.b * value
+    return outputs
+
+
+def emps() -> dict[str, Any]:
+    """Return the row of the real axis."""
+    name = "position of the recorded axis EMPS under its references, beside nfoursid"
+    row = {"name": name, "ours": None, "peer": "nfoursid", "peer_value": None, "ratio": None}
+    file = Path(os.environ.get("THREADLINE_EMPS", ""))
+    if not file.is_file():
+        return {**row, "unit": "m", "note": "skipped: THREADLINE_EMPS names no DATA_EMPS.mat"}
+    with tempfile.TemporaryDirectory() as folder:
+        data = recorded(file, Path(folder))
+        (block,) = data.commands
+        found = fit(data.machine, [data], NAMES, starts=0)
+    start = int(data.commands.start_counts[0])
+    goal = start + np.append(0, np.cumsum(block.counts[:, 0]))
+    measured = data.measured["X.measured"]
+    mine = float(np.sqrt(np.mean(found.estimate.residual**2))) / COUNTS
+    millimetres = COUNTS * 1e-3
+    best, states = np.inf, 0
+    first = slice(_PEER_SAMPLES)
+    models = subspace(goal[first] / millimetres, measured[first] / millimetres, _STATES)
+    for count, model in zip(_STATES, models or [], strict=False):
+        apart = simulated_position(model, goal / millimetres) - measured / millimetres
+        with np.errstate(over="ignore"):
+            error = 1e-3 * float(np.linalg.norm(apart[data.used]) / np.sqrt(data.length))
+        if error < best:
+            best, states = error, count
+    note = f"ours {1e6 * mine:.3g} um (rms), "
+    if models is None:
+        return {**row, "ours": mine, "unit": "m", "note": f"{note}nfoursid is not installed"}
+    note += f"theirs {1e6 * best:.3g} um with {states} states, of the first {_PEER_SAMPLES} samples"
+    return {**row, "ours": mine, "peer_value": best, "ratio": best / mine, "unit": "m"} | {
+        "note": note
+    }
 
 
 def run() -> list[dict[str, Any]]:
@@ -84,7 +145,7 @@ def run() -> list[dict[str, Any]]:
 
     mine = error(ours(with_numbers(machine, off), recording))
     found = subspace(volts, counts)
-    theirs = None if found is None else error(found)
+    theirs = None if found is None else error(response_of(found[0]))
     return [
         {
             "name": "response of the winder's X after a fit of one sweep, beside nfoursid",
@@ -99,5 +160,6 @@ def run() -> list[dict[str, Any]]:
                 if theirs is None
                 else f"theirs {100 * theirs:.2g} % with two states"
             ),
-        }
+        },
+        emps(),
     ]

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests import long_tests
 from tests.long_turns import LONG_S, ask_for_turns
 
 # As the program has it (cli/start.py): on small matrices threads of OpenBLAS wait for each other
@@ -47,7 +48,7 @@ NO_FIRMWARE = "a firmware that is built by hand, from sources that no package in
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add two options by which one run of the suite goes on where another ended."""
+    """Add options: two let one run of the suite go on where another ended."""
     group = parser.getgroup("threadline")
     group.addoption(
         "--note-passed", type=Path, metavar="FILE", help="write the tests that pass into a file"
@@ -57,6 +58,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         type=Path,
         metavar="FILE",
         help="leave out the tests that such a file lists; without the file run all",
+    )
+    group.addoption(
+        "--without-long", action="store_true", help="leave out the tests that are marked as long"
     )
 
 
@@ -92,6 +96,7 @@ def pytest_configure(config: pytest.Config) -> None:
     file = config.getoption("note_passed", None)
     if file is not None and not hasattr(config, "workerinput"):
         config.pluginmanager.register(NotePassed(file))
+    config.pluginmanager.register(long_tests.CountLong())
 
 
 def _leave_out_noted(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -156,6 +161,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     would leave the cores idle. LinuxCNC is one on a computer: its tests are in one queue, or one
     worker would wait for the other.
     """
+    long_tests.leave_out(config, items)
     _leave_out_noted(config, items)
     share = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     waiting = [item for item in items if _waits(item)]

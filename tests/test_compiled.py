@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from numba.core.caching import UserProvidedCacheLocator
 
-from threadline.base.compiled import CacheFile, njit
+from threadline.base.compiled import CacheFile, cache_folder, njit
+from threadline.base.progress import COMPILING
 
 
 def cache(folder: Path, stamp: str) -> CacheFile:
@@ -115,6 +117,18 @@ def test_a_folder_that_cannot_be_written_keeps_nothing_and_stops_nobody(tmp_path
     assert full.load("a float") is None
 
 
+def test_where_no_folder_can_be_written_functions_are_compiled_each_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """numba's own decorator ends with an error there: the file system of a container, say."""
+    (tmp_path / "a file").write_text("")
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "a file" / "numba"))
+    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [UserProvidedCacheLocator])
+    monkeypatch.setattr(COMPILING, "kept", True)
+    assert njit()(lambda x: 2.0 * x)(1.5) == 3.0
+    assert not COMPILING.kept and cache_folder(cache) is None
+
+
 def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path) -> None:
     """numba's own cache gives the code of both the same name; one that is lost is compiled anew."""
     turns = []
@@ -129,6 +143,7 @@ def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path
     assert cache(tmp_path, "file").load("two floats") in (None, "code for two")
 
 
+@pytest.mark.long(but="return FACTOR * x")
 @pytest.mark.parametrize("change", ["return 2.0 * x", "return FACTOR * x"])
 def test_a_function_is_compiled_anew_when_one_that_it_calls_has_changed(
     tmp_path: Path, change: str
@@ -201,6 +216,7 @@ def test_who_waited_long_enough_compiles_for_itself(
         ("NUMBA_DISABLE_JIT=1", "NUMBA_DISABLE_JIT is set, .* Unset it."),
         ("NUMBA_NUM_THREADS=0", "numba refuses the settings .* Number of threads"),
         ("NUMBA_NUM_THREADS=-3", "numba refuses the settings .* Number of threads"),
+        ("NUMBA_CACHE_LOCATOR_CLASSES=Nowhere", "numba refuses the settings .* 'Nowhere'"),
     ],
 )
 def test_an_environment_without_a_compiler_is_one_line(setting: str, said: str) -> None:
@@ -212,6 +228,51 @@ def test_an_environment_without_a_compiler_is_one_line(setting: str, said: str) 
     )  # fmt: skip
     assert ran.returncode == 2
     assert re.fullmatch(rf"error: \[OPTION\] .*{said}.*\n", ran.stderr), ran.stderr
+
+
+_INTERRUPTED = """
+import gc, signal, sys
+import llvmlite.binding.ffi as ffi
+from threadline.base.compiled import njit
+
+name, before = "LLVMPY_LinkModules", int(sys.argv[1])
+given, calls = getattr(ffi.lib, name), []
+
+def interrupted(*arguments):
+    answer = given(*arguments)
+    calls.append(name)
+    if len(calls) == before + 1:
+        signal.raise_signal(signal.SIGINT)
+    return answer
+
+ffi.lib._fntab[name] = interrupted
+
+@njit()
+def twice(x):
+    return 2.0 * x**3
+
+try:
+    twice(1.5)
+except KeyboardInterrupt:
+    print("interrupted")
+gc.collect()
+ffi.lib._fntab[name] = given
+print(twice(1.5))
+"""
+
+
+@pytest.mark.parametrize("before", [0, 2])  # as numba begins; as a function is compiled
+def test_an_interrupt_while_llvm_takes_a_module_is_no_crash(tmp_path: Path, before: int) -> None:
+    """llvmlite notes only afterwards that LLVM has the module: it would free it once more."""
+    file = tmp_path / "interrupted.py"
+    file.write_text(_INTERRUPTED)
+    ran = subprocess.run(
+        [sys.executable, str(file), str(before)],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 0, (ran.returncode, ran.stderr)
+    assert ran.stdout == "interrupted\n6.75\n"
 
 
 def test_nothing_goes_round_it() -> None:

@@ -10,13 +10,10 @@ from pathlib import Path
 
 import pytest
 from tools.core_types import (
-    BROWSED,
     CORE_TYPES,
-    LEFT_OUT,
     NEEDS,
     NUMERICS,
     ROOT,
-    WHOLE,
     flags_of,
     own_core_type,
     runs,
@@ -27,29 +24,20 @@ HERE = flags_of(Path("/proc/cpuinfo").read_text(encoding="utf-8"))
 CPUINFO = "processor\t: 0\nflags\t\t: fpu pni avx fma avx512f\nprocessor\t: 1\nflags\t\t: fpu\n"
 
 
-def test_the_suite_runs_on_one_other_core_type_and_the_numerics_on_two():
-    planned = runs(flags_of(CPUINFO), whole=True)
-    assert planned[0] == (WHOLE, ())
-    assert [core for core, _ in planned[1:]] == list(CORE_TYPES)
-    assert len({WHOLE, *CORE_TYPES}) == 3
-    for _, folders in planned[1:]:
-        assert folders == tuple(f"tests/{name}" for name in NUMERICS)
-
-
 def test_a_core_type_that_would_stop_at_an_illegal_instruction_is_left_out():
-    old = frozenset({"pni", "avx"})
-    assert [core for core, _ in runs(old, whole=True)] == ["Prescott"]
-    assert runs(flags_of("model name: none\n"), whole=True) == []
+    assert runs(flags_of(CPUINFO)) == list(CORE_TYPES) == list(NEEDS)
+    assert runs(frozenset({"pni", "avx"})) == ["Prescott"]
+    assert runs(flags_of("model name: none\n")) == []
 
 
 def test_the_core_type_of_the_plain_run_is_not_run_again():
     flags = flags_of(CPUINFO)
-    others = runs(flags, whole=True, own="SkylakeX")
-    assert [core for core, _ in others] == ["Prescott", "Haswell"]
-    assert runs(flags, whole=True, own="Zen") == runs(flags, whole=True)
+    assert runs(flags, "SkylakeX") == ["Haswell", "Prescott"]
+    assert runs(flags, "Zen") == runs(flags)
 
 
-@pytest.mark.parametrize("core", [core for core in CORE_TYPES if NEEDS[core] in HERE])
+# Of its 128-bit kernels OpenBLAS says that they are those of Katmai.
+@pytest.mark.parametrize("core", [core for core in CORE_TYPES[:2] if NEEDS[core] in HERE])
 def test_numpy_says_which_core_type_it_has_picked(core: str):
     asked = "from tools.core_types import own_core_type; print(own_core_type())"
     told = subprocess.run(
@@ -71,28 +59,27 @@ def test_what_no_other_kernel_changes_is_left_out(tmp_path: Path):
         "import pytest\n"
         "def test_plain(): pass\n"
         "@pytest.mark.linuxcnc\ndef test_interpreter(): pass\n"
+        "@pytest.mark.long(shown_by='test_plain')\ndef test_breadth(): pass\n"
         "@pytest.mark.waits\n@pytest.mark.linuxcnc\ndef test_planner(): pass\n"
     )
+    for name in (*NUMERICS, "panel"):
+        (tmp_path / "tests" / name).mkdir(parents=True)
     for file in ("tests/panel/test_page.py", "tests/laws/test_b.py"):
-        (tmp_path / file).parent.mkdir(parents=True)
         (tmp_path / file).write_text(case)
-    done = suite(tmp_path, "", "-rA", *LEFT_OUT)
-    ran = re.findall(r"^PASSED (\S+)", done.stdout, re.MULTILINE)
-    assert ran == ["tests/laws/test_b.py::test_plain", "tests/laws/test_b.py::test_interpreter"]
-    for folders, workers in (((), "auto"), (("tests/laws",), str(os.cpu_count()))):
-        words = words_for(folders)
-        assert words[words.index("-n") + 1] == workers
-        assert words[-len(LEFT_OUT) - len(folders) :] == (*LEFT_OUT, *folders)
+    of_laws = "tests/laws/test_b.py::test_"
+    for long, names in (
+        (False, ("plain", "interpreter")),
+        (True, ("plain", "interpreter", "breadth")),
+    ):
+        done = suite(tmp_path, "", "-rA", "-p", "no:xdist", *_serial(words_for(long=long)))
+        ran = re.findall(r"^PASSED (\S+)", done.stdout, re.MULTILINE)
+        assert ran == [f"{of_laws}{name}" for name in names]
 
 
-def test_only_tests_in_a_browser_are_left_to_the_plain_run():
-    browsed = set(ROOT.glob(BROWSED))
-    using = {
-        file
-        for file in (ROOT / "tests").rglob("test_*.py")
-        if re.search(r"^from tests\.panel\.browsing import", file.read_text("utf-8"), re.MULTILINE)
-    }
-    assert browsed and browsed == using
+def _serial(words: tuple[str, ...]) -> tuple[str, ...]:
+    """Return pytest's words without those for several workers."""
+    assert words[1:5] == ("-n", str(os.cpu_count()), "--dist", "worksteal")
+    return (words[0], *words[5:])
 
 
 def suite(folder: Path, ci: str, *words: str) -> subprocess.CompletedProcess[str]:
@@ -108,6 +95,7 @@ def suite(folder: Path, ci: str, *words: str) -> subprocess.CompletedProcess[str
     )  # fmt: skip
 
 
+@pytest.mark.long(shown_by="test_a_skipped_test_fails_in_ci_alone")
 def test_a_second_run_has_what_the_first_did_not_show(tmp_path: Path):
     """What passed is left out; what was skipped, also as a whole file, and what failed, runs."""
     (tmp_path / "test_all.py").write_text(

@@ -22,7 +22,7 @@ from threadline.errors import InputError, OptionError
 from threadline.files import Clock, Stream, TickBlock, TickTable
 from threadline.proof.asked import as_arguments
 from threadline.proof.option_form import Door, Group, Option, Type
-from threadline.proof.option_table import PYTHON_VERBS, RECORDED, TABLE, options_for
+from threadline.proof.option_table import PYTHON_VERBS, RECORDED, TABLE, options_for, python_name
 from threadline.proof.options import Options
 
 ROOT = Path(__file__).parents[1]
@@ -96,13 +96,13 @@ def planned(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> Non
 @pytest.fixture
 def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Stop every verb where it would plan what it has read; return a folder with the jobs."""
-    from threadline.cli import compile_, design, equal_, run_, yield_
+    from threadline.cli import compile_, design, equal_, run_
     from threadline.machine.radii import with_radii
     from threadline.proof import pipeline, recorded
-    from threadline.search import by_pace
+    from threadline.search import by_pace, machine_yield
 
     compared = importlib.import_module("threadline.search.compare")  # its name is a function's
-    for module in (pipeline, recorded, compile_, equal_, run_, yield_, compared):
+    for module in (pipeline, recorded, compile_, equal_, run_, machine_yield, compared):
         monkeypatch.setattr(module, "plan_job", seen)
     searched = lambda asked: planned(asked.job, asked.machine, asked.options)  # noqa: E731
     for pace, search in by_pace.SEARCHES.items():
@@ -113,6 +113,7 @@ def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
                 options)  # fmt: skip
 
     monkeypatch.setattr(design, "search_design", designed)
+    monkeypatch.setattr("threadline.search.design.design", designed)
     (tmp_path / "a.prg").write_text("G91 G1 X5 A10 F600\nX-5\nM30\n")
     (tmp_path / "a.gcode").write_text("G21 G91\nG1 X5 A10 F600\nX-5\nM2\n")
     (tmp_path / "trace.csv").write_text("time [s];X.load [m]\n0;0\n0.1;0\n0.2;0\n")
@@ -172,7 +173,7 @@ def by_python(verb: str, folder: Path, work: str, words: dict[str, Any]) -> tupl
         return outcome(lambda: tl.judge(folder / "trace.csv", job=job, machine=machine, **given))
     target = {"switches": "st", "steps": "steps"}.get(work, "csv")
     more = [target, folder / "out"] if verb == "compile" else []
-    return outcome(lambda: getattr(tl, verb)(job, machine, *more, **given))
+    return outcome(lambda: getattr(tl, python_name(verb))(job, machine, *more, **given))
 
 
 PLANNING = [one for one in TABLE if one.group is Group.PLAN]
@@ -191,6 +192,7 @@ def test_every_planning_option_is_walked() -> None:
     assert set(GIVEN) == {one.name for one in PLANNING}
 
 
+@pytest.mark.long(only=("seam", "loops"))
 @pytest.mark.parametrize("work", WORK)
 def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str) -> None:
     """Verb by option by kind: the same job, read alike, with the same options, or one refusal."""
@@ -252,6 +254,7 @@ def test_a_mode_is_refused_where_no_shaper_is_compared(stopped: Path) -> None:
         assert "mode= and damping= name the mode of a shaper" in refused
 
 
+@pytest.mark.long(but="a.seam.toml-stitcher-found1")
 @pytest.mark.usefixtures("coarse_search")
 @pytest.mark.parametrize(
     ("job", "machine", "found"),
@@ -302,7 +305,7 @@ def test_what_is_made_from_the_table_is_current() -> None:
 def test_functions_have_the_options_of_the_table_by_name() -> None:
     """And each function says them all where a shell of Python asks for its signature."""
     for verb in PYTHON_VERBS:
-        signature = inspect.signature(getattr(face, verb))
+        signature = inspect.signature(getattr(face, python_name(verb)))
         listed = {one.word: one.default_of(verb) for one in options_for(verb, Door.PYTHON)}
         own = {name: one.default for name, one in signature.parameters.items() if name in listed}
         assert own == listed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import inspect
+import json
 import math
 import re
 import subprocess
@@ -21,6 +22,7 @@ import threadline as tl
 from tests.test_limits_alone import files as limits_alone
 from threadline import face
 from threadline.cli.fastest import OUTPUTS
+from threadline.cli.main import main
 from threadline.errors import InputError, OptionError
 from threadline.jobs.operations import Pace
 from threadline.motion.path.interpolations import OPTIMAL
@@ -53,6 +55,7 @@ def test_the_page_lists_the_face_and_nothing_else() -> None:
         tl.prof  # noqa: B018
 
 
+@pytest.mark.long(shown_by="test_every_kind_of_machine_has_the_whole_face")
 def test_the_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a folder that holds the examples; the files that they write lie there."""
     monkeypatch.chdir(tmp_path)
@@ -107,6 +110,14 @@ def test_the_best_is_proved_in_one_call(tmp_path: Path) -> None:
     found = tl.fastest(job, machine, level="nominal", radius="A=40 mm")
     proof = found.prove()
     assert proof.passed and proof.plan.options["radius"] == "A=40 mm"
+    shown = repr(found).splitlines()  # and not every try
+    assert shown[0].startswith("fastest: 0.") and shown[0].endswith(
+        "limited by the end of the search"
+    )
+    assert found.best_options is not None
+    assert len(shown) == 2 and str(found.best_options["feed"]) in shown[1]
+    again = tl.prove(job, machine, level="nominal", **found.best_options)
+    assert again.json()["criteria"] == proof.json()["criteria"]
     assert proof.plan.duration_s == found.of.best.duration_s
     slow = found.prove(feed="F 60")
     assert slow.plan.duration_s > 2.0 * proof.plan.duration_s
@@ -147,6 +158,7 @@ def _of_kind(kind: str, folder: Path) -> tuple[Path, str, str]:
     return job, str(limits), target
 
 
+@pytest.mark.long(only="needle")
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_machine_has_the_whole_face(kind: str, tmp_path: Path) -> None:
     """A proof, its files, a judgement of its recording by file and by job, a program, a comparison.
@@ -276,14 +288,18 @@ def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
     calls: dict[Callable[..., object], dict[str, Any]] = {
         tl.load_machine: {"machine": machine},
         tl.prove: {"job": job, "machine": machine},
+        tl.run: {"job": job, "machine": machine, "speed": 0, "level": "nominal"},
         tl.fastest: {"job": job, "machine": machine},
         tl.compare: {"job": job, "machine": machine},
+        tl.yields: {"job": job, "machine": machine, "variants": 4},
+        tl.design: {"job": job, "machine": machine},
         tl.judge: {"recordings": "good.npz"},
         tl.learn: {"job": job, "machine": machine},
         tl.compile: {"job": job, "machine": machine, "target": "csv", "out": "out.csv"},
         tl.control: {"machine": machine, "design": "cross-coupled", "out": "out.toml"},
         tl.equal: {"job": job, "machine": machine},
         tl.shaper: {"text": "zv:10Hz"},
+        tl.analyse: {"machine": machine, "axis": "X"},
         tl.measure: {"machine": machine, "axis": "X"},
         tl.fit: {"data": "good.npz", "machine": machine, "numbers": ["bodies.x.inertia"]},
         tl.trim: {"machine": machine, "axis": "X"},
@@ -300,6 +316,8 @@ def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
         assert "words" not in names
         for name in names:
             for value in wrong_types():
+                if (call, name) == (tl.run, "speed") and isinstance(value, float) and value > 0.0:
+                    continue  # a speed
                 tried += 1
                 with pytest.raises(InputError) as caught:
                     call(**{**right, name: value})
@@ -373,3 +391,16 @@ def test_a_proof_prints_itself_in_ten_lines_worst_first(tmp_path: Path) -> None:
     shown = proof._repr_html_()
     assert "<i>" not in shown and "&lt;i&gt;.prg" in shown
     assert shown.index("<td>contour_error</td>") < shown.index("<td>tracking_error</td>")
+
+
+def test_the_analysis_of_a_loop_is_that_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    """The same content for the axis that was asked for, and for every axis without one."""
+    with pytest.raises(SystemExit):
+        main(["analyse", "lathe-winder", "--json"])
+    told = json.loads(capsys.readouterr().out)["axes"]
+    found = tl.analyse("lathe-winder")
+    assert list(found) == list(told) and len(found) > 1
+    assert {k: json.loads(json.dumps(one.as_json())) for k, one in found.items()} == told
+    assert list(tl.analyse("lathe-winder", "X")) == ["X"]
+    with pytest.raises(OptionError, match=r"has no axis 'Q'"):
+        tl.analyse("lathe-winder", "Q")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+import threadline
 from threadline.base.importing import import_and_call
 from threadline.live import hal_link as hal_process
 from threadline.live import sim_process
@@ -61,7 +63,7 @@ print(*sorted(name for name in sys.modules if name.startswith("threadline.")))
 def test_a_proof_of_a_part_program_imports_what_it_uses(examples: Path) -> None:
     """Other kinds of work, other files and the drawing of reports are imported where they begin.
 
-    228 modules are imported, twelve of them for the measures of a winding; a few may come.
+    236 modules are imported, fifteen of them for the measures of a winding; a few may come.
     """
     words = _PROVE.format(job=str(examples / "x-180.prg"))
     found = subprocess.run(
@@ -78,7 +80,7 @@ def test_a_proof_of_a_part_program_imports_what_it_uses(examples: Path) -> None:
     )  # fmt: skip
     assert "threadline.twin.simulate" in modules
     assert [m for m in modules if m.removeprefix("threadline.").startswith(foreign)] == []
-    assert len(modules) < 230
+    assert len(modules) < 238
 
 
 def test_a_process_that_reads_a_drawing_loads_the_geometry_alone() -> None:
@@ -89,3 +91,44 @@ def test_a_process_that_reads_a_drawing_loads_the_geometry_alone() -> None:
         [sys.executable, "-c", words], capture_output=True, text=True, check=True
     ).stdout.split()
     assert found == ["base", "errors", "geometry", "panel", "units"]
+
+
+@pytest.mark.parametrize(
+    ("call", "foreign"),
+    [
+        ("shaper('zv:12Hz')", ("machine", "jobs", "files", "dynamics", "motion.timing", "face")),
+        (
+            "retime([[0, 0], [0.1, 0], [0.1, 0.1]], velocity=[0.5, 0.5], acceleration=[2, 2])",
+            ("machine", "dynamics", "motion.shaping", "jobs.gcode", "proof", "face"),
+        ),
+    ],
+)
+def test_what_needs_no_machine_comes_without_the_models_of_machines(
+    call: str, foreign: tuple[str, ...]
+) -> None:
+    """Then a shaper or a motion is there within the first second of a program.
+
+    Nothing but numpy, numba and what numba needs of scipy is imported beside the files of the
+    subject.
+    """
+    words = f"import threadline as tl; tl.{call}; import sys; print(*sorted(sys.modules))"
+    modules = subprocess.run(
+        [sys.executable, "-c", words], capture_output=True, text=True, check=True
+    ).stdout.split()
+    # A package without the files in it is empty: it names them and imports none.
+    ours = [name.removeprefix("threadline.") for name in modules if name.startswith("threadline.")]
+    assert [name for name in ours if name.startswith(tuple(f"{one}." for one in foreign))] == []
+    assert len(ours) < 60
+    heavy = {"pydantic", "matplotlib", "typer", "scipy.optimize", "scipy.interpolate"}
+    assert heavy.isdisjoint(modules)
+
+
+def test_no_name_that_a_package_imports_later_is_the_name_of_its_file() -> None:
+    """The package would have the file by this name as soon as anyone imports the file."""
+    source = Path(threadline.__file__).parent
+    tables = [file for file in source.rglob("__init__.py") if "= later(" in file.read_text()]
+    assert len(tables) > 3
+    for file in tables:
+        package = ".".join(("threadline", *file.parent.relative_to(source).parts))
+        files = {one.stem for one in file.parent.iterdir()}
+        assert files.isdisjoint(import_module(package).__all__), package

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import threadline as tl
+from tests.blank_pictures import blank_pictures
 from tests.cli.test_commands import run
 from threadline.cli.main import main
 from threadline.errors import MachineError, OptionError
@@ -19,6 +20,7 @@ from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, TOLERANCES, Proof, prove, yielding
+from threadline.report.lines import feed_lines
 from threadline.search import chosen_plans, least_limits
 from threadline.verdict import Status, closing, load_spec
 from threadline.verdict.types import Level
@@ -212,6 +214,13 @@ def test_a_recording_of_the_real_machine_is_judged_by_what_it_holds(tmp_path: Pa
     assert verdict.result("contour_error").measured is not None
 
 
+def test_the_time_of_the_motion_comes_first(tmp_path: Path) -> None:
+    """The time by F alone, which no machine keeps, stands behind it."""
+    text = "\n".join(feed_lines(proof_of(tmp_path, "G1 X20 F600\nG1 X0", Options()).plan))
+    told = re.search(r"^Time: +([\d.]+) s .* as planned; ([\d.]+) s by F alone", text, re.M)
+    assert told is not None and 4.0 == float(told[2]) < float(told[1])
+
+
 def test_a_plan_of_the_firmware_says_which_limits_it_does_not_keep(tmp_path: Path) -> None:
     """Its velocity steps at corners, as its setting for them says, so that it is no failure."""
     verdict = proof_of(
@@ -220,10 +229,10 @@ def test_a_plan_of_the_firmware_says_which_limits_it_does_not_keep(tmp_path: Pat
     assert verdict.passed and verdict.result("acceleration", "X").limit is None
     assert closing(verdict).startswith("LIMITS KEPT (limits and time alone: placement")
     assert closing(verdict).endswith(
-        "; but for acceleration and jerk: the velocity steps at corners)"
+        "; corners jump in speed, as on the controller, beyond limits of acceleration and jerk)"
     )
     kept = proof_of(tmp_path, "G1 X20 A90 F600\nG1 X0", Options(interpolation="auto")).verdict
-    assert "but for" not in closing(kept) and kept.result("acceleration", "X").limit == 0.5
+    assert "corners jump" not in closing(kept) and kept.result("acceleration", "X").limit == 0.5
 
 
 def test_limits_that_are_broken_are_out_of_spec(
@@ -241,8 +250,9 @@ def test_limits_that_are_broken_are_out_of_spec(
 
 
 def test_json_exit_and_report_say_the_level(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    blank_pictures(monkeypatch)
     file, job = files(tmp_path, "G1 X50 F3000\nG1 A90 X0")
     report = tmp_path / "report"
     code, out, _ = run(capsys, "prove", job, "-m", file, "--json", "--report", report)
@@ -369,6 +379,8 @@ def test_a_proof_of_limits_alone_is_not_verified_as_in_spec(
     assert ended.value.code == 0 and "limits kept" in said and "in spec" not in said
 
 
+@pytest.mark.long(shown_by="test_the_fastest_optimal_plan_is_that_of_the_limits")
+@pytest.mark.usefixtures("coarse_scan")
 def test_no_lower_acceleration_is_tried_where_none_can_win(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -401,3 +413,5 @@ def test_the_feed_is_named_above_which_the_job_gets_no_faster(
     assert 0.95 * peak < found.enough < 1.0 * peak < found.best.found.best
     code, out, _ = run(capsys, "fastest", job, "-m", machine, "--interpolation", "auto")
     assert code == 0 and "takes the same time within 0.1 %: above it acceleration" in out
+    assert "limited by acceleration, corners and rapid moves; " in out
+    assert "velocity limits" not in out  # of the feed, not of the time

@@ -27,10 +27,10 @@ from threadline.proof.proof_file import (
     check_proof,
     copy_proof,
     read_proof,
-    spec_sha256,
     verify_proof,
     write_proof,
 )
+from threadline.proof.proof_hash import spec_sha256
 from threadline.verdict import load_spec
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -41,6 +41,9 @@ def test_both_pages_together_show_every_command_and_no_other() -> None:
     assert named == set(re.findall(r"^threadline (\S+)", page, re.MULTILINE))
 
 
+@pytest.mark.long(
+    shown_by="tests/documents/test_tutorials.py::test_a_tutorial_runs_and_shows_what_its_commands_answer"
+)
 @pytest.mark.usefixtures("coarse_search")
 def test_the_commands_of_both_pages_run_in_order_and_write_below_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -13,12 +13,10 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parent.parent
-DECLARED = [
-    Requirement(line)
-    for line in tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
-        "dependencies"
-    ]
-]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+DECLARED = [Requirement(line) for line in PROJECT["dependencies"]]
+OF_CLUSTER = [Requirement(line) for line in PROJECT["optional-dependencies"]["cluster"]]
+"""What an extra adds: only the code that needs it imports it."""
 OLDEST = {"python_full_version": "3.11.0", "python_version": "3.11"}
 """The oldest Python that is supported."""
 COME_WITH = {
@@ -53,21 +51,31 @@ def for_the_oldest(marker: Marker | None) -> bool:
 def test_all_that_is_imported_is_declared_and_the_other_way_round() -> None:
     used = set().union(*map(imported, (ROOT / "src").rglob("*.py")))
     used -= {"threadline", *sys.stdlib_module_names}
-    declared = {requirement.name for requirement in DECLARED}
+    declared = {requirement.name for requirement in [*DECLARED, *OF_CLUSTER]}
     # The server reads the websocket by the package that its option ``ws`` names.
     assert {COME_WITH.get(name, name) for name in used} | {"websockets"} == declared
 
 
 def test_the_lower_bounds_are_the_releases_of_the_lock() -> None:
     """To the feature release: of 2.4.6 it is 2.4."""
-    held = {one.name: one.specifier for one in locked("run") if for_the_oldest(one.marker)}
-    for requirement in DECLARED:
+    held = {one.name: one.specifier for one in locked("cluster") if for_the_oldest(one.marker)}
+    for requirement in [*DECLARED, *OF_CLUSTER]:
         (bound,), (lock,) = requirement.specifier, held[requirement.name]
         assert bound.operator == ">=", requirement
         assert Version(bound.version).release == Version(lock.version).release[:2], requirement
 
 
 def test_every_lock_holds_what_the_package_needs() -> None:
-    for name in ("run", "dev", "bench"):
-        held = {one.name for one in locked(name)}
-        assert {requirement.name for requirement in DECLARED} <= held, name
+    for name in ("run", "cluster", "dev", "bench"):
+        held = {one.name: str(one.specifier) for one in locked(name)}
+        needed = DECLARED if name == "run" else [*DECLARED, *OF_CLUSTER]
+        assert {requirement.name for requirement in needed} <= set(held), name
+
+
+def test_a_cluster_has_the_versions_of_a_computer_alone() -> None:
+    """A worker of another version is refused: both locks must hold the same."""
+    run, cluster = (
+        {(one.name, str(one.marker)): str(one.specifier) for one in locked(name)}
+        for name in ("run", "cluster")
+    )
+    assert run.items() <= cluster.items()

@@ -23,6 +23,9 @@ MACHINE = load_machine("stitcher")
 ROBUST = options_of("auto", None, "0.1 mm", feed_forward=True, robust="100 %")
 
 
+@pytest.mark.long(
+    shown_by="test_the_machine_as_built_sews_67_stitches_a_second_by_all_that_is_asked"
+)
 def test_a_seam_is_in_spec_on_machines_that_fail_the_plain_plan() -> None:
     """42 stitches a second by all that is asked, where plain feed-forward is worst."""
     spec = load_spec(None, MACHINE)
@@ -40,6 +43,9 @@ def test_a_seam_is_in_spec_on_machines_that_fail_the_plain_plan() -> None:
     )
 
 
+@pytest.mark.long(
+    shown_by="test_the_machine_as_built_sews_67_stitches_a_second_by_all_that_is_asked"
+)
 def test_a_slower_needle_is_in_spec_on_all_nine_machines_too() -> None:
     """At some speeds a machine took 2.19 of 2 stitches to its speed.
 
@@ -98,6 +104,7 @@ def swung(folder: Path, speed: int, swing: str = "") -> tuple[Plan, float]:
     return plan, float(-velocity[:, 1].min() / (speed * 2.54e-3))
 
 
+@pytest.mark.long(shown_by="test_a_swing_that_cannot_be_kept_is_refused_with_its_cost")
 def test_a_seam_limits_the_swing_of_its_plan(tmp_path: Path) -> None:
     """Y goes back before the corner, by a fifth of the speed unless the seam says less.
 

@@ -36,7 +36,7 @@ from threadline.base.arrays import FloatArray
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at
 from threadline.machine.variants import numbers_at, uncertain
-from threadline.machine.vary import varied_numbers
+from threadline.machine.vary import Days, varied_numbers
 from threadline.proof.asked import Words
 from threadline.proof.judge_runs import RunsJudge
 from threadline.proof.option_form import Door, Word
@@ -77,7 +77,13 @@ class Box:
         count, own = len(self.numbers), places[:, : len(self.numbers)]
         days = 1.0 + places[:, count : count + 2] * np.array([FRICTION, SUPPLY])
         found = numbers_at(self.machine, own * self.numbers) if count else {}
-        varied = varied_numbers(self.machine, days[:, 0], days[:, 1])
+        of_days = Days(
+            friction=days[:, 0],
+            supply=days[:, 1],
+            phases=0.5 + 0.5 * places[:, count + 2 :],
+            tension=np.ones(len(days)),
+        )
+        varied = varied_numbers(self.machine, of_days)
         for path, values in varied.items():
             if path in found:
                 found[path] = found[path] * (values / number_at(self.machine, path).si)

@@ -26,21 +26,25 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from types import FrameType
 
 import ezdxf.filemanagement
 from tools.fuzz_bytes import NUMBERS, TOKENS, UNITS, mutate
+from tools.fuzz_cadfil import CADFIL
 from tools.fuzz_designs import fuzz_designs
 from tools.fuzz_drawings import fuzz_drawings
 from tools.fuzz_files import fuzz_targets
+from tools.fuzz_measured import fuzz_measured
 from tools.fuzz_metamorphic import fuzz_metamorphic
 from tools.fuzz_programs import fuzz_programs
 from tools.fuzz_recordings import fuzz_recordings
 
 from threadline.errors import ThreadlineError
 from threadline.jobs import read_job
+from threadline.jobs.winding.layers import read_layers
 from threadline.machine import load_machine
 from threadline.machine.par import read_parameters
 from threadline.machine.quantity import parse_machine_quantity
@@ -142,11 +146,6 @@ def seam_file(kind: str) -> Callable[[random.Random], bytes]:
     return lambda rng: mutate(rng, rng.choice(SEEDS[kind]))
 
 
-def winding_file(rng: random.Random) -> bytes:
-    """A product with layers, changed likewise."""
-    return product_file(rng, "winding")
-
-
 def product_file(rng: random.Random, kind: str = "product") -> bytes:
     """A product with a value changed, or mutated anywhere."""
     data = rng.choice(SEEDS[kind])
@@ -196,7 +195,7 @@ def read_move_list(path: Path) -> None:
 
 
 def read_control_file(path: Path) -> None:
-    (path.parent / "made.pay").write_bytes(_PAY)
+    (path.parent / "made.pay").write_bytes(CADFIL["pay"][0])
     product_text(path)
 
 
@@ -246,7 +245,8 @@ READERS: dict[str, Reader] = {
     "spec": Reader("a.toml", seam_file("spec"), lambda p: load_spec(p, WINDER), 4),
     "moves": Reader("a.toml", seam_file("moves"), read_move_list, 4),
     "product": Reader("a.wind.toml", product_file, read_product, 4),
-    "winding": Reader("a.wind.toml", winding_file, read_winding, 1),
+    "winding": Reader("a.wind.toml", partial(product_file, kind="winding"), read_winding, 1),
+    "layers": Reader("a.wind.toml", partial(product_file, kind="layers"), read_layers, 4),
     "meridian-csv": Reader("a.csv", seam_file("meridian-csv"), read_product, 2),
     "meridian-dxf": Reader("a.dxf", seam_file("meridian-dxf"), read_product, 1),
     "seam-toml": Reader("a.seam.toml", seam_file("seam-toml"), read_seam_job, 1),
@@ -257,7 +257,9 @@ READERS: dict[str, Reader] = {
     "fib": Reader("a.fib", seam_file("fib"), meridian_of, 8),
     "pay": Reader("a.pay", seam_file("pay"), product_text, 4),
     "ctl": Reader("a.ctl", seam_file("ctl"), read_control_file, 4),
+    "mnd": Reader("a.mnd", seam_file("mnd"), read_product, 4),
     **{name: Reader(*target) for name, target in fuzz_targets(mutate).items()},
+    **{name: Reader(*target) for name, target in fuzz_measured(mutate).items()},
     **{name: Reader(*target) for name, target in fuzz_recordings().items()},
     **{name: Reader(*target) for name, target in fuzz_metamorphic().items()},
     **{name: Reader(*target) for name, target in fuzz_drawings().items()},
@@ -279,6 +281,10 @@ def _half_section() -> bytes:
     return out.getvalue().encode()
 
 
+_ENTITIES = """0 SECTION 2 HEADER 9 $ACADVER 1 AC1009 9 $INSUNITS 70 4 0 ENDSEC 0 SECTION 2 ENTITIES
+0 ARC 8 0 10 0.0 20 0.0 40 50.0 50 90.0 51 160.0 0 LINE 8 0 10 0.0 20 50.0 11 60.0 21 50.0
+0 LINE 8 0 10 60.0 20 50.0 11 100.0 21 20.0 0 ENDSEC 0 EOF"""
+_BARE_SECTION = "\n".join([*_ENTITIES.split(), ""]).encode()  # read faster, and hit more often
 _PRODUCT = b"""[mandrel]
 at = "100 mm +- 0.5 mm"
 shaft = "6 mm"
@@ -332,24 +338,6 @@ comment
 20  ; Number of interrupts after which actual positions are recorded
 4   ; Number of knot points to be interpolated between two points
 """
-_FIB = b"""    16
- MADE.MND
-    24
-     4
-    1  -120.0000      .0000    30.0000   .0000000  1.0000000   .0000000
-    2  -110.0000    20.0000    40.0000   .2672612   .8017837  -.5345225
-   24      .0000    50.0000    10.0000   .6000000   .1568926  -.7844629
-   55    10.0733    51.5000      .0000   .6577299   .0983193  -.7468095
-"""
-_PAY = b"""    22 0 1 1 1 1 1
- MADE.MND
-    42    24   .120000E+02   .250000E+01   .160072E+02
-     2
-  -120.000      .000    30.000  .0000000 1.0000000  .0000000  .0000000  .0000000 -1.000000
-  -119.000    60.000    31.000    61.000
-   10.0000    51.500      .000  .6577299  .0983193 -.7468095  .0000000  .0000000  .0000000
-    60.000    70.000    -30.00    65.000
-"""
 _WIND = (
     b'{"schemaVersion": "1.3", "mandrelParameters": {"diameter": 98.0, "windLength": 120, %s}, '
     b'"towParameters": {"width": 6, "thickness": 0.5}, "defaultFeedRate": 9000, "layers": '
@@ -360,9 +348,10 @@ SEEDS: dict[str, list[bytes]] = {
         _WIND % more
         for more in (b'"endDiameter": 54', b'"profile": {"type": "vonKarman"}', b'"other": 1')
     ],
-    "fib": [_FIB],
-    "pay": [_PAY],
-    "ctl": [b" 1\n MADE.PAY 2\n", b"C:\\WIND\\A.PAY, 1, 20.0, 2\nb.pay\n"],
+    "fib": CADFIL["fib"],
+    "pay": CADFIL["pay"],
+    "ctl": CADFIL["ctl"],
+    "mnd": CADFIL["mnd"],
     "part-program": [p.read_bytes() for p in sorted((ROOT / "examples").glob("*.prg"))]
     + [
         b"N1 G21\nN2 G90\nN3 G94\nN4 G1 A0.5 X50.0 F500.0 ; tension_N=25.0\nG28 X1\nG4 P.5\nM5\nM30"
@@ -371,9 +360,14 @@ SEEDS: dict[str, list[bytes]] = {
     "machine": [p.read_bytes() for p in sorted(LIBRARY.glob("*.toml")) if ".spec." not in p.name],
     "spec": [p.read_bytes() for p in sorted(LIBRARY.glob("*.spec.toml"))],
     "winding": [(EXAMPLES / f"{name}.wind.toml").read_bytes() for name in ("vessel", "tube")],
+    "layers": [
+        p.read_bytes()
+        for p in sorted(ROOT.glob("*/**/*.wind.toml"))
+        if b"[[layer" in p.read_bytes()
+    ],
     "product": [_PRODUCT] + [p.read_bytes() for p in sorted(EXAMPLES.glob("*.wind.toml"))],
     "meridian-csv": [_MERIDIAN_CSV],
-    "meridian-dxf": [_half_section()],
+    "meridian-dxf": [_half_section(), *[_BARE_SECTION] * 9],
     "moves": [(EXAMPLES / "letter-cycle.toml").read_bytes()],
     "seam-toml": [p.read_bytes() for p in sorted(EXAMPLES.glob("*.seam.toml"))],
     **{

@@ -123,10 +123,10 @@ def fuzz_targets(mutate: Mutate) -> dict[str, Target]:
     """Return, by name: the file to write, what makes a case, what reads it, and its weight."""
 
     def text(name: str) -> Callable[[random.Random], bytes]:
-        return lambda rng: _odd_text(rng, seeds()[name], mutate)
+        return lambda rng: odd_text(rng, seeds()[name], mutate)
 
     def archive(name: str) -> Callable[[random.Random], bytes]:
-        return lambda rng: _odd_archive(rng, seeds()[name], mutate)
+        return lambda rng: odd_archive(rng, seeds()[name], mutate)
 
     return {
         "table-csv": ("a.csv", text("table-csv"), _read_table, 4),
@@ -150,7 +150,7 @@ def _read_recording(path: Path) -> None:
         pass
 
 
-def _odd_text(rng: random.Random, data: bytes, mutate: Mutate) -> bytes:
+def odd_text(rng: random.Random, data: bytes, mutate: Mutate) -> bytes:
     """Another cell, a line less, twice or elsewhere, another description; or bytes anywhere."""
     kind = rng.randrange(5)
     if kind == 0:
@@ -172,7 +172,7 @@ def _odd_text(rng: random.Random, data: bytes, mutate: Mutate) -> bytes:
     return "\n".join(lines).encode()
 
 
-def _odd_archive(rng: random.Random, data: bytes, mutate: Mutate) -> bytes:
+def odd_archive(rng: random.Random, data: bytes, mutate: Mutate) -> bytes:
     """Another member or description under a right check sum; or bytes of the archive anywhere."""
     if rng.randrange(4) == 0:
         return mutate(rng, data)

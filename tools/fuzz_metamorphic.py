@@ -9,398 +9,32 @@ with channels permuted or renamed, at twice the rate, written to a file and read
 the one before, value by value; and a limit a thousandth below what was measured must fail, while
 one a thousandth above it must pass.
 
-The recordings are made once and judged many times. Changed samples lie side by side as runs of one
-recording, so that a case holds ``RUNS`` of them. Of most programs and machines the path, or each
-number, is compared; every ``WHOLE``th is proved.
+Of most programs and machines the path, or each number, is compared; every ``WHOLE``th is proved.
+``tools/fuzz_every_kind.py`` makes each change to each kind of machine equally often.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import math
 import random
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from fractions import Fraction
-from functools import cache, partial
-from itertools import pairwise
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from tools.fuzz_recordings import MAKERS
+from tools.fuzz_read_works import hold_machines, numbers_of
 from tools.fuzz_rewritten import in_another_order, in_other_units
-from tools.fuzz_runs import Seed, more_seeds, plan_measured_once, seeds
-from tools.fuzz_same_programs import (
-    SAME,
-    WHOLE,
-    Key,
-    check_program,
-    same_verdicts,
-    told_verdict,
-)
+from tools.fuzz_runs import seeds
+from tools.fuzz_same_programs import WHOLE, check_program, loaded, same_verdicts, told_verdict
+from tools.fuzz_same_recordings import check_recording, pool, recording_of
 from tools.fuzz_same_windings import check_winding
 
-from threadline.errors import Place, ThreadlineError
-from threadline.files import ChannelKind, Recording, RecordingBlock, Stream
-from threadline.files.formats import read_recording, write_recording
-from threadline.files.formats.common import in_si
+from threadline.errors import ThreadlineError
 from threadline.machine import load_machine
 from threadline.machine.load import library_file
 from threadline.proof.pipeline import prove
-from threadline.verdict import Criterion, Judge, Spec, Status, load_spec
-from threadline.verdict.bow import FOLLOWED
+from threadline.verdict import Judge, Status, load_spec
 
 CLASSES = ("same-recording", "same-program", "same-winding", "same-machine")
-RUNS = 8
-_POOL, _FEW = 6, 2  # recordings of each machine: one as it ran, the others with a fault
-_NOISE = (-300.0, -12.0)
-"""Decades: the squares of many are numbers without digits, or nothing."""
-_BITS = (ChannelKind.INPUT, ChannelKind.OUTPUT, ChannelKind.OPERATION)
-_NAMELESS = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD, ChannelKind.FRAME)
-"""Channels that are known by kind and axis, whatever their name."""
-_SPREADS = 20
-"""One of so many recordings is several, whose spread is judged."""
-_FACTORS = (None, 0.999, 1.001, 0.5, 2.0)
-_HELD = (*_BITS, ChannelKind.VOLTAGE)
-"""What stands from one sample to the next: a controller holds its output."""
-_AT_TWICE_THE_RATE = (
-    "contour_error", "turning_point_error", "tracking_error", "current_peak", "current_rms",
-    "residual_vibration", "settling_time", "dac_saturation",
-    "seam_error", "stitch_placement_error", "stitch_residual", "servo_force", "travel",
-)  # fmt: skip
-"""What a straight line between two samples leaves as it is."""
-_BY_SWITCHINGS = ("residual_vibration", "settling_time")
-"""Of a frame, they begin at the sample in which an output switches."""
-_TURNS, _WITHIN = 0.05, 0.2
-"""Shares of the longest way in a sample interval by which the progress error may grow and fall
-then. It is measured at samples, and where the tool cuts a corner it may be larger between two of
-them; and a tool within a place of the command is known by the ends of the place."""
-
-Samples = Mapping[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Kept:
-    """A recording that is judged many times, and what was measured in it."""
-
-    seed: Seed
-    samples: Samples
-    measured: Mapping[Key, float]
-
-    @property
-    def runs(self) -> int:
-        """How many runs its judge takes side by side."""
-        if self.seed.options.product is not None:
-            return 2  # where a fibre lies takes long
-        alone = self.seed.facts.switched or self.seed.facts.places is not None
-        return 1 if alone else RUNS
-
-
-# --- recordings ---
-
-
-@cache
-def pool() -> tuple[Kept, ...]:
-    """Return the recordings, some with a fault for a while in one channel."""
-    found = []
-    for number, seed in enumerate((*seeds(), *more_seeds())):
-        for k in range(_POOL if seed in seeds() else _FEW):
-            samples: Samples = seed.samples
-            if k:
-                channels = MAKERS["judge-axes"](random.Random(f"{number}/{k}"), seed)
-                samples = {name: one.chunks[0][1] for name, one in channels.items()}
-                samples = _switched_wrong(random.Random(f"{number}/{k}"), seed, samples, k - 1)
-            known = values_of(seed, recording_of(seed, samples), seed.proof.spec)
-            found.append(Kept(seed, samples, known))
-    return tuple(found)
-
-
-def _switched_wrong(rng: random.Random, seed: Seed, samples: Samples, way: int) -> Samples:
-    """Return the samples of an on/off machine with one of five faults.
-
-    All valves are late, or open against each other; one is late, or flickers; a piston stops short.
-    """
-    if not seed.facts.switched:
-        return samples
-    outputs = [c.name for c in seed.proof.recording.channels if c.kind is ChannelKind.OUTPUT]
-    switching = [name for name in outputs if np.ptp(samples[name]) == 1.0]
-    late = rng.randint(3, 15)
-    found = {n: samples[n].copy() for n in outputs}
-    one = next(n for n in reversed(switching) if n.endswith("_a2"))
-    open_at = np.flatnonzero(samples[one])
-    if way == 0:
-        found = {n: np.concatenate([samples[n][:late], samples[n][:-late]]) for n in switching}
-    elif way == 1:
-        begin = rng.randrange(len(samples[one]) - 300)
-        for values in found.values():
-            values[begin : begin + 10 * late] = 1.0
-    elif way in (2, 3):
-        at = int(open_at[0] if way == 2 else np.median(open_at))
-        found[one][at : at + late] = 0.0
-    else:
-        moved = [n for n in samples if n.endswith(".load") and np.ptp(samples[n]) > 0.01]
-        found = {n: np.minimum(samples[n], samples[n].max() - 1e-4 * late) for n in moved}
-    return {**samples, **found}
-
-
-def recording_of(
-    seed: Seed, samples: Samples, edges: tuple[int, ...] = (), runs: int = 1
-) -> Recording:
-    """Return (n,) or (n, runs) samples as a recording, cut into blocks before rows ``edges``."""
-    told = seed.proof.recording
-    channels = tuple(c for c in told.channels if c.name in samples)
-    count = len(next(iter(samples.values())))
-    ends = (0, *edges, count)
-    blocks = [
-        RecordingBlock(
-            first_tick={channels[0].clock.name: a},
-            samples={name: values[a:b] for name, values in samples.items()},
-        )
-        for a, b in pairwise(ends)
-    ]
-    return replace(told, channels=channels, blocks=Stream.of(blocks), runs=runs)
-
-
-def _rows(seed: Seed, recording: Recording, spec: Spec) -> list[tuple[Key, np.ndarray, np.ndarray]]:
-    with plan_measured_once(seed.proof.plan):
-        each = Judge(seed.proof.plan, spec).each(in_si(recording, Place("case")))
-    return [((r.name, r.axis, r.step), r.values, r.failed) for r in each.rows]
-
-
-def values_of(seed: Seed, recording: Recording, spec: Spec) -> dict[Key, float]:
-    """Return the value of each criterion of the only run of a recording."""
-    return {key: float(values[0]) for key, values, _ in _rows(seed, recording, spec)}
-
-
-def spec_about(rng: random.Random, kept: Kept) -> tuple[Spec, dict[Key, bool]]:
-    """Return a specification with limits about what was measured, and whether each must fail."""
-    criteria, must = [], {}
-    named = {(c.name, c.axis, c.step): c for c in reversed(kept.seed.proof.spec.criteria)}
-    for key, value in kept.measured.items():
-        name, axis, step = key
-        plain = named.get((name, "", ""))
-        own = named.get(key, named.get((name, axis, ""), named.get((name, "", step), plain)))
-        if own is None or (name, axis, step) in must:
-            continue
-        factor = rng.choice(_FACTORS)
-        limited = factor is not None and math.isfinite(value) and abs(value) > 1e-9
-        limit = value + (factor - 1.0) * abs(value) if limited and factor is not None else None
-        criteria.append(replace(own, axis=axis, step=step, limit=limit, hard=False, required=False))
-        must[key] = limit is not None and value > limit
-    return replace(kept.seed.proof.spec, criteria=tuple(criteria)), must
-
-
-def noisy(rng: random.Random, kept: Kept) -> dict[str, np.ndarray]:
-    """Return the samples of all runs, side by side, with noise far below any resolution.
-
-    Where there are several, the first is left as it was but for its commands.
-    """
-    kinds = {c.name: c.kind for c in kept.seed.proof.recording.channels}
-    names = sorted(name for name in kept.samples if kinds[name] not in _BITS)
-    chosen = rng.sample(names, rng.randint(1, len(names)))
-    draw = np.random.default_rng(rng.getrandbits(64))
-    found = dict(kept.samples)
-    for name in sorted(set(kept.samples) - set(names)):
-        if kinds[name] is ChannelKind.INPUT and kept.runs > 1:
-            found[name] = np.repeat(found[name][:, None], kept.runs, axis=1)
-    for name in names:
-        runs = 1 if kinds[name] is ChannelKind.COMMANDED else kept.runs  # the same of all runs
-        values = np.repeat(kept.samples[name][:, None], runs, axis=1)
-        for run in range(min(1, runs - 1), runs if name in chosen else 0):
-            size = 10.0 ** draw.uniform(*_NOISE)
-            first = int(draw.integers(len(values))) if draw.random() < 0.5 else 0
-            stop = first + int(draw.integers(1, 9)) if draw.random() < 0.3 else len(values)
-            part = values[first:stop, run]
-            part += size * draw.uniform(-1.0, 1.0, len(part))
-        found[name] = values if runs > 1 else values[:, 0]
-    return found
-
-
-def told_otherwise(rng: random.Random, recording: Recording) -> Recording:
-    """Return a recording with its channels in another order and by other names."""
-    order = list(recording.channels)
-    rng.shuffle(order)
-    by = {c.name: f"{n} {c.name}" if c.kind in _NAMELESS else c.name for n, c in enumerate(order)}
-    clock = replace(order[0].clock, name="another")
-    blocks = [
-        replace(
-            block,
-            first_tick={clock.name: next(iter(block.first_tick.values()))},
-            samples={by[c.name]: block.samples[c.name] for c in order if c.name in block.samples},
-        )
-        for block in recording
-    ]
-    channels = tuple(replace(c, name=by[c.name], clock=clock) for c in order)
-    return replace(recording, channels=channels, blocks=Stream.of(blocks))
-
-
-def at_twice_the_rate(recording: Recording) -> Recording:
-    """Return a recording with one more sample in the middle between every two."""
-    (block,) = recording
-    clock = replace(
-        recording.channels[0].clock, period_s=recording.channels[0].clock.period_s / Fraction(2)
-    )
-    held = {c.name for c in recording.channels if c.kind in _HELD}
-    samples = {}
-    for name, values in block.samples.items():
-        twice = np.repeat(values, 2, axis=0)[:-1]
-        if name not in held:
-            twice[1::2] = 0.5 * (values[:-1] + values[1:])
-        samples[name] = twice
-    channels = tuple(replace(c, clock=clock) for c in recording.channels)
-    blocks = [RecordingBlock(first_tick={clock.name: 0}, samples=samples)]
-    return replace(recording, channels=channels, blocks=Stream.of(blocks))
-
-
-def _longest_m(kept: Kept) -> float:
-    """Return the longest way at the tool between two samples, of the command or of the load."""
-    plan = kept.seed.proof.plan
-    radius = dict(zip(plan.motion.programmed.axes, plan.motion.programmed.radius_m, strict=True))
-    longest = 0.0
-    for kind in (ChannelKind.COMMANDED, ChannelKind.LOAD):
-        ways = [
-            radius[c.axis] * np.diff(kept.samples[c.name])
-            for c in kept.seed.proof.recording.channels
-            if c.kind is kind and c.axis in radius and c.name in kept.samples
-        ]
-        if ways:
-            longest = max(longest, float(np.linalg.norm(ways, axis=0).max()))
-    return longest
-
-
-def _edges(rng: random.Random, count: int) -> tuple[int, ...]:
-    """Return where a recording of so many samples is cut into blocks."""
-    return tuple(sorted(rng.sample(range(1, count), rng.choice((0, 0, 1, 3, 30)))))
-
-
-def check_recording(path: Path) -> None:
-    """Judge a recording that was changed, and hold it against the one before.
-
-    Raises
-    ------
-    AssertionError
-        If a value or a status differs.
-    """
-    rng = random.Random(path.read_bytes())
-    if rng.randrange(_SPREADS) == 0:
-        _check_spread(rng)
-        return
-    kept = rng.choice(pool())
-    spec, must = spec_about(rng, kept)
-    count = len(next(iter(kept.samples.values())))
-    edges = _edges(rng, count)
-    whole = rng.randrange(WHOLE) == 0
-    twice = not whole and rng.random() < 0.2
-    if whole:
-        recording = recording_of(kept.seed, kept.samples)
-        file = path.with_name(f"case.{rng.choice(('npz', 'csv', 'mcap'))}")
-        write_recording(recording, file)
-        recording = read_recording(file)
-    else:
-        runs = noisy(rng, kept)
-        recording = recording_of(kept.seed, runs, () if twice else edges, kept.runs)
-    if twice:
-        recording = at_twice_the_rate(recording)
-    if not whole and rng.random() < 0.5:
-        recording = told_otherwise(rng, recording)
-    # With velocities the way between two samples is no straight line.
-    bowed = any(channel.kind is ChannelKind.VELOCITY for channel in recording.channels)
-    rows = _rows(kept.seed, recording, spec)
-    known = {key for key, _, _ in rows}
-    assert known == set(must), f"criteria {known ^ set(must)} in one of the two alone"
-    for key, values, failed in rows:
-        turns = twice and key[0] == "progress_error"
-        if twice and not turns and key[0] not in _AT_TWICE_THE_RATE:
-            continue
-        if twice and kept.seed.facts.switched and key[0] in _BY_SWITCHINGS:
-            continue
-        if twice and key[0] in FOLLOWED and bowed:
-            continue
-        off = values - kept.measured[key]
-        small = SAME * abs(kept.measured[key]) + 1e-10
-        low = small + (_WITHIN * _longest_m(kept) if turns else 0.0)
-        small += _TURNS * _longest_m(kept) if turns else 0.0
-        if twice and key[0] == "dac_saturation":
-            small += 1.0 / count  # the last sample stands for half of the time
-        same = (off <= small) & (off >= -max(low, small))
-        same |= np.isnan(values) & np.isnan(kept.measured[key])
-        same |= values == kept.measured[key]
-        where = f"{' '.join(key)} of {kept.seed.proof.plan.machine.name}"
-        told = f"{values.tolist()}, before {kept.measured[key]!r}"
-        assert same.all(), f"{where} is {told} (twice the rate: {twice}, file: {whole})"
-        if not turns and (twice, key[0]) != (True, "dac_saturation"):
-            assert (failed == must[key]).all(), f"{where} failed {failed.tolist()}: {told}"
-
-
-def _check_spread(rng: random.Random) -> None:
-    """Hold the spread of several runs against one that is known, and their order against another's.
-
-    In one run a load lies beside the others for a while, at an on/off machine to the end.
-    """
-    followed = [k for k in pool() if k.measured.get(("switching_order", "", ""), 0.0) == 0.0]
-    kept = rng.choice([one for one in followed if one.seed.options.product is None])
-    seed, switched = kept.seed, kept.seed.facts.switched
-    if seed.facts.places is not None:
-        return  # an embroiderer is not repeated
-    channels = [c for c in seed.proof.recording.channels if c.name in kept.samples]
-    loads = [c for c in channels if c.kind is ChannelKind.LOAD and c.unit == "m"]
-    if switched:
-        loads = [c for c in loads if np.ptp(kept.samples[c.name]) > 0.01]
-    name, count = rng.choice(loads).name, rng.randint(2, 5)
-    beside = 10.0 ** rng.uniform(-5.0, -2.0) * rng.choice((1.0, -1.0))
-    values = kept.samples[name].copy()
-    begin = rng.randrange(len(values) // (4 if switched else 1))
-    values[begin : len(values) if switched else begin + rng.randint(1, 50)] += beside
-    each = [kept.samples] * (count - 1) + [{**kept.samples, name: values}]
-    rng.shuffle(each)
-    wanted = abs(beside) * (count - 1) / count
-    together = not switched and rng.random() < 0.5
-    length = len(values)
-    if together:
-        once = (ChannelKind.COMMANDED, ChannelKind.OUTPUT, ChannelKind.OPERATION)
-        own = {c.name for c in channels if c.kind in once}
-        side = {n: v if n in own else np.stack([run[n] for run in each], axis=1)
-                for n, v in kept.samples.items()}  # fmt: skip
-        runs = [recording_of(seed, side, _edges(rng, length), count)]
-    else:
-        runs = [recording_of(seed, run, _edges(rng, length)) for run in each]
-    for factor in (None, 0.999, 1.001):
-        limit = None if factor is None else factor * wanted
-        own_one = Criterion(name="repeatability", limit=limit, options={"recordings": count})
-        spec = replace(seed.proof.spec, criteria=(own_one,))
-        with plan_measured_once(seed.proof.plan):
-            result = Judge(seed.proof.plan, spec).verdict(runs).result("repeatability")
-        told = f"{name} beside by {beside} in one of {count}: {result}, wanted {wanted}"
-        assert result.measured is not None, told
-        assert abs(result.measured - wanted) < 1e-6 * wanted + 1e-12, told
-        assert (result.status is Status.FAILED) == (factor == 0.999), told
-
-
-# --- machines ---
-
-_WHATEVER = {"sha256", "file", "reference", "note", "unit", "title", "sources", "guide", "design"}
-
-
-def _numbers(of: Any, at: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every number, word and switch of a machine by where it stands."""
-    if dataclasses.is_dataclass(of) and not isinstance(of, type):
-        names = (field.name for field in dataclasses.fields(of))
-        of = {name: getattr(of, name) for name in names if name not in _WHATEVER}
-    if isinstance(of, Mapping):
-        for key, value in of.items():
-            yield from _numbers(value, f"{at}.{key}")
-    elif isinstance(of, list | tuple):
-        for place, value in enumerate(of):
-            yield from _numbers(value, f"{at}.{place}")
-    else:
-        yield at, of
-
-
-def _alike(one: Any, two: Any) -> bool:
-    if isinstance(one, float) and isinstance(two, float):
-        return math.isclose(one, two, rel_tol=1e-12) or (math.isnan(one) and math.isnan(two))
-    return bool(one == two)
 
 
 def check_machine(path: Path) -> None:
@@ -424,10 +58,7 @@ def check_machine(path: Path) -> None:
     file = path.with_name("mine.toml")
     file.write_text(text)
     other = load_machine("+".join([str(file), *overlays]))
-    numbers, others = dict(_numbers(machine)), dict(_numbers(other))
-    differ = [key for key in numbers.keys() | others.keys()
-              if not _alike(numbers.get(key), others.get(key))]  # fmt: skip
-    assert not differ, "; ".join(f"{k}: {numbers.get(k)} {others.get(k)}" for k in differ[:5])
+    hold_machines(numbers_of(machine), numbers_of(other))
     if rng.randrange(2 * WHOLE) == 0:
         proof = prove(seed.file, other, load_spec(None, other), seed.options)
         same_verdicts(told_verdict(seed.proof), told_verdict(proof), text)
@@ -455,10 +86,11 @@ def _check_limit(rng: random.Random) -> None:
 def fuzz_metamorphic() -> dict[str, tuple[str, Callable[..., bytes], Callable[[Path], None], int]]:
     """Return the readers of this module for the table of ``fuzz.py``."""
     checks = (check_recording, check_program, check_winding, check_machine)
+    made_before = {check_recording: pool, check_program: loaded, check_machine: pool}
     return {
         name: (
             "case.seed",
-            case if check in (check_recording, check_machine) else _seed_alone,
+            partial(case, made_before.get(check)),
             partial(_not_refused, check),
             1 if check is check_winding else 7,
         )
@@ -474,11 +106,8 @@ def _not_refused(check: Callable[[Path], None], path: Path) -> None:
         raise AssertionError(f"refused: {error}") from error
 
 
-def case(rng: random.Random) -> bytes:
-    """Return the seed of a case; the runs are made before the first, and not while it is timed."""
-    pool()
-    return _seed_alone(rng)
-
-
-def _seed_alone(rng: random.Random) -> bytes:
+def case(made_before: Callable[[], object] | None, rng: random.Random) -> bytes:
+    """Return the seed of a case; what all need is made before the first, while none is timed."""
+    if made_before is not None:
+        made_before()
     return rng.randbytes(16)

@@ -11,6 +11,7 @@ from decimal import Decimal
 Move = tuple[bool, dict[str, Decimal], int]
 """Whether it is a rapid, where it ends (mm or degrees), and F of it in mm/min."""
 
+PRINTERS = ("marlin", "klipper", "reprapfirmware")
 DIALECTS = ("winder", "linuxcnc", "grbl", "fluidnc", "marlin", "fanuc")
 _INCH = Decimal("25.4")
 _UNIT = Decimal("0.0254")  # a thousandth of an inch: what has few digits in both units
@@ -76,7 +77,7 @@ def text_of(rng: random.Random, moves: list[Move], style: Style, dialect: str) -
                 continue
             if style.words:
                 rng.shuffle(words)
-            if modal[0] != rapid or style.words or dialect == "marlin":
+            if modal[0] != rapid or style.words or dialect in PRINTERS:
                 words.insert(0, "G0" if rapid else "G1")
             if not rapid and (modal[1] != feed or style.words):
                 words.append(f"F{_number(rng, Decimal(feed) / unit, style)}")
@@ -85,7 +86,8 @@ def text_of(rng: random.Random, moves: list[Move], style: Style, dialect: str) -
             last = end
     if style.dwell:
         lines.append("G4 P0")
-    lines.append("M30")
+    if dialect not in ("klipper", "reprapfirmware"):  # no word of theirs, and deletes a file
+        lines.append("M30")
     return "\n".join(_with_remarks(rng, lines, style, dialect)) + "\n"
 
 
@@ -104,7 +106,7 @@ def _with_remarks(rng: random.Random, lines: list[str], style: Style, dialect: s
             found.append(rng.choice(("", "; a word", "   ")))
         text = f"N{10 * number} {line}" if style.numbers else line
         if style.comments and rng.random() < 0.3:
-            text += " ; a word" if dialect == "marlin" or rng.random() < 0.5 else " (X1 M30)"
+            text += " ; a word" if dialect in PRINTERS or rng.random() < 0.5 else " (X1 M30)"
         found.append(text)
     return found
 

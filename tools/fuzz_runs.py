@@ -18,8 +18,8 @@ from tests.verdict.interpreter import Facts, Stitch
 from tests.winding import programs
 from tools import short_jobs
 
-from threadline.commands.intents import Stitched
 from threadline.commands.plan import Motion, Plan
+from threadline.commands.turns import Stitched
 from threadline.files import Stream
 from threadline.jobs.operations import Move, OperationStream
 from threadline.machine import Machine, load_machine
@@ -67,7 +67,7 @@ def seeds() -> tuple[Seed, ...]:
         (_FOLDER / file).write_bytes(text if isinstance(text, bytes) else text.encode())
         machine = load_machine(name)
         proof = prove(_FOLDER / file, machine, load_spec(None, machine), options)
-        found.append(_seed_of(proof, _FOLDER / file, options, _facts(proof)))
+        found.append(seed_of(proof, _FOLDER / file, options, _facts(proof)))
     return tuple(found)
 
 
@@ -141,10 +141,11 @@ def _seed(file: str, text: str, machine: Machine, options: Options) -> Seed:
     own = tuple(Criterion(name=name) for name in names)
     spec = replace(spec, criteria=(*spec.criteria, *own))
     proof = prove(_FOLDER / file, machine, spec, options)
-    return _seed_of(proof, _FOLDER / file, options, None)
+    return seed_of(proof, _FOLDER / file, options, None)
 
 
-def _seed_of(proof: Proof, file: Path, options: Options, facts: Facts | None) -> Seed:
+def seed_of(proof: Proof, file: Path, options: Options, facts: Facts | None) -> Seed:
+    """Return a proof with its plan and samples in memory; ``facts`` None: the least."""
     proof = replace(proof, plan=_held(proof.plan))
     blocks = list(proof.recording)
     samples = {
@@ -188,6 +189,11 @@ def _of_plan(plan: Plan) -> dict[str, list[Any]]:
     """Return what every measure of a plan alone finds, by name."""
     measured = sys.modules[judge.__module__]._of_plan(plan, {(name, ()): None for name in MEASURES})
     return {name: found for (name, _), found in measured.items()}
+
+
+def forget_plans() -> None:
+    """Forget what was measured of plans that are judged no more."""
+    _of_plan.cache_clear()
 
 
 def _facts(proof: Proof) -> Facts:

@@ -26,16 +26,18 @@ from threadline.machine import (
     pneumatics,
     shaft,
     sources,
+    spool,
     tables,
     tool,
 )
 from threadline.machine.numbers import field_node, plain_node
 
 PAGE = Path(__file__).parents[1] / "docs" / "machine-file.md"
-NOT_IN_THE_FILE = frozenset({"sha256", "file", "reference", "parameters"})
+NOT_IN_THE_FILE = frozenset({"sha256", "file", "reference", "parameters", "mounted"})
 """Fields of ``Machine`` that no file has."""
 _MODULES: tuple[ModuleType, ...] = (
-    controllers, mandrel, model, motion_planner, parts, pneumatics, shaft, sources, tables, tool,
+    controllers, mandrel, model, motion_planner, parts, pneumatics, shaft, sources, spool, tables,
+    tool,
 )  # fmt: skip
 _TABLE = re.compile(r"(<!-- keys of (.+?) -->\n).*?(?=<!-- end of keys -->)", re.DOTALL)
 _WITHOUT = "Without it: "

@@ -16,7 +16,7 @@ from threadline import face
 from threadline.cli.lazy import COMMANDS, LazyGroup
 from threadline.panel.control import in_page_words
 from threadline.proof.option_form import Door, Group, Option, Type
-from threadline.proof.option_table import PYTHON_VERBS, TABLE, options_for
+from threadline.proof.option_table import PYTHON_VERBS, TABLE, options_for, python_name
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "options.md"
@@ -63,7 +63,7 @@ def _section(one: Option) -> str:
     rows = [("value", _value(one)), ("default", _default(one)), ("commands", ", ".join(one.verbs))]
     python = [verb for verb in PYTHON_VERBS if one in options_for(verb, Door.PYTHON)]
     if python:
-        functions = ", ".join(f"`tl.{verb}`" for verb in python)
+        functions = ", ".join(f"`tl.{python_name(verb)}`" for verb in python)
         rows.append(("Python", f"`{one.word}` of {functions}"))
     if one.group is Group.PLAN:
         rows.append(("machines", "; ".join(_KINDS[kind] for kind in one.kinds)))
@@ -113,7 +113,7 @@ _STUB_HEAD = '''"""Types of the functions, written by python -m tools.options_re
 from collections.abc import Sequence
 from typing import Literal
 
-from threadline.face import Answer, FastestResult, PathLike, Proved
+from threadline.face import analyse as analyse
 from threadline.face import control as control
 from threadline.face import fit as fit
 from threadline.face import load_machine as load_machine
@@ -123,11 +123,15 @@ from threadline.face import shaper as shaper
 from threadline.face import trim as trim
 from threadline.face import tune as tune
 from threadline.face import wind as wind
+from threadline.face.answers import Answer, FastestResult, PathLike, Proved
+from threadline.face.running import Ran
 from threadline.files.formats import Written
 from threadline.machine import Machine
+from threadline.readback.equal import Equality
 from threadline.search import Comparison
-from threadline.search.equal import Equality
+from threadline.search.design import DesignResult
 from threadline.search.learned_job import LearnedJob, LearnedRuns
+from threadline.search.machine_yield import Yield
 from threadline.verdict import Spec
 
 __version__: str

@@ -16,10 +16,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, TimeoutError, sync_playwright
 from tools.browser import chromium
 
 ROOT = Path(__file__).parents[1]
@@ -70,21 +71,37 @@ def press(page: Page, name: str) -> None:
     page.get_by_role("button", name=name, exact=True).click(timeout=300_000)
 
 
-def go_on(page: Page) -> None:
+def approach(page: Page) -> None:
+    """Hold the button that moves the axes to where the program begins, until they stand there."""
+    if "approach" not in page.locator("#next").inner_text():
+        return
+    page.get_by_role("button", name="Approach", exact=True).hover()
+    page.mouse.down()
+    with suppress(TimeoutError):  # it is held again
+        page.locator("#next", has_text="Next: start").wait_for(timeout=30_000)
+    page.mouse.up()
+    page.wait_for_timeout(1000)
+
+
+def go_on(page: Page) -> bool:
     """Start the program again where it has ended, from where it begins.
 
-    A page that a busy computer has kept waiting has lost control, and takes it again.
+    A page that a busy computer has kept waiting has lost control, and takes it again. A machine
+    that such a computer has brought into a fault is reset, enabled and homed; True is returned.
     """
     take = page.get_by_role("button", name="Take control", exact=True)
     if take.is_visible():
         take.click()
+    fault = page.locator("#state").inner_text().startswith("fault")
+    if fault:
+        for name in ("Reset", "Enable", "Home all"):
+            press(page, name)
     start = page.get_by_role("button", name="Start", exact=True)
     if start.is_enabled():
-        press(page, "Approach")
-        page.wait_for_timeout(1000)
-        page.locator("#state", has_text="idle").wait_for(timeout=60_000)
+        approach(page)
         if start.is_enabled():
             start.click()
+    return fault
 
 
 def heap_mb(page: Page) -> float:
@@ -97,15 +114,15 @@ def heap_mb(page: Page) -> float:
 
 
 def watch(page: Page, pids: dict[str, int], minutes: float) -> None:
-    """Write a line a minute, and at the end what it comes to."""
+    """Write a line a minute with memory and processor time, and at the end what they come to."""
     began = time.monotonic()
     first: dict[str, tuple[float, float]] = {}
     settled, heaps = began, list[float]()
-    most = dict.fromkeys(pids, 0.0)
+    most, faults = dict.fromkeys(pids, 0.0), 0
     while time.monotonic() - began < 60.0 * minutes:
         until = time.monotonic() + 60.0
         while time.monotonic() < until:
-            go_on(page)
+            faults += go_on(page)
             page.wait_for_timeout(2000)
         now = {name: cost(pid) for name, pid in pids.items()}
         heaps.append(heap_mb(page))
@@ -113,7 +130,7 @@ def watch(page: Page, pids: dict[str, int], minutes: float) -> None:
             first, settled = now, time.monotonic()
             most, heaps = {name: now[name][1] for name in pids}, heaps[-1:]
         most = {name: max(most[name], now[name][1]) for name in pids}
-        memory = ", ".join(f"{name} {now[name][1]:.1f} MB" for name in pids)
+        memory = ", ".join(f"{name} {now[name][1]:.1f} MB, {now[name][0]:.1f} s" for name in pids)
         at_min = (time.monotonic() - began) / 60.0
         sys.stdout.write(f"{at_min:5.1f} min: {memory}, page {heaps[-1]:.1f} MB\n")
         sys.stdout.flush()
@@ -129,7 +146,7 @@ def watch(page: Page, pids: dict[str, int], minutes: float) -> None:
     runs = page.evaluate("() => fetch('/api/runs').then((a) => a.json()).then((r) => r.length)")
     if not runs:
         sys.exit("no run was started: these figures are of a panel at rest")
-    sys.stdout.write(f"{runs} runs\n")
+    sys.stdout.write(f"{runs} runs, {faults} faults of the machine\n")
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from threadline.face import Answer, FastestResult, PathLike, Proved
+from threadline.face import analyse as analyse
 from threadline.face import control as control
 from threadline.face import fit as fit
 from threadline.face import load_machine as load_machine
@@ -13,18 +13,24 @@ from threadline.face import shaper as shaper
 from threadline.face import trim as trim
 from threadline.face import tune as tune
 from threadline.face import wind as wind
+from threadline.face.answers import Answer, FastestResult, PathLike, Proved
+from threadline.face.running import Ran
 from threadline.files.formats import Written
 from threadline.machine import Machine
+from threadline.readback.equal import Equality
 from threadline.search import Comparison
-from threadline.search.equal import Equality
+from threadline.search.design import DesignResult
 from threadline.search.learned_job import LearnedJob, LearnedRuns
+from threadline.search.machine_yield import Yield
 from threadline.verdict import Spec
 
 __version__: str
 __all__ = [
+    "analyse",
     "compare",
     "compile",
     "control",
+    "design",
     "equal",
     "fastest",
     "fit",
@@ -34,10 +40,12 @@ __all__ = [
     "measure",
     "prove",
     "retime",
+    "run",
     "shaper",
     "trim",
     "tune",
     "wind",
+    "yields",
 ]
 
 def compare(
@@ -107,6 +115,42 @@ def compile(
     narrow: str | None = None,
     table: str | None = None,
 ) -> list[Written]: ...
+def design(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    corners: bool = False,
+    plot: str | None = None,
+    front: int = 0,
+    searches: int = 1,
+    spec: PathLike | Spec | None = None,
+    interpolation: str = "default",
+    law: str | None = None,
+    feed: str | None = None,
+    dialect: str | None = None,
+    feed_mode: str | None = None,
+    axes: str | None = None,
+    radius: str | None = None,
+    product: str | None = None,
+    offset: str | None = None,
+    needle: str | None = None,
+    long_stitches: str | None = None,
+    tolerance: str = "0.1 mm",
+    limits: str = "100 %",
+    shaper: str | None = None,
+    feed_forward: bool = False,
+    robust: str | None = None,
+    contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
+    level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
+    repeats: int | None = None,
+    yield_: str | None = None,
+    ends: str | None = None,
+    band: str | None = None,
+    cluster: str | None = None,
+) -> DesignResult: ...
 def equal(
     job: PathLike,
     machine: PathLike | Machine,
@@ -175,6 +219,7 @@ def fastest(
     learned: int | None = None,
     mismatch: bool = False,
     within: str | None = None,
+    cluster: str | None = None,
 ) -> FastestResult: ...
 def judge(
     recordings: PathLike | Sequence[PathLike],
@@ -283,3 +328,82 @@ def prove(
     ends: str | None = None,
     band: str | None = None,
 ) -> Proved: ...
+def run(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    link: str = "sim",
+    speed: float = 1.0,
+    store: PathLike = "runs",
+    proof: PathLike | None = None,
+    key: PathLike | None = None,
+    override: str | None = None,
+    approach: bool = False,
+    pass_stops: bool = False,
+    spec: PathLike | Spec | None = None,
+    par: PathLike | None = None,
+    actual: PathLike | Machine | None = None,
+    interpolation: str = "default",
+    law: str | None = None,
+    feed: str | None = None,
+    dialect: str | None = None,
+    feed_mode: str | None = None,
+    axes: str | None = None,
+    radius: str | None = None,
+    product: str | None = None,
+    offset: str | None = None,
+    needle: str | None = None,
+    long_stitches: str | None = None,
+    tolerance: str = "0.1 mm",
+    limits: str = "100 %",
+    shaper: str | None = None,
+    mode: str | None = None,
+    damping: float | str | None = None,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
+    robust: str | None = None,
+    contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
+    table: str | None = None,
+    level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
+    repeats: int | None = None,
+    yield_: str | None = None,
+    ends: str | None = None,
+    band: str | None = None,
+) -> Ran: ...
+def yields(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    variants: int = 10000,
+    seed: int = 1,
+    spec: PathLike | Spec | None = None,
+    par: PathLike | None = None,
+    interpolation: str = "default",
+    law: str | None = None,
+    feed: str | None = None,
+    dialect: str | None = None,
+    feed_mode: str | None = None,
+    axes: str | None = None,
+    radius: str | None = None,
+    product: str | None = None,
+    offset: str | None = None,
+    needle: str | None = None,
+    long_stitches: str | None = None,
+    tolerance: str = "0.1 mm",
+    limits: str = "100 %",
+    shaper: str | None = None,
+    mode: str | None = None,
+    damping: float | str | None = None,
+    feed_forward: bool = False,
+    smoothing: str | None = None,
+    robust: str | None = None,
+    contour: str | None = None,
+    outside: str | None = None,
+    reserve: str | None = None,
+    narrow: str | None = None,
+    table: str | None = None,
+    cluster: str | None = None,
+) -> Yield: ...

@@ -24,7 +24,8 @@ that cannot be designed, or that fails its own proof.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,23 @@ class InputError(ThreadlineError, ValueError):
     """The input is wrong; nothing was moved or written."""
 
     code = "INPUT"
+
+
+@contextmanager
+def placed(place: Place) -> Iterator[None]:
+    """Give errors of the input that name no place this one.
+
+    >>> with placed(Place("vessel.wind.toml", 12)):
+    ...     raise JobError("the fibre never turns back")
+    Traceback (most recent call last):
+    threadline.errors.JobError: [JOB] vessel.wind.toml:12: the fibre never turns back.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.place is None:
+            error.place = place
+        raise
 
 
 class UnitError(InputError):

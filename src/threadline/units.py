@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from functools import cache
 from itertools import islice, product
@@ -165,9 +167,26 @@ less than a tick of the fastest timer, and 1 nA is far below the resolution of a
 errors of doubles of a machine's size stay below 1e-12."""
 
 
+@contextmanager
+def _without_dask() -> Iterator[None]:
+    """Import as if dask were missing: pint would import it for arrays that no unit here has.
+
+    A name that is None in ``sys.modules`` counts as missing. Dask comes with the extra ``cluster``.
+    """
+    if "dask" in sys.modules:
+        yield
+        return
+    sys.modules["dask"] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules["dask"]
+
+
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
-    import pint  # slow to import, and needed only for unusual units
+    with _without_dask():
+        import pint  # slow to import, and needed only for unusual units
 
     registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None)
     registry.load_definitions(_DEFINITIONS.strip().splitlines())

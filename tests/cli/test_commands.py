@@ -170,6 +170,7 @@ def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
     assert json.loads(again)["criteria"] == found["verdict"]["criteria"]
 
 
+@pytest.mark.long(shown_by="test_fastest_prints_the_command_that_proves_its_answer")
 def test_a_margin_is_kept_free_of_every_limit_of_the_specification(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,6 +23,7 @@ def _compared(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return capsys.readouterr().out
 
 
+@pytest.mark.long(but="letter-cycle.toml-letter-placer-each shaper")
 @pytest.mark.parametrize(
     ("name", "machine", "of"),
     [

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from tests.blank_pictures import blank_pictures
 
 import threadline.cli.design as command
 from threadline.cli.main import main
@@ -85,10 +86,12 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     return (0 if code is None else int(code)), captured.out, captured.err
 
 
+@pytest.mark.long(shown_by="test_a_design_is_planned_and_judged_as_a_proof_is_asked_to")
 def test_the_work_goes_on_with_what_was_found(
-    capsys: pytest.CaptureFixture[str], files: Path
+    capsys: pytest.CaptureFixture[str], files: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The files that it writes prove in spec by themselves; the machine as it was does not."""
+    blank_pictures(monkeypatch)
     seam, out = str(files / "corner.seam.toml"), files / "out" / "found.toml"
     out.parent.mkdir()
     code, text, err = run(

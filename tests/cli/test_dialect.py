@@ -33,6 +33,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
     return int(stopped.value.code or 0), captured.out, captured.err
 
 
+@pytest.mark.long(but="compare")
 @pytest.mark.parametrize("command", ["compare", "fastest"])
 def test_without_a_dialect_it_is_guessed_and_said(
     command: str, job: Path, capsys: pytest.CaptureFixture[str]
@@ -71,6 +72,7 @@ def test_compare_reads_it_as_prove_does(job: Path, capsys: pytest.CaptureFixture
     assert compared["criteria"] == json.loads(proved)["criteria"]
 
 
+@pytest.mark.long(shown_by="test_without_a_dialect_it_is_guessed_and_said")
 def test_what_fastest_prints_reads_it_so(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command that it prints proves the same job: with dialect and radius.
 

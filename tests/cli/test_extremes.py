@@ -59,6 +59,7 @@ def test_shapers_out_of_range_are_refused(
     assert words in err
 
 
+@pytest.mark.long(only=("si-modes1", "si-modes2"))
 @pytest.mark.parametrize(
     "modes", [("270Hz", "645Hz", "0.7Hz"), ("0.1Hz", "25Hz"), ("0.1Hz", "25Hz", "90Hz")]
 )

@@ -83,6 +83,9 @@ def test_repeats_are_printed_and_the_table_is_written(
     assert "learned from another plan of this job" in said
 
 
+@pytest.mark.long(
+    shown_by="tests/search/test_learn.py::test_runs_of_a_machine_are_learned_from_one_after_the_other"
+)
 def test_run_learn_run_over_the_link(
     asked: list[str | Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 import shlex
 import tomllib
@@ -24,6 +25,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
     return int(stopped.value.code or 0), captured.out, captured.err
 
 
+@pytest.mark.long(only=("winding", "embroidery"))
 @pytest.mark.parametrize("kind", new.PROJECTS)
 def test_a_new_project_is_in_spec(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -310,3 +312,32 @@ def test_a_machine_by_its_work_is_sent_to_its_firmware(
     said = capsys.readouterr().err
     assert stopped.value.code == 2
     assert "named after the firmware of its controller. There are: grbl" in " ".join(said.split())
+
+
+def test_from_a_dump_and_a_plotter_file_to_a_faster_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command that ``fastest`` prints writes the file, and the file takes less time.
+
+    A circle of short chords is planned by its corners: rounding them saves more than any F.
+    """
+    monkeypatch.chdir(tmp_path)
+    dump = "".join(
+        f"${first + axis}={value}\n"
+        for first, value in ((100, 80), (110, 8000), (120, 250), (130, 200))
+        for axis in range(2)
+    )
+    Path("dollar.txt").write_text(f">>> $$\n$11=0.010\n{dump}ok\n")
+    turns = [(30 + 20 * math.cos(0.2 * i), 30 + 20 * math.sin(0.2 * i)) for i in range(32)]
+    lines = [f"G1 X{x:.3f} Y{y:.3f} F3000" for x, y in turns]
+    Path("plot.gcode").write_text("\n".join(["G21 G90", "M3 S1000", *lines, "M5", "M2"]))
+    assert run(capsys, "new", "grbl", "mine", "--from", "dollar.txt")[0] == 0
+    code, out, _ = run(capsys, "fastest", "plot.gcode", "-m", "mine/machine.toml")
+    assert code == 0 and "limited by acceleration, corners and rapid moves" in out
+    hint = next(line for line in out.splitlines() if line.startswith("For a faster file"))
+    words = shlex.split(hint.partition(": ")[2])
+    assert words[:2] == ["threadline", "compile"]
+    code, out, _ = run(capsys, *words[1:], "--json")
+    assert code == 0 and Path("faster-plot.gcode").is_file()
+    [file] = json.loads(out)["files"]
+    assert file["as_run_s"] < 0.9 * file["stands_s"], file

@@ -35,6 +35,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     return int(stopped.value.code or 0), captured.out, captured.err
 
 
+@pytest.mark.long(shown_by="test_the_worst_of_each_criterion_counts")
 def test_one_plan_holds_on_every_machine_and_what_that_costs_is_said(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -133,6 +134,7 @@ def test_the_worst_of_each_criterion_counts() -> None:
     assert not both.passed and both.ends == 2
 
 
+@pytest.mark.long(shown_by="test_the_worst_of_each_criterion_counts")
 def test_ends_ask_of_a_plan_for_the_file_what_robust_asks(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -163,6 +165,7 @@ def test_modes_all_over_a_band_are_judged_one_machine_at_a_time(
     assert code == 2 and "no link with a stiffness" in err
 
 
+@pytest.mark.long(shown_by="test_every_kind_with_axes_or_a_shaft_is_judged_at_its_ends")
 def test_a_search_in_python_takes_what_the_command_takes() -> None:
     words: dict[str, Any] = {"interpolation": "linear", "level": "nominal", "low": "36 mm/s"}
     found = tl.fastest(X180, "lathe-winder", **words, high="40 mm/s", mismatch=True)

@@ -128,12 +128,45 @@ def test_a_long_run_says_a_word_every_minute(
     assert re.search(r"still at work after \d+ s: simulating\n", heard)
 
 
-def test_the_first_run_on_a_computer_says_once_that_it_compiles(
+def test_nothing_is_said_while_a_question_waits_for_its_answer(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A line in the middle of a question looks like part of it."""
+
+    heard = []
+
+    class Slow(io.StringIO):
+        def readline(self, size: int | None = -1) -> str:
+            time.sleep(0.1)  # for a line that was begun before
+            capsys.readouterr()
+            time.sleep(0.3)
+            heard.append(capsys.readouterr())
+            return "40 mm\n"
+
+    monkeypatch.setattr(told, "EVERY_S", 0.01)
+    monkeypatch.setattr("sys.stdin", Slow())
+    with told.telling():
+        assert output.ask("radius [40 mm]: ") == "40 mm\n"
+    assert heard == [("", "")]
+
+
+@pytest.mark.parametrize(
+    ("kept", "said"),
+    [
+        (True, "once on this computer: later runs begin at once"),
+        (
+            False,
+            "as every run does on this computer: .* can be written; name one in NUMBA_CACHE_DIR",
+        ),
+    ],
+)
+def test_the_first_run_on_a_computer_says_once_that_it_compiles(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool, said: str
 ) -> None:
     """A function without a cache stands for those of a new computer; the seconds are none here."""
     monkeypatch.setattr(told, "LOOK_S", 0.01)
     monkeypatch.setattr(told, "COMPILING_S", 0.0)
+    monkeypatch.setattr(COMPILING, "kept", kept)
     before_s = COMPILING.lasted_s()
     with told.telling():
         time.sleep(0.1)
@@ -145,9 +178,8 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
             heard += capsys.readouterr().err
         assert numba.njit(lambda x: x - 1)(1) == 0
         time.sleep(0.1)
-    assert heard + capsys.readouterr().err == (
-        "compiling machine code, once on this computer: later runs begin at once\n"
-    )
+    heard += capsys.readouterr().err
+    assert re.fullmatch(f"compiling machine code, {said}\\n", heard)
     assert COMPILING.depth == 0
     assert 0.0 < COMPILING.lasted_s() - before_s < 60.0
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from threadline.base.progress import PLANNING
+from threadline.base.progress import PLANNING, WritingSoFar
 from threadline.cli.main import main
-from threadline.cli.messages import Telling
+from threadline.cli.messages import WRITING_STAGE, Telling
 
 X_180 = str(Path(__file__).resolve().parents[2] / "examples" / "x-180.prg")
 
@@ -34,6 +34,28 @@ def test_how_far_the_planning_has_come(interpolation: str, said: str) -> None:
     proved("lathe-winder", interpolation)
     assert re.fullmatch(said, Telling(stage="planning").doing())
     assert Telling(stage="searching").doing() == "searching"
+
+
+def test_the_share_of_a_program_that_is_written_only_grows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The program is written and read back, once or twice: one share for all of it."""
+    told: list[str] = []
+    shares: list[float] = []
+    reach = WritingSoFar.reach
+
+    def noted(self: WritingSoFar, motion_s: float, whole_s: float) -> None:
+        reach(self, motion_s, whole_s)
+        shares.append(self.share)
+        told.append(Telling(stage=WRITING_STAGE).doing())
+
+    monkeypatch.setattr(WritingSoFar, "reach", noted)
+    out = ["--target", "linuxcnc", "-o", str(tmp_path / "out.ngc")]
+    with pytest.raises(SystemExit) as ended:
+        main(["compile", X_180, "-m", "lathe-winder", *out])
+    assert ended.value.code == 0
+    assert shares == sorted(shares) and shares[0] < 0.2 and shares[-1] >= 0.4
+    assert re.fullmatch(r"writing and reading back, \d+ % done, about .* more", told[0])
 
 
 def test_a_jerk_that_takes_ages_is_named(

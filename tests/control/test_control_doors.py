@@ -135,6 +135,7 @@ def test_outputs_never_replace_what_the_call_reads(tmp_path):
     assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
+@pytest.mark.long(shown_by="test_a_designed_machine_can_be_designed_again")
 def test_a_sweep_of_a_designed_machine_finds_the_plant_that_the_old_controller_finds(
     designed, tmp_path
 ):

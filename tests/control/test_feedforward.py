@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from threadline.dynamics.feedforward import feed_forward, smooth_motion
+from tests.control.in_one_piece import feed_forward, follow, smooth_motion
 from threadline.dynamics.inverse import inverse_of
 from threadline.dynamics.loop import axis_loop
 from threadline.dynamics.values import Values
@@ -77,7 +77,7 @@ def test_volts_of_the_inverse_drive_the_plant_along_the_motion(axis):
     inverse = inverse_of(load_machine("stitcher"), axis)
     assert inverse.degree == 5 and len(inverse.Q) == (0 if axis == "X" else 2)
     t = np.arange(motion.start_s, motion.end_s + 0.05, 50e-6)
-    followed = inverse.follow(motion, t)
+    followed = follow(inverse, motion, t)
     plant = inverse.plant
 
     def slope(now, x):
@@ -195,7 +195,7 @@ def test_ladder_of_references_rises_with_the_motion():
     motion = smooth_motion(*trapezoid(0.05, 0.1, 1.0), np.array([0.05, 0.05]))
     inverse = inverse_of(machine, "X")
     t = np.arange(motion.start_s, motion.end_s, 1e-3)
-    followed = inverse.follow(motion, t)
+    followed = follow(inverse, motion, t)
     radius = 4000 / (2 * np.pi) / 55.358e3
     KT, KE, R, J = 0.082, 8.6 / (1000 * 2 * np.pi / 60), 0.4, 3.606e-4
     by_hand = (R * J / KT * motion(t, 2) + KE * motion(t, 1)) / radius / 0.45

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.control.in_one_piece import feed_forward, smooth_motion
 from tests.control.test_feedforward import WIDTHS, load_error, trapezoid
-from threadline.dynamics.feedforward import feed_forward, smooth_motion
 from threadline.dynamics.preview import AxisPreview
 from threadline.errors import MachineError
 from threadline.machine import load_machine

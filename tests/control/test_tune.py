@@ -191,6 +191,7 @@ def test_a_table_of_controllers_on_a_job_and_a_machine_file(capsys, tmp_path):
     assert contour == pytest.approx(jobs["pid", "margin"]["contour_error"], rel=1e-3)
 
 
+@pytest.mark.long(shown_by="test_a_table_of_controllers_on_a_job_and_a_machine_file")
 def test_the_table_for_people_and_a_lead_filter_that_becomes_a_pd(tmp_path):
     """The numbers of the filter go out of the file that is based on it."""
     file = tmp_path / "tuned.toml"

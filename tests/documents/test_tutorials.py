@@ -56,6 +56,7 @@ def same(wanted: str, found: str) -> bool:
     return wanted.rstrip(",;") == found.rstrip(",;")
 
 
+@pytest.mark.long(but=("winder", "stitcher"))
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_tutorial_runs_and_shows_what_its_commands_answer(
     page: Path,
@@ -80,6 +81,7 @@ def test_a_tutorial_runs_and_shows_what_its_commands_answer(
     assert "run" in verbs
 
 
+@pytest.mark.long(only=("fastest_feed.py", "embroidery_tolerance.py"))
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda file: file.name)
 def test_an_example_runs_and_prints_something(
     example: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

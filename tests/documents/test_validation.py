@@ -24,6 +24,18 @@ def at_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(validation.ROOT)
 
 
+@pytest.mark.long(
+    only=(
+        "threadline prove examples/cone-dome-cylinder.prg -m lathe-winder",
+        "threadline yield examples/x-180.prg -m lathe-winder --variants 2000 --seed 1",
+        "python -m tools.claims frame-windows 12",
+        "python -m tools.claims stitcher-two-stitches 51",
+        "python -m tools.claims stitcher-two-stitches 55",
+        "python -m tools.second_search letter-placer X 0",
+        "python -m tools.second_search letter-placer Z 0",
+        "threadline equal examples/rosette.dst -m schiffli-frame --targets steps",
+    )
+)
 @pytest.mark.parametrize("command", list(dict.fromkeys(row.command for row in QUICK)))
 def test_rows_have_the_figures_that_their_command_answers(command: str) -> None:
     """To the digits that are printed; the verdict and the level are those of the answer."""

@@ -201,12 +201,16 @@ def test_bad_files(tmp_path: Path) -> None:
     hole = whole.copy()
     hole[50] = np.nan
     refused(r"bad.csv:52.*finite numbers", hole)
+    hole[50] = whole[50] * [1.0, 1e200, 1.0, 1.0]
+    refused(r"bad.csv:52.* an acceleration of .*, limit 1e.09 m/s", hole)
     refused("nothing rings|unknown", np.column_stack([time, three_axes(0.0 * time, 50.0, 1)]))
     refused("no column is a time", whole, "when,accel_x,accel_y,accel_z")
     refused("no column is the acceleration along z", whole, "time,accel_x,accel_y,temperature")
     refused("is no unit", whole, "time (s),x (furlong),y (furlong),z (furlong)")
     refused("no column 'psd_x'", whole, "freq,adxl345,adxl345_bed,other")
     refused("negative power", whole - 9.0, "freq,psd_x,psd_y,psd_z")
+    wild = np.abs(whole) * [1.0, 1e200, 1.0, 1.0]
+    refused("holds a power of .*, limit 1e.100", wild, "freq,psd_x,psd_y,psd_z")
     uneven = np.abs(whole) * [100.0, 1.0, 1.0, 1.0]
     uneven[9:, 0] += 3.0
     refused("not even", uneven, "freq,psd_x,psd_y,psd_z")

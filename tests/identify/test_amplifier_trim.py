@@ -33,6 +33,7 @@ def off(request, tmp_path_factory):
     return request.param, file
 
 
+@pytest.mark.long(only="lathe-winder+stiction")
 def test_gains_that_are_off_are_found_within_half_a_percent(off, capsys, tmp_path):
     """+8, -5 and +3 %, as factors for the potentiometers; friction does not matter."""
     machine, actual = off

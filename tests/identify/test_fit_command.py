@@ -163,8 +163,9 @@ def test_more_numbers_than_data_are_refused(capsys, tmp_path):
     [
         ("magnitude [rad/s],phase_deg", "40,-2", "'rad/s' is not an output per volt"),
         ("magnitude [kg/V],phase_deg", "40,-2", "'kg/V' is not an output per volt"),
-        ("magnitude [m/s/V],phase_deg", "-1,-2", "a magnitude is not above 0"),
-        ("magnitude_db,phase_deg", "99999,-2", "a magnitude is not above 0, or too large"),
+        ("magnitude [m/s/V],phase_deg", "-1,-2", "magnitude -1 is not above 0"),
+        ("magnitude_db,phase_deg", "99999,-2", "magnitude inf at 2 Hz is not from 1e-100"),
+        ("magnitude [m/s/V],phase_deg", "5e-324,-2", "at 2 Hz is not from 1e-100 to 1e+100"),
         ("magnitude_db,phase_deg,coherence", "1,-2,1.5", "coherence 1.5 is not from 0 to 1"),
         ("magnitude_db,phase_deg,coherence", "1,-2", "does not hold four numbers"),
         ("magnitude_db,phase_deg,coherence", "1,-2,0.5", "1 of 1 points have a coherence below"),

@@ -9,7 +9,6 @@ import numpy as np
 from threadline.errors import InputError
 from threadline.identify.frequency_domain import ResponseData
 from threadline.identify.measured_data import open_data
-from threadline.identify.read_response import read_response, write_response
 
 from . import forward
 
@@ -57,11 +56,3 @@ def test_spoilt_responses_are_read_or_refused_in_one_line(tmp_path):
             residual = data.residuals({"drives.x.delay": np.array([3e-3])})
             assert np.isfinite(residual).all(), number
     assert read > 10
-
-
-def test_a_written_response_is_read_as_it_was(tmp_path):
-    measured = read_response(forward.write_csv(tmp_path / "x.csv", forward.stitcher_x()))
-    write_response(measured, tmp_path / "again.csv")
-    again = read_response(tmp_path / "again.csv")
-    assert np.abs(again.value / measured.value - 1.0).max() < 1e-12
-    assert (again.unit, again.axis) == (measured.unit, measured.axis) == ("rad/s", "X")

@@ -9,7 +9,7 @@ import pytest
 
 import threadline as tl
 from threadline.cli.main import main
-from threadline.errors import OptionError
+from threadline.errors import OptionError, Place, RecordingError
 from threadline.files.formats import read_recording
 from threadline.identify.experiment_run import response_of
 from threadline.machine import load_machine
@@ -59,6 +59,9 @@ def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path,
     plant = winder_plant(found.frequency_hz)
     slow = found.frequency_hz < 8.0  # above, what aliases at 200 Hz reaches a percent
     assert np.abs(found.value / plant - 1.0)[slow].max() < 0.015
+    stiffness = ("--numbers", "links.x_belt.stiffness")
+    code, _, err = run(capsys, "fit", "response:x.npz", "-m", "stitcher", *stiffness)
+    assert code == 2 and "a sample each 5 ms, but the tick of stitcher is 1 ms" in err
     numbers = "bodies.x.inertia,drives.x.amplifier.gain"
     for data in ("x.npz", "response:x.npz"):
         code, _, _ = run(
@@ -76,6 +79,7 @@ def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path,
     assert margins[2] != pytest.approx(margins[1], rel=0.1)
 
 
+@pytest.mark.long(shown_by="test_from_a_file_that_is_30_percent_off_to_one_that_agrees")
 def test_friction_and_stiction_are_found_from_slow_reversals(capsys, tmp_path, monkeypatch):
     """Within 10 %; from fast moves stiction is not known, since a body breaks away at once."""
     monkeypatch.chdir(tmp_path)
@@ -165,7 +169,6 @@ def test_a_link_that_drops_leaves_what_was_recorded(capsys, tmp_path):
         (("lathe-winder", "--axis", "X", "--dry", "--inject", "lost-link"), "inject"),
         (("lathe-winder", "--axis", "X", "--dry", "--actual", "nope"), "no machine 'nope'"),
         (("letter-placer", "--axis", "X"), "has no axis 'X' with a control loop"),
-        (("lathe-winder", "--axis", "X", "--experiment", "coast"), "no link does"),
         (("lathe-winder", "--axis", "X", "--experiment", "shake"), "no experiment 'shake'"),
         (("lathe-winder", "--axis", "X", "--band", "20 Hz"), "is not two frequencies"),
         (("lathe-winder", "--axis", "X", "--band", "5 Hz, 2 Hz"), "does not increase"),
@@ -194,6 +197,33 @@ def test_a_response_that_was_not_measured_is_refused(capsys, tmp_path):
     words = ("fit", f"response:{file}", "-m", "lathe-winder", "--numbers", "bodies.x.inertia")
     code, _, err = run(capsys, *words)
     assert code == 2 and "x.npz: it has no response" in err
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("frequency_hz", [2.0, 1.0], "frequency 1 Hz does not increase"),
+        ("frequency_hz", [-1.0, 1.0], "frequency -1 Hz is not from 1e-06"),
+        ("real", [0.0, 0.0], "magnitude 0 at 1 Hz is not from 1e-100"),
+        ("real", [10**400, 1.0], "its response is damaged: int too large"),
+        ("coherence", [1.0, 7.0], "coherence 7 is not from 0 to 1"),
+        ("unit", "furlong/V", "its response is damaged: 'furlong/V' is no output per volt"),
+        ("output", 3, "its unit, axis or output is no text"),
+        ("output", None, "its response is damaged: 'output' is missing"),
+        ("all", [], "the response has no points"),
+    ],
+)
+def test_a_response_that_no_model_can_have_is_refused(key, value, message):
+    told = {"frequency_hz": [1.0, 2.0], "real": [3.0, 4.0], "imag": [0.0, 0.0]}
+    told |= {"coherence": [1.0, 0.9], "unit": "count/V", "axis": "X", "output": "sensors.x"}
+    if key == "all":
+        told |= dict.fromkeys(("frequency_hz", "real", "imag", "coherence"), value)
+    told[key] = value
+    if value is None:
+        del told[key]
+    with pytest.raises(RecordingError, match=message) as raised:
+        response_of({"response": json.dumps(told)}, Place("x.npz"))
+    assert str(raised.value).startswith("[RECORDING] x.npz: ") and "\n" not in str(raised.value)
 
 
 OFF_STITCHER = """base = "stitcher"

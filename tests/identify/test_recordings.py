@@ -88,6 +88,9 @@ def test_the_machine_that_is_driven_by_volts_moves_as_the_one_in_the_loop(winder
     assert np.abs(residual).max() < 1e-6  # counts
 
 
+@pytest.mark.long(
+    shown_by="test_one_recording_gives_pole_and_gain_of_the_winder_within_one_percent"
+)
 def test_the_play_of_a_gear_is_found_in_the_loop_within_ten_percent():
     """The filter of the stitcher is faster than its samples: the loop is simulated as a whole."""
     machine = load_machine("stitcher+backlash")
@@ -144,6 +147,11 @@ def gap(recording: Recording) -> Recording:
     )
 
 
+def in_radians(recording: Recording) -> Recording:
+    channels = (replace(c, unit="rad" if c.unit == "m" else c.unit) for c in recording.channels)
+    return replace(recording, channels=tuple(channels))
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -152,6 +160,10 @@ def gap(recording: Recording) -> Recording:
         (lambda r: changed(r, "X.commanded", lambda v: 0 * v), "does not move"),
         (lambda r: changed(r, "X.commanded", lambda v: v * 1.003), "beside whole counts"),
         (lambda r: changed(r, "X.voltage", lambda v: v * 0 + 10.0), "is at its clamp of"),
+        (lambda r: changed(r, "X.commanded", lambda v: v + np.nan), "X.commanded is nan at 0 s"),
+        (lambda r: changed(r, "X.measured", lambda v: v * 0 + 1e308), "X.measured is 1e.308"),
+        (lambda r: changed(r, "X.voltage", lambda v: v * 0 - 9.98), "is at its clamp of"),
+        (in_radians, "X.commanded is in rad, but axis X of lathe-winder is linear: m"),
         (gap, "samples are missing at 0.25 s"),
         (lambda r: replace(r, runs=2), "it has 2 runs"),
     ],

@@ -113,9 +113,15 @@ def run(program: Path, programs: Sequence[Sequence[str]]) -> list[Told]:
 
 
 def interpreted(
-    rs274: str, program: Path, timeout_s: float = 60.0, settings: Path | None = None
+    rs274: str,
+    program: Path,
+    timeout_s: float = 60.0,
+    settings: Path | None = None,
+    more: tuple[str, ...] = (),
 ) -> str:
     """Return what LinuxCNC's interpreter says of a program: its calls, or its refusal.
+
+    ``more`` are further words of its command line, such as a tool table.
 
     Now and then it dies of SIGBUS while other processes of LinuxCNC share its memory; it is asked
     again.
@@ -123,8 +129,8 @@ def interpreted(
     given = [] if settings is None else ["-i", str(settings)]
     for _ in range(_TRIES):
         done = subprocess.run(
-            [rs274, "-g", *given, program.name], cwd=program.parent, capture_output=True, text=True,
-            timeout=timeout_s, check=False,
+            [rs274, "-g", *given, *more, program.name], cwd=program.parent, capture_output=True,
+            text=True, timeout=timeout_s, check=False,
         )  # fmt: skip
         if done.returncode >= 0:
             break

@@ -118,6 +118,7 @@ def tagged(draw: Random) -> str:
     return "".join([draw.choice(BEFORE), sign, *tags])
 
 
+@pytest.mark.long(shown_by="test_the_kernel_does_what_the_interpreter_does")
 def test_the_kernel_names_the_numbers_that_the_interpreter_names(tmp_path: Path) -> None:
     """Every tag of every move alike, signs of zero included, or the same error."""
     path = tmp_path / "tags.nc"

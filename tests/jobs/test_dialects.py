@@ -52,6 +52,14 @@ def test_preambles_are_named_once(
         list(read(tmp_path, xyza, text, "winder"))
 
 
+def test_g64_of_linuxcnc_is_said_to_be_the_machine_files(tmp_path: Path, xyza: Machine) -> None:
+    """It is LinuxCNC's own word, and the plan takes P from the machine file."""
+    job = read(tmp_path, xyza, "G64 P0.01\nG1 X5 F60\nM30\n", "linuxcnc")
+    (said,) = [w for w in job.warnings if "G64" in w]
+    assert "this G64 does not count" in said and "tolerance is P of G64" in said
+    assert "other controllers" not in said
+
+
 @pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "marlin"])
 def test_a_program_ends_with_its_file(tmp_path: Path, xyza: Machine, dialect: str) -> None:
     job = read(tmp_path, xyza, "G1 X5 F60\nG1 X6\n", dialect)
@@ -115,8 +123,9 @@ def test_marlin_goes_at_the_feed_in_g0_too(tmp_path: Path, xyza: Machine) -> Non
     assert {(m.feed.mode, m.feed.value) for m in others if m.feed} == {(FeedMode.IN_TURN, 0.05)}
     assert millimetres(job)[3][:2] == pytest.approx((10.0, 25.0))
     assert programmed_time_s(job, xyza) == pytest.approx((10 + 20 + 5 + 10) / 50.0)
-    with pytest.raises(JobError, match="before any feed"):
+    with pytest.raises(JobError, match="before any feed") as caught:
         list(read(tmp_path, xyza, "G0 X5\n", "marlin"))
+    assert "Marlin takes 1500 or 4000, by its version" in caught.value.remedy
     with pytest.raises(JobError, match="the line does not begin with a command"):
         list(read(tmp_path, xyza, "G1 X5 F60\nX6\n", "marlin"))
 

@@ -43,6 +43,21 @@ def moves(job: Job) -> list[tuple[object, ...]]:
 
 
 @pytest.mark.parametrize("long", [False, True])
+def test_lines_that_ask_grbl_for_a_report_move_nothing(
+    tmp_path: Path, axy: Machine, long: bool
+) -> None:
+    """A log of a sender begins with them; $H moves, and is refused."""
+    program = "G21 G90\n" + "G1 X5 F600\nG1 X0\n" * (900 if long else 2)
+    asking = "$I\n $$ \n?\n$#\n$n\n" + program + "$G\n"
+    for dialect in ("grbl", "fluidnc"):
+        job = made(tmp_path, asking, axy, dialect=dialect)
+        assert moves(job) == moves(made(tmp_path, program, axy, dialect=dialect))
+        with pytest.raises(JobError, match=r"a\.nc:1: .*\$[hH]"):
+            list(made(tmp_path, "$H\n" + program, axy, dialect=dialect))
+    assert "guessed from the file (it has '$I')" in made(tmp_path, asking, axy).warnings[0]
+
+
+@pytest.mark.parametrize("long", [False, True])
 def test_renamed_axes_are_those_of_a_replaced_text(
     tmp_path: Path, axy: Machine, long: bool
 ) -> None:

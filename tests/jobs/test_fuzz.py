@@ -18,6 +18,7 @@ JUDGED = (
 """Classes of which tests/verdict has cases."""
 
 
+@pytest.mark.long(shown_by="test_a_traceback_is_counted")
 def test_no_reader_answers_with_a_traceback() -> None:
     """Every reader refuses or accepts; some of each, or the cases would prove nothing."""
     for name in fuzz.READERS.keys() - set(JUDGED):

@@ -145,6 +145,8 @@ REFUSED = [
     ("grbl", "G21 R5", "R has no use in this block"),
     ("grbl", "G92 X0 J1", "J has no use in this block"),
     ("grbl", "G1 X9 P1", "P has no use in this block"),
+    ("linuxcnc", "G1 X9\nX7 L1", "L has no use in this block"),
+    ("linuxcnc", "G92 X1 L1", "L has no use in this block"),
     # numbers
     ("grbl", "N10000001 X7", "N10000001 is beyond 10000000, the most that grbl takes"),
     ("grbl", "T256", "T256 is beyond 255, the most that grbl takes"),
@@ -230,7 +232,9 @@ def test_grbl_keeps_the_radius_of_the_start(
     [
         ("G21 G90 G1 X50", r"the first command of a line alone \(G21\), and not G90"),
         ("M3 G1 X5", r"the first command of a line alone \(M3\), and not G1"),
-        ("G1 X10 F600 (see Y20)", "reads the letters in parentheses as words"),
+        ("G1 X10 F600 (see Y20)", "reads the capital letters in parentheses as words"),
+        ("M3 (Penetrate)", "reads the capital letters in parentheses as words"),
+        ("G1 X10) F600", "reads the capital letters in parentheses as words"),
         ("g1 X5", "knows capital letters alone"),
         ("X5 G1", "does not begin with a command"),
         ("\tG1 X5", "has a tab"),
@@ -291,7 +295,6 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
         ("set_velocity_limit ACCEL=500", "SET_VELOCITY_LIMIT sets the limits"),
         ("RESTORE_GCODE_STATE NAME=a", "takes back the zero and the feed"),
         ("M204 S500", "M204 is what sets the acceleration anew"),
-        ("M201 X500 Y500", "klipper has them in its printer.cfg, and passes this word over"),
         ("M220 S50", "M220 is a share of every feed"),
         ("G20", "G20 is the inch, which klipper refuses"),
         ("G4 S1", "S1 is no word of klipper's G4"),
@@ -300,6 +303,7 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
         ("G91\nG2 X10 I5 J0", "klipper takes no arc while G91 is in force"),
         ("G90 G1 X5", r"the first command of a line alone \(G90\), and not G1"),
         ("G1 X9 (see Y20)", "for '\\(' in it"),
+        ("(see) G1 Y20", "for '\\(' in it"),
         ("G1 XY9", "for 'XY' in it"),
         ("G+1 X9", "cannot read 'G\\+1 X9' as a command"),
         ("X9", "cannot read 'X9' as a command"),
@@ -310,6 +314,42 @@ def test_what_klipper_runs_otherwise_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=said):
         moves(read(tmp_path, xyza, f"G1 X5 F600\n{line}\nG1 X1\n", "klipper"))
+
+
+@pytest.mark.parametrize("dialect", ["marlin", "klipper"])
+def test_a_line_of_parentheses_alone_is_no_command(
+    tmp_path: Path, xyza: Machine, dialect: str
+) -> None:
+    """Neither firmware takes a word of it, whatever it says."""
+    text = "(Made of A.svg (@ X99))\nG1 X5 F600\n(end) (of G1 X1)\n (open Y7\nG1 X6\n"
+    assert [p[0] for p in millimetres(read(tmp_path, xyza, text, dialect))] == [5, 6]
+
+
+def test_a_plotter_file_of_unicorn_is_read_for_marlin(tmp_path: Path, xyza: Machine) -> None:
+    """It has its comments in parentheses and lifts the pen by M300, which grbl stops at."""
+    text = (
+        "(Scribbled version of C:\\U~1\\ink.svg @ 3500)\n"
+        '( unicorn.py --tab="plotter" --x-home=0 )\n'
+        "G21 (metric ftw)\nG90 (absolute mode)\nG92 X0.00 Y0.00 Z0.00 (you are here)\n"
+        "M300 S30 (pen down)\nG4 P150 (wait 150ms)\nM18 (disengage drives)\n"
+        "M01 (Was registration test successful?)\n"
+        "M17 (engage drives if YES, and continue)\nG1 X35 Y19 F3500.00\n"
+        "G1 Z0.00 F100.0(Penetrate)\nM300 S50.00 (pen up)\n(end of print job)\n"
+    )
+    job = read(tmp_path, xyza, text, "marlin")
+    assert [tuple(p[:2]) for p in millimetres(job)] == [(35, 19), (35, 19)]
+    assert [d.duration_s for d in job if isinstance(d, Dwell)] == [pytest.approx(0.15)]
+    with pytest.raises(JobError, match=r"M300 is no word of grbl.*M3 S\.\.\. and M5"):
+        read(tmp_path, xyza, text, "grbl")
+
+
+def test_klipper_passes_over_the_limits_that_slicers_set_for_marlin(
+    tmp_path: Path, xyza: Machine
+) -> None:
+    text = "M201 X3000 Y3000 Z100\nM203 X300 Y300\nM205 X8 Y8\nM92 X80\nG1 X5 F600\n"
+    job = read(tmp_path, xyza, text, "klipper")
+    assert [p[0] for p in millimetres(job)] == [5]
+    assert "M201 (line 1)" in "".join(job.warnings)
 
 
 def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(

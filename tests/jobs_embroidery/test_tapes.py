@@ -54,6 +54,7 @@ def short_and_long(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.long(but="rosette.dst")
 @pytest.mark.parametrize("name", ["rosette.dst", "Star.u01", "peace.dst"])
 def test_a_compiled_dst_reads_back_as_the_job_that_it_was(
     name: str, examples: Path, tmp_path: Path

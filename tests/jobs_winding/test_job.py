@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +73,13 @@ def test_the_mandrel_turns_on_and_on_and_the_pattern_closes() -> None:
     first, last = runs[0].targets, runs[-1].targets
     turned = last[-1, 0] - first[-1, 0]
     assert turned == pytest.approx(43 * 63 / 44 * 2.0 * math.pi, abs=1e-9)
-    assert last[:, 1:] == pytest.approx(first[:, 1:], abs=1e-12)
+    # The last circuit has the same points, and more on its way to rest.
+    same = runs[-2].targets
+    assert same[:, 1:] == pytest.approx(first[:, 1:], abs=1e-12)
+    lap = turned / 43
+    at = np.argmin(np.abs(last[:, 0][:, None] - (same[:, 0] + lap)[None]), axis=0)
+    assert last[at, 1:] == pytest.approx(same[:, 1:], abs=1e-12)
+    assert len(last) > len(same)
 
 
 def test_the_speed_of_the_fibre_is_even(tmp_path: Path) -> None:
@@ -359,3 +366,140 @@ def test_a_mandrel_that_marlin_turns_as_a_rotary_axis_jumps(overlays: str, warne
         steps = steps if before is None else np.append(steps, begin[0] - before)
         largest, before = max(largest, float(np.abs(steps).max(initial=0.0))), end[-1]
     assert (math.degrees(largest) > 60.0) is warned, math.degrees(largest)
+
+
+HOOPS_ON_HELICAL = """name = "tube"
+[mandrel]
+at = "-110 mm"
+[[part]]
+kind = "cylinder"
+radius = "50 mm"
+length = "470 mm"
+[band]
+width = "6.05 mm"
+thickness = "{thick} mm"
+[friction]
+value = 0.2
+[coverage]
+begin = "110 mm"
+end = "360 mm"
+[[layer]]
+angle = "55 deg"
+circuits = 30
+[[layer]]
+kind = "hoop"
+"""
+DOMES = """[[part]]
+kind = "isotensoid"
+radius = "50 mm"
+opening = "28 mm"
+pole = "left"
+[[part]]
+kind = "cylinder"
+radius = "50 mm"
+length = "96 mm"
+[[part]]
+kind = "isotensoid"
+radius = "50 mm"
+opening = "28 mm"
+pole = "right"
+[band]
+width = "5.6 mm"
+thickness = "2 mm"
+[friction]
+value = 0.25
+[[layer]]
+kind = "helical"
+[[layer]]
+kind = "hoop"
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        (HOOPS_ON_HELICAL.format(thick=0.25), 19, "hoops do not lie on the layers below"),
+        (HOOPS_ON_HELICAL.format(thick=2), 19, "no cylinder is left for a hoop layer"),
+        (DOMES, 22, "the join to layer 2: the fibre runs off the mandrel"),
+        (DOMES.replace("28 mm", "60 mm"), 4, "opening"),
+    ],
+)
+def test_hoops_that_do_not_fit_name_file_and_line(
+    tmp_path: Path, text: str, line: int, said: str
+) -> None:
+    file = tmp_path / "p.wind.toml"
+    file.write_text(text)
+    with pytest.raises(JobError) as refused:
+        read_job(file, load_machine("lathe-winder"))
+    message = str(refused.value)
+    assert f"p.wind.toml:{line}: " in message and said in message
+    assert "\n" not in message
+
+
+def test_layers_with_another_tension_than_the_brake_gives_are_named(tmp_path: Path) -> None:
+    """A taper of 10 % a layer: 8.6, 7.74 and 6.97 N against 7.88 N of the machine."""
+    file = tmp_path / "p.wind.toml"
+    layer = '[[layer]]\nangle = "55 deg"\ncircuits = 30\n'
+    text = HOOPS_ON_HELICAL.format(thick=0.01).partition("[[layer]]")[0] + 3 * layer
+    file.write_text(text + '[fibre]\ntension = "8.6 N"\ntaper = "10 %"\n')
+    plain = read_job(file, load_machine("lathe-winder")).warnings
+    assert not [said for said in plain if "tension" in said]
+    settable = load_machine("lathe-winder+spool")
+    assert settable.spool is not None
+    assert not [w for w in read_job(file, settable).warnings if "tension" in w]
+    fixed = replace(settable, spool=replace(settable.spool, most_torque=None))
+    said = [w for w in read_job(file, fixed).warnings if "brake" in w]
+    assert [line.partition(": ")[0] for line in said] == ["p.wind.toml:16", "p.wind.toml:22"]
+    assert "layer 1 asks for a tension of 8.6 N" in said[0] and "gives 7.9 N" in said[0]
+    # T r / (1 + friction), and what the arm adds to the brake above the middle of its travel
+    assert "about 0.51 N m" in said[0] and "about 0.322 N m" in said[1]
+
+
+def test_a_tension_at_which_the_arm_lies_at_its_stop_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "p.wind.toml"
+    text = (Path(__file__).parents[2] / "examples" / "vessel.wind.toml").read_text()
+    file.write_text(text + 'tension = "4 N"\n')
+    (said,) = [w for w in read_job(file, load_machine("lathe-winder+spool")).warnings if "arm" in w]
+    assert "p.wind.toml:" in said
+    assert (
+        "layer 1 asks for a tension of 4 N, at which the spring arm lies at its lower stop" in said
+    )
+    assert "free from 4.62 to 11.2 N" in said
+
+
+def test_the_mandrel_comes_to_rest_evenly() -> None:
+    """The speed falls as half a cosine within 0.5 s, in steps of 20 ms, else the mandrel swings."""
+    file = Path(__file__).parents[2] / "examples" / "vessel.wind.toml"
+    job = read_job(file, load_machine("lathe-winder"))
+    runs = [item for item in job.runs() if isinstance(item, MoveRun)]
+    last, before = runs[-1], runs[-2]
+    turn = job.axes.index("A")
+
+    def course(run: MoveRun) -> tuple[np.ndarray, np.ndarray]:
+        """Return the instants of the targets before the end, and what is left of the turn."""
+        seconds = np.array([1.0 / feed.value for _, feed in run.feeds if feed is not None])
+        return np.cumsum(seconds[::-1])[::-1][1:], run.targets[-1, turn] - run.targets[:-1, turn]
+
+    left_s, turns = course(last)
+    usual_s, usual = course(before)
+    nominal_s = np.interp(turns, [0.0, *usual[::-1]], [0.0, *usual_s[::-1]])
+    slow = left_s < 0.5
+    assert slow.sum() >= 20
+    wanted = 0.5 * left_s - 0.25 / math.pi * np.sin(2.0 * math.pi * left_s)
+    assert nominal_s[slow] == pytest.approx(wanted[slow], abs=2e-4)
+    assert left_s[~slow] - nominal_s[~slow] == pytest.approx(0.25, abs=2e-3)
+    assert np.diff(left_s[::-1])[: slow.sum() - 1].max() < 0.045
+
+
+def test_fewer_circuits_than_the_coverage_needs_are_refused(tmp_path: Path) -> None:
+    """2 pi 50 mm cos(39.79 deg) / 5.6 mm = 43.1 bands lie side by side."""
+    file = tmp_path / "p.wind.toml"
+    text = (Path(__file__).parents[2] / "examples" / "vessel.wind.toml").read_text()
+    few = text.replace("circuits = 44\nshift = 19\n", "circuits = 20\n")
+    file.write_text(few + 'cover = "100 %"\n')
+    with pytest.raises(JobError) as refused:
+        read_job(file, load_machine("lathe-winder"))
+    assert "20 circuits cover 46.4 % of the largest radius" in str(refused.value)
+    assert "circuits = 44" in str(refused.value)
+    file.write_text(few)
+    assert len([r for r in read_job(file, load_machine("lathe-winder")).runs()]) > 20

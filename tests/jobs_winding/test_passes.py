@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -51,9 +53,10 @@ def _said(job: Job) -> tuple[list[tuple[float, ...]], list[object]]:
     return targets, [o.duration_s for o in job if isinstance(o, Dwell)]
 
 
-@pytest.mark.parametrize("dialect", ["winder", "linuxcnc"])
+@pytest.mark.long(but="winder")
+@pytest.mark.parametrize("dialect", ["winder", "linuxcnc", "fanuc"])
 def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect: str) -> None:
-    """Each layer is one body; the first circuit of all has a body of its own: it starts slowly."""
+    """Each layer is one body; circuits that begin or end at a rest have bodies of their own."""
     product, program = tmp_path / "tube.wind.toml", tmp_path / "tube.prg"
     product.write_text(TUBE)
     words = ("-m", "lathe-winder", "--dialect", dialect, "-o", program)
@@ -69,12 +72,17 @@ def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect
     assert np.abs(off).max() < 1e-5
     # Whole turns by G91 add up: what the passes of a layer add is that of the design.
     text = program.read_text().replace(" ", "").splitlines()
-    calls = [line.partition("M98")[2] for line in text if "M98" in line]
-    passes = [int(call.partition("L")[2].rstrip(";") or 1) for call in calls]
+    calls = [line.partition("M98P")[2].rstrip(";").partition("L") for line in text if "M98" in line]
+    passes = [int(count or 1) for _, _, count in calls]
+    if dialect == "fanuc":  # its controls write the number of passes in different ways
+        assert not any(count for _, _, count in calls)
+        passes = [len(list(group)) for _, group in groupby(label for label, _, _ in calls)]
+        numbers = re.findall(r"[AXYF]([-\d.]+)", "".join(text))
+        assert all("." in number and len(number.partition(".")[2]) <= 4 for number in numbers)
     per_layer = sorted(passes)[-2:]
     moves = sum(isinstance(operation, Move) for operation in job)
     assert sum(passes) == len({o.source.passes for o in job if isinstance(o, Move)} - {()})
-    assert per_layer == [29, 34]
+    assert per_layer == [28, 33]
     blocks = sum("A" in line and "X" in line for line in text)
     assert blocks < 0.25 * moves
 
@@ -98,7 +106,10 @@ def test_both_programs_of_one_winding_move_alike(tmp_path: Path, examples: Path)
         (("-m", "lathe-winder"), "--out and --machine belong together"),
         (("--dialect", "winder"), "--out and --machine belong together"),
         (("-m", "lathe-winder", "-o", "a.prg", "--bare", "b.csv"), "without --bare"),
-        (("-m", "lathe-winder", "-o", "a.prg", "--dialect", "marlin"), "not for 'marlin'"),
+        (
+            ("-m", "lathe-winder", "-o", "a.prg", "--dialect", "marlin"),
+            "Marlin has no subprograms within a program",
+        ),
         (("-m", "stitcher", "-o", "a.prg"), "a winding needs the eye of a winder"),
     ],
 )
@@ -114,3 +125,57 @@ def test_what_cannot_be_written_is_refused(
     assert run("wind", "tube.wind.toml", *words) == 2
     assert said in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["tube.wind.toml"]
+
+
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [
+        ("grbl", "grbl has no subprograms"),
+        ("fluidnc", "FluidNC has no subprograms"),
+        ("marlin", "Marlin has no subprograms within a program"),
+        ("klipper", "Klipper has no subprograms within a program"),
+        ("reprapfirmware", "RepRapFirmware has no subprograms within a program"),
+        ("csv", "'csv' holds every tick"),
+    ],
+)
+def test_a_firmware_without_subprograms_is_named(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    target: str,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("tube.wind.toml").write_text(TUBE)
+    words = ("-m", "lathe-winder", "--target", target, "--passes", "-o", "a.out")
+    assert run("compile", "tube.wind.toml", *words) == 2
+    error = capsys.readouterr().err
+    assert said in error and "winder, linuxcnc and fanuc" in error
+    assert [path.name for path in tmp_path.iterdir()] == ["tube.wind.toml"]
+
+
+@pytest.mark.long(but="linuxcnc")
+@pytest.mark.parametrize("target", ["nc", "linuxcnc", "fanuc"])
+def test_compile_writes_passes_too(tmp_path: Path, target: str) -> None:
+    """The same bytes as ``wind -o``, after the limits of the plan were checked."""
+    product = tmp_path / "short.wind.toml"
+    short = TUBE.partition('[[layer]]\nangle = "50 deg"')[0]
+    product.write_text(short.replace("circuits = 30", "circuits = 30\nshift = 7"))
+    dialect = "linuxcnc" if target == "nc" else target
+    one, other = tmp_path / "one.ngc", tmp_path / "other.ngc"
+    assert run("wind", product, "-m", "lathe-winder", "--dialect", dialect, "-o", one) == 0
+    words = ("-m", "lathe-winder", "--target", target, "--passes", "-o", other)
+    assert run("compile", product, *words) == 0
+    assert one.read_bytes() == other.read_bytes()
+    assert b"M98" in one.read_bytes()
+
+
+def test_a_program_that_passes_do_not_shorten_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program, written = tmp_path / "a.prg", tmp_path / "a.nc"
+    program.write_text("G91 G1 X2 A10 F600\nX-3 A-5\nM30\n")
+    words = ("-m", "lathe-winder", "--target", "fanuc", "--passes", "-o", written)
+    assert run("compile", program, *words) == 0
+    assert b"M98" not in written.read_bytes()
+    assert "passes save nothing" in capsys.readouterr().err

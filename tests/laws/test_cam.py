@@ -104,6 +104,7 @@ def test_even_angles_that_were_written_with_six_decimals_are_even(tmp_path: Path
     assert study_cam(cam, noise_m=NOISE, draws=2).faired(Fairing.DIFFERENCES) is not None
 
 
+@pytest.mark.long(shown_by="test_the_law_and_its_spread")
 def test_the_noise_is_estimated(studies: list[CamStudy]) -> None:
     """Of 132 differences with 70/252 of their neighbours in common: 10 % each, 5 % of the mean."""
     found = np.array([study.noise_m for study in studies])
@@ -146,6 +147,7 @@ def within(rises: list[Rise]) -> tuple[list[float], int]:
     return missed, inside
 
 
+@pytest.mark.long(shown_by="test_start_and_end_of_the_rise_are_found")
 def test_a_rise_by_a_law_with_a_name_is_met_and_its_interval_holds_it() -> None:
     """Also where the first 10 degrees are flatter than the noise, as by 4-5-6-7 and 5-6-7-8-9.
 
@@ -162,6 +164,7 @@ def test_a_rise_by_a_law_with_a_name_is_met_and_its_interval_holds_it() -> None:
     assert np.median(missed) < 0.2
 
 
+@pytest.mark.long(shown_by="test_start_and_end_of_the_rise_are_found")
 def test_a_rise_by_no_law_with_a_name_has_a_wide_interval_that_holds_it() -> None:
     """Incomplete beta functions, a mixture of two laws and a skewed one; of 24 ends 18 (1 %)."""
     shapes: list[Callable[[np.ndarray], np.ndarray]] = [

@@ -126,6 +126,7 @@ def test_unknown_law_names_the_nearest():
         law("modified-sin")
 
 
+@pytest.mark.long(but=("modified-sine", "cycloidal", "jerk-limited:1,0,1,0,3,0,3"))
 @pytest.mark.parametrize("name", [*TABLE, *OTHERS])
 def test_the_inverse_meets_a_million_rises(name):
     """A rise of doubles has steps of 1.1e-16 below 1, and Cv of them belong to one of time."""

@@ -61,7 +61,7 @@ class GrblModel(threading.Thread):
         self.rx = bytearray()
         self.answers: deque[str] = deque()
         self.blocks: deque[tuple[np.ndarray, float]] = deque()
-        self.target, self.feed = np.zeros(4), 0.0
+        self.target, self.feed, self.rapid = np.zeros(4), 0.0, True
         self.ahead_s = 0.0
         self.overrides = self.told_overrides = (100, 100, 100)
         self.overridable = True
@@ -194,6 +194,8 @@ class GrblModel(threading.Thread):
         elif line == "$$":
             for number, value in self.settings.items():
                 self._say(f"${number}={value:.5f}")
+        elif (written := re.fullmatch(r"\$(\d+)=([\d.]+)", line)) is not None:
+            self.settings[int(written[1])] = float(written[2])
         elif line == "$#":
             self._say("[G54:0.000,0.000,0.000,0.000]")
             self._say("[G92:0.000,0.000,0.000,0.000]")
@@ -215,8 +217,9 @@ class GrblModel(threading.Thread):
             return
         elif line == "M0":
             pass
-        else:
-            self._take_move(line)
+        elif why := self._take_move(line):
+            self._say(why)
+            return
         self._say("ok")
 
     def _jog(self, words: str) -> str:
@@ -237,18 +240,27 @@ class GrblModel(threading.Thread):
             self.ahead_s = max(self.ahead_s, float(left))
         return ""
 
-    def _take_move(self, line: str) -> None:
+    def _take_move(self, line: str) -> str:
+        """Plan a move, a rapid at the slowest of the axes' rates; return an error, or nothing."""
+        if (motion := re.search(r"G0*([01])(?!\d)", line)) is not None:
+            self.rapid = motion[1] == "0"
         target = self.target.copy()
         for letter, value in re.findall(r"([XYZAF])(-?[\d.]+)", line):
             if letter == "F":
                 self.feed = float(value)
             else:
                 target["XYZA".index(letter)] = float(value)
-        if not np.array_equal(target, self.target):
-            self.blocks.append((target, self.feed / 60.0))
-            self.target = target
-            if self.state == "Idle":
-                self.state = "Run"
+        if np.array_equal(target, self.target):
+            return ""
+        rates = [self.settings[110 + axis] for axis in np.flatnonzero(target != self.target)]
+        feed = min(rates) if self.rapid else self.feed
+        if not feed > 0.0:
+            return "error:22"  # grbl 1.1, gcode.c: a feed rate that was never set
+        self.blocks.append((target, feed / 60.0))
+        self.target = target
+        if self.state == "Idle":
+            self.state = "Run"
+        return ""
 
     def _move(self, left_s: float) -> None:
         if self.state not in {"Run", "Jog"}:

@@ -89,8 +89,17 @@ def test_out_of_specification_takes_a_reason(proof: Proof, tmp_path: Path) -> No
     with pytest.raises(ProofError, match=r"out of specification: contour_error.*--override"):
         check_runnable(file, proof.plan, tight, None)
     assert check_runnable(file, proof.plan, tight, "test of the brake")
+
+
+@pytest.mark.parametrize("override", ["", "  ", "\u200b\u202e", "\x00\x1b", "...", "-"])
+def test_an_override_without_a_word_gives_no_reason(override: str) -> None:
     with pytest.raises(OptionError, match="gives no reason"):
-        check_override("  ")
+        check_override(override)
+
+
+@pytest.mark.parametrize("override", [None, "scrap", "7", "Versuch", "\u8bd5\u9a8c"])
+def test_an_override_with_a_word_is_taken(override: str | None) -> None:
+    check_override(override)
 
 
 def test_the_remedy_is_of_the_kind_of_work(tmp_path: Path) -> None:

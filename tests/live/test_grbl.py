@@ -17,8 +17,9 @@ from threadline.cli.main import main
 from threadline.errors import CommandError, LinkFaultError, OptionError, PlanError
 from threadline.files import RunEnd
 from threadline.live import grbl_run
-from threadline.live.grbl_controller import Controller, units_of
+from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_run import GrblRun
+from threadline.live.grbl_settings import units_of
 from threadline.live.grbl_words import Program, program_of, runs_out, status_of
 from threadline.live.links import link_of
 from threadline.live.port import Port

@@ -110,6 +110,16 @@ def test_blocks_that_are_no_number_are_left_out(told: str) -> None:
         assert one.controller.blocks == 15
 
 
+@pytest.mark.parametrize(
+    "says", [("[OPT:V,20,64]", "[AXS:4:XYZA]"), ("[AXS:4:XYZA]", "[OPT:V,20,64]")]
+)
+def test_the_receive_buffer_is_read_wherever_it_stands(says: tuple[str, str]) -> None:
+    """grbl-Mega-5X names its axes first: ``[VER:1.2d.20210930:]``, ``[AXS:...]``, ``[OPT:...]``."""
+    with meeting(Saying("$I", *says)) as (one, _, _):
+        one.controller.meet()
+        assert (one.controller.blocks, one.controller.room) == (20, 64)
+
+
 def test_settings_that_are_texts_are_no_numbers() -> None:
     """Some controllers list the address and the name of their network among them."""
     found = settings_of(

@@ -23,7 +23,6 @@ from tests.live.test_grbl import (
     ready,
     settings,
 )
-from threadline.cli import operator_keys
 from threadline.cli.main import main
 from threadline.cli.operator_keys import AtTheKeys
 from threadline.errors import CommandError, LinkFaultError, OptionError
@@ -200,7 +199,7 @@ def test_a_dwell_is_part_of_what_lines_take() -> None:
 def test_a_hold_that_nobody_can_end_is_stopped(
     alone: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(operator_keys, "UNATTENDED_S", 0.0)
+    monkeypatch.setattr("threadline.live.job_run.UNATTENDED_S", 0.0)
     run = SimpleNamespace(
         state=State.HOLDING, why="its door is open", stopped_by="", time_s=1.0, percent=100
     )

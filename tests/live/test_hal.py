@@ -258,6 +258,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
     assert told[-1] - renewed_at <= (0.010 if gone else 0.026) * X_M
 
 
+@pytest.mark.long(but=("279", "76", "18"))
 @pytest.mark.parametrize("tick", np.random.default_rng(15).integers(5, 300, 10).tolist())
 @awake
 def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
@@ -266,6 +267,7 @@ def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
     assert np.abs(np.diff(x)).sum() <= 5e-3 * X_M
 
 
+@pytest.mark.long(but=("163", "8", "231"))
 @pytest.mark.parametrize("tick", np.random.default_rng(16).integers(5, 300, 10).tolist())
 @awake
 def test_kill_the_process_in_front_of_hal(tick: int, tmp_path: Path) -> None:
@@ -308,6 +310,7 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
     return x[max(seen - 1, 0) :]
 
 
+@pytest.mark.long(but=("223", "36", "15"))
 @pytest.mark.parametrize("tick", np.random.default_rng(17).integers(5, 300, 10).tolist())
 @awake
 def test_kill_hal(tick: int, tmp_path: Path) -> None:

@@ -19,7 +19,9 @@ def hazards() -> list[tuple[str, str, list[str]]]:
 
 
 def names_in(file: Path) -> list[str]:
-    """Return the names of the tests of a file."""
+    """Return the names of the tests of a file, in Python or of the page."""
+    if file.suffix == ".ts":
+        return re.findall(r'\bit\(\s*"([^"]+)"', file.read_text(encoding="utf-8"))
     tree = ast.parse(file.read_text(encoding="utf-8"))
     functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)]
     stateful = [n.targets[0].id for n in tree.body if isinstance(n, ast.Assign)

@@ -138,3 +138,12 @@ def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
         assert after <= refused[0] + 20  # a tenth of a second, braking included
         assert (told[after:] == told[after]).all()
     assert refused
+
+
+def test_positions_from_before_homing_are_forgotten() -> None:
+    """A frame goes home: what it reported where it stood before is not where it stands now."""
+    bench = Bench().ready()
+    bench.executor.latest = {"X.commanded": 0.06, "X.load": 0.06, "door.input": 1.0}
+    bench.executor.home()
+    assert bench.executor.state is State.IDLE
+    assert bench.executor.latest == {"door.input": 1.0}

@@ -99,6 +99,7 @@ def some_ticks() -> list[int]:
     return random.Random(1994).sample(range(5, len(ROWS)), 10)
 
 
+@pytest.mark.long(but=("989", "51", "326"))
 @pytest.mark.parametrize("tick", some_ticks())
 def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
     """The machine brakes by what it holds: at 36 mm/s within 5 mm of path, and on it."""
@@ -136,6 +137,7 @@ def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
     assert a[-1] * counts[0] == pytest.approx(np.abs(np.diff(x)).sum() * counts[1], abs=2.0)
 
 
+@pytest.mark.long(but=("989", "51", "326"))
 @pytest.mark.parametrize("tick", some_ticks())
 def test_kill_the_machines_process(tick: int) -> None:
     """The executor says so at once, in the state of fault, with all that it was told till then."""

@@ -53,6 +53,7 @@ def left_alone(name: str, heard: int) -> int:
     return heard + round(DEPTH_S / tick_s) + group_ticks(machine, 0.0)
 
 
+@pytest.mark.long(but=("0", "1", "2"))
 @pytest.mark.parametrize("k", range(10))
 def test_steppers_brake_along_their_path(k: int, tmp_path: Path) -> None:
     """Within what the link holds and 0.1 s of braking; on the path within a count of each axis."""
@@ -71,6 +72,7 @@ def test_steppers_brake_along_their_path(k: int, tmp_path: Path) -> None:
     assert beside(np.unique(told[heard:], axis=0), rows[max(heard - 200, 0) : heard + 500]) <= 2.0
 
 
+@pytest.mark.long(but=("0", "1", "2"))
 @pytest.mark.parametrize("k", range(10))
 def test_valves_are_off(k: int, tmp_path: Path) -> None:
     """Every output, 100 ms and a report after the last message, and to the end."""
@@ -83,6 +85,7 @@ def test_valves_are_off(k: int, tmp_path: Path) -> None:
     assert not on[per_scan * (left_alone("cylinders", int(box["heard"])) + 1) :].any()
 
 
+@pytest.mark.long(but=("0", "1", "2"))
 @pytest.mark.parametrize("k", range(10))
 def test_the_frame_rests_between_two_turns(k: int, tmp_path: Path) -> None:
     """It ends where a turn of the design ends, at the latest a window after 100 ms."""

@@ -177,7 +177,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
         test_turns.test_turns_beyond_the_travel_are_never_sent,
     ),
     "the steps of a controller": (
-        attribute(Controller, "_compare", nothing),
+        attribute(Controller, "compare", nothing),
         of_settings(100, 1.01, "the steps of X"),
     ),
     "a controller that moves": (

@@ -41,6 +41,7 @@ def check_whole(bench: Bench) -> None:
     assert np.abs(counts - np.stack(wanted, axis=1)).max() <= 0.5 + 1e-4
 
 
+@pytest.mark.long(shown_by="test_a_change_of_rate_keeps_every_limit")
 @settings(max_examples=20)
 @given(
     st.lists(

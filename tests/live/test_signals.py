@@ -91,6 +91,7 @@ def test_a_signal_stops_on_the_path_and_keeps_the_run(
     assert states[-2:] == ["stopping", "idle"]
 
 
+@pytest.mark.long(shown_by="test_a_signal_stops_on_the_path_and_keeps_the_run")
 @pytest.mark.usefixtures("forked_machine")
 def test_a_terminal_that_is_closed_stops_on_the_path_and_keeps_the_run(tmp_path: Path) -> None:
     """Neither its keys, nor the bar that is drawn on it, nor what is printed in the end fails."""

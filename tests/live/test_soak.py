@@ -8,6 +8,7 @@ import pytest
 from tools import soak
 
 
+@pytest.mark.long(shown_by="tests/live/test_killed.py::test_kill_the_executor")
 def test_a_minute_and_eight_kills_leave_nothing_wrong(tmp_path: Path) -> None:
     """Both ends of four kinds of work are killed, and every run is in the index."""
     assert list(soak.kill(8, tmp_path)) == []

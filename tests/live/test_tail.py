@@ -120,6 +120,7 @@ def test_braking_and_rising_keep_every_limit(place: float, peak: float) -> None:
         assert (asked <= limits.acceleration + ROUNDING).all(), (place, peak, asked)
 
 
+@pytest.mark.long(shown_by="test_where_refills_stop_it_brakes_on_the_path")
 @settings(max_examples=20)
 @given(st.lists(st.integers(0, 260), min_size=1, max_size=4), st.booleans())
 def test_hold_and_resume_skip_no_row_and_repeat_none(ticks: list[int], early: bool) -> None:

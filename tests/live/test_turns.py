@@ -161,6 +161,7 @@ def test_turns_beyond_the_travel_are_never_sent() -> None:
     assert not [message for message in made.wire.sent if message.kind == "refill"]
 
 
+@pytest.mark.long(shown_by="tests/live/test_checked.py::test_the_command_runs_what_it_proves")
 @pytest.mark.usefixtures("forked_machine")
 def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -428,3 +428,33 @@ def test_jumps_of_marlin_are_of_its_axes(jump: str, said: str, tmp_path: Path) -
     )
     with pytest.raises(MachineError, match=said):
         load_machine(file)
+
+
+_DRIVES = "M584 X0 Y1\nM350 X16 Y16 I1\nM92 X80 Y80\n"
+_SPEEDS = "M201 X500 Y500\nM203 X6000 Y6000\nM566 X300 Y300\nM208 X0:300 Y0:200\n"
+
+
+def test_a_config_g_of_several_files_is_read(tmp_path: Path) -> None:
+    """``M98 P"drives.g"`` runs a file of the folder of ``config.g``."""
+    (tmp_path / "config.g").write_text('; modular\nM98 P"drives.g"\nM98 P"/sys/speed.g" ; limits\n')
+    (tmp_path / "drives.g").write_text(_DRIVES)
+    (tmp_path / "speed.g").write_text("\n\n" + _SPEEDS)
+    settings = read_settings(tmp_path / "config.g")
+    assert settings.firmware == "reprapfirmware" and list(settings.axes) == ["X", "Y"]
+    text = machine_text(settings, parse_answers([]), "mine", limits_only=True)
+    for number, where in (("500.0 mm/s^2", "speed.g:3"), ("80.0 count/mm", "drives.g:3")):
+        assert any(number in line and where in line for line in text.splitlines()), number
+    with pytest.raises(MachineError, match=r"no axis .*M98 is not read: no such file.*drives\.g"):
+        (tmp_path / "drives.g").unlink()
+        (tmp_path / "speed.g").unlink()
+        read_settings(tmp_path / "config.g")
+    (tmp_path / "drives.g").write_text('M98 P"config.g"\n')
+    with pytest.raises(MachineError, match="runs its own file"):
+        read_settings(tmp_path / "config.g")
+
+
+def test_an_ini_whose_axes_are_included_names_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "moveoff.ini"
+    file.write_text("#INCLUDE axes.inc\n\n[EMC]\nVERSION = 1.1\n[HAL]\nHALUI = halui\n")
+    with pytest.raises(MachineError, match=r"#INCLUDE axes\.inc: no such file beside"):
+        read_settings(file)

@@ -86,7 +86,7 @@ dac = { bits = "8 bit exact, assumed", range = "10 V exact, assumed" }
 """
     file = tmp_path / "mine.toml"
     file.write_text(TEXT + extra)
-    from threadline.dynamics.network import connected_groups
+    from threadline.dynamics.groups import connected_groups
 
     with pytest.raises(MachineError, match="share the drive 'motor'"):
         connected_groups(load_machine(file))

@@ -51,6 +51,9 @@ def measured(told: dict[str, object], name: str) -> float:
     return max(float(row["measured"]) for row in rows if row["name"] == name)
 
 
+@pytest.mark.long(
+    shown_by="test_the_fastest_steady_cycle_is_in_spec_with_what_each_cycle_leaves_for_the_next"
+)
 def test_the_soft_start_is_left_out_of_further_cycles(listed: Path) -> None:
     """The ramp alone is saved; the swing that the first cycle leaves counts in the second."""
     whole, steady = proved(CYCLE), proved(listed)
@@ -65,6 +68,9 @@ def test_the_soft_start_is_left_out_of_further_cycles(listed: Path) -> None:
     assert re.search(r"Production: +498 pieces an hour, a cycle of 7.23 s behind the first", out)
 
 
+@pytest.mark.long(
+    shown_by="test_the_fastest_steady_cycle_is_in_spec_with_what_each_cycle_leaves_for_the_next"
+)
 def test_the_program_begins_further_cycles_behind_the_soft_start(listed: Path) -> None:
     """Run against pistons that are not the twin's: the air stays on, and nothing is forbidden."""
     machine = load_machine("letter-placer")

@@ -123,6 +123,7 @@ def test_repeats_are_drawn_from_a_fixed_seed_and_the_worst_counts() -> None:
     assert found[0] > once
 
 
+@pytest.mark.long(shown_by="test_repeats_are_drawn_from_a_fixed_seed_and_the_worst_counts")
 def test_shapers_stand_side_by_side(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

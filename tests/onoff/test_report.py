@@ -160,6 +160,9 @@ def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
     assert sum(t.startswith("back to 0") for t in texts) == 2
 
 
+@pytest.mark.long(
+    shown_by="test_break_figure_has_a_panel_for_every_shaper_and_the_circles_of_the_twin"
+)
 def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) -> None:
     file = tmp_path / "across.toml"
     file.write_text(ACROSS)

@@ -125,6 +125,7 @@ def test_the_cycle_is_proven_and_written_in_degrees(tmp_path: Path) -> None:
     assert "swivel: C 180 deg forward" in text
 
 
+@pytest.mark.long(shown_by="test_the_cycle_is_proven_and_written_in_degrees")
 def test_a_found_cycle_reads_back_with_its_angles(tmp_path: Path) -> None:
     best = tmp_path / "best.toml"
     cycle, machine = EXAMPLES / "swivel-cycle.toml", EXAMPLES / "swivel.toml"

@@ -57,6 +57,42 @@ def test_convolved_shaper_keeps_to_the_unshaped_level_and_the_dwell(examples: Pa
         assert np.diff(changes).min(initial=99) * 0.01 >= 0.02 - 1e-12
 
 
+def test_a_dwell_of_0_changes_no_switching(examples: Path, tmp_path: Path) -> None:
+    """It was refused, and would have taken a scan."""
+    machine = load_machine(TRIMMED)
+    text = (examples / "letter-cycle.toml").read_text()
+    still = tmp_path / "still.toml"
+    still.write_text(
+        text.replace("[[operation]]\nwait", '[[operation]]\ndwell = "0 ms"\n\n[[operation]]\nwait')
+    )
+    made = [
+        compile_schedule(read_job(file, machine), machine, shaping_of(machine, "zv"))
+        for file in (examples / "letter-cycle.toml", still)
+    ]
+    before, after = (one.commands for one in made)
+    assert still.read_text() != text
+    assert after.ticks.tolist() == before.ticks.tolist()
+    assert after.levels.tolist() == before.levels.tolist()
+    assert after.duration_ticks == before.duration_ticks
+    assert [e.tick for e in after.events] == [e.tick for e in before.events]
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('dwell = "-1 ms"', "is not within 0 ... 24 h"),
+        ('wait = "z_is_up"\ntimeout = "0 s"', "is not more than 0 and at most 24 h"),
+    ],
+)
+def test_times_that_cannot_be_are_refused_with_their_room(
+    line: str, said: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text(f"[[operation]]\n{line}\n")
+    with pytest.raises(JobError, match=said):
+        read_job(file, load_machine(TRIMMED))
+
+
 def test_levels_without_valves_are_refused(examples: Path) -> None:
     """The machine's own ZV needs .507 and .493, which flow controls at .63 and .37 can't make."""
     with pytest.raises(PlanError, match=r"no valves of 'z_down' make the level 0\.50"):

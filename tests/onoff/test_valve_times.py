@@ -241,6 +241,9 @@ def test_a_command_for_a_band_knows_when_its_flows_come(scans: int) -> None:
     assert worst <= 0.16 * (1.0 + 1e-6)
 
 
+@pytest.mark.long(
+    shown_by="tests/search/test_robust_cycle.py::test_it_is_near_the_bound_of_all_valves"
+)
 def test_the_robust_cycle_of_such_a_machine_is_in_spec_all_over_the_band(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,7 +23,7 @@ if CHROMIUM is None:
 if not (PAGE / "index.html").exists():
     pytest.skip("the page was not built: make panel", allow_module_level=True)
 
-from playwright.sync_api import Browser, Page, expect  # noqa: E402
+from playwright.sync_api import Browser, Locator, Page, expect  # noqa: E402
 from playwright.sync_api import TimeoutError as WaitedTooLong  # noqa: E402
 
 expect.set_options(timeout=60_000)  # a busy computer is slow, and what never comes is a failure
@@ -31,7 +31,8 @@ SHOTS = Path(__file__).parents[2] / "reports" / "panel"
 PICTURES = bool(os.environ.get("THREADLINE_PICTURES"))
 SIZE = {"width": 1280, "height": 800}
 SHOWN_X = "Number.parseFloat(document.getElementById('at-X').textContent)"
-TABLET = {"width": 820, "height": 1180}
+TABLET = {"width": 1024, "height": 768}
+PHONE = {"width": 390, "height": 844}
 
 
 def opened(browser: Browser, plant: Plant, machine: str = "lathe-winder") -> Page:
@@ -43,17 +44,19 @@ def opened(browser: Browser, plant: Plant, machine: str = "lathe-winder") -> Pag
 
 
 def shot(page: Page, name: str) -> None:
-    """Take pictures of a desk and of a tablet, where somebody wants to look at them."""
+    """Take pictures of a desk, a tablet and a phone, where somebody wants to look at them."""
     if not PICTURES:
         return
     SHOTS.mkdir(parents=True, exist_ok=True)
-    for size, ending in ((TABLET, "-tablet"), (SIZE, "")):
-        page.set_viewport_size(size)
-        page.wait_for_timeout(300)
-        page.screenshot(path=SHOTS / f"{name}{ending}.png", full_page=True)
+    for scheme in ("dark", "light"):
+        page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        for size, ending in ((PHONE, "-phone"), (TABLET, "-tablet"), (SIZE, "")):
+            page.set_viewport_size(size)
+            page.wait_for_timeout(300)
+            page.screenshot(path=SHOTS / f"{name}{ending}-{scheme}.png", full_page=True)
 
 
-def press(page: Page, text: str) -> None:
+def press(page: Page | Locator, text: str) -> None:
     page.get_by_role("button", name=text, exact=True).click()
 
 

@@ -12,7 +12,9 @@ import pytest
 
 from tests.panel.bench import proven, simulated_of
 from tests.panel.test_panel_killed import Plant
+from threadline.live.supervised import interventions
 from threadline.machine import load_machine
+from threadline.panel import kept_runs
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -28,6 +30,15 @@ UNSEEN = (
 """What a browser is not to begin: two menus of its own, which nobody opens, take as much of the
 processor with each window as the page takes to open. And what Playwright tells it by the same word.
 """
+
+
+@pytest.fixture(autouse=True)
+def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate holds and overrides in the test: to begin a process takes seconds, for each start.
+
+    ``test_run_work`` tries the process.
+    """
+    monkeypatch.setattr(kept_runs, "interventions_apart", interventions)
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from threadline.errors import InputError, JobError, OptionError
 from threadline.machine import load_machine
 from threadline.machine.tool import Tool
 from threadline.panel import admission, server
-from threadline.panel.admission import Admission, PromptHttp
+from threadline.panel.admission import Admission, PromptHttp, PromptWebsocket
 from threadline.panel.programs import planned, program_names, program_path, take_program
 from threadline.panel.protocol import MOST_TEXT, Calculate
 
@@ -365,18 +365,21 @@ def test_what_the_project_holds_is_read(tmp_path: Path, monkeypatch: pytest.Monk
 # --- who connects and does not finish a request -------------------------------------------
 
 
+async def answering(_: Any, receive: Any, send: Any) -> None:
+    """Answer whole requests with 204."""
+    while (await receive()).get("more_body"):
+        pass
+    await send({"type": "http.response.start", "status": 204, "headers": []})
+    await send({"type": "http.response.body", "body": b""})
+
+
 @contextmanager
-def listening() -> Iterator[tuple[str, int]]:
-    """Serve something that answers whole requests with 204, by connections that are dropped."""
-
-    async def app(_: Any, receive: Any, send: Any) -> None:
-        while (await receive()).get("more_body"):
-            pass
-        await send({"type": "http.response.start", "status": 204, "headers": []})
-        await send({"type": "http.response.body", "body": b""})
-
+def listening(app: Any = answering) -> Iterator[tuple[str, int]]:
+    """Serve an application by connections that are dropped."""
     own = socket.create_server(("127.0.0.1", 0))
-    config = uvicorn.Config(app, http=PromptHttp, lifespan="off", log_level="critical")
+    config = uvicorn.Config(
+        app, http=PromptHttp, ws=PromptWebsocket, lifespan="off", log_level="critical"
+    )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, args=([own],), daemon=True)
     thread.start()
@@ -450,4 +453,39 @@ def test_a_stop_gets_through_past_many_half_requests(monkeypatch: pytest.MonkeyP
         assert b"204 No Content" in dropped(stop)
         assert [dropped(one) for one in many[:40]] == [b""] * 40
         for one in many[40:]:
+            one.close()
+
+
+SOCKET = (
+    b"GET /api/live HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
+
+
+def test_a_websocket_without_a_hello_is_dropped_in_time(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It never answers the close, either."""
+    monkeypatch.setattr(admission, "HELLO_S", 0.3)
+    with listening(client.app) as address:
+        began_s = time.monotonic()
+        assert b"no hello came" in dropped(sent(address, SOCKET))
+        assert time.monotonic() - began_s < 8.0  # the library alone waits 10 s for the answer
+
+
+def test_only_so_many_websockets_may_be_without_a_hello(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The oldest is closed where there is one more than are kept; time closes none here."""
+    monkeypatch.setattr(admission, "HELLO_S", 600.0)
+    monkeypatch.setattr(admission, "MOST_WITHOUT_HELLO", 5)
+    with listening(client.app) as address:
+        many = [sent(address, SOCKET) for _ in range(12)]
+        assert [b"no hello came" in dropped(one) for one in many[:7]] == [True] * 7
+        for one in many[7:]:
+            one.settimeout(0.2)
+            with suppress(TimeoutError):
+                while one.recv(4096):
+                    pass
+                pytest.fail("a websocket that had a place was closed")
             one.close()

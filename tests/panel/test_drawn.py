@@ -21,7 +21,7 @@ from threadline.geometry.svg.document import ValueRefused
 from threadline.geometry.svg.paths import Subpath, path_subpaths
 from threadline.panel import drawn as drawn_apart
 from threadline.panel.calculation import answer_of
-from threadline.panel.drawings import Lettering, Shape, dxf, opened, outlines, shapes_of
+from threadline.panel.drawings import Lettering, Shape, dxf, opened, outlines
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SHAPES = [
@@ -34,7 +34,7 @@ SHAPES = [
 
 def test_what_is_written_is_read_again() -> None:
     """Shape by shape; a circle may begin elsewhere, and an arc runs counter-clockwise."""
-    found = shapes_of("a.dxf", dxf(SHAPES))
+    found = opened("a.dxf", dxf(SHAPES))["shapes"]
     assert [one["kind"] for one in found] == [shape.kind for shape in SHAPES]
     for one, shape in zip(found[:2], SHAPES, strict=False):
         assert np.array(one["points"]) == pytest.approx(np.array(shape.points), abs=1e-6)
@@ -47,9 +47,11 @@ def test_what_is_written_is_read_again() -> None:
 
 @pytest.mark.parametrize("name", ["badge.dxf", "pocket.dxf", "collar.svg", "yoke.svg"])
 def test_drawings_of_the_examples_can_be_edited(name: str) -> None:
-    found = shapes_of(name, (EXAMPLES / name).read_bytes())
+    found = opened(name, (EXAMPLES / name).read_bytes())["shapes"]
     assert len(found) >= 1
-    again = shapes_of("a.dxf", dxf([Shape(kind=o["kind"], points=o["points"]) for o in found]))
+    again = opened("a.dxf", dxf([Shape(kind=o["kind"], points=o["points"]) for o in found]))[
+        "shapes"
+    ]
     assert len(again) == len(found)
 
 
@@ -204,9 +206,9 @@ def test_what_cannot_be_is_one_line() -> None:
     ):
         dxf([Shape(kind="polygon", points=[(0, 0), (1, 1)])])
     with pytest.raises(JobError, match="is not a known kind of drawing"):
-        shapes_of("a.step", b"")
+        opened("a.step", b"")
     with pytest.raises(JobError, match="the drawing has 0 lines"):
-        shapes_of("a.dxf", dxf([Shape(kind="line", points=[(1, 1), (1, 1)])]))
+        opened("a.dxf", dxf([Shape(kind="line", points=[(1, 1), (1, 1)])]))
 
 
 def test_requests(tmp_path: Path) -> None:

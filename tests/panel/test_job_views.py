@@ -55,6 +55,7 @@ def test_the_programmed_path_and_its_lines_are_those_of_the_job(folder: Path) ->
     assert figures.lines.times_s == pytest.approx([0.0, figures.duration_s / 2], abs=0.02)
 
 
+@pytest.mark.long(but="schiffli-frame-stitch_residual-swing at the needle")
 @pytest.mark.parametrize(
     "machine, criterion, words",
     [

@@ -120,6 +120,7 @@ def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
     assert list((project / "runs").glob("*/sent/program.nc"))
 
 
+@pytest.mark.long(shown_by="test_a_program_is_run_on_grbl_twice_with_a_hold")
 def test_a_run_on_grbl_is_stopped_and_its_rest_done(project: Path) -> None:
     """After homing and a confirmation, from the line on that was under way."""
     model = GrblModel(settings(), faster=0.5)

@@ -132,7 +132,7 @@ def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> Non
     assert page.locator("#at-A").inner_text() == turned  # though PgUp is still down
     page.keyboard.up("PageUp")
 
-    page.get_by_label("Step").select_option("1")
+    page.locator("#step").select_option("1")
     page.get_by_role("heading", name="Machine").click()
     page.keyboard.press("ArrowLeft")
     until, stepped = time.monotonic() + 60.0, pytest.approx(there - 1.0, abs=0.5 / 55.358)
@@ -220,6 +220,7 @@ def test_without_the_server_everything_is_stale(browser: Browser, plant: Plant) 
     page.close()
 
 
+@pytest.mark.long(shown_by="test_home_jog_calculate_run_hold_resume_stop")
 def test_the_feed_of_a_run_is_overridden_by_buttons_and_keys(
     browser: Browser, plant: Plant
 ) -> None:

@@ -98,7 +98,7 @@ def test_what_is_said_is_seen_on_every_part_and_ends_are_kept(
     expect(said).to_have_count(0)
     part(page, "Run")
     expect(page.locator("#log")).to_contain_text("a profile is one chosen line")
-    expect(page.locator("#log-count")).to_have_text("1, 1 of trouble")
+    expect(page.locator("#log-count")).to_have_text("1 message, 1 about trouble")
 
     ready(page)
     calculate(page)

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import ezdxf
+import pytest
 
 from tests.panel.browsing import Browser, Page, expect, opened, part, press, shot, typed
 from tests.panel.test_panel_killed import Plant
@@ -162,6 +163,7 @@ def test_a_click_is_no_change_and_a_pull_snaps(browser: Browser, plant: Plant) -
     page.close()
 
 
+@pytest.mark.long(shown_by="test_looks_fills_leaders_and_what_changes_them")
 def test_styles_of_lines_come_back_from_both_files(
     browser: Browser, plant: Plant, tmp_path: Path
 ) -> None:

@@ -132,6 +132,7 @@ def stopped(page: Page, key: str) -> None:
     expect(page.locator("#progress-text")).to_contain_text("stopped")
 
 
+@pytest.mark.long(shown_by="tests/panel/test_page.py::test_any_key_stops_a_run_and_h_holds_it")
 def test_keys_stop_a_run_wherever_the_focus_is(browser: Browser, plant: Plant) -> None:
     """In lists, sliders and fields, and on other parts of the page; neither gets the key."""
     page = opened(browser, plant)
@@ -161,6 +162,7 @@ def test_keys_stop_a_run_wherever_the_focus_is(browser: Browser, plant: Plant) -
     page.close()
 
 
+@pytest.mark.long(shown_by="tests/panel/test_page.py::test_any_key_stops_a_run_and_h_holds_it")
 def test_keys_of_a_run_hold_and_resume_it_in_a_field(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
     ready(page)

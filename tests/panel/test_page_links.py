@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -11,20 +12,24 @@ from tests.live.test_grbl import settings
 from tests.panel.browsing import (
     SIZE,
     Browser,
+    Page,
     expect,
     held_and_let_go,
     opened,
     press,
+    press_until,
     ready,
     shot,
     state,
 )
+from tests.panel.test_page_looks import nothing_is_wider
 from tests.panel.test_page_operator import panel
 from tests.panel.test_panel_killed import Plant
 
 TOKEN = "correct-horse-battery"
 
 
+@pytest.mark.long(shown_by="test_what_is_not_homed_and_what_is_there_is_said")
 def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> None:
     model = GrblModel(settings())
     model.start()
@@ -36,13 +41,16 @@ def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> 
             page.goto(address)
             expect(page.locator("#machine")).to_have_text(f"stepper-winder, {link}", timeout=60_000)
             expect(page.locator("#link-notes")).to_contain_text(
-                "disable is not available on this link: grbl switches its drives by itself"
+                "Disable is not available on this link: grbl switches its drives by itself"
             )
             ready(page)
             disable = page.get_by_role("button", name="Disable")
             expect(disable).to_be_disabled()
             assert "not available on this link" in str(disable.get_attribute("title"))
             held_and_let_go(page, "Jog X plus", 1.0)
+            console_is_used(page, model)
+            nothing_is_wider(page)
+            shot(page, "26-grbl-console")
             model.state = "Alarm"
             state(page, "fault")
             expect(page.locator("#state")).to_contain_text("Alarm")
@@ -50,6 +58,41 @@ def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> 
             page.close()
     finally:
         model.close()
+
+
+def console_is_used(page: Page, model: GrblModel) -> None:
+    """Ask, be refused, write a setting that differs, put the right one in by its button."""
+    expect(page.locator("#board-fill")).to_contain_text("planner: 0 of 15 blocks")
+    told = page.locator("#board-told")
+    expect(told).to_contain_text("Compared with the machine file: 6 the same.")
+    line = page.get_by_label("Line for the controller")
+    line.fill("$i")
+    line.press("Enter")
+    log = page.locator("#console")
+    expect(log).to_contain_text("[AXS:4:XYZA]")
+    expect(log.locator(".typed")).to_have_text(re.compile(r"you\$I$"))
+    line.fill("G0 X10")
+    press(page, "Send")
+    expect(page.locator("#toasts")).to_contain_text("the console does not send 'G0X10': it moves")
+    line.press("ArrowUp")
+    expect(line).to_have_value("G0 X10")
+    assert b"X10\n" not in model.heard
+    right = settings()[110]
+    line.fill(f"$110={2 * right:g}")
+    line.press("Enter")
+    state(page, "fault")
+    expect(page.locator("#state")).to_contain_text("the setting $110 was written")
+    expect(told).to_contain_text("1 must be corrected, 5 the same")
+    first = page.locator("#board-settings tr").nth(1)
+    expect(first).to_contain_text("highest speed of X")
+    press(page, "Put $110=24000 into the line of the console")
+    expect(line).to_have_value("$110=24000")
+    line.press("Enter")
+    expect(told).to_contain_text("6 the same")
+    press_until(page, "Reset", "disabled")
+    press_until(page, "Enable", "enabled")
+    press_until(page, "Home all", "homing|idle")
+    state(page, "idle")
 
 
 @pytest.mark.parametrize("plant", [("lathe-winder", 0.5, TOKEN)], indirect=True)

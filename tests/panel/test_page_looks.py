@@ -61,6 +61,19 @@ def test_axe_finds_nothing_on_any_part(browser: Browser, plant: Plant) -> None:
     page.close()
 
 
+def nothing_is_wider(page: Page) -> None:
+    """Check that the open part is no wider than any screen, and axe-core finds nothing in it."""
+    if AXE.exists():
+        page.evaluate(AXE.read_text("utf-8"))
+    for (width, height), scheme in zip(SIZES, ("light", "light", "dark"), strict=True):
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        if AXE.exists() and width != SIZES[1][0]:
+            assert findings(page) == [], scheme
+    page.set_viewport_size({"width": SIZES[0][0], "height": SIZES[0][1]})
+
+
 def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
     browser: Browser, plant: Plant
 ) -> None:
@@ -88,11 +101,18 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
             assert hold["y"] + hold["height"] < height / 2
         assert len(corners) == 1
         assert max(next(iter(corners))) < 16
+    if AXE.exists():  # what is drawn in a run has names, also before it was scrolled into sight
+        page.set_viewport_size({"width": SIZES[0][0], "height": SIZES[0][1]})
+        part(page, "Run")
+        expect(page.locator("#error-live")).to_be_visible()
+        page.evaluate(AXE.read_text("utf-8"))
+        assert findings(page) == []
     press(page, "STOP")
     state(page, "idle")
     page.close()
 
 
+@pytest.mark.long(shown_by="tests/panel/test_page.py::test_home_jog_calculate_run_hold_resume_stop")
 def test_the_bar_leads_a_newcomer_to_the_start(browser: Browser, plant: Plant) -> None:
     """What is pressed next is said and marked, and only that."""
     page = opened(browser, plant)
@@ -104,6 +124,9 @@ def test_the_bar_leads_a_newcomer_to_the_start(browser: Browser, plant: Plant) -
     ):
         expect(page.locator("#next")).to_have_text(f"Next: {words}")
         expect(marked).to_have_text(name)
+        page.locator("#next").click()  # leads to it, wherever it is; nothing is pressed
+        expect(marked).to_be_focused()
+        expect(page.locator("#next")).to_have_text(f"Next: {words}")
         press_until(page, name, until) if until else press(page, name)
     state(page, "idle")
     expect(marked).to_have_text(["Prepare", "Calculate"])  # the part of the page, and the button

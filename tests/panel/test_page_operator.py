@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from tests.panel.browsing import (
     PICTURES,
     SHOTS,
@@ -87,6 +89,7 @@ def calculated(page: Page, program: str) -> None:
     expect(page.locator("#figures")).to_contain_text(program, timeout=LONG_MS)
 
 
+@pytest.mark.long(shown_by="tests/panel/test_page.py::test_home_jog_calculate_run_hold_resume_stop")
 def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
     folder = tmp_path / "project"
     folder.mkdir()

@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 
 from tests.panel import bench
-from tests.panel.browsing import Browser, calculate, expect, opened, part, press, ready, shot, state
+from tests.panel.browsing import (
+    Browser,
+    calculate,
+    expect,
+    opened,
+    part,
+    press,
+    press_until,
+    ready,
+    shot,
+    state,
+)
 from tests.panel.test_panel_killed import Plant
 from tests.panel.test_wound import PRODUCT, PROGRAM
 from threadline.panel.protocol import Calculate
@@ -31,7 +42,8 @@ def helix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(bench.CASES, "lathe-winder", asked)
 
 
-@pytest.mark.parametrize("plant", [("lathe-winder", 2.0)], indirect=True)
+@pytest.mark.long(shown_by="test_a_winding_is_seen_before_and_while_it_is_wound")
+@pytest.mark.parametrize("plant", [("lathe-winder", 0.4)], indirect=True)
 def test_the_bands_of_a_product_are_seen_as_they_are_laid(
     browser: Browser, helix: None, plant: Plant
 ) -> None:
@@ -114,33 +126,80 @@ def test_a_winding_is_seen_before_and_while_it_is_wound(browser: Browser, plant:
 def test_the_placers_cycle(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant, "letter-placer")
     ready(page)
+    lamp = page.locator(".scheme [data-signal=x_is_right]")
+    expect(lamp).to_be_visible()  # before any program; and nothing that cylinders do not have
+    for absent in ("#feed-row", "#tab-teach-in", "#tab-drawing", "#priority"):
+        expect(page.locator(absent)).to_be_hidden()
+    part(page, "Prepare")
+    page.get_by_text("Without swinging").click()
+    expect(page.locator("#shaper")).to_have_value("um-zv")
     calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
+    press(page, "Simulate")  # the plan moves the pistons and lights the lamps
+    expect(lamp).to_have_class("lamp on")
+    press(page, "End simulation")
     press(page, "Start")
     state(page, "running")
     page.wait_for_timeout(1000)
     press(page, "Hold")
     state(page, "holding")
+    lanes = page.locator(".switched").evaluate_all("all => all.map((one) => one.getAttribute('d'))")
+    assert any(lanes) and not any("Infinity" in one or "NaN" in one for one in lanes)
+    actual = page.locator("polyline.actual").first
+    held = actual.get_attribute("points")
+    assert held
     shot(page, "13-placer")
     press(page, "Resume")
-    expect(page.locator("#progress-text")).to_contain_text("IN SPEC", timeout=60_000)
+    expect(page.locator("#progress-text")).to_contain_text("IN SPEC", timeout=240_000)
+    expect(page.locator("#facts")).to_contain_text(
+        "cycles completed since the machine was connected: 1"
+    )
+    expect(page.locator("#error-live")).to_be_hidden()  # there is no contour
+    expect(page.locator("#board")).to_be_hidden()
     page.close()
 
 
+@pytest.mark.long(shown_by="test_the_placers_cycle")
 @pytest.mark.parametrize("plant", [("schiffli-frame", 10.0)], indirect=True)
 def test_an_embroidery_is_sewn(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant, "schiffli-frame")
     ready(page)
     calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
-    press(page, "Start")
-    state(page, "running")
+    legend = page.locator("#legend")
+    expect(legend).to_contain_text("thread 1")
+    page.locator("#seen-as").select_option("use")  # a map of the residuals
+    expect(legend).to_contain_text("swing at the needle: half of the limit or less")
+    shot(page, "14-frame-residuals")
+    page.locator("#seen-as").select_option("threads")
+    expect(legend).to_contain_text("thread 1")
+    press_until(page, "Start", "running")
     page.wait_for_timeout(4000)
+    expect(page.locator("#space p")).to_contain_text(
+        re.compile(r"^stitch \d+ of 185, thread \d of 2, \d+ stitches a minute$")
+    )
+    expect(page.locator("#facts")).to_have_text("a hold stands at the end of the stitch")
     shot(page, "14-frame")
-    expect(page.locator("#progress-text")).to_contain_text("IN SPEC", timeout=60_000)
+    page.keyboard.press("Escape")  # the thread broke
+    state(page, "idle")
+    expect(page.locator("#space p")).to_contain_text("of 185, thread")  # how far it is sewn
+    told = page.locator("#rest-here-told")
+    expect(told).to_contain_text("home the machine first")
+    press_until(page, "Home all", "homing|idle")
+    state(page, "idle")
+    expect(told).to_contain_text("After a thread break, go some stitches back.", timeout=60_000)
+    page.locator("#back-stitches input").fill("5")
+    press(page, "Back")
+    expect(told).to_contain_text("with needle and tools off. Start the rest confirms")
+    shot(page, "15-back")
+    press(page.locator("#rest-here"), "Start the rest")
+    state(page, "running")
+    expect(page.locator("#rest-here")).to_be_hidden()
+    expect(page.locator("#progress-text")).to_contain_text("IN SPEC", timeout=120_000)
     page.close()
 
 
+@pytest.mark.long(shown_by="test_the_placers_cycle")
 @pytest.mark.parametrize("plant", [("stitcher", 2.0)], indirect=True)
 def test_a_seam(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant, "stitcher")
@@ -153,5 +212,14 @@ def test_a_seam(browser: Browser, plant: Plant) -> None:
     page.wait_for_timeout(1500)
     shot(page, "16-seam")
     press(page, "Start")
+    state(page, "running")
+    expect(page.locator("#facts")).to_contain_text("a hold ")
+    error = page.locator("#error-told")
+    expect(error).to_contain_text("measured at the load")
+    expect(error).to_contain_text("so far at most")
+    shot(page, "19-seam-runs")
     expect(page.locator("#progress-text")).to_contain_text("IN SPEC", timeout=60_000)
+    expect(error).to_have_text(re.compile(r"^so far at most [\d.]+ mm of [\d.]+ mm, measured"))
+    worst = page.locator("#error-line")
+    expect(worst).to_have_text(re.compile(r"^worst at line \d+$"))
     page.close()

@@ -27,12 +27,13 @@ from tests.panel.test_panel_killed import Plant
 from threadline.files.formats import read_recording
 from threadline.jobs.operations import Move
 from threadline.machine import load_machine
-from threadline.panel.drawings import shapes_of
+from threadline.panel import drawings
 from threadline.panel.thinned_traces import thinned
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job
 
 
+@pytest.mark.long(shown_by="test_a_report_of_a_run_that_cannot_be_judged_says_why")
 def test_the_trace_after_a_run_and_its_export(
     browser: Browser, plant: Plant, tmp_path: Path
 ) -> None:
@@ -114,7 +115,7 @@ def test_three_points_are_taught_and_checked_like_any_program(
 def test_the_programs_zero_is_where_the_machine_was_moved(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
     ready(page)
-    page.get_by_label("Step").select_option("10")
+    page.locator("#step").select_option("10")
     for _ in range(20):  # one that was renewed too late has ended before its 10 mm
         page.get_by_label("Jog X plus while held").hover()
         page.mouse.down()
@@ -127,12 +128,15 @@ def test_the_programs_zero_is_where_the_machine_was_moved(browser: Browser, plan
         reached(page, "== 0")
     state(page, "idle")
     part(page, "Prepare")
-    page.locator("summary").click()
+    page.locator("summary", has_text="Expert options").click()
     press(page, "Program's zero is here")
     expect(page.locator("#offset")).to_have_value(re.compile(r"^X=(9\.99\d|10\.00\d) mm$"))
     page.close()
 
 
+@pytest.mark.long(
+    shown_by="tests/panel/test_page_drawing.py::test_looks_fills_leaders_and_what_changes_them"
+)
 def test_a_profile_and_a_stitch_path_are_drawn(
     browser: Browser, plant: Plant, tmp_path: Path
 ) -> None:
@@ -176,7 +180,7 @@ def test_a_profile_and_a_stitch_path_are_drawn(
         press(page, "Download DXF")
     file = tmp_path / "out.dxf"
     download.value.save_as(file)
-    kinds = [one["kind"] for one in shapes_of("out.dxf", file.read_bytes())]
+    kinds = [one["kind"] for one in drawings.opened("out.dxf", file.read_bytes())["shapes"]]
     assert kinds[:4] == ["line", "circle", "arc", "line"]  # a spline becomes chords
     press(page, "Clear")
     expect(page.locator("#drawn")).to_contain_text("0 shapes")

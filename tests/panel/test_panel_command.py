@@ -20,7 +20,7 @@ import uvicorn
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from tests.panel.bench import Operator
+from tests.panel.bench import PROGRAM, Operator
 from tests.panel.test_panel_killed import Spoken
 from threadline.cli.main import main
 from threadline.panel import server
@@ -165,7 +165,7 @@ def panel(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], 
         port = free.getsockname()[1]
     panel = subprocess.Popen(
         [
-            sys.executable, "-c", WITH_PAGE, str(server.PAGE), "panel", "-m", "lathe-winder",
+            sys.executable, "-P", "-c", WITH_PAGE, str(server.PAGE), "panel", "-m", "lathe-winder",
             "--port", str(port), *options,
         ],
         cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -214,6 +214,22 @@ def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []  # no run, no folder of runs
 
 
+def test_no_python_file_of_a_project_is_run(tmp_path: Path) -> None:
+    """Owner, machine and readers import the library's modules, also where a file has their name."""
+    (tmp_path / "there.prg").write_text(PROGRAM, "utf-8")
+    for name in ("token", "secrets", "numpy", "asyncio", "socket", "threadline"):
+        (tmp_path / f"{name}.py").write_text("open('was-run', 'w')\nraise SystemExit(9)\n", "utf-8")
+    with panel(tmp_path, "--link", "sim:slower") as (_, port):
+        url = f"http://127.0.0.1:{port}/api/programs/there.prg/preview"
+        try:
+            urllib.request.urlopen(url, timeout=100).close()
+        except urllib.error.HTTPError as error:
+            with error:
+                assert "takes longer than" in error.read().decode()  # on a busy computer
+    assert not (tmp_path / "was-run").exists()
+
+
+@pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
 def test_ctrl_c_in_a_jog_stops_the_machine_and_is_no_error(tmp_path: Path) -> None:
     """A browser is connected, has control, and goes on renewing its jog.
 
@@ -239,6 +255,7 @@ def test_ctrl_c_in_a_jog_stops_the_machine_and_is_no_error(tmp_path: Path) -> No
     assert err == ""
 
 
+@pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
 def test_neither_bad_text_nor_a_request_under_way_is_told_at_its_end(tmp_path: Path) -> None:
     """A drawing of 7 MB without a line is being read; it took the panel's end with it."""
     head = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9" width="9mm" height="9mm">'

@@ -12,6 +12,7 @@ import pytest
 from tests.live.test_guards_removed import Take, attribute, nothing
 from tests.panel import (
     test_admission,
+    test_console,
     test_control,
     test_links,
     test_operator,
@@ -19,7 +20,8 @@ from tests.panel import (
 from tests.panel.bench import PROGRAM, proven, served
 from threadline.base import reading as input_files
 from threadline.live import grbl_controller as grbl_by_hand
-from threadline.live import supervised
+from threadline.live import grbl_operated, supervised
+from threadline.live.grbl_console import ConsoleLine
 from threadline.live.grbl_operated import GrblOperated
 from threadline.live.states import Cause
 from threadline.panel import owner
@@ -116,6 +118,18 @@ GUARDS: dict[str, tuple[Take, Test]] = {
     "a server that is silent": (
         attribute(owner, "SILENT_S", 1e9),
         test_operator.test_a_silent_server_is_one_that_could_not_stop_it,
+    ),
+    "a console that moves nothing": (
+        attribute(grbl_operated, "console_line", ConsoleLine),
+        test_console.test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared,
+    ),
+    "no typed line in a run": (
+        attribute(GrblOperated, "_refuse_moving", nothing),
+        lambda _: test_console.test_a_line_is_not_sent_in_a_run_nor_in_its_hold(),
+    ),
+    "settings that are compared after they were written": (
+        attribute(grbl_by_hand.Controller, "compare", nothing),
+        test_console.test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared,
     ),
     "a controller in alarm at rest": (
         alarm_is_well,

@@ -148,6 +148,18 @@ def at_clock(kept: dict[str, list[float]], clock_s: float) -> float:
     return 1e3 * kept["x"][int(played[-1]) - 1] if len(played) and played[-1] else 0.0
 
 
+@pytest.mark.long(
+    only=(
+        "run-9.0-0.314",
+        "run-9.0-0.447",
+        "run-9.0-0.363",
+        "run-9.0-0.472",
+        "run-9.0-0.375",
+        "run-9.0-0.297",
+        "run-9.0-0.373",
+        "run-9.0-0.45",
+    )
+)
 @pytest.mark.parametrize("after_s", moments())
 @pytest.mark.parametrize(("begin", "most_mm"), [(jog, 15.0), (run, 9.0)])
 def test_kill_the_server(

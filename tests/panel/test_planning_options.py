@@ -53,6 +53,7 @@ def test_a_kind_of_work_takes_the_options_that_it_tells(machine: str, name: str)
             kind.check_options(here, options)
 
 
+@pytest.mark.long(only="stitcher-stitcher-even.seam.toml-words0")
 @pytest.mark.parametrize("machine, program, words", [
     ("stitcher", "stitcher-even.seam.toml", {"feed_forward": True, "robust": "0 %"}),
     ("schiffli-frame", "rosette.dst", {"law": "cycloidal", "tolerance": "0.5 mm"}),

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.dynamics.groups import connected_groups
 from threadline.dynamics.linear_model import linear_model
-from threadline.dynamics.network import connected_groups, piecewise_linear
+from threadline.dynamics.network import piecewise_linear
 from threadline.dynamics.suspicions import suspicions
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError

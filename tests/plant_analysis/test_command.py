@@ -89,6 +89,7 @@ def measured_csv(tmp_path):
     return file
 
 
+@pytest.mark.long(shown_by="test_wrong_data_names_the_line")
 def test_measured_data_is_laid_over(capsys, measured_csv, tmp_path):
     """The model misses its own sweep by the noise put on it, and another mass by far more."""
     folder = tmp_path / "report"

@@ -163,6 +163,7 @@ def test_winder_is_analysed_too():
     assert found["X"].as_json()["modes_hz"] == []
 
 
+@pytest.mark.long(shown_by="test_proportional_control_study")
 def test_no_unclipped_command_serves_nine_machines_at_55_stitches_a_second() -> None:
     """A bound above what the plan of ``stitcher-robust.seam.toml`` does at 42 would be wrong."""
     assert claims.stitcher_two_stitches("55")["least_error"] > 0.07

@@ -65,6 +65,7 @@ def test_cycle_does_its_seven_steps_in_order() -> None:
     assert trace[-1][1] == set()
 
 
+@pytest.mark.long(only="um-2ei")
 @pytest.mark.parametrize("shaper", ["zv", "um-2ei"])
 def test_opposite_valves_are_never_open_together(shaper: str) -> None:
     for _, state in run(plc(shaper=shaper), 10_000, 0.2, seed=3):
@@ -97,6 +98,7 @@ def test_a_break_at_every_scan_switches_all_off_and_start_alone_begins_nothing(
     assert checked * period > 7_000_000
 
 
+@pytest.mark.long(only="um-2ei")
 @pytest.mark.parametrize("shaper", ["zv", "um-2ei"])
 def test_after_every_break_acknowledge_home_and_start_bring_a_whole_cycle(shaper: str) -> None:
     """Every 13th scan of the cycle, with jitter: pistons stand anywhere then."""

@@ -88,6 +88,7 @@ def test_every_name_is_declared_and_valid(tmp_path: Path) -> None:
         assert all(IDENTIFIER.fullmatch(name) for name in unit.declared)
 
 
+@pytest.mark.long(only=("0", "2"))
 @pytest.mark.parametrize("seed", range(4))
 def test_tables_do_what_named_places_do(seed: int) -> None:
     """Every output, fault and text of each jittered scan: machines that creep, inputs that fail."""
@@ -126,6 +127,7 @@ def test_tables_do_what_named_places_do(seed: int) -> None:
     assert finished, "no cycle ran to its end"
 
 
+@pytest.mark.long(shown_by="test_tables_do_what_named_places_do")
 def test_a_long_list_plays_its_schedule(tmp_path: Path) -> None:
     """800 moves: each switching in order, as long after the last input as the schedule has it."""
     made = scheduled_long(tmp_path, 200)

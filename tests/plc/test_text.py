@@ -50,6 +50,7 @@ def pin_type(unit: Unit, used: str, units: dict[str, Unit]) -> str:
     return block.declared[pin].type
 
 
+@pytest.mark.long(shown_by="test_every_name_is_declared_once_typed_and_no_keyword")
 def test_reading_in_parts_is_reading_the_whole(tmp_path: Path) -> None:
     """Every other test reads a text in parts; blark takes this short one in one piece."""
     file = tmp_path / "short.toml"

@@ -111,6 +111,7 @@ def same(criterion: dict[str, Any], what: str, shown: str) -> bool:
     return value == pytest.approx(wanted, rel=5e-3 if percent else 5e-4, abs=1e-9)
 
 
+@pytest.mark.long(only="placer")
 @pytest.mark.parametrize(
     "make", [winder, winder_out_of_spec, winder_repeated, stepper, stitcher, placer]
 )

@@ -16,6 +16,7 @@ from tests.test_limits_alone import files as limits_alone
 
 import threadline as tl
 from threadline.proof.pipeline import Proof
+from threadline.report import scenes
 from threadline.report.animation import page_data, write_animation
 from threadline.report.scenes import Scene, scene_of
 
@@ -91,7 +92,12 @@ def test_a_page_holds_all_that_it_draws(tmp_path: Path, winding: Proof) -> None:
     assert len(data["time"]) * data["per"] == len(data["actual"]) == len(data["share"])
 
 
-def test_a_gif_moves_and_is_read_without_colour(tmp_path: Path, winding: Proof) -> None:
+@pytest.mark.long(shown_by="test_a_page_holds_all_that_it_draws")
+def test_a_gif_moves_and_is_read_without_colour(
+    tmp_path: Path, winding: Proof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a tenth of the frames; each is a picture of its own."""
+    monkeypatch.setattr(scenes, "MOST_FRAMES", 24)
     file = tmp_path / "a.gif"
     scene = write_animation(winding, file)
     with Image.open(file) as film:

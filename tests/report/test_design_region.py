@@ -10,7 +10,7 @@ import pytest
 from threadline.machine import load_machine
 from threadline.report.design import region_figure
 from threadline.report.style import figure_style
-from threadline.search.design import Candidate
+from threadline.search.design_proof import Candidate
 from threadline.search.design_search import Region
 
 

@@ -90,6 +90,7 @@ def test_the_worst_stitch_is_that_of_the_verdict(proof: Proof) -> None:
     assert placement.max() <= (proof.verdict.result("contour_error").measured or 0.0) + 1e-9
 
 
+@pytest.mark.long(shown_by="test_the_worst_stitch_is_that_of_the_verdict")
 def test_the_report_has_the_picture(proof: Proof, tmp_path: Path) -> None:
     page = write_report(studied(proof), tmp_path / "report")
     assert (tmp_path / "report" / "report-seam.png").stat().st_size > 10_000

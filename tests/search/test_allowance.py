@@ -38,6 +38,7 @@ def found() -> FastestJob:
     )
 
 
+@pytest.mark.long(shown_by="test_a_plan_whose_neighbour_fails_is_not_the_answer")
 def test_few_proofs_find_where_more_would_fail(found: FastestJob) -> None:
     """What passes and what fails are within 3 %, and the default of 0.3 mm is not the answer."""
     best = found.best
@@ -140,6 +141,7 @@ def test_an_allowance_that_is_given_is_the_only_one_that_is_proved(examples: Pat
     assert result.best.found.limited_by == ALLOWED
 
 
+@pytest.mark.long(shown_by="test_the_answer_is_a_plan_that_can_be_made_again")
 def test_loads_that_follow_use_a_share_of_the_limits(examples: Path) -> None:
     """The least time within axes and drives, and what smoothing over 10 ms adds to it."""
     machine = load_machine("lathe-winder")

@@ -190,6 +190,7 @@ def test_a_few_plans_are_faster_than_any_with_the_options_by_default() -> None:
     assert found.plan().duration_s == found.duration_s
 
 
+@pytest.mark.long(shown_by="test_a_search_by_what_was_tried_comes_close_to_what_can_be_had")
 @pytest.mark.usefixtures("few")
 def test_a_search_ends_in_a_reasonable_time_and_says_what_it_left(
     monkeypatch: pytest.MonkeyPatch,

@@ -116,6 +116,7 @@ def typed() -> FastestCycle:
     )
 
 
+@pytest.mark.long(shown_by="test_the_fastest_is_in_spec_and_shorter_than_every_shaper")
 def test_off_its_file_the_cycle_is_found_with_commands_for_the_file(typed: FastestCycle) -> None:
     """Springs at their upper ends: the cycle for the file fails there, the one found passes.
 
@@ -231,6 +232,7 @@ def test_a_shaper_of_a_move_is_that_of_its_cylinder(tmp_path: Path) -> None:
     assert np.array_equal(given.levels, written.levels)
 
 
+@pytest.mark.long(shown_by="test_the_fastest_is_in_spec_and_shorter_than_every_shaper")
 def test_a_specification_that_asks_little_keeps_the_cycle_as_it_is(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

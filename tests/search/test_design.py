@@ -22,9 +22,10 @@ from threadline.machine.tables import Design, DesignParameter, DesignSettings
 from threadline.proof import pipeline
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, check_loops, plan_job, prove_plan
-from threadline.search.design import DesignResult, Wanted, design, with_delay
+from threadline.search.design import DesignResult, Wanted, design
 from threadline.search.design_evaluate import Effort, Evaluator, Tried, design_gains
 from threadline.search.design_judge import OtherRuns, design_judge
+from threadline.search.design_proof import with_delay
 from threadline.search.design_search import cheapest_by_planes, with_settings
 from threadline.search.design_space import design_space
 from threadline.verdict import Spec, load_spec
@@ -171,6 +172,7 @@ def test_candidates_are_judged_as_the_judge_does(
                 assert mine == pytest.approx(found.measured / found.limit, rel=1e-6)
 
 
+@pytest.mark.long(shown_by="test_the_pareto_set_trades_cost_for_margin")
 def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
     stitcher: Machine, spec: Spec, corner: Path, result: DesignResult
 ) -> None:
@@ -270,6 +272,7 @@ def test_the_pareto_set_trades_cost_for_margin(result: DesignResult) -> None:
     assert result.region.found[-1, 0] > 1.0
 
 
+@pytest.mark.long(shown_by="test_the_pareto_set_trades_cost_for_margin")
 def test_corners_cost_more(
     stitcher: Machine, spec: Spec, corner: Path, result: DesignResult
 ) -> None:

@@ -14,7 +14,8 @@ from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials, prove
 from threadline.search.design import Wanted, design
-from threadline.search.design_evaluate import Effort, share_used
+from threadline.search.design_alone import share_used
+from threadline.search.design_evaluate import Effort
 from threadline.search.design_files import write_design
 from threadline.verdict import Result, Status, Verdict, load_spec
 
@@ -34,6 +35,7 @@ limit = "0.18 deg"
 """
 
 
+@pytest.mark.long(but="stepper-winder")
 @pytest.mark.parametrize("name", JOBS)
 def test_what_is_found_is_in_spec_by_prove(name: str, tmp_path: Path) -> None:
     """The machine as it is is out of spec; the files that are written are proved as they stand."""

@@ -142,6 +142,7 @@ def test_a_lift_that_a_slow_axis_holds_back_is_no_end_of_the_search(
     assert search_range(lifted, slow_y, FeedMode.OVERRIDE)[1] == pytest.approx(30.0, rel=1e-5)
 
 
+@pytest.mark.long(shown_by="test_programs_with_feeds_that_differ_are_searched_by_their_override")
 def test_what_is_found_is_typed_back(
     tmp_path: Path, mill: Machine, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -87,6 +87,7 @@ def test_the_range_of_feeds_is_a_count_a_tick_to_the_velocity_limit() -> None:
     assert high > machine.axes["X"].velocity.si == machine.axes["Y"].velocity.si
 
 
+@pytest.mark.long(shown_by="test_part_of_the_limits_beats_all_of_them")
 def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) -> None:
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)

@@ -23,9 +23,10 @@ from threadline.proof.asked import Words
 from threadline.proof.option_form import Door
 from threadline.proof.options import describe, options_from, options_of
 from threadline.proof.pipeline import open_job, plan_job
-from threadline.search.learn import Learner, Rules, best_of, learn
+from threadline.search.learn import Learner, learn
 from threadline.search.learned_job import LearnedJob, learned_from, typed_options
 from threadline.search.question import question_of
+from threadline.search.repeats import Rules, best_of
 from threadline.twin import simulate
 from threadline.twin.batch import simulate_batch
 from threadline.verdict import load_spec

@@ -200,6 +200,7 @@ def test_a_job_that_repeats_nothing_is_one_part(tmp_path: Path, machine: Machine
     assert distinct_parts(job, machine) == (job,)
 
 
+@pytest.mark.long(shown_by="test_the_worst_of_the_stretches_is_that_of_the_whole_job")
 def test_the_answer_is_of_the_whole_job(tmp_path: Path, machine: Machine) -> None:
     """Tries are of parts alone, and the verdict at the end of every move of the job."""
     job = written(tmp_path, winding_blocks(400), machine)

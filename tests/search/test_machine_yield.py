@@ -238,6 +238,7 @@ def test_machines_of_every_kind_are_drawn(job: str, name: str, measure: str) -> 
     assert any(row.name == measure for row in found.found.rows)
 
 
+@pytest.mark.long(only="rosette.dst-schiffli-frame-more0")
 @pytest.mark.parametrize(
     ("job", "name", "more"),
     [
@@ -272,6 +273,7 @@ def test_the_command_that_is_told_proves_the_worst_machine(
     assert shares[bad["criterion"]] == bad["share_of_limit"]
 
 
+@pytest.mark.long(shown_by="test_machines_of_every_kind_are_drawn")
 def test_machines_over_tolerances_of_a_frame_are_proved() -> None:
     """Each has the commands of the machine as its file says, and a hash of its own."""
     machine = load_machine("schiffli-frame")
@@ -317,3 +319,23 @@ def test_a_worst_machine_beyond_a_limit_of_0_is_told_by_what_it_does(
     (row,) = (r for r in rows if (r["name"], r["axis"]) == ("dac_saturation", "X"))
     assert row["status"] == "failed"
     assert 100.0 * row["measured"] == pytest.approx(float(found[1]), rel=1e-2)
+
+
+def test_machines_of_equal_dead_times_are_simulated_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each machine of the stitcher has two dead times; alone it would cost ten times as much."""
+    machine = load_machine("stitcher")
+    job = JOB.with_name("stitcher-test-path.seam.toml")
+    plan = plan_job(open_job(job, machine, Options()), machine, Options())
+    study = MachineYield(plan, load_spec(None, machine))
+    together: list[int] = []
+
+    def counted(self: object, item: judge_runs.Variants, done: object = None) -> None:
+        together.append(item.count)
+        raise EOFError
+
+    monkeypatch.setattr(judge_runs.RunsJudge, "answer", counted)
+    with pytest.raises(EOFError):
+        study.drawn(20_000, 5)
+    assert together[0] > 16  # the rarest pairs of dead times: a 400th of 16 384

@@ -97,6 +97,7 @@ def test_modes_move_as_they_are_told(tmp_path: Path) -> None:
         assert moved[1] == pytest.approx(typed[1], rel=1e-6)
 
 
+@pytest.mark.long(shown_by="test_it_is_near_the_bound_of_all_valves")
 def test_it_is_in_spec_on_machines_of_the_band(robust: tuple[dict[str, Any], Path, Path]) -> None:
     """Machine files written with other feet, none of them a machine of the search.
 
@@ -207,6 +208,7 @@ def test_its_report_is_that_of_the_cycle_that_was_found(
     assert "is told" not in capsys.readouterr().err
 
 
+@pytest.mark.long(shown_by="test_it_is_near_the_bound_of_all_valves")
 def test_a_move_that_another_outlasts_rings_as_little_as_it_can(tmp_path: Path) -> None:
     """X and Z set out in one scan, and X takes longer to come to rest: Z has a third of a second.
 

@@ -75,6 +75,7 @@ def stitcher(tmp_path: Path) -> Machine:
     return load_machine(str(file))
 
 
+@pytest.mark.long(but="nominal")
 @pytest.mark.parametrize(
     ("trials", "low", "high"),
     [
@@ -122,6 +123,15 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
             assert prove_plan(plan, spec, trials=trials).verdict.passed, speed
 
 
+@pytest.mark.long(
+    only=(
+        "linear-1.0-0.028-0.033-trials2",
+        "b-spline-pulled-1.0-0.235-0.265-trials5",
+        "b-spline-pulled-1.0-0.43-0.47-trials3",
+        "b-spline-pulled-1.0-0.43-0.47-trials4",
+        "auto-0.136-1.0-4.9-trials8",
+    )
+)
 @pytest.mark.parametrize(
     ("interpolation", "share", "low", "high", "trials"),
     [
@@ -162,6 +172,7 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
             assert proof.verdict.passed and proof.verdict.level == trials.level, feed
 
 
+@pytest.mark.long(but=("trials0", "trials1"))
 @pytest.mark.usefixtures("few_searched")
 @pytest.mark.parametrize("trials", [NOMINAL, SEVERAL, FEW])
 def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Trials) -> None:
@@ -186,6 +197,7 @@ def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Tria
             assert proof.verdict.passed, speed
 
 
+@pytest.mark.long(shown_by="test_feeds_of_the_winder_pass_as_they_are_printed")
 def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

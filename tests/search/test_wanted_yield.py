@@ -23,8 +23,9 @@ from threadline.proof import pipeline
 from threadline.proof.asked import trials_of
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, prove_plan, yielding
-from threadline.search.design import ProvedDesign, Wanted, design
+from threadline.search.design import Wanted, design
 from threadline.search.design_evaluate import Evaluator, Tried
+from threadline.search.design_proof import ProvedDesign
 from threadline.search.influence import cheapest_set
 from threadline.search.machine_yield import MachineYield
 from threadline.twin import simulate
@@ -81,6 +82,7 @@ def test_a_yield_is_a_share_below_the_whole(text: str) -> None:
         trials_of(nominal=True, yield_="99 %")
 
 
+@pytest.mark.long(shown_by="test_the_set_is_told_where_the_yield_is_too_low")
 @pytest.mark.usefixtures("coarse_search")
 def test_fastest_with_a_yield_can_be_typed_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -103,6 +105,7 @@ def test_fastest_with_a_yield_can_be_typed_back(
     assert "--yield" in found["command"]
 
 
+@pytest.mark.long(shown_by="test_the_set_is_told_where_the_yield_is_too_low")
 def test_no_halving_can_be_left_out_of_the_cheapest_set(asked: tuple[Plan, Spec]) -> None:
     plan, spec = asked
     judged = MachineYield(plan, spec)
@@ -176,6 +179,7 @@ def judged_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Evaluator, "tried", tried)
 
 
+@pytest.mark.long(shown_by="test_rejects_are_the_machines_that_fail_alone")
 @pytest.mark.usefixtures("judged_once")
 def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     """The one that is in spec in 20 runs keeps no yield: drawn by hand, one in thirteen passes."""
@@ -198,6 +202,7 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     assert for_yield.found.candidate.cost > plain.candidate.cost
 
 
+@pytest.mark.long(shown_by="test_rejects_are_the_machines_that_fail_alone")
 @pytest.mark.usefixtures("judged_once")
 def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
     """At 50 stitch/s settings alone keep the machine as typed in spec, but not those drawn.

@@ -177,6 +177,7 @@ def test_a_search_that_judged_nothing_has_no_answer(name: str) -> None:
         SEARCHES[name](After(0, interrupts=True))
 
 
+@pytest.mark.long(shown_by="test_a_cycle_for_a_band_ends_with_the_one_that_is_tried")
 def test_schedules_of_a_shaft_end_with_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     """The speeds are searched to their end, a few here; of the seven schedules one is tried."""
     few = partial(shaft_search.constant_speeds, grid=Grid(points=4, near=1, edge=5e-3))

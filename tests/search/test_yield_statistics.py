@@ -25,6 +25,7 @@ def test_all_of_them_say_at_least_so_much() -> None:
     assert clopper_pearson(0, 10) == (0.0, pytest.approx(1.0 - 0.025**0.1))
 
 
+@pytest.mark.long(shown_by="test_a_number_that_does_nothing_has_no_share_and_no_spread")
 def test_indices_are_those_of_ishigami() -> None:
     """sin x1 + a sin^2 x2 + b x3^4 sin x1 on [-pi, pi]^3, a = 7, b = 0.1.
 

@@ -234,6 +234,7 @@ def test_a_hump_above_the_tolerance_between_the_zeros_is_found() -> None:
         _proved_humps(ShaperKind.EI, mode, silent, 0.04)
 
 
+@pytest.mark.long(but=("0.25-2hump-ei-0.02", "0.299-3hump-ei-0.02"))
 @pytest.mark.parametrize("tolerance", [0.05, 0.02])
 @pytest.mark.parametrize("kind", ["2hump-ei", "3hump-ei"])
 @pytest.mark.parametrize("zeta", [0.25, 0.28, 0.29, 0.299])

@@ -29,11 +29,10 @@ from threadline.motion.shaping import (
     outside,
     residual_m,
     ringing,
-    shaped_law,
     shaped_windows,
     usual_jerk_m_s3,
 )
-from threadline.motion.shaping.shaped_law import law_named
+from threadline.motion.shaping.shaped_law import law_named, shaped_law
 
 MOVE, WINDOW, ZETA = 0.0165, 0.120, 0.02
 # Residual amplitude, mm: 16.5 mm in 120 ms at 8, 12, 16, 20, 25 and 40 Hz, damping ratio 0.02.
@@ -164,6 +163,7 @@ def made_once(asked: Demand) -> MadeLaw:
     return made_law(asked)
 
 
+@pytest.mark.long(but="20.0-119")
 @pytest.mark.parametrize(
     ("frequency", "most_ms"), [(12.0, 171), (16.0, 135), (20.0, 119), (25.0, 120)]
 )

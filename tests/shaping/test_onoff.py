@@ -17,7 +17,7 @@ from threadline.motion.shaping.onoff.body_and_modes import (
     worst_ringing,
 )
 from threadline.motion.shaping.onoff.optimal import time_optimal
-from threadline.motion.shaping.onoff.robust import compare_shapers, least_ringing, robust_optimum
+from threadline.motion.shaping.onoff.robust import beside, least_ringing, robust_optimum
 from threadline.motion.shaping.types import UNSHAPED, FlexibleMode, ShaperError
 
 MODE = FlexibleMode(3.04)
@@ -133,8 +133,12 @@ def test_ten_ms_scan_with_free_levels_meets_the_target() -> None:
 
 
 def test_every_shaper_is_compared_with_both_bounds() -> None:
-    rows = compare_shapers(
-        MOVE, [design("zv", MODE), design("um-2ei", MODE)], relative=0.2, tolerance=0.01
+    rows = beside(
+        MOVE,
+        [design("zv", MODE), design("um-2ei", MODE)],
+        relative=0.2,
+        optimal_s=time_optimal(MOVE).command.duration_s,
+        robust_s=robust_optimum(MOVE, relative=0.2, tolerance=0.01).duration_s,
     )
     assert [r.name for r in rows] == ["zv", "um-2ei"]
     assert rows[0].over_optimal == pytest.approx(1.058901 / 0.920678, abs=1e-5)

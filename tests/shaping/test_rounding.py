@@ -77,6 +77,7 @@ def test_rounding_keeps_the_band(
     assert simulated_vibration(made.shaper, float(top), damping) == pytest.approx(found, abs=1e-9)
 
 
+@pytest.mark.long(shown_by="test_rounding_keeps_the_band")
 @settings(max_examples=40)
 @given(
     kind=st.sampled_from(list(ShaperKind)),

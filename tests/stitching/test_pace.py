@@ -5,18 +5,23 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 import pystitch
 import pytest
 
 from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
+from threadline.base.arrays import FloatArray
+from threadline.commands import stitch_pace
 from threadline.commands.stitch_pace import Moves, Pace
-from threadline.commands.stitch_search import Speeds, fastest_turns
+from threadline.commands.stitch_search import FastestTurns, Speeds, fastest_turns
 from threadline.commands.stitched import stitch
+from threadline.commands.turns import Stitched
 from threadline.errors import OptionError, PlanError
 from threadline.files import Stream
 from threadline.jobs import read_job
@@ -35,7 +40,16 @@ from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")
 SAMPLES = SHARED_SAMPLES / "embroidery"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 SINE = law("modified-sine")
+
+
+@cache
+def rosette(tolerance_m: float) -> tuple[Stitched, float]:
+    """Return the stitches of the rosette as they are planned, and the processor time of it, s."""
+    begun = process_time()
+    job = read_job(EXAMPLES / "rosette.dst", MACHINE)
+    return stitch(job, MACHINE, SINE, tolerance_m, None), process_time() - begun
 
 
 def unlimited(tolerance_m: float = 5e-5) -> Pace:
@@ -56,6 +70,7 @@ def test_windows_of_all_lengths_are_those_of_each_alone() -> None:
         assert residual_m(SINE, mode, length, longer).max() <= 5e-5 * 1.001
 
 
+@pytest.mark.long(but="tree.dst-481-685")
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
 @pytest.mark.parametrize(
     ("name", "schedule_s", "constant_s"),
@@ -110,6 +125,7 @@ def test_the_swing_of_many_moves_is_their_sum() -> None:
         assert found[k] == pytest.approx(wanted, rel=2e-3, abs=1e-8)
 
 
+@pytest.mark.long(shown_by="test_long_stitches_are_slowed_and_never_refused")
 def test_the_spindle_is_asked_for_no_more_than_it_can() -> None:
     """The square of the speed over the angle between two windows; every turn as long as needed."""
     moves = random_moves(500)
@@ -152,6 +168,36 @@ def test_a_plan_for_the_limit_is_in_spec_on_any_day(machine: str, examples: Path
     assert proof.verdict.result("stitch_residual", "X").measured > 0.85e-4
 
 
+def test_a_design_that_is_planned_again_is_not_searched_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Machine and design are read anew, and equal; another design or tolerance is searched."""
+    searches = []
+
+    def counted(*asked: Any) -> FastestTurns:
+        searches.append(asked)
+        return fastest_turns(*asked)
+
+    monkeypatch.setattr(stitch_pace, "fastest_turns", counted)
+    ways = np.random.default_rng(6).integers(-80, 81, (2, 12, 2)).astype(np.int8)
+    for name, way in zip("ab", ways, strict=True):
+        (tmp_path / f"{name}.exp").write_bytes(way.tobytes())
+
+    def turns(name: str, tolerance_m: float) -> FloatArray:
+        machine = load_machine("schiffli-frame")
+        job = read_job(tmp_path / f"{name}.exp", machine)
+        return stitch(job, machine, SINE, tolerance_m, None).turns.turn_s
+
+    first = turns("a", 1.1e-4)
+    counts = [len(searches)]
+    for name, tolerance_m in (("a", 1.1e-4), ("b", 1.1e-4), ("a", 1.2e-4)):
+        again = turns(name, tolerance_m)
+        counts.append(len(searches))
+        assert np.array_equal(again, first) is (len(counts) == 2)
+    assert 0 < counts[0] == counts[1] < counts[2] < counts[3]
+
+
+@pytest.mark.long(shown_by="test_a_plan_for_the_limit_is_in_spec_on_any_day")
 def test_a_law_made_for_the_mode_is_sewn_at_its_own_speed(examples: Path) -> None:
     """Slowed it would swing more: at one speed every stitch has the window that it is still after.
 
@@ -167,7 +213,7 @@ def test_a_law_made_for_the_mode_is_sewn_at_its_own_speed(examples: Path) -> Non
     job = read_job(examples / "rosette.dst", MACHINE)
     one_speed = load_machine("schiffli-frame+one-speed")
     notch = stitch(read_job(examples / "rosette.dst", one_speed), one_speed, made.law, 1e-4, None)
-    sine = stitch(job, MACHINE, SINE, 1e-4, None)
+    sine, _ = rosette(1e-4)
     assert np.ptp(notch.turns.turn_s) == 0.0
     assert np.ptp(sine.turns.turn_s) > 0.1
     assert notch.duration_s < 0.95 * sine.duration_s
@@ -181,22 +227,21 @@ def test_a_law_made_for_the_mode_is_sewn_at_its_own_speed(examples: Path) -> Non
     assert swings.max() <= 1e-4
 
 
-def test_a_tolerance_that_no_speed_keeps_slows_as_far_as_the_shaft_can(examples: Path) -> None:
+@pytest.mark.long(shown_by="test_long_stitches_are_slowed_and_never_refused")
+def test_a_tolerance_that_no_speed_keeps_slows_as_far_as_the_shaft_can() -> None:
     """A hundredth of a micrometre, and no endless search for a window."""
-    job = read_job(examples / "rosette.dst", MACHINE)
-    begun = process_time()
-    plan = stitch(job, MACHINE, SINE, 1e-8, None)
-    assert process_time() - begun < 20.0
+    plan, taken_s = rosette(1e-8)
+    assert taken_s < 20.0
     assert plan.turns.turn_s.max() == pytest.approx(6.0)
 
 
 def test_a_plan_that_keeps_no_tolerance_says_so(examples: Path) -> None:
     """A hundredth of a micrometre: how many stitches miss it, the worst by name, and a remedy."""
     job = read_job(examples / "rosette.dst", MACHINE)
-    (said,) = stitch(job, MACHINE, SINE, 1e-8, None).warnings
+    (said,) = rosette(1e-8)[0].warnings
     assert re.search(r"within 1e-05 mm: \d+ of 185 stitches .* at block \d, stitch \d+", said)
     assert "larger --tolerance" in said
-    assert stitch(job, MACHINE, SINE, 1e-4, None).warnings == ()
+    assert rosette(1e-4)[0].warnings == ()
     one_speed = load_machine("schiffli-frame+one-speed")
     (said,) = stitch(
         read_job(examples / "rosette.dst", one_speed), one_speed, SINE, 1e-8, None
@@ -219,6 +264,7 @@ def test_schedules_of_random_moves_end_within_the_tolerance(seed: int) -> None:
     assert schedule.bound_s <= schedule.turn_s.sum() < 1.1 * alone_s
 
 
+@pytest.mark.long(shown_by="test_schedules_of_random_moves_end_within_the_tolerance")
 def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
     """Every sequence of speeds of a small grid, tried in plain Python, for six moves."""
     random = np.random.default_rng(5)
@@ -233,14 +279,19 @@ def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
         found = fastest_turns(
             grid, pace._swings(grid), (units * 1e-4, moves.needle, shortest_s), 1e-4, pace.share
         )
-        best = np.inf
-        for turns in product(grid.turn_s.tolist(), repeat=6):
-            turn_s = np.array(turns)
-            if np.abs(np.diff(turn_s**-2.0)).max() > 0.6366 or (turn_s < shortest_s).any():
-                continue
-            time_s = float((pace.share * turn_s + pace.rests_s(turn_s)).sum())
-            if time_s < best and pace.most_swings_m(moves, turn_s).max() <= 1e-4:
-                best = time_s
+        tried = np.array(list(product(grid.turn_s.tolist(), repeat=6)))
+        steps = np.abs(np.diff(tried**-2.0, axis=1)).max(axis=1)
+        tried = tried[(steps <= 0.6366) & (tried >= shortest_s).all(axis=1)]
+        times_s = [float((pace.share * turns + pace.rests_s(turns)).sum()) for turns in tried]
+        # The quickest that leaves little enough: in the order of their times, the first that does.
+        best = next(
+            (
+                times_s[k]
+                for k in np.argsort(times_s)
+                if pace.most_swings_m(moves, tried[k]).max() <= 1e-4
+            ),
+            np.inf,
+        )
         time_s = float((pace.share * found.turn_s + pace.rests_s(found.turn_s)).sum())
         if np.isfinite(best):
             assert not found.missed.any()
@@ -250,6 +301,7 @@ def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
             assert found.missed.any()
 
 
+@pytest.mark.long(but="tree.dst-255.9")
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
 @pytest.mark.parametrize(("name", "other_s"), [("tree.dst", 255.9), ("peace.dst", 325.0)])
 def test_schedules_are_as_fast_as_another_search_finds_them(name: str, other_s: float) -> None:
@@ -273,7 +325,7 @@ def test_a_robust_schedule_holds_all_over_the_tolerances(examples: Path) -> None
     for factor in np.linspace(0.952, 1.05, 81).tolist():
         modes = {axis: (FlexibleMode(12.0 * factor, 0.02),) for axis in "XY"}
         assert stitched.pace.swings_m(moves, turns, modes).max() <= 1.01e-4
-    exact = stitch(read_job(examples / "rosette.dst", machine), machine, SINE, 1e-4, None)
+    exact, _ = rosette(1e-4)
     off = {axis: (FlexibleMode(12.0 * 0.952, 0.02),) for axis in "XY"}
     assert exact.pace.swings_m(moves, exact.turns.turn_s, off).max() > 1.5e-4
     assert exact.duration_s < stitched.duration_s < 1.3 * exact.duration_s

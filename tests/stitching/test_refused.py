@@ -80,6 +80,7 @@ def test_a_damaged_design_names_the_byte_and_no_error_of_its_reader(
     assert "byte 9" in said and "Error" not in said
 
 
+@pytest.mark.long(shown_by="test_a_damaged_design_names_the_byte_and_no_error_of_its_reader")
 def test_a_card_is_not_named_as_another_format(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,7 @@ def job(design: Path) -> Job:
     return read_job(design, MACHINE)
 
 
+@pytest.mark.long(shown_by="test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within")
 def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,6 +153,7 @@ def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
     assert told[-1] < 0.99
 
 
+@pytest.mark.long(shown_by="test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within")
 @pytest.mark.usefixtures("coarse_search")
 def test_the_tolerance_that_was_found_is_typed_back_in_millimetres(
     design: Path, capsys: pytest.CaptureFixture[str]

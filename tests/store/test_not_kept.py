@@ -111,7 +111,7 @@ def test_how_a_run_ended_is_kept_before_it_is_judged(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("threadline.cli.run_.judge", interrupted)
+    monkeypatch.setattr("threadline.live.job_run.judge", interrupted)
     assert run(tmp_path / "runs") == 130
     kept = opened(tmp_path / "runs")
     assert kept is not None
@@ -158,6 +158,7 @@ def test_a_fault_whose_time_never_comes_is_told(
     )
 
 
+@pytest.mark.long(shown_by="test_a_machine_that_has_moved_is_no_wrong_input")
 def test_a_closed_input_and_the_longest_name_are_no_obstacle(tmp_path: Path) -> None:
     """As a service has it: there is no standard input, of which Python makes None."""
     job = tmp_path / f"{'a' * 251}.prg"

@@ -335,3 +335,24 @@ def test_a_run_without_samples_has_one_line_for_a_report(
             assert (left.value.code, told.out, told.err.count("\n")) == (2, "", 1), told.err
             assert said in told.err
     assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_trace_that_was_lost_is_no_run_without_samples(
+    known: ProofFile, proof: Proof, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The index knows that the run was judged: it did not end before its first sample."""
+    store = RunStore(tmp_path / "runs")
+    run = store.begin(proof.plan, known, {"link": "sim"}, 1.0)
+    with run:
+        run.begin(proof.recording.channels, simulated=True)
+        run.judged({"passed": True, "criteria": [], "late_ticks": 0}, "completed", "")
+    for word in ("empty", "missing"):
+        if word == "empty":
+            run.trace.write_bytes(b"")
+        else:
+            run.trace.unlink()
+        with pytest.raises(SystemExit):
+            main(["report", run.path.name, "--store", str(tmp_path / "runs")])
+        told = capsys.readouterr().err
+        assert f"the trace of run {run.path.name} is {word}" in told
+        assert "before its first sample" not in told

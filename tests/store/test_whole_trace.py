@@ -24,6 +24,7 @@ def in_folder(folder: Path, recording: Recording, continues: str = "") -> Path:
     return folder / "trace.mcap"
 
 
+@pytest.mark.long(but="letter-placer")
 @pytest.mark.parametrize("name", [name for name in JOBS if name != "schiffli-frame"])
 def test_all_runs_of_a_job_are_judged_as_one(name: str, tmp_path: Path) -> None:
     """Against a run that nothing broke off: the same verdict, line by line, and near its figures.

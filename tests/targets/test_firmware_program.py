@@ -18,7 +18,7 @@ import pytest
 from tests.jobs.controls_themselves import interpreted
 from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
-from threadline.commands import firmware_program
+from threadline.commands import firmware_program, merged_chords
 from threadline.commands.boards import BOARDS
 from threadline.commands.plan import Plan
 from threadline.errors import PlanError
@@ -370,3 +370,25 @@ def test_an_axis_that_moves_before_the_job_names_it_is_told(
     (written,) = write(found, "grbl", tmp_path / "out.nc")
     told = [one for one in written.warnings if one.startswith("Z moves before line 3")]
     assert bool(told) == early
+
+
+def test_a_plan_is_read_once_for_all_passes(
+    tmp_path: Path, xya: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The program is written and read back; a plan too long to keep gives the same program."""
+    zigzag = "".join(f"G1 X{10 + k % 3} A{40 * (k % 2)} F6000\n" for k in range(12))
+    made = plan(tmp_path, xya, f"G21 G90\n{zigzag}M2\n", interpolation="auto")
+    reads = []
+    planned_runs = merged_chords.planned_runs
+
+    def counted(*given: object) -> object:
+        reads.append(given)
+        return planned_runs(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(merged_chords, "planned_runs", counted)
+    write(made, "grbl", tmp_path / "once.nc")
+    assert len(reads) == 1
+    monkeypatch.setattr(merged_chords, "MOST_KEPT", 10)
+    write(made, "grbl", tmp_path / "again.nc")
+    assert len(reads) > 2
+    assert (tmp_path / "once.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()

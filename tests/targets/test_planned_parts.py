@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from threadline.commands.merging import merged
 from threadline.commands.planned_job import planned_job
 from threadline.jobs.operations import Feed, FeedMode, Move
 
@@ -64,3 +65,17 @@ def test_a_straight_piece_is_one_chord() -> None:
     straight = np.array([[0.0, 0.0], [0.1, 0.2], [0.0, 0.0]])
     assert chords([straight[:2], straight[:2]], 1e-9) == [1, 1]
     assert chords([straight], 1e-9) == [1]
+
+
+def test_a_corner_lies_between_its_slowest_moves() -> None:
+    """Into a reversal and out of it equally slowly: no slow piece of its own behind the corner."""
+    x = np.array([0.0, 0.1, 0.1 + 2e-5, 0.1, 0.0])
+    points = np.column_stack([x, np.zeros(5)])
+    speeds = np.array([0.036, 0.006, 0.006, 0.036])
+    found = merged(points, speeds)
+    assert [(part.first, part.stop, part.speed) for part in found] == [
+        (0, 2, 0.036),
+        (2, 4, 0.036),
+    ]
+    straight = np.column_stack([np.array([0.0, 0.1, 0.2, 0.3, 0.4]), np.zeros(5)])
+    assert [part.stop for part in merged(straight, speeds)] == [3, 4]

@@ -120,6 +120,7 @@ def test_each_way_is_gone_in_the_modes_of_the_program(
         assert np.linalg.norm(end - ended) <= near_mm
 
 
+@pytest.mark.long(shown_by="test_each_way_is_gone_in_the_modes_of_the_program")
 def test_random_programs_keep_their_modes(tmp_path: Path, machines: dict[str, Machine]) -> None:
     """Twenty programs of moves, powers and switches in any order, seed 39."""
     chance = random.Random(39)

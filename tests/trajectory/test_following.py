@@ -95,6 +95,7 @@ def test_the_loads_keep_the_contour_that_was_asked_for():
     assert hasty.duration_s < coarser.duration_s < 0.9 * plan.duration_s
 
 
+@pytest.mark.long(shown_by="test_a_place_that_strays_by_nothing_is_not_slowed")
 def test_motions_that_stray_a_hundredth_too_far_are_slowed_and_not_lost():
     """Of four short moves every round ends so; 0.864 s is what the guards alone leave."""
     plan, found = proved((0.2 * np.array(CORNERS)).tolist())
@@ -102,6 +103,7 @@ def test_motions_that_stray_a_hundredth_too_far_are_slowed_and_not_lost():
     assert worst(found, "contour_error") <= 0.43e-3
 
 
+@pytest.mark.long(shown_by="test_the_loads_keep_the_contour_that_was_asked_for")
 def test_the_contour_is_kept_where_the_program_rests():
     """What the loops still make of the move before a rest counts against the one after it."""
     extra = {k: Dwell(0.001, Source("job.prg", k)) for k in (1, 2)}

@@ -159,6 +159,7 @@ def test_one_point_and_equal_points_are_no_motion_and_stand_there(count):
     assert motion([0.0, 3.0], 1).tolist() == [[0.0, 0.0]] * 2
 
 
+@pytest.mark.long(but=("1-0.6", "14-5.8", "2-60.0"))
 @pytest.mark.parametrize(
     ("seed", "jerk"),
     [(0, np.inf), (0, 60.0), (1, 0.6), (2, 60.0), (14, 5.8), (28, 0.6), (35, 5.8), (38, 0.6)],

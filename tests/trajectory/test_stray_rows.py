@@ -73,6 +73,7 @@ def test_rows_are_the_slopes_of_what_the_loads_stray(monkeypatch):
         assert change == pytest.approx(rows.weights[0, k] * b[k], rel=0.2)
 
 
+@pytest.mark.long(shown_by="test_a_motion_that_strays_a_little_is_slowed_for_it")
 def test_the_motion_is_near_the_least_that_any_plan_can_take(monkeypatch):
     """Least by a linear program over what X is told tick by tick, which shares no code with it.
 

@@ -10,6 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "twin-kernel.md"
 
@@ -82,6 +84,7 @@ def changed(text: str, hunk: list[str]) -> str:
     return text.replace(before, after)
 
 
+@pytest.mark.long(shown_by="test_the_page_runs")
 def test_the_example_can_be_followed(tmp_path: Path) -> None:
     """Engine and slow twin agree to 1e-6 counts, as everywhere; 7e-9 is seen."""
     for folder in ("src", "tests"):

@@ -86,6 +86,7 @@ def made(seed: int, tmp_path: Path) -> tuple[Machine, set[str]]:
     return load_machine(str(file)), maker.used
 
 
+@pytest.mark.long(but=("0", "4", "7", "13"))
 @pytest.mark.parametrize("seed", SEEDS)
 def test_random_networks(seed, table, tmp_path):
     """With quantisers where the seed is odd."""

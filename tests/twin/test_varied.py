@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.machine.test_variants import with_one_at_end
 
 from threadline.dynamics.linear_model import linear_model
 from threadline.dynamics.network import piecewise_linear
@@ -11,7 +12,7 @@ from threadline.dynamics.values import Values
 from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import load_machine
 from threadline.machine.numbers import with_numbers
-from threadline.machine.variants import drawn, numbers_at, variant, variant_of
+from threadline.machine.variants import drawn, numbers_at, variant
 from threadline.twin.batch import simulate_batch
 from threadline.twin.kernel.piece import prepared
 from threadline.twin.simulate import simulate
@@ -95,4 +96,4 @@ def test_the_linear_model_has_the_dead_time_of_its_variant() -> None:
     machine = load_machine("stitcher")
     (model, *_) = linear_model(machine, Values.of(machine, {"drives.x.delay": np.array([4e-3])}))
     assert model.delay_s[model.inputs.index("drives.x")] == 4e-3
-    assert variant_of(machine, {"drives.x.delay": 1.0}).drives["x"].delay.si == 3.3e-3
+    assert with_one_at_end(machine, "drives.x.delay").drives["x"].delay.si == 3.3e-3

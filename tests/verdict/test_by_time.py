@@ -147,7 +147,7 @@ def test_a_trace_coarser_than_the_lag_measures_nothing_of_the_path() -> None:
     criteria = [
         Criterion(name=n, limit=5e-4, required=n == "contour_error")
         for n in FOLLOWING
-        if n != "repeatability"
+        if n not in {"repeatability", "tension_variation"}  # of many runs; of a tension
     ]
     verdict = judge([_coarse(200)], plan, spec_of(*criteria, lag_s=0.1))
 

@@ -10,7 +10,7 @@ import pytest
 
 from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Clock, Recording, RecordingBlock, Stream
-from threadline.verdict import Criterion, Status, blocks, judge
+from threadline.verdict import Criterion, Judge, Status, blocks, judge
 
 from .builders import SERVO, TICK_S, follow, plan_through, record, spec_of
 
@@ -107,6 +107,19 @@ def test_a_recording_that_ends_soon_after_the_command_can_only_fail(name: str) -
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["residual_vibration", "settling_time"])
+@pytest.mark.parametrize("standstill", [4, 39, 41, 300])
+def test_runs_side_by_side_pass_by_what_was_seen_as_one_run_does(name, standstill) -> None:
+    """A yield counts no machine as good whose load was not watched for long enough."""
+    commanded, load, operation, _, _ = ringing(decay_s=0.05, standstill=standstill)
+    recording = record(("X", "Y"), {K.COMMANDED: commanded, K.LOAD: load}, operation)
+    plan = plan_through(POINTS, ("X", "Y"))
+    for limit in (1e-9, 1.0):
+        spec = spec_of(Criterion(name=name, limit=limit, required=True))
+        alone, (beside,) = judge([recording], plan, spec), Judge(plan, spec).each(recording).passed
+        assert beside == alone.passed == (limit == 1.0 and standstill > 40)
+
+
 def test_a_band_beyond_all_motion_is_settled_in_at_once() -> None:
     commanded, load, operation, _, _ = ringing()
     criterion = Criterion(name="settling_time", options={"band": 1e9})
@@ -130,6 +143,7 @@ def test_residual_vibration_is_told_at_the_instant_that_completes_the_swing(per_
         assert told == pytest.approx(TICK_S * last, abs=1e-9)
 
 
+@pytest.mark.long(only="1")
 @pytest.mark.parametrize("per_block", [1, 17, 90, 1000])
 def test_short_blocks_are_joined_and_measure_the_same(
     per_block: int, monkeypatch: pytest.MonkeyPatch

@@ -10,10 +10,12 @@ from __future__ import annotations
 import random
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from tools import fuzz_metamorphic as cases
+from tools.fuzz_same_recordings import pool, recording_of, values_of
 
 from threadline.files import Recording
 from threadline.jobs.gcode import modal
@@ -24,10 +26,10 @@ JUDGE = sys.modules[judge.__module__]
 CASES = {"same-recording": 60, "same-program": 60, "same-winding": 12, "same-machine": 40}
 
 
-def run(kind: str, folder: Path, count: int) -> list[str]:
-    """Return what differed in so many cases."""
+def run(kind: str, folder: Path, count: int) -> Iterator[str]:
+    """Yield what differed in so many cases."""
     _, make, check, _ = cases.fuzz_metamorphic()[kind]
-    path, found = folder / "case.seed", []
+    path = folder / "case.seed"
     for index in range(count):
         path.write_bytes(make(random.Random(f"5/{kind}/{index}")))
         try:
@@ -35,15 +37,16 @@ def run(kind: str, folder: Path, count: int) -> list[str]:
                 warnings.simplefilter("error")
                 check(path)
         except AssertionError as told:
-            found.append(f"{index}: {told}")
-    return found
+            yield f"{index}: {told}"
 
 
+@pytest.mark.long(only="same-recording")
 @pytest.mark.parametrize("kind", cases.CLASSES)
 def test_what_must_not_matter_changes_no_verdict(kind: str, tmp_path: Path) -> None:
-    assert run(kind, tmp_path, CASES[kind]) == []
+    assert list(run(kind, tmp_path, CASES[kind])) == []
 
 
+@pytest.mark.long(only="1.prg-edges2")
 @pytest.mark.parametrize(
     ("name", "edges"),
     [
@@ -57,9 +60,9 @@ def test_what_must_not_matter_changes_no_verdict(kind: str, tmp_path: Path) -> N
 def test_where_a_recording_is_cut_into_blocks_changes_no_value(
     name: str, edges: tuple[int, ...]
 ) -> None:
-    kept = next(kept for kept in cases.pool() if kept.seed.file.name == name)
-    cut = cases.recording_of(kept.seed, kept.samples, edges)
-    found = cases.values_of(kept.seed, cut, kept.seed.proof.spec)
+    kept = next(kept for kept in pool() if kept.seed.file.name == name)
+    cut = recording_of(kept.seed, kept.samples, edges)
+    found = values_of(kept.seed, cut, kept.seed.proof.spec)
     assert found == pytest.approx(kept.measured, rel=1e-9, abs=1e-12, nan_ok=True)
 
 
@@ -94,6 +97,6 @@ def test_a_careless_program_is_found_out(
     kind, owner, name, careless, found, tmp_path: Path, monkeypatch
 ) -> None:
     """Limits two thousandths wider, the first channel of a kind, an F in inches taken as mm."""
-    cases.pool()
+    pool()
     monkeypatch.setattr(owner, name, careless)
     assert any(found in told for told in run(kind, tmp_path, CASES[kind]))

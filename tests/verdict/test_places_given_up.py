@@ -94,6 +94,10 @@ def test_a_place_that_was_given_up_and_could_be_better_is_looked_at_again(
     single = judge([alone(back)], PLAN, SPEC).result("progress_error").measured
     assert values[1] == pytest.approx(single, abs=1e-12)
     assert values[0] < 1e-9 and 5e-3 < single < 9e-3
+    # Further runs of the plan keep places as far behind: they are read once.
+    times = len(seen)
+    np.testing.assert_array_equal(judged_values([good, back]), values)
+    assert len(seen) == times
 
 
 def judged_values(ways: list[np.ndarray]) -> np.ndarray:

@@ -28,6 +28,7 @@ from threadline.verdict import (
     verdict_json,
     verdict_rows,
 )
+from threadline.verdict.rendering import shown
 
 from .builders import follow, plan_through, record, spec_of, winder
 
@@ -305,3 +306,10 @@ def test_axes_that_never_move_have_no_rows_of_zeros() -> None:
     assert rows(at_rest, lag) == ["A", "A"]
     every = verdict_rows(Verdict(results=(at_rest, moves), simulated=True), every_axis=True)[1]
     assert len(every) == 2
+
+
+@pytest.mark.parametrize(
+    ("share", "said"), [(0.0, "0 %"), (0.0209, "2.09 %"), (1.0, "100 %"), (12.53, "1250 %")]
+)
+def test_shares_are_written_without_powers_of_ten(share: float, said: str) -> None:
+    assert shown(share, "") == said

@@ -92,7 +92,7 @@ def test_every_key_and_status_is_named() -> None:
         assert f"| `{key}` |" in keys
     assert "[[criteria]]" in keys
     for status in Status:
-        assert f"| `{status.value}` |" in part("What comes of it")
+        assert f"| `{status.value}` |" in part("Results")
 
 
 def test_what_is_judged_without_being_named_is_so(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from threadline.machine.tool import Arm, Tool
 from threadline.winding.clearance import Clearance
 from threadline.winding.product import Product, product_of_text, product_text
 from threadline.winding.replay import Fibre, Replay
+from threadline.winding.surface import Surface
 
 VESSEL = Path(__file__).parents[2] / "examples" / "vessel.wind.toml"
 BODIES = (
@@ -243,6 +244,28 @@ def _free_fibre(
     normal = x[1] * out - r[1] * along
     ends = np.stack([x[0] * along + r[0] * out, eyes[at, 1:4]])
     return ends, normal / np.linalg.norm(normal)
+
+
+def test_layers_that_a_free_fibre_cannot_meet_change_nothing(product: Product) -> None:
+    """The hollows over the layers are the same to the bit if all of the free fibre is looked at."""
+    surface, tool = product.surface, _tool(0.0)
+    circuit = programs.eyes(surface, programs.geodesic(surface)[1])
+    turn = circuit[-1, 0]
+    eyes = np.zeros((12 * len(circuit), 6))
+    eyes[:, :3] = np.vstack([circuit + np.array([k * turn, 0.0, 0.0]) for k in range(12)])
+    eyes[:, 1] -= programs.AT_M
+    fibre = Replay(surface, tool, 1.0, product.tied).feed(eyes)
+    # On a mandrel that is not said to be convex nothing ahead is left out.
+    whole = Surface(surface.nodes, surface.x, surface.r, convex=False)
+    near, all_of_it = (Clearance(one, (), tool, 0.0, 5e-3 * 5e-4, 5e-3) for one in (surface, whole))
+    for one in (near, all_of_it):
+        one.feed(eyes, fibre)
+    at = np.flatnonzero(fibre.known)[::17]
+    found, wanted = (
+        [one.hollow_m(eyes[k], fibre.u[k], fibre.angle[k]) for k in at] for one in (near, all_of_it)
+    )
+    assert found == wanted
+    assert len(at) > 50 and max(found) > 1e-4
 
 
 def test_a_bead_is_in_the_way_of_a_free_fibre_that_comes_back() -> None:

@@ -56,6 +56,7 @@ def _judged(folder: Path, program: str, limit: float | None) -> Result:
     return next(result for result in verdict.results if result.name == name)
 
 
+@pytest.mark.long(shown_by="test_one_speed_is_even_and_a_rest_is_not")
 def test_two_speeds_of_equal_time_have_the_deviation_of_two_values(tmp_path: Path) -> None:
     """Speeds v and 2 v for equal times: mean 1.5 v, deviation 0.5 v, a third of the mean.
 

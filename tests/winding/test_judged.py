@@ -37,12 +37,11 @@ from threadline.verdict import Spec, load_spec
 from threadline.verdict.fibre import (
     MEASURED,
     PLANNED,
-    Closing,
-    _Covering,
     measure_planned,
 )
 from threadline.verdict.finding import Finding
 from threadline.verdict.laid_error import off_design
+from threadline.verdict.pattern import Closing, Covering
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
@@ -188,6 +187,7 @@ def test_the_pattern_closes_and_missing_circuits_leave_a_gap(
     assert abs(1e3 * beside - place) < 2e3 * vessel.width.si
 
 
+@pytest.mark.long(shown_by="test_every_verb_that_judges_takes_the_fibre")
 def test_a_run_is_judged_like_its_plan(
     tmp_path: Path, machine: Machine, circuit: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -251,7 +251,7 @@ def test_every_verb_that_judges_takes_the_fibre(
         given.append({one.name for one in spec.criteria})
         raise OptionError("far enough", remedy="Go on.")
 
-    monkeypatch.setattr("threadline.cli.yield_.MachineYield", taken)
+    monkeypatch.setattr("threadline.search.machine_yield.MachineYield", taken)
     with pytest.raises(SystemExit):
         main(["yield", str(file), "-m", "lathe-winder", "--product", str(VESSEL)])
     assert given[0] >= {"slip_tendency", "planned_lifting"}
@@ -425,12 +425,12 @@ def test_the_wound_mandrel_is_a_glb(vessel: Product, circuit: FloatArray, machin
 
 
 def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
-    vessel: Product, machine: Machine, circuit: FloatArray
+    vessel: Product, machine: Machine, circuit: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Untied, the first five free lengths of 40 mm are not known: 0.2 m of two circuits."""
     assert machine.tool is not None
     eyes = _eyes(circuit, 2)
-    covering = _Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
+    covering = Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
     replay = Replay(vessel.surface, machine.tool, 0.2)
     for part in np.array_split(eyes, 5):
         blank = np.zeros((len(part), 3))
@@ -440,6 +440,18 @@ def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     length = programs.geodesic(vessel.surface)[0][-1]
     assert share is not None
     assert float(share[1]) == pytest.approx(100.0 * 0.2 / (2.0 * length), abs=1.5)
+    assert covering.found().worst().note.endswith("and that fibre may lie in the gap")
+    none = Gap(0.0, 0.0, -1, "")
+    monkeypatch.setattr(Raster, "gap", lambda _: none)
+    full = Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
+    fibre = Replay(vessel.surface, machine.tool, 0.2).feed(part)
+    full.take([Wound(blank[:, 0], None, blank, fibre, part)])
+    finding = full.found().worst()
+    assert finding.value == 0.0
+    assert re.fullmatch(
+        r"the place of \d+ % of the laid fibre is not known, and that fibre counts as no cover: "
+        "the rest leaves no gap", finding.note,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(("slip", "said"), [(2e-4, "0.02% too little"), (-2e-4, "0.02% too far")])

@@ -291,6 +291,20 @@ PAY = """    22 0 1 1 1 1 1
     60.000    70.000   -30.000    65.000
 """
 """Paths as CADFIL's help describes them: points on the mandrel, and the width of the band."""
+MND = """XRDATA   (CADFIL AXISYMMETRIC)
+     0          (SYMMETRY FLAG)
+     6          (NO. OF MANDREL DATA POINTS)
+   -140.0000        0.000000         0    0.000000
+   -135.0000        20.00000         0    0.000000
+   -120.0000        40.00000         0    0.000000
+   -100.0000        50.00000        17    0.000000
+    60.00000        50.00000         0    0.000000
+    80.00000        42.00000         0    0.000000
+     2          (NO. OF ENVELOPE DATA POINTS)
+   -150.0000        70.00000         0    0.000000
+    150.0000        70.00000         0    0.000000
+"""
+"""A mandrel file: places, radii, extra points up to the next point, radii of arcs."""
 
 
 def _foreign(folder: Path, name: str, text: str) -> Product:
@@ -336,6 +350,86 @@ def test_paths_of_cadfil_show_their_mandrel(tmp_path: Path) -> None:
     assert listed.surface.length_m == found.surface.length_m
     drawn = f'[[part]]\nfile = "MADE.FIB"\n{BAND}'
     assert _read(tmp_path, drawn).surface.length_m == fibre.surface.length_m
+
+
+def test_settings_and_notes_of_cadfil_9_are_passed_over(tmp_path: Path) -> None:
+    """Its files have lines that the help does not describe, and the number of points elsewhere."""
+    older = _foreign(tmp_path, "MADE.PAY", PAY)
+    lines = PAY.splitlines()
+    noted = [*lines[:3], "$MVL-R1=50.000", "$FIBER-TEX=800.000", lines[3], "ANR08", *lines[4:]]
+    found = _foreign(tmp_path, "NINE.PAY", "\n".join(noted) + "\n")
+    np.testing.assert_array_equal(found.surface.r, older.surface.r)
+    assert found.width == older.width
+    fibre = _foreign(tmp_path, "MADE.FIB", FIB)
+    (tmp_path / "NINE.FIB").write_text(FIB.replace("    24\n     3\n", " 24 3\n"))
+    newer = product_of_text(product_text(tmp_path / "NINE.FIB"))
+    np.testing.assert_array_equal(newer.surface.r, fibre.surface.r)
+    # A message still names the line of the file.
+    broken = "\n".join(noted).replace("10.000", "10.0x0")
+    with pytest.raises(JobError, match=r"BAD\.PAY:10: '10\.0x0"):
+        _foreign(tmp_path, "BAD.PAY", broken)
+
+
+def test_the_mandrel_file_that_a_path_names_is_the_mandrel(tmp_path: Path) -> None:
+    """Its divided line is straight, and the point on the axis is left out."""
+    (tmp_path / "made.mnd").write_text(MND)
+    (tmp_path / "other.pay").write_text(PAY.replace("50.000 ", "49.790 "))
+    (tmp_path / "other.fib").write_text(FIB)
+    control = " SPCTL2\n2\n1\nmade.pay\n1000.000000\n2\n\n\n1\nother.pay\n5000.0\n1\n\n\n"
+    for name, text in (("MADE.PAY", PAY), ("all.ctl", control), ("other.fib", FIB)):
+        found = _foreign(tmp_path, name, text)
+        places = 1e3 * np.array([-135.0, -100.0 + 1e-3, -20.0, 60.0 - 1e-3, 80.0]) - -135e3
+        at = found.surface.place_of(1e-6 * places)
+        radii = found.surface.at(at)[1][:, 0]
+        np.testing.assert_allclose(radii, 1e-3 * np.array([20.0, 50, 50, 50, 42]), atol=5e-5)
+        assert radii[2] == pytest.approx(0.05, abs=1e-12)
+        assert (found.at.si, found.width.si) == (pytest.approx(-0.135), pytest.approx(0.0025))
+    drawn = _read(tmp_path, f'[[part]]\nfile = "made.mnd"\n{BAND}')
+    assert drawn.surface.least_radius_m == pytest.approx(0.02)
+
+
+def test_points_on_chords_below_the_mandrel_are_left_out_where_a_finer_path_lies(
+    tmp_path: Path,
+) -> None:
+    """CADFIL's joining paths have points 0.2 mm below a cylinder on which other paths lie."""
+
+    def path(places: list[float], radii: list[float]) -> str:
+        rows = [
+            f" {x:.4f} 0.0 {r:.4f} 0 1 0 0 0 1\n {x:.4f} 60 31 61 0"
+            for x, r in zip(places, radii, strict=True)
+        ]
+        head = f"46 0 0 1 1 1 1\n MADE.MND\n 1 60 19.26 4.0 7.9\n {len(places)}\n"
+        return head + "\n".join(rows) + "\n"
+
+    cylinder = np.arange(0.0, 100.5, 0.5).tolist()
+    (tmp_path / "wound.pay").write_text(path(cylinder, [50.0] * len(cylinder)))
+    joins = path([-20.0, -10.0, 10.1, 50.1, 90.1], [30.0, 42.0, 49.8, 49.8, 49.8])
+    (tmp_path / "joins.pay").write_text(joins)
+    text = "SPCTL\n2\n1\nwound.pay\n1000.0\n2\n1\njoins.pay\n1000.0\n2\n"
+    surface = _foreign(tmp_path, "all.ctl", text).surface
+    at = surface.place_of(1e-3 * np.array([0.0, 30.1, 70.1, 110.1]))
+    np.testing.assert_allclose(surface.at(at)[1][:, 0], [0.03, 0.05, 0.05, 0.05], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (MND[8:], "a.mnd:1: a mandrel file of CADFIL that turns about an axis begins with XRDATA"),
+        (MND[:40], "it ends within its head"),
+        (MND.replace("     0          (SYM", "     1          (SYM"), "its symmetry flag is 1"),
+        (MND.replace("     6 ", "    60 "), "a.mnd:3: it states 60 points and has 9"),
+        (MND.replace("17    0.000000", "17    12.00000"), "a.mnd:7: an arc of 12 mm follows"),
+        (MND.replace("60.00000        50", "-120.000        50"), "a.mnd:8: the mandrel doubles"),
+        (MND.replace("     6 ", "     2 "), "fewer than two points off its axis"),
+        (MND.replace("-120.0000", "-12x.0000"), "a.mnd:6: '-12x.0000"),
+    ],
+)
+def test_what_is_not_understood_of_a_mandrel_file_is_said(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "a.mnd").write_text(text)
+    message = _refused(tmp_path, f'[[part]]\nfile = "a.mnd"\n{BAND}')
+    assert said in message and "\n" not in message
 
 
 @pytest.mark.parametrize(

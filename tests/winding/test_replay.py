@@ -264,6 +264,7 @@ def _turning(time: FloatArray | float) -> FloatArray:
     return eyes
 
 
+@pytest.mark.long(but="along--")
 @pytest.mark.parametrize(("axis", "side"), [("along", "+"), ("along", "-"), ("up", "+")])
 def test_a_roller_agrees_with_its_tangent_in_space(axis: str, side: str) -> None:
     """The fibre runs to the root of its tangency on a roller of 8 mm that yaws and rolls."""

@@ -14,12 +14,16 @@ from tests.winding import programs
 from threadline.base.arrays import FloatArray
 from threadline.cli.prove import product_lines
 from threadline.commands.plan import Plan
+from threadline.files import Stream
 from threadline.machine import Machine, load_machine
+from threadline.proof import judge_runs
+from threadline.proof.judge_runs import kept_in_memory
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import NOMINAL, open_job, plan_job, prove_plan, with_shaping
 from threadline.proof.worst_machine import WithinTolerances
+from threadline.proof.worst_search import WorstSearch, most_searched
 from threadline.search.machine_yield import MachineYield
-from threadline.verdict import load_spec
+from threadline.verdict import laid_error, load_spec
 from threadline.verdict.causes import Causes, causes_of
 from threadline.verdict.replayed import NUMBERS, product_of, product_words, toleranced
 from threadline.winding.product import product_of_text, product_text
@@ -100,6 +104,55 @@ def test_numbers_of_the_product_vary_beside_those_of_the_machine(
     assert line.endswith(
         "--product: mandrel.radius_error = -0.1 mm, mandrel.at = 100.5 mm, band.width = 5.7 mm"
     )
+
+
+def test_many_machines_share_the_design_and_the_plan(
+    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A winding of half an hour is planned, and its designed fibre replayed, once for them all."""
+    options = options_of(product=str(VESSEL), interpolation="linear")
+    file = tmp_path / "rests.prg"
+    file.write_text("G90\nG1 X10 F100\nG4 P1500\nG1 X0\nM30\n")
+    plan = plan_job(open_job(file, machine, options), machine, options)
+    assert plan.duration_s > 1500.0
+    kept = kept_in_memory(plan)
+    assert kept is not plan and isinstance(kept.commands.blocks, Stream)
+    monkeypatch.setattr(judge_runs, "KEPT_TICKS", 1000)
+    assert kept_in_memory(plan) is plan
+
+    counted: list[int] = []
+    read = laid_error.programmed_fibre
+
+    def counting(*given: object) -> object:
+        counted.append(1)
+        return read(*given)
+
+    monkeypatch.setattr(laid_error, "programmed_fibre", counting)
+    circuit = _plan(tmp_path, machine, 1)
+    spec = with_shaping(load_spec(None, machine), machine, options_of(product=str(VESSEL)))
+    within = WithinTolerances(circuit, spec, threads=1, with_product=True)
+    parts = np.zeros((2, len(within.ends)))
+    first = within.judged(parts).row("laid_error").values
+    np.testing.assert_array_equal(within.judged(parts).row("laid_error").values, first)
+    assert len(counted) == 1
+
+
+class _Replayed:
+    together, replayed = True, True
+
+    def __init__(self, ticks: int) -> None:
+        self.ticks = ticks
+
+
+def test_a_search_tries_fewer_machines_of_a_long_winding() -> None:
+    """50 million ticks of replayed runs, at least as many machines as one by one, at most all."""
+    for ticks, most in ((0, 1200), (10_000, 1200), (100_000, 500), (400_000, 125), (10**7, 60)):
+        within = _Replayed(ticks)
+        assert most_searched(within) == most  # type: ignore[arg-type]
+        assert WorstSearch(within).most == most  # type: ignore[arg-type]
+    plain = _Replayed(400_000)
+    plain.replayed = False  # type: ignore[misc]
+    assert most_searched(plain) == 1200  # type: ignore[arg-type]
 
 
 def _gaps(turn: float, circuits: int, width_m: float) -> FloatArray:

@@ -5,7 +5,7 @@ import type { Figures, State } from "./messages";
 import type { Step } from "./next_step";
 import type { Session } from "./session";
 import { unitOf } from "./session";
-import { before, clock } from "./wording";
+import { before, clock, isOf } from "./wording";
 
 const LOOKS: Record<string, string> = {
   homing: "moves",
@@ -15,6 +15,10 @@ const LOOKS: Record<string, string> = {
   holding: "held",
   fault: "wrong",
   gone: "wrong",
+};
+/** What a state without a reason of its own means for somebody who waits. */
+const PREPARES: Record<string, string> = {
+  connecting: "the machine is being prepared; the first time on a computer this takes up to a minute",
 };
 const FEED_MS = 250;
 export const STEP_PERCENT = 10;
@@ -32,7 +36,7 @@ export class Bar {
   /** Show the state as a chip, with its reason beside it. */
   tellState(state: State | null, refused: string): void {
     const word = state?.state ?? (refused ? "refused by the panel" : "no connection");
-    const why = state?.why ?? refused;
+    const why = state ? state.why || PREPARES[state.state] || "" : refused;
     const told = `${word}\n${why}`;
     put(by("state").dataset, "look", state ? (LOOKS[state.state] ?? "") : "wrong");
     if (told === this.chip) return;
@@ -47,8 +51,7 @@ export class Bar {
     const runs = !!run && run.ended === null;
     const program = runs ? run.program : (state.proven?.program ?? "");
     tell("now-program", program || "no program calculated");
-    const own =
-      figures && (!runs || figures.program === run.program || figures.program.startsWith(run.program));
+    const own = figures && (!runs || isOf(figures.program, run.program));
     const at = runs && own ? before(figures.lines.times_s, run.time_s) : -1;
     const line = at < 0 ? 0 : figures!.lines.line[at]!;
     put(by("now-line"), "hidden", !runs || line === 0);
@@ -71,6 +74,7 @@ export class Bar {
   /** Show an override of the feed, if there is one, and its steps, if the machine takes any. */
   private tellOverride(state: State, runs: boolean): void {
     const { session } = this;
+    put(by("feed-row"), "hidden", session.axes.length === 0); // cylinders have no feed
     for (const id of ["slower", "faster"]) put(by(id), "hidden", !session.feedOverride);
     tell("feed-percent", runs && state.feed_percent !== 100 ? `at ${state.feed_percent} %` : "");
   }

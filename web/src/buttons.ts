@@ -32,7 +32,7 @@ export class Buttons {
     for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) {
       const what = one.dataset.what!;
       const waits = (what === "start" && unreasoned) || (changed && OF_CALCULATION.has(what));
-      const may = !stale && this.can(what, state) && !waits && !this.ends(one);
+      const may = !stale && this.can(one, what, state) && !waits && !this.ends(one);
       put(one, "disabled", !this.jogging.keeps(one) && !may);
       put(one, "title", this.why(one, what, state));
     }
@@ -44,10 +44,15 @@ export class Buttons {
     return by !== undefined && this.session.overriddenBy(by) === null;
   }
 
-  private can(what: string, state: State | null): boolean {
+  private can(one: HTMLButtonElement, what: string, state: State | null): boolean {
     if (OF_PROGRAMS.has(what)) return this.teach.can(state);
-    if (what === "continue" && this.continuing.whole(this.traces.chosen) !== "") return false;
+    if (this.ofChosen(one, what) && this.continuing.whole(this.traces.chosen) !== "") return false;
     return this.session.can(what);
+  }
+
+  /** Whether a button continues the run that is chosen in the table of runs. */
+  private ofChosen(one: HTMLButtonElement, what: string): boolean {
+    return what === "continue" && one.dataset.here === undefined;
   }
 
   private why(one: HTMLButtonElement, what: string, state: State | null): string {
@@ -60,7 +65,7 @@ export class Buttons {
     return (
       session.lacking(what) ||
       (OF_PROGRAMS.has(what) && session.untaught) ||
-      (what === "continue" && this.continuing.whole(this.traces.chosen)) ||
+      (this.ofChosen(one, what) && this.continuing.whole(this.traces.chosen)) ||
       (BY_PLACE.has(what) && byPlace) ||
       (what === "override-feed" && overridden) ||
       (one.disabled && state !== null && session.waits(what)) ||

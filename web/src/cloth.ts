@@ -1,11 +1,11 @@
 /** The cloth from above: stitches by their use of a limit, or in the colours of their threads. */
 
-import { made } from "./dom";
-import type { State } from "./messages";
+import { by, made, put } from "./dom";
+import type { Progress, State, Stitches } from "./messages";
 import { colour, onTheme } from "./theme";
 import type { Picture, Shown } from "./view";
 import { onScreen, sizeOf } from "./visibility";
-import { before } from "./wording";
+import { before, isOf } from "./wording";
 
 /** Upper ends of the shares of a limit, and the colours of what lies below them. */
 const BANDS: [number, string, string][] = [
@@ -14,7 +14,8 @@ const BANDS: [number, string, string][] = [
   [1, "--measured", "up to the limit"],
   [Number.POSITIVE_INFINITY, "--trouble", "beyond it"],
 ];
-const GREYS = ["#555555", "#8a8a8a", "#333333", "#a5a5a5"];
+const GREYS = ["#4a4a4a", "#7a7a7a", "#262626", "#949494"];
+const ON_CLOTH = "#101418"; // of the needle's cross: the cloth is light in a dark page, too, as threads may be dark
 const MARGIN = 18;
 
 type Mark = { x: number; y: number };
@@ -22,6 +23,27 @@ type Mark = { x: number; y: number };
 /** The band of a used share of a limit. */
 export function bandOf(share: number): number {
   return BANDS.findIndex(([most]) => share <= most);
+}
+
+/** Stitches a minute about the k-th drawn hole, by the plan; null where it is not known. */
+export function pace(
+  stitches: Pick<Stitches, "times_s" | "number">,
+  k: number,
+  percent: number,
+): number | null {
+  const { times_s, number } = stitches;
+  const next = Math.min(Math.max(k + 1, 1), times_s.length - 1);
+  const lasts = (times_s[next] ?? 0) - (times_s[next - 1] ?? 0);
+  return lasts > 0 ? (0.6 * percent * (number[next]! - number[next - 1]!)) / lasts : null;
+}
+
+/** Time of the plan up to which a design is sewn: of its run, also of one that was broken off; null for all of it. */
+export function sewnUntil(
+  run: Progress | null,
+  job: Pick<Shown, "program" | "times_s"> | null,
+): number | null {
+  if (!run || !job?.times_s.length || !isOf(job.program, run.program)) return null;
+  return run.ended === null || ["stopped", "fault"].includes(run.ended) ? run.time_s : null;
 }
 
 export class Cloth implements Picture {
@@ -33,17 +55,25 @@ export class Cloth implements Picture {
   private done = 0; // number of drawn holes that are sewn
   private sewing = false; // whether a run or a simulation is under way
   private head: Mark | null = null;
+  private stands: Mark | null = null; // where the next hold stands
   private dirty = true;
+  private percent = 100; // feed override of the run
   private readonly seen: () => boolean;
 
-  constructor() {
+  /** @param recoloured called when other colours were chosen */
+  constructor(recoloured: () => void) {
     this.told.className = "hint";
     this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "the cloth from above");
     this.element.append(this.told, this.canvas);
     this.seen = onScreen(this.element);
     onTheme(() => {
       this.dirty = true;
     });
+    by("seen-as").onchange = () => {
+      this.dirty = true;
+      recoloured();
+    };
   }
 
   show(job: Shown | null): void {
@@ -51,6 +81,17 @@ export class Cloth implements Picture {
     this.dirty = true;
     this.put(null, null);
     this.tell();
+    put(by("seen-as"), "hidden", !this.choosable());
+  }
+
+  /** Whether a design has threads, and its stitches uses of a limit. */
+  private choosable(): boolean {
+    const { threads, use } = this.job?.stitches ?? { threads: [], use: [] };
+    return threads.length > 0 && use.length > 0;
+  }
+
+  private heated(): boolean {
+    return this.choosable() && by<HTMLSelectElement>("seen-as").value === "use";
   }
 
   live(state: State): void {
@@ -59,13 +100,27 @@ export class Cloth implements Picture {
     const [px, py] = [place(x), place(y)];
     const head = px === null || py === null ? null : { x: px, y: py };
     const run = state.progress;
-    this.put(run && run.ended === null ? run.time_s : null, head);
+    const runs = run && run.ended === null;
+    this.percent = state.feed_percent;
+    this.stand(runs && run.hold === "at a rest" ? run.hold_at_s : null);
+    this.put(sewnUntil(run, this.job), head);
+  }
+
+  /** Mark the place of the next hold, if it waits for a rest. */
+  private stand(time_s: number | null): void {
+    const at = time_s === null ? null : this.planned(time_s);
+    if (at?.x === this.stands?.x && at?.y === this.stands?.y) return;
+    [this.stands, this.dirty] = [at, true];
+  }
+
+  private planned(time_s: number): Mark | null {
+    const k = Math.max(before(this.job?.times_s ?? [], time_s), 0);
+    const [x, y] = [this.job?.planned.X?.[k], this.job?.planned.Y?.[k]];
+    return x === undefined || y === undefined ? null : { x, y };
   }
 
   at(time_s: number): void {
-    const k = Math.max(before(this.job?.times_s ?? [], time_s), 0);
-    const [x, y] = [this.job?.planned.X?.[k], this.job?.planned.Y?.[k]];
-    this.put(time_s, x === undefined || y === undefined ? null : { x, y });
+    this.put(time_s, this.planned(time_s));
   }
 
   /** Show what is sewn at a time, everything without one, and the needle. */
@@ -86,10 +141,12 @@ export class Cloth implements Picture {
     if (!stitches) return;
     const number = this.done ? stitches.number[this.done - 1]! : 0;
     const block = stitches.threads.length > 1 ? this.thread(Math.max(this.done - 1, 0)) : "";
-    const text = this.sewing ? `stitch ${number} of ${stitches.count}${block}` : `${stitches.count} stitches`;
+    const fast = pace(stitches, this.done - 1, this.percent);
+    const speed = fast === null ? "" : `, ${fast.toFixed(0)} stitches a minute`;
+    const text = this.sewing
+      ? `stitch ${number} of ${stitches.count}${block}${speed}`
+      : `${stitches.count} stitches`;
     if (this.told.textContent !== text) this.told.textContent = text;
-    if (this.canvas.getAttribute("aria-label") !== "the cloth from above")
-      this.canvas.setAttribute("aria-label", "the cloth from above");
   }
 
   private thread(k: number): string {
@@ -98,7 +155,7 @@ export class Cloth implements Picture {
   }
 
   private inThreads(): boolean {
-    return (this.job?.stitches?.threads.length ?? 0) > 0;
+    return (this.job?.stitches?.threads.length ?? 0) > 0 && !this.heated();
   }
 
   private colourOf(k: number): string {
@@ -115,9 +172,7 @@ export class Cloth implements Picture {
         one ?? GREYS[k % GREYS.length]!,
         one ? `thread ${k + 1}` : `thread ${k + 1}: the file has no colour`,
       ]);
-      return stitches.use.length
-        ? [...known, ["var(--trouble)", `${stitches.use_of} near its limit`]]
-        : known;
+      return known;
     }
     if (!stitches.use.length) return [];
     return BANDS.map(([, name, text], k) => [`var(${name})`, k ? text : `${stitches.use_of}: ${text}`]);
@@ -140,6 +195,10 @@ export class Cloth implements Picture {
     const stitches = this.job?.stitches;
     pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     if (!stitches?.x.length) return;
+    if (this.inThreads()) {
+      pen.fillStyle = colour("--cloth");
+      pen.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    }
     const sharp = window.devicePixelRatio || 1;
     const [low, high] = [
       [Math.min(...stitches.x), Math.min(...stitches.y)],
@@ -162,19 +221,27 @@ export class Cloth implements Picture {
         pen.lineTo(x(stitches.x[k]!), y(stitches.y[k]!));
         pen.stroke();
       }
-      const hot = this.inThreads() && (stitches.use[k] ?? 0) > 0.95;
-      if (hot) pen.fillStyle = colour("--trouble");
       pen.beginPath();
-      pen.arc(x(stitches.x[k]!), y(stitches.y[k]!), hot ? 1.6 * size : size, 0, 2 * Math.PI);
+      pen.arc(x(stitches.x[k]!), y(stitches.y[k]!), size, 0, 2 * Math.PI);
       pen.fill();
     }
     pen.globalAlpha = 1;
+    if (this.stands) this.ring(pen, x(this.stands.x), y(this.stands.y), 8 * sharp);
     if (this.head) this.cross(pen, x(this.head.x), y(this.head.y), 9 * sharp);
+  }
+
+  /** A ring where the next hold stands. */
+  private ring(pen: CanvasRenderingContext2D, x: number, y: number, size: number): void {
+    pen.strokeStyle = colour("--accent");
+    pen.lineWidth = 3;
+    pen.beginPath();
+    pen.arc(x, y, size, 0, 2 * Math.PI);
+    pen.stroke();
   }
 
   /** A cross where the needle is. */
   private cross(pen: CanvasRenderingContext2D, x: number, y: number, size: number): void {
-    pen.strokeStyle = colour("--ink");
+    pen.strokeStyle = this.inThreads() ? ON_CLOTH : colour("--ink");
     pen.lineWidth = 2;
     pen.beginPath();
     for (const [dx, dy] of [

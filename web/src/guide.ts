@@ -22,7 +22,7 @@ export class Guide {
 
   async open(): Promise<void> {
     if (this.there) return;
-    by("guide-said").textContent = "being written";
+    by("guide-said").textContent = "The guide is being made.";
     const answer = await this.session.ask("/api/guide");
     by("guide-said").textContent = "";
     if (!answer.ok) {

@@ -65,6 +65,7 @@ export class Jogging {
       simple("Reset", "reset"),
       simple("Reconnect", "reconnect"),
     );
+    put(by("commands").querySelector<HTMLElement>("[data-what=zero]")!, "hidden", !session.byHand);
     this.keys.clear();
     const pairs: Record<string, [string, string]> = {
       X: ["ArrowRight", "ArrowLeft"],

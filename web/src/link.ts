@@ -10,6 +10,8 @@ const REFUSED = 4401; // code with which the panel closes the connection
 export class Link {
   lease = "";
   state: State | null = null;
+  /** Called at each stop that this page asks for. */
+  stopped = (): void => {};
   /** Time of arrival of the latest state, by the page's clock, ms. */
   heardMs = 0;
   private socket: WebSocket | null = null;
@@ -67,6 +69,7 @@ export class Link {
   }
 
   stop(): void {
+    this.stopped();
     this.stops += 1;
     this.say({ type: "stop", number: this.stops });
     // Also as a request, in case one of them is blocked; the panel counts a number once.

@@ -2,17 +2,21 @@
 
 import "./style.css";
 import { Bar } from "./bar";
+import { Board } from "./board";
 import { Buttons } from "./buttons";
-import { Continuing } from "./continuing";
+import { Continuing, RestHere } from "./continuing";
 import { Curves } from "./curves";
 import { by, made, put, tell, value } from "./dom";
 import { Draw } from "./draw";
+import { tellFacts } from "./facts";
 import { Guide } from "./guide";
 import { Jogging } from "./jogging";
 import { Listing } from "./listing";
+import { LiveError } from "./live_error";
 import { Margins } from "./margins";
 import type { FromPanel, Mandrel, State, Welcome } from "./messages";
-import { nextStep } from "./next_step";
+import { nextStep, type Step } from "./next_step";
+import { OwnButtons } from "./own_buttons";
 import { Positions } from "./positions";
 import { Program } from "./program";
 import { Session, toldRun, unitOf } from "./session";
@@ -29,6 +33,7 @@ const AT_START = 2e-4; // m or rad within which an axis stands where the program
 const WORK = ["prepare", "run"];
 
 let bare: Mandrel | null = null; // the bare machine, before anything is planned
+let next: Step | null = null; // the next step of the operator
 let toldEnd = ""; // the last message about the end of a run
 let toldFault = ""; // and about a fault
 let toldMs = Number.NEGATIVE_INFINITY; // when the age of the data was last shown
@@ -44,6 +49,8 @@ const toLine = (line: number): void => {
   by("listing").scrollIntoView({ block: "nearest" });
 };
 const margins = new Margins(toLine);
+const liveError = new LiveError(toLine);
+const board = new Board(session);
 const view = new View(
   by("space"),
   () => session.machineMoves(),
@@ -54,8 +61,10 @@ const teach = new Teach(session, program);
 new Draw(session, program);
 const traces = new Traces(session);
 const continuing = new Continuing(session, program, () => traces.chosen);
+const restHere = new RestHere(session, program);
 const guide = new Guide(session);
 const bar = new Bar(session);
+const own = new OwnButtons(session, program);
 const buttons = new Buttons(session, jogging, program, teach, traces, continuing);
 const shown = (): string => by<HTMLSelectElement>("axis").value;
 filterLog();
@@ -73,17 +82,26 @@ function heard(message: FromPanel): void {
     picture();
   } else if (message.type === "answer") {
     const renewal = session.renewal(message.number);
+    own.answered(message.number, message.ok);
     if (!message.ok && session.moves) session.letGo();
     if (!message.ok && !renewal) say(message.text, true);
   } else if (message.type === "said") say(message.text, message.wrong);
+  else if (message.type === "board") board.take(message);
+  else if (message.type === "console") board.hear(message);
 }
 
 function welcomed(message: Welcome): void {
   session.welcome(message);
-  by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
+  const far = made("small", message.simulated ? "simulated" : message.link);
+  by("machine").title = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
+  by("machine").replaceChildren(`${message.machine}, `, far);
   jogging.build();
   teach.build();
   program.build();
+  board.build(message);
+  own.build(message.machine, message.console);
+  view.of(message);
+  offerParts(message);
   tellLink(message);
   offer(message.axes.map((axis) => axis.name));
   put(by("curves"), "hidden", message.axes.length === 0 && !message.by_hand);
@@ -91,14 +109,28 @@ function welcomed(message: Welcome): void {
   picture();
 }
 
+/** Show the parts that the machine has: it may not be taught, and nothing that is drawn may be work for it. */
+function offerParts(welcome: Welcome): void {
+  put(by("tab-teach-in"), "hidden", welcome.untaught !== "");
+  put(by("tab-drawing"), "hidden", !welcome.by_hand);
+  const { part } = document.body.dataset;
+  if (by(`tab-${part}`).hidden) open("run");
+}
+
 /** Show what the link leads to, and which commands it lacks. */
 function tellLink(welcome: Welcome): void {
   const lacking = Object.entries(welcome.lacks).map(
-    ([what, why]) => `${what} is not available on this link: ${why}.`,
+    ([what, why]) => `${what} is not available on this link: ${why}`,
   );
   const notes = [welcome.label, ...lacking, ...welcome.notes].filter(Boolean);
-  by("link-notes").replaceChildren(...notes.map((text) => made("li", text)));
+  by("link-notes").replaceChildren(...notes.map((text) => made("li", asSentence(text))));
   put(by("link-notes"), "hidden", notes.length === 0);
+}
+
+/** A note as a sentence: "disable is greyed" becomes "Disable is greyed." A name such as grbl keeps its letters. */
+function asSentence(text: string): string {
+  const first = text.startsWith("grbl") ? text : text.charAt(0).toUpperCase() + text.slice(1);
+  return /[.!?]$/.test(first) ? first : `${first}.`;
 }
 
 /** Offer the axes and other moving bodies for the curves. */
@@ -131,6 +163,7 @@ function picture(): void {
   const other = program.preview !== null && figures !== null && program.preview.program !== figures.program;
   view.show(other ? null : figures, program.preview, bare);
   margins.show(figures);
+  liveError.show(figures);
 }
 
 /** Show one part of the page; STOP, state and control are always shown. */
@@ -146,9 +179,23 @@ function open(part: string): void {
   if (part === "guide") void guide.open();
 }
 
+/** Bring what is pressed in a step into sight, and the focus there; nothing is pressed. */
+function goTo(step: Step | null): void {
+  if (!step) return;
+  if (step.part) open(step.part);
+  const fields: Record<string, string> = { load: "#program", reason: "#override" };
+  const found = document.querySelector<HTMLElement>(
+    fields[step.what] ?? "main button.next, header #run button.next, #take.next",
+  );
+  found?.scrollIntoView({ block: "center" });
+  found?.focus({ preventScroll: true });
+}
+
 for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button"))
   tab.onclick = () => open(tab.dataset.part!);
 open("run");
+by("next").onclick = () => goTo(next);
+by("to-review").onclick = () => open("review");
 
 by("stop").onclick = () => session.link.stop();
 by("take").onclick = () => {
@@ -200,12 +247,22 @@ function tellControl(state: State): void {
   put(by("keep"), "hidden", !asked);
 }
 
+/** Hide the difference of the measured position on a link that measures none. */
+function tellMeasured(state: State): void {
+  const places = Object.values(state.axes);
+  const blind =
+    places.some((at) => at.commanded !== null) &&
+    !places.some((at) => at.measured !== null || at.load !== null);
+  put(by("measured-minus"), "hidden", blind);
+}
+
 let lineNow = 0; // the line under way
 
 /** Show the run, its line, and the next step. */
 function tellWork(state: State): void {
   lineNow = bar.tellRun(state, session.figures);
   if (lineNow) listing.mark(lineNow);
+  tellFacts(state, session.figures);
   const planned = session.figures?.planned ?? {};
   const atStart = Object.entries(planned).every(([name, at]) => {
     const stands = state.axes[name]?.commanded;
@@ -219,6 +276,8 @@ function tellWork(state: State): void {
     atStart,
   });
   bar.tellNext(step);
+  next = step;
+  restHere.show(state, !!session.figures?.stitches, atStart);
 }
 
 function show(state: State | null): void {
@@ -226,7 +285,8 @@ function show(state: State | null): void {
   const age = state ? state.age_s + silent : silent;
   const stale = state === null || age > STALE_S;
   document.body.classList.toggle("stale", stale);
-  tellAge(age, stale);
+  if (state?.state === "connecting") tell("age", "");
+  else tellAge(age, stale);
   const knocks = state === null && session.link.refused !== "";
   put(by("token-row"), "hidden", !knocks);
   bar.tellState(state, knocks ? session.link.refused : "");
@@ -239,10 +299,14 @@ function show(state: State | null): void {
   tellControl(state);
   tellEnds(state);
   tellWork(state);
+  tellMeasured(state);
   positions.show(state, bar.toGo(state, session.figures));
   jogging.show();
   program.show(state);
   margins.live(state);
+  liveError.live(state);
+  board.show(state);
+  own.show(state);
   traces.show(state);
   continuing.show(state, traces.chosen);
   view.live(state);
@@ -263,6 +327,7 @@ let ticks = 0;
 setInterval(() => {
   show(session.state && performance.now() - session.link.heardMs < 3000 ? session.state : null);
   if (ticks % view.ticks === 0) view.draw();
+  if (ticks % CURVE_TICKS === 0) liveError.draw();
   if (ticks % CURVE_TICKS === 0) curves.draw(["running", "holding"].includes(session.state?.state ?? ""));
   ticks++;
 }, TICK_MS);

@@ -15,6 +15,29 @@ export interface Axis {
   high: number | null;
   manual_feed: number;
 }
+/** The settings of a controller, each time that they were read. */
+export interface Board {
+  type: "board";
+  firmware: string;
+  settings: BoardSetting[];
+}
+/** A setting of a controller beside the machine file. */
+export interface BoardSetting {
+  number: number;
+  name: string;
+  unit: string;
+  board: string;
+  words: string;
+  file: string;
+  mark: "" | "same" | "lower" | "other" | "refused";
+}
+/** Lines to a controller and from it, as they pass. */
+export interface Console {
+  type: "console";
+  lines: Exchange[];
+  left_out: number;
+  whole: boolean;
+}
 /** A criterion of the specification and its result, as ``prove --json`` has it. */
 export interface Criterion {
   name: string;
@@ -33,6 +56,28 @@ export interface Criterion {
   of: string;
   required: boolean;
   note: string;
+}
+/** A cylinder, from 0 to its stroke, SI; the outputs that move it, and its contacts. */
+export interface Cylinder {
+  name: string;
+  unit: "m" | "rad";
+  stroke: number;
+  forward: string[];
+  back: string[];
+  contacts: EndSwitch[];
+}
+/** A contact that closes where its cylinder is ``beyond`` a position, SI. */
+export interface EndSwitch {
+  name: string;
+  at: number;
+  beyond: "below" | "above";
+}
+/** A line to a controller, or from it. */
+export interface Exchange {
+  at_s: number;
+  kind: "typed" | "sent" | "program" | "heard";
+  text: string;
+  words: string;
 }
 /** The result of a calculation, SI units. */
 export interface Figures {
@@ -57,6 +102,14 @@ export interface Figures {
   stitches: Stitches | null;
   steps: NamedStep[];
   lanes: Lane[];
+  turn_rounds: TurnRounds | null;
+}
+/** How full a controller is: blocks of its planner, characters of its receive buffer. */
+export interface Fill {
+  blocks: number;
+  of_blocks: number;
+  characters: number;
+  of_characters: number;
 }
 /** Who controls the machine, and who asks for it. */
 export interface Holder {
@@ -84,6 +137,14 @@ export interface Lines {
   times_s: number[];
   line: number[];
   circuit: number[];
+}
+/** The contour error of a run so far, m, at its samples; the judge looks between them, too. */
+export interface LiveContour {
+  now_m: number;
+  worst_m: number;
+  worst_s: number;
+  limit_m: number;
+  at: "load" | "encoder";
 }
 /** The mandrel, m: it turns with ``axis``, and has ``radius`` at the places ``at``. */
 export interface Mandrel {
@@ -122,6 +183,10 @@ export interface Progress {
   ended: string | null;
   why: string;
   verdict: string;
+  completed: number;
+  hold: "at once" | "at a rest" | "at the end";
+  hold_at_s: number | null;
+  contour: LiveContour | null;
 }
 /** The latest calculation. */
 export interface Proven {
@@ -129,6 +194,11 @@ export interface Proven {
   proof: string;
   passed: boolean;
   closing: string;
+}
+/** A quantity besides those of the axes, such as the tension of the fibre; SI units. */
+export interface Reading {
+  value: number;
+  unit: string;
 }
 /** The rest of an interrupted run, ready to start; a stop drops it. */
 export interface RestOfRun {
@@ -152,6 +222,7 @@ export interface State {
   time_s: number;
   axes: Record<string, Where>;
   signals: Record<string, number>;
+  readings: Record<string, Reading>;
   late_ticks: number;
   feed_percent: number;
   no_override: string;
@@ -160,6 +231,7 @@ export interface State {
   rest: RestOfRun | null;
   proven: Proven | null;
   calculating: number | null;
+  board: Fill | null;
   busy: string;
   clients: number;
 }
@@ -175,6 +247,12 @@ export interface Stitches {
   times_s: number[];
   use: number[];
   use_of: string;
+}
+/** Instants of the plan, s, and places, m, at which the axis along the mandrel turns round. */
+export interface TurnRounds {
+  axis: string;
+  times_s: number[];
+  at: number[];
 }
 /** Answer to a hello: the client's number, and the machine. */
 export interface Welcome {
@@ -194,7 +272,11 @@ export interface Welcome {
   options: string[];
   normal_feed: boolean;
   axes: Axis[];
+  cylinders: Cylinder[];
+  inputs: string[];
+  outputs: string[];
   mandrel: Mandrel | null;
+  console: boolean;
   jog_lease_s: number;
   control_lease_s: number;
 }
@@ -204,4 +286,4 @@ export interface Where {
   measured: number | null;
   load: number | null;
 }
-export type FromPanel = Answer | Figures | Leased | Said | State | Welcome;
+export type FromPanel = Answer | Board | Console | Figures | Leased | Said | State | Welcome;

@@ -35,13 +35,14 @@ export function nextStep(state: State, known: Known): Step | null {
     return { what: "enable", text: "enable the drives", part: "run" };
   if (state.state === "enabled" && may("home"))
     return { what: "home", text: "home the machine", part: "run" };
-  if (state.state !== "idle" || state.busy || state.calculating !== null) return null;
+  if (state.state === "idle" && state.busy) return { what: "", text: `wait, ${state.busy}`, part: "" };
+  if (state.state !== "idle" || state.calculating !== null) return null;
   if (!known.chosen) return { what: "load", text: "load a program", part: "prepare" };
   if (!state.proven || known.changed)
     return { what: "calculate", text: "calculate the program", part: "prepare" };
   if (known.wantsReason)
     return { what: "reason", text: "out of specification: change it, or give a reason", part: "prepare" };
   if (!known.atStart && may("approach"))
-    return { what: "approach", text: "approach the begin of the program", part: "" };
+    return { what: "approach", text: "approach the beginning of the program", part: "" };
   return may("start") ? { what: "start", text: "start", part: "" } : null;
 }

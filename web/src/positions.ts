@@ -44,7 +44,7 @@ export class Positions {
       const [scale, unit] = unitOf(this.session, name);
       const where = at.measured ?? at.load ?? at.commanded;
       const own = this.session.axes.find((axis) => axis.name === name);
-      const unknown = own ? "not homed" : "–";
+      const unknown = own ? "not homed" : "not known";
       tell(`at-${name}`, where === null ? unknown : `${shown(where * scale)} ${unit}`);
       put(by(`at-${name}`), "className", where === null ? "number unknown" : "number");
       const commanded = at.commanded === null || where === null ? null : at.commanded * scale;
@@ -53,7 +53,7 @@ export class Positions {
         commanded === null ? "" : `command ${shown(commanded)}`,
         left === undefined ? "" : `to go ${shown(left * scale)}`,
       ];
-      tell(`more-${name}`, parts.filter(Boolean).join("   "));
+      tell(`more-${name}`, parts.filter(Boolean).join("\n"));
       const mark = document.getElementById(`travel-${name}`);
       if (mark && own) {
         const share = where === null ? 0 : (where - own.low!) / (own.high! - own.low!);

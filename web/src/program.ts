@@ -3,7 +3,7 @@
 import { asked, button, by, made, put, tell, value } from "./dom";
 import type { Figures, Preview, Proven, State } from "./messages";
 import type { Session } from "./session";
-import { toldRun, unitOf } from "./session";
+import { toldEnd, toldRun, unitOf } from "./session";
 import { note, say } from "./toasts";
 import { tellVerdict } from "./verdict";
 
@@ -18,6 +18,7 @@ const optionFields = (): Field[] =>
 const filled = (one: Field): string | boolean | null =>
   one instanceof HTMLInputElement && one.type === "checkbox" ? one.checked : one.value || null;
 const shown = (one: HTMLElement): boolean => !one.closest<HTMLElement>("[data-option]")!.hidden;
+const stops = () => [...document.querySelectorAll<HTMLInputElement>("#stops input")];
 const presets = () => [...document.querySelectorAll<HTMLInputElement>("#priority input")];
 
 export class Program {
@@ -38,7 +39,7 @@ export class Program {
     private readonly toLine: (line: number) => void,
   ) {
     by("calculate").dataset.what = "calculate";
-    by("calculate").onclick = () => this.calculate();
+    by("calculate").onclick = () => void this.calculate();
     by("zero-here").dataset.what = "zero-here";
     by("zero-here").onclick = () => this.zeroHere();
     by("cancel").dataset.what = "cancel";
@@ -47,6 +48,7 @@ export class Program {
       session.link.act({ what: "cancel" });
     };
     for (const one of presets()) one.onchange = () => this.paced();
+    this.takeStops();
     by<HTMLSelectElement>("program").onchange = () => void this.look();
     by<HTMLInputElement>("file").onchange = () => {
       const file = by<HTMLInputElement>("file").files?.[0];
@@ -72,10 +74,23 @@ export class Program {
       "hidden",
       document.querySelectorAll("#expert [data-option]:not([hidden])").length === 0,
     );
+    put(by("stops"), "hidden", session.cylinders.length === 0);
     for (const one of presets())
       if (one.value === "accuracy") put(one.closest("label")!, "hidden", !session.normalFeed);
     this.paced();
     void this.list();
+  }
+
+  /** A choice of how cylinders stop fills the field of the shaper, and follows it. */
+  private takeStops(): void {
+    const shaper = by<HTMLInputElement>("shaper");
+    for (const one of stops())
+      one.onchange = () => {
+        shaper.value = one.value;
+      };
+    shaper.addEventListener("input", () => {
+      for (const one of stops()) one.checked = one.value === shaper.value.trim();
+    });
   }
 
   private get priority(): string {
@@ -88,6 +103,9 @@ export class Program {
     const has = this.session.options.includes("interpolation");
     put(by("priority"), "hidden", !byFeed || !has);
     if (!byFeed) for (const one of presets()) one.checked = one.value === "programmed";
+    const sewn = this.preview?.paced_by === "needle"; // a seam has the speed of its needle
+    const feeds = !sewn && this.session.options.includes("feed");
+    put(by("feed").closest<HTMLElement>("[data-option]")!, "hidden", !feeds);
     put(by<HTMLInputElement>("feed"), "disabled", this.priority !== "programmed");
   }
 
@@ -104,14 +122,24 @@ export class Program {
     );
   }
 
-  private calculate(): void {
+  /** Choose a program and how fast it runs, and calculate it; return the number of the command, 0 for none. */
+  calculateAs(name: string, priority: string): number {
+    const chosen = by<HTMLSelectElement>("program");
+    if (![...chosen.options].some((one) => one.value === name)) return 0;
+    chosen.value = name;
+    for (const one of presets()) one.checked = one.value === priority;
+    void this.look();
+    return this.calculate();
+  }
+
+  private calculate(): number {
     this.asked = this.fields();
     const priority = shown(by("priority")) ? this.priority : "programmed";
     const given = optionFields().filter(
       (one) => shown(one) && filled(one) !== null && (one.id !== "feed" || priority === "programmed"),
     );
     const options = Object.fromEntries(given.map((one) => [one.id.replaceAll("-", "_"), filled(one)]));
-    this.session.link.act({ what: "calculate", program: value("program"), priority, ...options });
+    return this.session.link.act({ what: "calculate", program: value("program"), priority, ...options });
   }
 
   /** Take the position to which the machine was moved by hand as the program's zero. */
@@ -191,7 +219,9 @@ export class Program {
     const names = (await answer.json()) as string[];
     const chosen = by<HTMLSelectElement>("program");
     const before = chosen.value || this.session.figures?.program;
-    chosen.replaceChildren(...names.map((name) => made("option", name)));
+    const none = made("option", "no program is in the folder yet");
+    none.value = "";
+    chosen.replaceChildren(...(names.length ? names.map((name) => made("option", name)) : [none]));
     if (before) chosen.value = before;
     if (names.includes(wanted)) chosen.value = wanted;
     if (wanted) await this.look();
@@ -211,8 +241,10 @@ export class Program {
     this.looks += 1;
     const look = this.looks;
     const path = `/api/programs/${encodeURIComponent(program)}/preview`;
+    tell("reading", program === "" ? "" : `Reading ${program} to show it.`);
     const answer = program === "" ? null : await this.session.ask(path);
     if (look !== this.looks) return; // another was chosen meanwhile
+    tell("reading", "");
     this.preview = answer?.ok ? ((await answer.json()) as Preview) : null;
     if (answer && !answer.ok) say((await answer.text()).trim(), true);
     if (this.preview && !this.preview.whole)
@@ -255,10 +287,10 @@ export class Program {
     if (state.calculating !== null) return `calculating, ${Math.round(state.calculating * 100)} %`;
     const run = state.progress;
     if (!run) return "";
-    if (run.ended) return toldRun(run);
+    if (run.ended) return run.program === state.proven?.program ? toldEnd(run) : toldRun(run);
     const left = (Math.max(run.duration_s - run.time_s, 0) * 100) / state.feed_percent;
     const percent = Math.floor((100 * Math.min(run.time_s, run.duration_s)) / run.duration_s);
-    return `${percent} %: ${run.time_s.toFixed(1)} s, ${left.toFixed(1)} s left`;
+    return `${percent} %, ${Math.ceil(left - 1e-9)} s left`;
   }
 
   /** Whether a start lacks its reason to run out of specification. */

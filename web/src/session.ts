@@ -1,7 +1,8 @@
 /** The page's session at the panel: its number, the machine, and the commands that are possible now. */
 
 import { Link } from "./link";
-import type { Axis, Figures, FromPanel, Progress, State, Welcome } from "./messages";
+import type { Axis, Cylinder, Figures, FromPanel, Progress, State, Welcome } from "./messages";
+import { verdictOfRun } from "./wording";
 
 const RENEW_MS = 80;
 const [LEAST_PERCENT, MOST_PERCENT] = [10, 100]; // the panel refuses more
@@ -14,6 +15,7 @@ export class Session {
   readonly link: Link;
   me = 0;
   axes: Axis[] = [];
+  cylinders: Cylinder[] = [];
   /** Whether the axes can be moved by hand. */
   byHand = true;
   /** Whether the feed of a run can be overridden. */
@@ -47,6 +49,7 @@ export class Session {
   welcome(found: Welcome): void {
     this.me = found.client;
     this.axes = found.axes;
+    this.cylinders = found.cylinders;
     this.lacks = found.lacks;
     this.untaught = found.untaught;
     this.byHand = found.by_hand;
@@ -161,9 +164,8 @@ function kept(token: string): string {
 
 /** Factor and unit in which an axis or another moving body is shown. */
 export function unitOf(session: Session, name: string): [number, string] {
-  return session.axes.find((axis) => axis.name === name)?.unit === "rad"
-    ? [180 / Math.PI, "°"]
-    : [1000, "mm"];
+  const bodies: { name: string; unit: string }[] = [...session.axes, ...session.cylinders];
+  return bodies.find((one) => one.name === name)?.unit === "rad" ? [180 / Math.PI, "°"] : [1000, "mm"];
 }
 
 /** How and why a run ended: "stopped by the operator", "fault: axis X ...". */
@@ -172,6 +174,11 @@ export function endOf(ended: string, why: string): string {
 }
 
 /** How a run of this panel ended, with its verdict, if there is one. */
-export function toldRun({ program, ended, why, verdict }: Progress): string {
-  return `${program}: ${endOf(ended ?? "", why !== "" && verdict.includes(why) ? "" : why)}. ${verdict}`.trim();
+export function toldRun(run: Progress): string {
+  return `${run.program}: ${toldEnd(run)}`;
+}
+
+/** The same without the name of its program, for a place that names it already. */
+export function toldEnd({ ended, why, verdict }: Progress): string {
+  return `${endOf(ended ?? "", why !== "" && verdict.includes(why) ? "" : why)}. ${verdictOfRun(verdict)}`.trim();
 }

@@ -1,24 +1,16 @@
 /** A cycle of cylinders: its steps, a schematic of cylinders and contacts, and a timing diagram. */
 
 import { made } from "./dom";
-import type { State } from "./messages";
-import { shown } from "./positions";
+import type { Lane, State } from "./messages";
+import { type Parts, part, Scheme, spoken, type Told, toldBy } from "./scheme";
 import type { Picture, Shown } from "./view";
 import { sizeOf } from "./visibility";
 import { before } from "./wording";
 
-const SVG = "http://www.w3.org/2000/svg";
 const ROW = 18;
 const HEAD = 22;
 const LEFT = 110;
 const CURVE = 54;
-
-function part(name: string, words: Record<string, string | number>, text = ""): SVGElement {
-  const found = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(words)) found.setAttribute(key, String(value));
-  if (text) found.textContent = text;
-  return found;
-}
 
 /** Spans in which a lane is on, up to the end of the plan. */
 export function spans(on: boolean, changes: number[], end: number): [number, number][] {
@@ -31,51 +23,69 @@ export function spans(on: boolean, changes: number[], end: number): [number, num
   return found.filter(([begin, until]) => until > begin);
 }
 
+/** Add a state of a lane at a time to the spans in which it was on. */
+export function extend(found: [number, number][], time_s: number, on: boolean): void {
+  const last = found[found.length - 1];
+  const open = last !== undefined && last[1] === Number.POSITIVE_INFINITY;
+  if (on && !open) found.push([time_s, Number.POSITIVE_INFINITY]);
+  else if (!on && open) last[1] = time_s;
+}
+
+/** Whether a lane is on at a time of the plan. */
+export function isOn(lane: Lane, time_s: number): boolean {
+  return lane.on !== (lane.changes_s.filter((one) => one <= time_s).length % 2 === 1);
+}
+
+/** What the schematic shows of a plan at a time. */
+export function plannedAt(job: Shown, time_s: number): Told {
+  const k = Math.max(before(job.times_s, time_s), 0);
+  const at = Object.entries(job.planned).map(([name, places]): [string, number] => [name, places[k] ?? 0]);
+  const on = job.lanes.map((lane): [string, boolean] => [lane.name, isOn(lane, time_s)]);
+  return { at: Object.fromEntries(at), on: Object.fromEntries(on) };
+}
+
 export class Steps implements Picture {
   readonly element = made("div");
   readonly turns = false;
   private readonly list = made("ol");
-  private readonly scheme = part("svg", { role: "img", "aria-label": "cylinders, contacts and outputs" });
+  private readonly scheme: Scheme;
   private readonly diagram = part("svg", { role: "img", "aria-label": "timing diagram" });
   private job: Shown | null = null;
   private time_s: number | null = null;
   private actual: Record<string, [number, number][]> = {}; // time and position, of the run under way
   private run = "";
-  private readonly counted = made("p");
-  private cycles = 0;
-  private told = ""; // the run that was counted last
-  private state: State | null = null;
+  private switched: Record<string, [number, number][]> = {}; // spans in which each lane was on
+  private told: Told = { at: {}, on: {} }; // what the schematic shows
+  private until_s = 0; // how far the run has come
   private dirty = true;
 
-  constructor() {
+  constructor(parts: Parts) {
+    this.scheme = new Scheme(parts);
     this.element.className = "steps";
     this.list.setAttribute("aria-label", "Steps of the cycle");
-    this.counted.className = "hint";
-    this.element.append(this.counted, this.list, this.scheme, this.diagram);
+    this.element.append(this.list, this.scheme.element, this.diagram);
   }
 
   show(job: Shown | null): void {
+    const again = job !== null && job.proof !== "" && job.proof === this.job?.proof; // after a reconnection
     this.job = job;
     this.time_s = null;
-    this.actual = {};
+    if (!again) [this.actual, this.switched] = [{}, {}];
     this.list.replaceChildren(...(job?.steps ?? []).map((one) => made("li", one.name)));
     this.lay();
     this.dirty = true;
   }
 
   live(state: State): void {
-    this.state = state;
+    this.told = toldBy(state);
     const run = state.progress;
     if (run && run.run !== this.run) {
-      [this.run, this.actual] = [run.run, {}];
+      [this.run, this.actual, this.switched] = [run.run, {}, {}];
       this.lay();
-    }
-    if (run?.ended === "completed" && run.run !== this.told) {
-      [this.told, this.cycles] = [run.run, this.cycles + 1];
-      this.counted.textContent = `cycles done since this page was opened: ${this.cycles}`;
     }
     const runs = run && run.ended === null;
     this.time_s = runs ? run.time_s : null;
+    if (runs) this.until_s = run.time_s;
     if (runs)
       for (const [name, at] of Object.entries(state.axes)) {
         const where = at.load ?? at.measured ?? at.commanded;
@@ -84,15 +94,26 @@ export class Steps implements Picture {
         const last = kept[kept.length - 1];
         if (where !== null && (!last || run.time_s > last[0])) kept.push([run.time_s, where]);
       }
+    if (runs)
+      for (const [name, on] of Object.entries(state.signals))
+        extend(this.spansOf(name), run.time_s, on !== 0);
     this.dirty = true;
+  }
+
+  private spansOf(name: string): [number, number][] {
+    const found = this.switched[name] ?? [];
+    this.switched[name] = found;
+    return found;
   }
 
   at(time_s: number): void {
     this.time_s = Math.min(time_s, this.job?.duration_s ?? 0);
+    if (this.job) this.told = plannedAt(this.job, this.time_s);
     this.dirty = true;
   }
 
   legend(): [string, string][] {
+    if (!this.job?.duration_s) return [];
     return [
       ["var(--planned)", "planned"],
       ["var(--measured)", "actual"],
@@ -107,6 +128,7 @@ export class Steps implements Picture {
   draw(): void {
     if (!this.dirty) return;
     this.dirty = false;
+    this.scheme.draw(this.told);
     const job = this.job;
     if (!job) return;
     const now =
@@ -122,7 +144,6 @@ export class Steps implements Picture {
       if (k === now) one.setAttribute("aria-current", "step");
       else one.removeAttribute("aria-current");
     });
-    this.drawScheme();
     this.drawNow();
   }
 
@@ -155,8 +176,11 @@ export class Steps implements Picture {
     }
     job.steps.forEach((one, k) => {
       const next = job.steps[k + 1]?.begin_s ?? job.duration_s;
-      if (this.x(next) - this.x(one.begin_s) > 7 * one.name.length)
-        this.diagram.append(part("text", { x: this.x(one.begin_s) + 3, y: 14 }, one.name));
+      const room = Math.floor((this.x(next) - this.x(one.begin_s) - 3) / 7);
+      const text = one.name.length <= room ? one.name : `${one.name.slice(0, Math.max(room - 1, 0))}…`;
+      const name = part("text", { x: this.x(one.begin_s) + 3, y: 14 }, room > 1 ? text : "");
+      name.append(part("title", {}, one.name));
+      this.diagram.append(name);
     });
     axes.forEach(([name, places], k) => {
       const line = places
@@ -168,17 +192,20 @@ export class Steps implements Picture {
     });
     lanes.forEach((lane, k) => {
       const y = HEAD + axes.length * CURVE + k * ROW;
-      this.diagram.append(part("text", { x: 4, y: y + 13 }, lane.name.replaceAll("_", " ")));
+      this.diagram.append(part("text", { x: 4, y: y + 13 }, spoken(lane.name)));
       for (const [from, until] of spans(lane.on, lane.changes_s, job.duration_s))
         this.diagram.append(
           part("rect", {
             x: this.x(from),
-            y: y + 4,
+            y: y + 3,
             width: Math.max(this.x(until) - this.x(from), 1),
-            height: ROW - 8,
+            height: 6,
             class: lane.input ? "contact" : "output",
           }),
         );
+      this.diagram.append(
+        part("path", { d: "", class: "switched", "data-lane": lane.name, "data-y": y + 12 }),
+      );
     });
     this.diagram.append(part("line", { x1: 0, x2: 0, y1: 0, y2: height, class: "now" }));
   }
@@ -202,44 +229,15 @@ export class Steps implements Picture {
       );
       drawn?.setAttribute("points", points.join(" "));
     });
-  }
-
-  // --- the schematic --------------------------------------------------------------------------
-
-  /** Cylinders with their pistons, and every contact and output as a lamp with its name. */
-  private drawScheme(): void {
-    const { state } = this;
-    if (!state) return;
-    const bodies = Object.entries(state.axes);
-    const signals = Object.entries(state.signals);
-    const told = JSON.stringify([bodies, signals, this.wide]);
-    if (told === this.scheme.getAttribute("data-told")) return;
-    this.scheme.setAttribute("data-told", told);
-    const columns = Math.max(Math.floor(this.wide / 150), 1);
-    const rows = Math.ceil(signals.length / columns);
-    const height = bodies.length * 34 + rows * 22 + 12;
-    this.scheme.setAttribute("width", String(this.wide));
-    this.scheme.setAttribute("height", String(height));
-    const found: SVGElement[] = [];
-    bodies.forEach(([name, at], k) => {
-      const places = this.job?.planned[name] ?? [0, 1];
-      const [low, high] = [Math.min(...places), Math.max(...places)];
-      const where = at.load ?? at.measured ?? at.commanded ?? low;
-      const share = Math.min(Math.max((where - low) / Math.max(high - low, 1e-6), 0), 1);
-      const [y, wide] = [k * 34 + 6, this.wide - LEFT - 90];
-      const x = LEFT + share * (wide - 12);
-      found.push(part("text", { x: 4, y: y + 16 }, `${name} ${shown(where * 1000)} mm`));
-      found.push(part("rect", { x: LEFT, y, width: wide, height: 22, class: "cylinder" }));
-      found.push(
-        part("rect", { x, y: y + 9, width: Math.max(LEFT + wide + 60 - x, 4), height: 4, class: "rod" }),
-      );
-      found.push(part("rect", { x, y, width: 12, height: 22, class: "piston" }));
-    });
-    signals.forEach(([name, on], k) => {
-      const [x, y] = [(k % columns) * 150 + 4, bodies.length * 34 + Math.floor(k / columns) * 22 + 14];
-      found.push(part("circle", { cx: x + 6, cy: y, r: 6, class: on ? "lamp on" : "lamp" }));
-      found.push(part("text", { x: x + 17, y: y + 4 }, `${name.replaceAll("_", " ")}${on ? "" : " off"}`));
-    });
-    this.scheme.replaceChildren(...found);
+    for (const drawn of this.diagram.querySelectorAll("[data-lane]")) {
+      const y = drawn.getAttribute("data-y");
+      const found = this.switched[drawn.getAttribute("data-lane")!] ?? [];
+      const now = this.until_s; // what is on goes on up to here
+      const ways = found.map(([from, to]) => {
+        const until = Math.max(this.x(Math.min(to, now)), this.x(from) + 1);
+        return `M${this.x(from).toFixed(1)} ${y}H${until.toFixed(1)}`;
+      });
+      drawn.setAttribute("d", ways.join(""));
+    }
   }
 }

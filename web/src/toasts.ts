@@ -26,7 +26,10 @@ export function note(text: string, wrong = false): void {
 function count(): void {
   const all = by("log").childElementCount;
   const troubles = by("log").querySelectorAll(".wrong").length;
-  tell("log-count", all === 0 ? "" : `${all}${troubles ? `, ${troubles} of trouble` : ""}`);
+  tell(
+    "log-count",
+    all === 0 ? "" : `${all} message${all === 1 ? "" : "s"}${troubles ? `, ${troubles} about trouble` : ""}`,
+  );
 }
 
 function toast(text: string, wrong: boolean): void {

@@ -4,6 +4,7 @@ import uPlot from "uplot";
 import { axisOf, CLOSEST, themed } from "./curves";
 import { by, made, put, tell, value } from "./dom";
 import type { State } from "./messages";
+import { pictured, pictureOf, type Trace } from "./run_picture";
 import type { Session } from "./session";
 import { endOf, unitOf } from "./session";
 import { onTheme } from "./theme";
@@ -17,16 +18,8 @@ export interface Kept {
   text: string;
   verdict: string;
 }
-interface Axis {
-  commanded: number[];
-  actual: number[];
-}
-interface Trace {
-  times_s: number[];
-  axes: Record<string, Axis>;
-}
-
 const IN_SPEC = "in spec";
+const MOST_PICTURES = 12; // of the latest runs: each is read from its recording
 
 /** Whether a run is one of those that the operator filters by words and verdict. */
 export function matches(one: Kept, words: string, only: string): boolean {
@@ -43,13 +36,15 @@ export function matches(one: Kept, words: string, only: string): boolean {
 }
 
 /** The time of a trace over which its program ran: "12.3 s"; empty if it is not known. */
-function lasted(trace: Trace | undefined): string {
-  const last = trace?.times_s[trace.times_s.length - 1];
+function lasted(trace: Pick<Trace, "times_s">): string {
+  const last = trace.times_s[trace.times_s.length - 1];
   return last === undefined ? "" : `${last.toFixed(1)} s`;
 }
 
 export class Traces {
   private readonly traces = new Map<string, Trace>();
+  private readonly seen = new Map<string, { lasted: string; picture: ReturnType<typeof pictured> }>();
+  private reads = false; // whether pictures are being read
   private plots: uPlot[] = [];
   private last = "";
   private runs: Kept[] = [];
@@ -96,6 +91,26 @@ export class Traces {
     this.offerBeside();
     for (const id of ["export", "report"]) put(by<HTMLButtonElement>(id), "disabled", this.runs.length === 0);
     if (this.run) await this.load();
+    await this.readPictures();
+  }
+
+  /** Read the latest runs, one after the other, for duration and picture; not while the machine moves. */
+  private async readPictures(): Promise<void> {
+    if (this.reads) return;
+    this.reads = true;
+    for (const { run } of this.runs.slice(0, MOST_PICTURES)) {
+      if (by("review").hidden || this.session.machineMoves()) break;
+      if (this.seen.has(run)) continue;
+      const answer = await this.session.ask(`/api/runs/${encodeURIComponent(run)}/trace`);
+      if (answer.ok) this.remember(run, (await answer.json()) as Trace);
+      else this.seen.set(run, { lasted: "", picture: null }); // it has nothing to show
+      this.table();
+    }
+    this.reads = false;
+  }
+
+  private remember(run: string, trace: Trace): void {
+    this.seen.set(run, { lasted: lasted(trace), picture: pictured(trace) });
   }
 
   private table(): void {
@@ -136,12 +151,13 @@ export class Traces {
     };
     const name = made("th");
     name.scope = "row";
-    name.append(choose);
+    const known = this.seen.get(one.run);
+    name.append(pictureOf(known?.picture), choose);
     const verdict = made("td", one.verdict === one.ended ? "" : one.verdict);
     if (one.verdict !== IN_SPEC && one.verdict !== "not judged") verdict.className = "wrong";
     const begun = new Date(one.started);
     const when = Number.isNaN(begun.getTime()) ? one.started : begun.toLocaleString();
-    const time = made("td", lasted(this.traces.get(one.run)));
+    const time = made("td", known?.lasted ?? "");
     time.className = "amount";
     row.append(name, made("td", when), time, made("td", endOf(one.ended, one.text)), verdict);
     return row;
@@ -180,14 +196,16 @@ export class Traces {
   }
 
   private async read(run: string): Promise<boolean> {
-    tell("trace-said", "reading");
+    tell("trace-said", "Reading the recording of this run.");
     const answer = await this.session.ask(`/api/runs/${encodeURIComponent(run)}/trace`);
     tell("trace-said", "");
     if (!answer.ok) {
       say((await answer.text()).trim(), true);
       return false;
     }
-    this.traces.set(run, (await answer.json()) as Trace);
+    const trace = (await answer.json()) as Trace;
+    this.traces.set(run, trace);
+    this.remember(run, trace);
     return true;
   }
 
@@ -252,7 +270,7 @@ export class Traces {
   private async report(): Promise<void> {
     const button = by<HTMLButtonElement>("report");
     put(button, "disabled", true);
-    tell("trace-said", "judging the run and drawing its report");
+    tell("trace-said", "Judging the run and drawing its report.");
     await this.save("report.pdf");
     tell("trace-said", "");
     put(button, "disabled", this.runs.length === 0);

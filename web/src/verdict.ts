@@ -2,7 +2,7 @@
 
 import { by, made, put } from "./dom";
 import type { Criterion, Figures } from "./messages";
-import { clock, sentence, used, worst } from "./wording";
+import { clock, sentence, used, verdictWords, worst } from "./wording";
 
 const MOST = 8;
 
@@ -19,21 +19,34 @@ export function tellVerdict(found: Figures | null, toLine: (line: number) => voi
 }
 
 function figureRows(found: Figures): HTMLElement[] {
-  const verdict = made("dd", found.closing);
+  const verdict = made("dd", verdictWords(found.closing));
   verdict.className = found.passed ? "verdict" : "verdict wrong";
   const rows: [string, string][] = [
     ["program", found.program],
     ["duration", `${clock(found.duration_s)} (${found.duration_s.toFixed(2)} s)`],
     ...(found.feed === null ? [] : [["feed", found.feed] as [string, string]]),
-    ["ticks", String(found.ticks ?? "none")],
-    [
-      "circuits",
-      found.circuits === null ? "1" : `${found.circuits}, ${found.ticks_per_circuit} ticks each on average`,
-    ],
-    ["points", String(found.points)],
+    ...counts(found),
+    ...controller(found),
   ];
   const name = made("dt", "verdict");
   return [name, verdict, ...rows.flatMap(([name, text]) => [made("dt", name), made("dd", text)])];
+}
+
+/** What a program has: stitches, the steps of a cycle, or circuits and points. */
+export function counts(
+  found: Pick<Figures, "stitches" | "steps" | "circuits" | "points">,
+): [string, string][] {
+  if (found.stitches) return [["stitches", String(found.stitches.count)]];
+  if (found.steps.length) return [["steps", String(found.steps.length)]];
+  const circuits: [string, string][] = found.circuits === null ? [] : [["circuits", String(found.circuits)]];
+  return [...circuits, ["points", String(found.points)]];
+}
+
+/** The ticks of the controller, for a machine whose commands have some. */
+function controller(found: Figures): [string, string][] {
+  if (found.ticks === null) return [];
+  const each = found.circuits === null ? "" : `, ${found.ticks_per_circuit} in a circuit on average`;
+  return [["controller", `${found.ticks} ticks${each}`]];
 }
 
 /** A criterion in words, a gauge of its limit, and a button to the line of its worst place. */

@@ -2,12 +2,14 @@
 
 import { Cloth } from "./cloth";
 import { by, put, tell } from "./dom";
-import type { Figures, Mandrel, Preview, State } from "./messages";
+import type { Figures, Mandrel, Preview, State, Welcome } from "./messages";
+import type { Parts } from "./scheme";
 import { Steps } from "./steps";
 import { View3d } from "./view3d";
 
 /** What is drawn of a job: its path, without times before it is calculated. */
 export interface Shown {
+  program: string;
   proof: string;
   planned: Record<string, number[]>;
   times_s: number[];
@@ -42,6 +44,8 @@ export class View {
   private times = false; // whether the job is calculated
   private playing: number | null = null; // start of the simulation by the page's clock, ms
   private readonly made = new Map<string, Picture | null>();
+  private parts: Parts = { cylinders: [], inputs: [], outputs: [] };
+  private bare = "space"; // what is drawn of the machine itself
 
   constructor(
     private readonly place: HTMLElement,
@@ -55,6 +59,15 @@ export class View {
     new ResizeObserver(() => this.picture?.resize()).observe(place);
   }
 
+  /** Draw a machine: a bed, the cylinders, or a cloth. */
+  of(welcome: Welcome): void {
+    const { cylinders, inputs, outputs } = welcome;
+    const parts = { cylinders, inputs, outputs };
+    this.bare = cylinders.length ? "steps" : welcome.by_hand ? "space" : "cloth";
+    if (JSON.stringify(parts) !== JSON.stringify(this.parts)) this.made.delete("steps");
+    this.parts = parts;
+  }
+
   /** Ticks of the page's clock between two pictures. */
   get ticks(): number {
     return this.picture instanceof View3d && this.picture.slow ? 4 : 2;
@@ -65,14 +78,16 @@ export class View {
     this.playing = null;
     this.times = figures !== null;
     this.shown = figures ?? (preview && { ...preview, proof: "", times_s: [], duration_s: 0, lanes: [] });
-    const kind = this.shown?.stitches ? "cloth" : this.shown?.steps.length ? "steps" : "space";
-    const next = this.of(kind);
+    const work = this.shown?.stitches ? "cloth" : this.shown?.steps.length ? "steps" : "";
+    const kind = work || this.bare;
+    const next = this.kind(kind);
     document.body.dataset.view = kind;
     if (next !== this.picture) {
       this.place.replaceChildren(...(next ? [next.element] : []));
       this.picture = next;
     }
     put(by("seen-from"), "hidden", !next?.turns);
+    put(by("seen-as"), "hidden", true);
     next?.show(this.shown, this.shown?.mandrel ?? bare);
     next?.resize();
     this.tellLegend();
@@ -91,12 +106,17 @@ export class View {
     );
   }
 
-  private of(kind: string): Picture | null {
+  private kind(kind: string): Picture | null {
     const known = this.made.get(kind);
     if (known !== undefined) return known;
     let found: Picture | null = null;
     try {
-      found = kind === "cloth" ? new Cloth() : kind === "steps" ? new Steps() : this.inSpace();
+      found =
+        kind === "cloth"
+          ? new Cloth(() => this.tellLegend())
+          : kind === "steps"
+            ? new Steps(this.parts)
+            : this.inSpace();
     } catch {
       tell("seen", "this browser has no WebGL: it cannot show the view in three dimensions");
     }

@@ -11,6 +11,8 @@ const UNITS: Record<string, [number, string]> = {
   "rad/s": [180 / Math.PI, "°/s"],
   "rad/s^2": [180 / Math.PI, "°/s²"],
   s: [1000, "ms"],
+  "m/s^3": [1, "m/s³"],
+  "rad/s^3": [180 / Math.PI, "°/s³"],
   "": [100, "%"],
 };
 
@@ -35,6 +37,8 @@ const SENTENCES: Record<string, string> = {
   laid_error: "the fibre lies within # of its place",
   velocity: "{axis} moves at most #",
   acceleration: "{axis} accelerates at most #",
+  jerk: "{axis} changes its acceleration by at most #",
+  progress_error: "the tool is at most # ahead of its plan or behind it",
 };
 
 /** A value with three significant digits, and its unit: "0.042 mm", "3.2 %". */
@@ -55,6 +59,19 @@ export function sentence(one: Criterion): string {
   return `${text}: ${one.measured === null ? "not measured" : amount(one.measured, one.unit)}`;
 }
 
+/** A verdict in words: names of criteria without underscores, and what its runs were. */
+export function verdictWords(closing: string): string {
+  return closing
+    .replace(/\((?:nominal|repeated): (\d+) (runs?)/, "($1 simulated $2")
+    .replace(/[a-z]+(?:_[a-z]+)+/g, (name) => name.replaceAll("_", " "));
+}
+
+/** The verdict of a run of the machine: the run that was judged is the one that was made. */
+export function verdictOfRun(closing: string): string {
+  const judged = closing.replace(/ \((?:nominal|repeated): 1 run\)/, "");
+  return verdictWords(judged.replace(/\((?:nominal|repeated): 1 run; /, "("));
+}
+
 /** The used share of a limit; null where there is none. */
 export function used(one: Criterion): number | null {
   if (one.measured === null || one.limit === null || one.limit === 0) return null;
@@ -72,6 +89,11 @@ export function worst(criteria: Criterion[]): Criterion[] {
   }
   const order = (one: Criterion) => (one.status === "failed" ? 1000 : 0) + used(one)!;
   return [...found.values()].sort((a, b) => order(b) - order(a));
+}
+
+/** Whether a run is one of a program: runs of a TOML file have its name without the ending. */
+export function isOf(program: string, run: string): boolean {
+  return program === run || program.startsWith(`${run}.`);
 }
 
 /** A time for people: "0:07", "12:30", "2:05:00". */

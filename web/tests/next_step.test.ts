@@ -41,7 +41,12 @@ describe("the next step", () => {
   });
   it("is none where the operator waits, or somebody else has control", () => {
     expect(step(state("running", ["hold"]))).toBe("");
-    expect(step(state("idle", [], { busy: "the last run is being judged" }))).toBe("");
+    const judged = state("idle", [], { busy: "the last run is being judged" });
+    expect(nextStep(judged, KNOWN)).toEqual({
+      what: "",
+      text: "wait, the last run is being judged",
+      part: "",
+    });
     expect(step(state("idle", ["start"]), { mine: false })).toBe("");
   });
 });

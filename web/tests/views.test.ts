@@ -1,9 +1,13 @@
 import { describe, expect, it } from "vitest";
-import { bandOf } from "../src/cloth";
+import { bandOf, pace, sewnUntil } from "../src/cloth";
 import { watched } from "../src/margins";
-import type { Criterion } from "../src/messages";
-import { spans } from "../src/steps";
+import type { Criterion, Cylinder, Figures, Progress } from "../src/messages";
+import { pictured } from "../src/run_picture";
+import { ofWay, others } from "../src/scheme";
+import { isOn, plannedAt, spans } from "../src/steps";
 import { type Kept, matches } from "../src/traces";
+import { counts } from "../src/verdict";
+import type { Shown } from "../src/view";
 
 describe("spans of an output", () => {
   it("begin and end where it changes, the last at the end of the plan", () => {
@@ -19,6 +23,28 @@ describe("spans of an output", () => {
 describe("the colour of a stitch", () => {
   it("changes at half of the limit, at 80 %, and beyond the limit", () => {
     expect([0, 0.5, 0.51, 0.8, 1, 1.01].map(bandOf)).toEqual([0, 0, 1, 1, 2, 3]);
+  });
+});
+
+describe("the pace of a design", () => {
+  it("is that of the stitch under way, by the plan and the override; unknown without times", () => {
+    const design = { times_s: [0, 0.5, 1.5, 2], number: [1, 2, 3, 7] };
+    expect([-1, 0, 1, 3].map((k) => pace(design, k, 100))).toEqual([120, 120, 60, 480]);
+    expect(pace(design, 1, 50)).toBe(30);
+    expect(pace({ times_s: [], number: [1] }, 0, 100)).toBeNull();
+  });
+});
+
+describe("what is sewn", () => {
+  it("ends where a run is, or was broken off; another program's run sews nothing of it", () => {
+    const run = (ended: string | null, program = "rosette") =>
+      ({ program, ended, time_s: 7 }) as unknown as Progress;
+    const job = { program: "rosette.dst", times_s: [0, 10] };
+    expect([null, "stopped", "fault"].map((ended) => sewnUntil(run(ended), job))).toEqual([7, 7, 7]);
+    expect(sewnUntil(run("completed"), job)).toBeNull();
+    expect(sewnUntil(run("stopped", "badge"), job)).toBeNull();
+    expect(sewnUntil(run(null), { program: "rosette.dst", times_s: [] })).toBeNull();
+    expect([sewnUntil(null, job), sewnUntil(run(null), null)]).toEqual([null, null]);
   });
 });
 
@@ -49,5 +75,64 @@ describe("what an operator watches", () => {
       of("seam_error", 0.4),
     ] as Criterion[]);
     expect(found.map((one) => one.name)).toEqual(["seam_error", "contour_error"]);
+  });
+});
+
+describe("a machine with cylinders", () => {
+  const x: Cylinder = {
+    name: "X",
+    unit: "m",
+    stroke: 0.2,
+    forward: ["x_right", "x_right_a1", "choke"],
+    back: ["x_left"],
+    contacts: [{ name: "x_is_left", at: 0.006, beyond: "below" }],
+  };
+  it("names a flow control without its valve, where it has its name", () => {
+    expect(ofWay(x.forward)).toEqual(["x right", "a1", "choke"]);
+    expect(ofWay([])).toEqual([]);
+  });
+  it("shows each signal once: at its cylinder, else in a list", () => {
+    const all = ["x_is_left", "light_grid", "x_right", "x_right_a1", "choke", "x_left", "knife"];
+    expect(others([x], all)).toEqual(["light_grid", "knife"]);
+  });
+  it("is simulated with its plan: places and signals at a time", () => {
+    const lane = { name: "knife", input: false, on: false, changes_s: [1, 2] };
+    expect([0.9, 1, 1.9, 2].map((time) => isOn(lane, time))).toEqual([false, true, true, false]);
+    expect(isOn({ ...lane, on: true }, 1.5)).toBe(false);
+    const job = { planned: { X: [0, 0.1, 0.2] }, times_s: [0, 1, 2], lanes: [lane] } as unknown as Shown;
+    expect(plannedAt(job, 1.5)).toEqual({ at: { X: 0.1 }, on: { knife: true } });
+  });
+  it("has steps in its verdict, a seam stitches, a part program circuits and points", () => {
+    const found = { stitches: null, steps: [], circuits: null, points: 6 } as unknown as Figures;
+    expect(counts(found)).toEqual([["points", "6"]]);
+    expect(counts({ ...found, circuits: 3 })).toEqual([
+      ["circuits", "3"],
+      ["points", "6"],
+    ]);
+    expect(counts({ ...found, steps: [{ name: "a", line: 1, begin_s: 0 }] })).toEqual([["steps", "1"]]);
+    expect(counts({ ...found, stitches: { count: 9 } as Figures["stitches"] })).toEqual([["stitches", "9"]]);
+  });
+});
+
+describe("the picture of a run", () => {
+  const axis = (...actual: number[]) => ({ commanded: actual, actual });
+  it("is its way from above, in one scale and in the middle", () => {
+    const found = pictured({ times_s: [0, 1, 2], axes: { X: axis(0, 0.1, 0.1), Y: axis(0, 0, 0.1) } });
+    expect(found).toEqual({ points: "34.0,30.0 62.0,30.0 62.0,2.0", label: "its way in X and Y" });
+  });
+  it("is an axis over the time where it does not go both ways, X before others", () => {
+    const still = axis(1, 1, 1);
+    const found = pictured({ times_s: [0, 1, 2], axes: { A: axis(0, 1, 2), X: axis(0, 1, 0), Y: still } });
+    expect(found).toEqual({ points: "2.0,30.0 48.0,2.0 94.0,30.0", label: "X over the time" });
+    expect(pictured({ times_s: [0, 1], axes: { A: axis(0, 1), X: axis(2, 2) } })!.label).toBe(
+      "A over the time",
+    );
+    expect(pictured({ times_s: [0], axes: { X: axis(3) } })).toBeNull();
+  });
+  it("has no more points than it can show, and ends where the run ended", () => {
+    const many = [...Array(5000).keys()];
+    const { points } = pictured({ times_s: many, axes: { X: axis(...many) } })!;
+    expect(points.split(" ").length).toBeLessThan(170);
+    expect(points.endsWith("94.0,2.0")).toBe(true);
   });
 });

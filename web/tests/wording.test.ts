@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Criterion } from "../src/messages";
-import { amount, before, clock, sentence, used, worst } from "../src/wording";
+import { amount, before, clock, sentence, used, verdictOfRun, verdictWords, worst } from "../src/wording";
 
 const criterion = (words: Partial<Criterion>): Criterion => ({
   name: "contour_error",
@@ -42,8 +42,14 @@ describe("criteria", () => {
     expect(sentence(criterion({}))).toBe("the tool stays within 0.500 mm of its path: 0.450 mm");
     const stitches = criterion({ name: "stitch_length_error", unit: "", measured: 0.032, limit: 0.05 });
     expect(sentence(stitches)).toBe("stitches at most 5.00 % too short or too long: 3.20 %");
-    expect(sentence(criterion({ name: "jerk", axis: "X", unit: "m/s^3", measured: 1, limit: 2 }))).toBe(
-      "jerk of X, at most 2.00 m/s^3: 1.00 m/s^3",
+    expect(sentence(criterion({ name: "jerk", axis: "X", unit: "m/s^3", limit: 2, measured: 1 }))).toBe(
+      "X changes its acceleration by at most 2.00 m/s³: 1.00 m/s³",
+    );
+    expect(
+      sentence(criterion({ name: "jerk", axis: "A", unit: "rad/s^3", limit: Math.PI, measured: 0 })),
+    ).toBe("A changes its acceleration by at most 180 °/s³: 0.000 °/s³");
+    expect(sentence(criterion({ name: "weld_gap", axis: "X", unit: "m/s^4", limit: 2, measured: 1 }))).toBe(
+      "weld gap of X, at most 2.00 m/s^4: 1.00 m/s^4",
     );
   });
   it("without a limit use no share of one", () => {
@@ -73,5 +79,22 @@ describe("the last time not later than another", () => {
       expect(before(times, time)).toBe(slow);
     }
     expect(before([], 1)).toBe(-1);
+  });
+});
+
+describe("a verdict", () => {
+  const told = "IN SPEC (repeated: 20 runs; 92 % of contour_error used; 1 criterion not measured)";
+  it("has no underscores, and says what was simulated", () => {
+    expect(verdictWords(told)).toBe(
+      "IN SPEC (20 simulated runs; 92 % of contour error used; 1 criterion not measured)",
+    );
+  });
+  it("of a run of the machine says nothing of simulation", () => {
+    expect(verdictOfRun("OUT OF SPEC (nominal: 1 run; 120 % of tracking_error of X used)")).toBe(
+      "OUT OF SPEC (120 % of tracking error of X used)",
+    );
+    expect(verdictOfRun("NOT PROVEN (nominal: 1 run): step loss was not measured")).toBe(
+      "NOT PROVEN: step loss was not measured",
+    );
   });
 });

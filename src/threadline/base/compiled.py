@@ -19,12 +19,14 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from types import CodeType
 from typing import Any, BinaryIO, TypeVar
 
+from threadline.base.held_signals import uninterrupted
 from threadline.base.progress import COMPILING
 from threadline.errors import OptionError
 
@@ -202,8 +204,36 @@ class _Clock(Listener):
         COMPILING.end()
 
 
+class _Lowering(Listener):
+    """Holds back interrupts while numba gives modules to LLVM.
+
+    llvmlite notes that a module belongs to LLVM after the call that gives it away. An exception
+    between the two would let the module be freed twice, which ends the process by SIGSEGV.
+    """
+
+    def __init__(self) -> None:
+        self._held: list[ExitStack] = []  # numba compiles in one thread at a time
+
+    def on_start(self, event: Event) -> None:
+        """Hold interrupts back from the start of a pass that writes machine code."""
+        if _writes_machine_code(event):
+            held = ExitStack()
+            held.enter_context(uninterrupted())
+            self._held.append(held)
+
+    def on_end(self, event: Event) -> None:
+        """Raise the interrupt that came during the outermost pass, if any."""
+        if _writes_machine_code(event) and self._held:
+            self._held.pop().close()
+
+
+def _writes_machine_code(event: Event) -> bool:
+    return str(event.data["name"]).startswith("native_lowering")
+
+
 _register: Any = register  # numba has no types for it
 _register("numba:compile", _Clock())
+_register("numba:run_pass", _Lowering())
 
 
 def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
@@ -216,8 +246,12 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
     options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
 
     def compiled(function: F) -> Dispatcher[F]:
-        found: Dispatcher[F] = numba.njit(cache=True, **options)(function)
-        _keep_safely(found, repr(sorted(options.items())))
+        found: Dispatcher[F] = numba.njit(**options)(function)
+        if _can_be_kept(found):
+            _keep_safely(found, repr(sorted(options.items())))
+        else:
+            COMPILING.kept = False
+        _prepare_first(found)
         return found
 
     return compiled
@@ -236,6 +270,20 @@ def cache_folder(function: Callable[..., Any]) -> Path | None:
         return None
 
 
+def _can_be_kept(function: Any) -> bool:
+    """Turn on numba's cache of a function; False where none of its folders can be written."""
+    try:
+        function.enable_caching()
+    except RuntimeError as error:
+        if str(error).startswith("cannot cache function"):
+            return False
+        raise OptionError(
+            f"the compiler numba refuses the settings in the environment: {error}",
+            remedy="Correct or unset the variables whose names begin with NUMBA_.",
+        ) from error
+    return True
+
+
 def _keep_safely(function: Any, options: str) -> None:
     cache = function._cache
     own = cache._cache_file
@@ -245,6 +293,23 @@ def _keep_safely(function: Any, options: str) -> None:
         filename_base=cache._impl.filename_base,
         source_stamp=(own._source_stamp, options, _used_by(function.py_func, {function})),
     )
+
+
+def _prepare_first(function: Any) -> None:
+    """Let the first function that a process loads or compiles prepare numba without a break."""
+    load = function._cache.load_overload
+
+    def prepared(signature: object, context: Any) -> Any:
+        _prepare(context)
+        return load(signature, context)
+
+    function._cache.load_overload = prepared
+
+
+@lru_cache
+def _prepare(context: Any) -> None:
+    with uninterrupted():
+        context.refresh()
 
 
 def _used_by(function: Callable[..., Any], seen: set[Any]) -> tuple[Hashable, ...]:

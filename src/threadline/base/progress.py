@@ -22,11 +22,14 @@ class Compiling:
         Number of nested compilations in progress.
     began_s
         Start of the outermost one, on the monotonic clock.
+    kept
+        Whether the machine code is kept on disk; False where no folder for it can be written.
     """
 
     done_s: float = 0.0
     depth: int = 0
     began_s: float = 0.0
+    kept: bool = True
 
     def begin(self) -> None:
         """Note the start of a compilation."""
@@ -85,6 +88,48 @@ class PlanningSoFar:
 
 PLANNING = PlanningSoFar()
 """Planning of this process."""
+
+
+@dataclass(slots=True)
+class WritingSoFar:
+    """Progress of the file that is being written and read back.
+
+    Attributes
+    ----------
+    share
+        Share done, 0 to 1; it never falls until ``begin``.
+    low, high
+        Share at the start and at the end of the present pass over the motion.
+    """
+
+    share: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+
+    def begin(self) -> None:
+        """Start anew."""
+        self.share = self.low = self.high = 0.0
+
+    def pass_to(self, high: float) -> None:
+        """Start a pass over the motion, at whose end the share ``high`` is done."""
+        self.low, self.high = max(self.share, self.low), max(high, self.high)
+        self.share = self.low
+
+    def reach(self, motion_s: float, whole_s: float) -> None:
+        """Set how far the present pass is in the motion, s, of ``whole_s``.
+
+        >>> told = WritingSoFar()
+        >>> told.pass_to(0.5)
+        >>> told.reach(30.0, 60.0)
+        >>> told.share
+        0.25
+        """
+        done = min(motion_s / whole_s, 1.0) if whole_s > 0.0 else 1.0
+        self.share = max(self.share, self.low + (self.high - self.low) * done)
+
+
+WRITING = WritingSoFar()
+"""Writing of this process."""
 
 
 Progress = Callable[[str, float], None]

@@ -122,6 +122,10 @@ _KINDS = {
 }
 _PATTERNS = {
     "^[A-Z]$": ("must be one capital letter", "Name it like A, X or Y."),
+    "^H(0|[1-9][0-9]{0,5})$": (
+        "must be the number of a tool length: H and up to six digits, without leading zeros",
+        "Write it like H1.",
+    ),
     "^G5[4-9]$": ("must be a work coordinate system, G54 to G59", "Write it like G55."),
     "^[A-Za-z][A-Za-z0-9_-]*$": (
         "must be a name of letters, digits, _ and - that begins with a letter",

@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import stat
 import sys
 import tempfile
-import threading
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import IO
 
+from threadline.base.held_signals import uninterrupted
 from threadline.base.reading import input_behind, naming
 from threadline.errors import OptionError
 
@@ -165,7 +163,7 @@ def together(*outputs: Path | None) -> Iterator[None]:
             yield
         finally:
             _TOGETHER.reset(mark)
-        with _uninterrupted():
+        with uninterrupted():
             _commit(pending)
             pending.folders.clear()
             appeared = _APPEARED.get()
@@ -190,7 +188,7 @@ def staged_file(path: Path) -> Iterator[IO[bytes]]:
         pending = _pending()
         with naming(path, _real(path).parent):
             folder = Path(tempfile.gettempdir()) if is_stdout(path) else _made(_real(path).parent)
-        with naming(path, folder), _uninterrupted():  # what is made is noted, to be removed
+        with naming(path, folder), uninterrupted():  # what is made is noted, to be removed
             handle, name = tempfile.mkstemp(dir=folder, prefix=f".{path.name[:_PREFIX]}.")
             made = Path(name)
             pending.stack.callback(made.unlink, missing_ok=True)
@@ -213,7 +211,7 @@ def staging_folder(folder: Path) -> Iterator[Path]:
     with together():
         pending = _pending()
         real = _real(folder)
-        with naming(folder, real), _uninterrupted():  # what is made is noted, to be removed
+        with naming(folder, real), uninterrupted():  # what is made is noted, to be removed
             home = _made(real, requested=True)
             temporary = tempfile.TemporaryDirectory(dir=home, prefix=".threadline-")
             made = Path(pending.stack.enter_context(temporary))
@@ -256,7 +254,7 @@ def _made(folder: Path, *, requested: bool = False) -> Path:
     """
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     for each in reversed(missing):
-        with _uninterrupted():
+        with uninterrupted():
             each.mkdir()
             _pending().folders.append(each)
             if not requested or each != folder:
@@ -336,26 +334,3 @@ def _kept(move: _Move, stack: ExitStack) -> Path | None:
     except OSError:  # a file system without links
         shutil.copy2(move.place, kept)
     return kept
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Hold back SIGINT, SIGTERM and SIGHUP until the end of the block."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[tuple[int, FrameType | None]] = []
-    before = {
-        number: signal.signal(number, lambda *arguments: came.append(arguments))
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        if callable(signal.getsignal(number))
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for arguments in came[:1]:
-            handler = before[signal.Signals(arguments[0])]
-            if callable(handler):
-                handler(*arguments)

@@ -42,6 +42,22 @@ MachineOption = Annotated[
         "overlays after a plus: lathe-winder+physical.",
     ),
 ]
+ThisMachineOption = Annotated[
+    str | None,
+    typer.Option(
+        "--machine",
+        "-m",
+        help="Machine file (.toml) or library name (threadline machines lists them), overlays "
+        "after a plus: lathe-winder+physical. Not with --merge.",
+    ),
+]
+JobsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="JOB",
+        help="Part program, seam or move list; with --merge, the files of all parts.",
+    ),
+]
 SpecOption = Annotated[
     Path | None,
     typer.Option("--spec", "-s", help="Specification file (.toml); default: the machine's own."),
@@ -111,7 +127,7 @@ def key_of(option: str, key: Path | None, proof: Path | None) -> bytes | None:
     if proof is None:
         raise OptionError(f"{option} signs or checks a proof", remedy="Give --proof FILE.")
     # Proofs take a while to load, and --help does not need them.
-    from threadline.proof.proof_file import read_key
+    from threadline.proof.proof_hash import read_key
 
     return read_key(key)
 

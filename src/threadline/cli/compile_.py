@@ -7,13 +7,16 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.base.progress import WRITING
 from threadline.base.writing import is_stdout, together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, keep_inputs
-from threadline.cli.messages import PLANNING_STAGE, note
+from threadline.cli.messages import PLANNING_STAGE, WRITING_STAGE, note
 from threadline.cli.output import check_outputs, print_json, progress_bar, say, warn
+from threadline.commands.passes import check_passes, write_passes
 from threadline.errors import OptionError
-from threadline.files.formats.common import Written
+from threadline.files.formats.common import Written, written
+from threadline.motion.timing import check_limits
 from threadline.proof.asked import Words, check_target
 from threadline.proof.pipeline import open_job, plan_job, write
 from threadline.proof.recorded import tolerance_warnings
@@ -37,6 +40,14 @@ def compile_(
         typer.Option(
             "--slower",
             help="Write even a program that takes longer on its firmware than JOB as it stands.",
+        ),
+    ] = False,
+    passes: Annotated[
+        bool,
+        typer.Option(
+            "--passes",
+            help="Write the circuits of a winding as subroutines and their passes, by the moves of "
+            "its design: nc, linuxcnc, fanuc.",
         ),
     ] = False,
     json: JsonOption = False,
@@ -63,14 +74,22 @@ def compile_(
         )
     options = words.options()
     check_target(target, chosen, options)
+    if passes:
+        style = check_passes(target)
     with progress_bar() as progress:
         progress(PLANNING_STAGE, 0.0)
         plan = plan_job(open_job(job, chosen, options), chosen, options)
-        progress("writing and reading back", 0.0)
+        WRITING.begin()
+        progress(WRITING_STAGE, 0.0)
         more = [*plan.intent.warnings, *tolerance_warnings(plan)]
         warn(chosen, plan.job, more, own_feed=options.own_feeds)
         with together(out):
-            files = write(plan, target, out, slower=slower)
+            if passes:
+                check_limits(plan.motion.trajectory, plan.machine)
+                fact = write_passes(plan.job, plan.machine, out, style)
+                files = [written(out, (f"{out.name}: {fact}",))]
+            else:
+                files = write(plan, target, out, slower=slower)
     if json:
         print_json({"files": [_content(file) for file in files]})
     else:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,18 +12,24 @@ import typer
 from threadline.base.writing import together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import (
-    JobArgument,
+    JobsArgument,
     JsonOption,
-    MachineOption,
     ReportOption,
+    ThisMachineOption,
     keep_inputs,
+)
+from threadline.cli.design_sharing import (
+    DesignAsked,
+    design_of_parts,
+    make_part,
+    merged_design,
+    tell_part,
 )
 from threadline.cli.found import command_line, typed
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
+from threadline.cli.yield_sharing import asked_here, check_part_options
 from threadline.errors import OptionError
 from threadline.proof.asked import Words, level_option
-from threadline.proof.option_words import parse_width_s
-from threadline.proof.pipeline import with_shaping
 from threadline.report.design import (
     candidate_rows,
     change_rows,
@@ -32,13 +38,16 @@ from threadline.report.design import (
     gain_rows,
     write_design_report,
 )
-from threadline.search.design import Candidate, DesignResult, Wanted
+from threadline.report.front import front_rows, front_title
+from threadline.search.design import DesignResult
 from threadline.search.design import design as search_design
+from threadline.search.design_asked import MOST_FRONT, DesignAims, design_question
 from threadline.search.design_files import spec_file, write_design
+from threadline.search.design_parts import searches_of
+from threadline.search.design_proof import Candidate
+from threadline.search.design_searches import MOST_SEARCHES
+from threadline.search.yield_parts import Part, parse_part
 from threadline.verdict import Verdict, closing, verdict_rows
-
-_MOST_WIDTHS = 6
-_SEARCHED = "10 ms, 80 ms"  # smoothing, where none is given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,20 +64,55 @@ class Seeking:
     plot: Annotated[
         str | None, typer.Option(help='Plot the feasible region over two parameters: "belt,load".')
     ] = None
+    front: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=MOST_FRONT,
+            help="Draw this many machines within the tolerances of each candidate that trades cost "
+            "for margin, and give the front of cost against yield; 0: none.",
+        ),
+    ] = 0
+    searches: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=MOST_SEARCHES,
+            help="Search so often, each time from other random numbers; the design is the best of "
+            "all. With --part: as many as there are parts, unless it is given.",
+        ),
+    ] = 1
+    part: Annotated[
+        str | None,
+        typer.Option(
+            help='Make only this part of the searches, "3/16", and write it to the file of '
+            "--output: parts may be made on different computers."
+        ),
+    ] = None
+    merge: Annotated[
+        bool,
+        typer.Option(
+            "--merge",
+            help="Merge the files of all parts, given in place of JOB, into the answer of one run. "
+            "Job, machine and options are those of the parts.",
+        ),
+    ] = False
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "--out",
             "-o",
-            help="Write the machine here (.toml) and its specification beside it (.spec.toml).",
+            help="Write the machine here (.toml) and its specification beside it (.spec.toml); "
+            "with --part, the part.",
         ),
     ] = None
 
 
 def design(
-    job: JobArgument,
-    machine: MachineOption,
+    job: JobsArgument,
+    *,
+    machine: ThisMachineOption = None,
     words: Words,
     seeking: Seeking,
     report: ReportOption = None,
@@ -80,56 +124,38 @@ def design(
     their costs. The design is proved in twenty runs, as prove does by default; --nominal proves one
     run, --tolerances other machines as well.
 
-    Exit status: 0 when a design was found, 1 when there is none within the bounds, 2 wrong input.
+    Exit status: 0 when a design was found (with --part: when the part is written), 1 when there is
+    none within the bounds, 2 wrong input.
 
     Example: threadline design examples/stitcher-test-path.seam.toml -m stitcher -o found.toml
     """
-    trials = words.trials()
-    chosen = words.machine(machine)
+    part = _part(seeking, report)
+    asked = _asked(job, machine, words, seeking, part)
+    words, job_file = asked.words, asked.job
+    chosen = words.machine(asked.machine)
     output = seeking.output
-    if output is not None:
-        if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
-            raise OptionError(
-                f"{str(output)!r} is no name for a machine file",
-                remedy="Give one that ends in .toml and not in .spec.toml.",
-            )
-        for file in (output, spec_file(output)):
-            keep_inputs(file, job, chosen.file, *words.files())
+    _check_output(output, [*job, job_file, chosen.file, *words.files()], part)
     check_outputs(file=output, folder=report)
-    plotted = _plotted(seeking.plot, tuple(chosen.design.parameters) if chosen.design else None)
-    forward, contour = words.flag("feed_forward"), words.text("contour")
-    smoothing_s = _widths_s(forward, words.text("smoothing"))
-    if forward and contour is not None:
-        raise OptionError(
-            f"--contour {contour!r} bounds the path error of the motors, but with "
-            "--feed-forward the loads follow the path, not the motors",
-            remedy="Leave one of them out.",
-        )
-    # The search tries each smoothing width; the rest of the plan stays the same.
-    options = words.options(job, feed_forward=False, smoothing=None, robust=None)
-    if words.text("robust") is not None:
-        options = replace(options, robust_share=words.options(smoothing=None).robust_share)
+    wanted = design_question(words, job_file, chosen, asked.aims)
+    trials = wanted.wanted.trials
     with progress_bar(not json) as progress:
-        result = search_design(
-            job,
-            chosen,
-            with_shaping(words.spec(chosen), chosen, options),
-            options,
-            Wanted(
-                trials=trials,
-                corners=seeking.corners,
-                plotted=plotted,
-                smoothing_s=smoothing_s,
-            ),
-            progress,
-        )
+        if part is not None and output is not None:
+            record = make_part(output, part, asked, wanted, progress)
+            tell_part(output, record, json=json)
+            raise typer.Exit(0)
+        if asked.parts:
+            result = merged_design(asked.parts, wanted, progress)
+        else:
+            result = search_design(
+                job_file, chosen, wanted.spec, wanted.options, wanted.wanted, progress
+            )
     written = []
     with together(output if result.found is not None else None):
         if output is not None and result.found is not None:
             written = write_design(result, result.found, output)
         page = None if report is None else write_design_report(result, report)
     as_typed = words.typed(spec=None, feed_forward=False, smoothing=None)
-    again = _again(job, written, result, {**as_typed, **level_option(trials)})
+    again = _again(job_file, written, result, {**as_typed, **level_option(trials)})
     if json:
         print_json(_content(result, [str(p) for p in written], page) | {"command": again})
     else:
@@ -141,6 +167,53 @@ def design(
         if page is not None:
             say(f"Report: {page}")
     raise typer.Exit(0 if result.found is not None else 1)
+
+
+def _part(seeking: Seeking, report: Path | None) -> Part | None:
+    """Return the part that is asked for; None for the whole redesign."""
+    if seeking.part is None:
+        return None
+    if seeking.merge:
+        raise OptionError("--part and --merge exclude each other", remedy="Give one of them.")
+    part = parse_part(seeking.part)
+    whole = {"--plot": seeking.plot, "--report": report}
+    check_part_options(seeking.output, whole, "redesign", "searches")
+    return part
+
+
+def _asked(
+    files: Sequence[Path], machine: str | None, words: Words, seeking: Seeking, part: Part | None
+) -> DesignAsked:
+    """Return whose redesign is wanted: by the command line, or with --merge by the parts."""
+    searches = seeking.searches
+    if part is not None:
+        searches = part.count if searches == 1 else searches
+        searches_of(part, searches)  # refuses too few of them
+    aims = DesignAims(
+        corners=seeking.corners, plot=seeking.plot, front=seeking.front, searches=searches
+    )
+    if seeking.merge:
+        return design_of_parts(files, machine, words, aims)
+    here = asked_here(files, machine, words)
+    return DesignAsked(job=here.job, machine=here.machine, words=words, aims=aims)
+
+
+def _check_output(
+    output: Path | None, inputs: Sequence[Path | str | None], part: Part | None
+) -> None:
+    """Refuse an output that would replace an input, or a name that no machine file has."""
+    if output is None:
+        return
+    if part is not None:
+        keep_inputs(output, *inputs)
+        return
+    if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
+        raise OptionError(
+            f"{str(output)!r} is no name for a machine file",
+            remedy="Give one that ends in .toml and not in .spec.toml.",
+        )
+    for file in (output, spec_file(output)):
+        keep_inputs(file, *inputs)
 
 
 def _again(
@@ -156,32 +229,6 @@ def _again(
     return command_line("prove", job, {"-m": written[0], **words, **ahead})
 
 
-def _plotted(text: str | None, known: tuple[str, ...] | None) -> tuple[str, str] | None:
-    if text is None or known is None:
-        return None
-    names = tuple(part.strip() for part in text.split(","))
-    if len(names) != 2 or names[0] == names[1] or any(name not in known for name in names):
-        raise OptionError(
-            f"cannot plot {text[:60]!r}", remedy=f"Give two of {', '.join(known)}, with a comma."
-        )
-    return names[0], names[1]
-
-
-def _widths_s(feed_forward: bool, text: str | None) -> tuple[float, ...]:
-    """Return smoothing widths, in s: all between them are tried; none without feed-forward."""
-    if not feed_forward:
-        if text is not None:
-            raise OptionError(
-                f"--smoothing {text!r} needs feed-forward", remedy="Give --feed-forward too."
-            )
-        return ()
-    parts = (_SEARCHED if text is None else text).split(",")
-    widths = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in parts))
-    if len(widths) > _MOST_WIDTHS:
-        raise OptionError(f"{len(widths)} smoothing widths, at most {_MOST_WIDTHS}")
-    return widths
-
-
 def _show(result: DesignResult) -> None:
     title = f"{result.job.name} on {result.machine.name}"
     if result.found is not None:
@@ -193,6 +240,8 @@ def _show(result: DesignResult) -> None:
             print_table(title, *verdict_rows(result.found.corners))
         say(closing(result.found.verdict))
     print_table("Cost against margin, and other machines", *candidate_rows(result))
+    if result.front:
+        print_table(front_title(result), *front_rows(result))
     say(design_sentence(result))
     say(f"{result.simulated} machines simulated")
 
@@ -231,6 +280,19 @@ def _content(result: DesignResult, written: list[str], page: Path | None) -> dic
             "ratio": region.found.tolist(),
             "ratio_others_unchanged": region.unchanged.tolist(),
         }
+    if result.front:
+        content["front"] = [
+            {
+                "cost": one.cost,
+                "factors": dict(one.factors),
+                "machines": one.machines,
+                "passed": one.passed,
+                "yield": one.share,
+                "interval": list(one.interval),
+                "on_front": one.on_front,
+            }
+            for one in result.front
+        ]
     if page is not None:
         content["report"] = str(page)
     return content

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 from typing import Annotated
 
 import typer
 
 from threadline.cli import option_parameters
-from threadline.cli.arguments import JobArgument, JsonOption, MachineOption
-from threadline.cli.messages import PLANNING_STAGE
-from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, ReportOption
+from threadline.cli.found import command_line
+from threadline.cli.messages import PLANNING_STAGE, warning
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.proof.asked import Words
 from threadline.proof.pipeline import open_job, plan_job
-from threadline.search.equal import HEADER, asked_of, equal_targets
+from threadline.readback.equal import HEADER, asked_of, equal_targets
+from threadline.report.differences import write_equality
 
 
 def equal_(
@@ -22,8 +26,8 @@ def equal_(
     targets: Annotated[
         str | None,
         typer.Option(
-            help="Targets, separated by commas: csv,npz,ticks,nc,grbl. Default: those of --file, "
-            "else all of the kind of machine."
+            help="Targets, separated by commas: csv,npz,ticks,nc,steps,st,grbl,marlin,klipper. "
+            "Default: those of --file, else all of the kind of machine."
         ),
     ] = None,
     file: Annotated[
@@ -33,20 +37,29 @@ def equal_(
             "May be repeated."
         ),
     ] = None,
-    slower: Annotated[bool, typer.Option("--slower", help="As with compile.")] = False,
+    slower: Annotated[
+        bool,
+        typer.Option(
+            "--slower",
+            help="Compare even a program that takes longer on its firmware than JOB as it stands.",
+        ),
+    ] = False,
+    report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
     """Say whether the file on a controller is the plan that was proven.
 
     The plan of JOB is written for every target, or a file on disk is taken. Each file is read by
-    something that did not write it, and compared with the plan in place and time.
+    something that did not write it, and compared with the plan in place and time. Where that reader
+    is not installed, the output says how to get it; with CI=true the exit status is 1 then.
 
     Exit status: 0 equal, 1 a file differs, 2 wrong input.
 
-    Example: threadline equal examples/x-180.prg -m lathe-winder --targets csv,npz,ticks,nc,grbl
+    Example: threadline equal examples/x-180.prg -m lathe-winder --targets csv,npz,ticks,nc
 
     A file on disk: threadline equal examples/x-180.prg -m lathe-winder --file nc=x-180.nc
     """
+    check_outputs(folder=report)
     chosen, options = words.machine(machine), words.options()
     names = [] if targets is None else [name.strip() for name in targets.split(",")]
     asked = asked_of(chosen, options, names, file or (), slower=slower)
@@ -54,15 +67,30 @@ def equal_(
         progress(PLANNING_STAGE, 0.0)
         plan = plan_job(open_job(job, chosen, options), chosen, options)
         found = equal_targets(plan, options, asked, progress)
+    written = None
+    if report is not None:
+        typed = {"-m": machine, **words.typed("equal"), "--targets": targets}
+        files = [word for one in file or () for word in ("--file", one)]
+        again = command_line("equal", job, typed | {"--slower": "" if slower else None})
+        written = write_equality(found, report, shlex.join([*shlex.split(again), *files]))
+    forbidden = found.missing if os.environ.get("CI") == "true" else {}
     if json:
-        print_json(found.content())
+        content = found.content()
+        if written is not None:
+            content["report"] = str(written)
+        print_json(content)
     else:
         title = f"{plan.job.name} on {plan.machine.name}, {plan.duration_s:.4g} s"
         print_table(title, HEADER, [one.row() for one in found.targets])
-        skipped = sum(one.verdict == "skipped" for one in found.targets)
-        told = "equal" if found.passed else "NOT EQUAL"
-        say(f"{told}: {len(found.targets) - skipped} compared, {skipped} skipped")
-    raise typer.Exit(0 if found.passed else 1)
+        for one in found.targets:
+            if one.remark:
+                say(f"{one.target}: {one.remark}")
+        say(found.closing())
+        if written is not None:
+            say(f"Report: {written}")
+    for target, why in forbidden.items():
+        warning(f"{target}: {why}; CI=true does not allow that")
+    raise typer.Exit(0 if found.passed and not forbidden else 1)
 
 
 def register(app: typer.Typer) -> None:

@@ -13,15 +13,11 @@ from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, named_folder
 from threadline.cli.fastest_cycle import CycleOutput, write_move_list
 from threadline.cli.fastest_optimal import OptimalOutput
-from threadline.cli.fastest_output import (
-    FeedOutput,
-    NeedleOutput,
-    SearchOutput,
-    ShaftOutput,
-)
+from threadline.cli.fastest_output import FeedOutput, NeedleOutput, SearchOutput, ShaftOutput
 from threadline.cli.found import as_typed, command_line
 from threadline.cli.output import check_outputs, print_json, progress_bar, tell, warn
-from threadline.motion.path.interpolations import OPTIMAL
+from threadline.commands.write import TICK_TARGETS
+from threadline.motion.path.interpolations import FIRMWARE, OPTIMAL
 from threadline.proof.asked import Words, level_option
 from threadline.search.by_pace import answered
 from threadline.search.question import question_of, refuse_others, searched_as
@@ -94,6 +90,11 @@ def fastest(
         options = {"-m": machine, **typed, **best, **level_option(asked.trials)}
         if asked.learned is None:
             again = command_line("prove", written or job, options)
+            dialect = asked.machine.programs.dialect
+            if asked.options.interpolation == FIRMWARE and dialect in TICK_TARGETS:
+                to = {"--target": dialect, "-o": f"faster-{job.name}"}
+                rest = {"-m": machine, **typed, "--interpolation": None, **best, **to}
+                output.faster = command_line("compile", job, rest)
         else:
             options["--repeats"] = str(asked.learned)
             again = command_line("learn", job, options)

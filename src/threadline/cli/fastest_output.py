@@ -35,6 +35,7 @@ from threadline.report.document import Printed
 from threadline.report.proof import write_report
 from threadline.search import Fastest, FastestJob
 from threadline.search.by_pace import Answer
+from threadline.search.fastest import RANGE
 from threadline.search.forbidden import joined
 from threadline.search.shaft import FastestShaft
 from threadline.search.studied import studied
@@ -59,6 +60,8 @@ class SearchOutput(ABC):
         self.found, self.asked, self.of = found, found.asked, found.of
         self.title = f"{title}{margin_words(found.asked.margin)}"
         self.how = title
+        self.faster: str | None = None
+        """The command that writes a file for the firmware with its corners rounded."""
 
     def warnings(self) -> list[str]:
         """Return warnings about the best plan."""
@@ -159,6 +162,8 @@ class SearchOutput(ABC):
         show(self._after())
         if found.passed:
             say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
+        if found.passed and self.faster is not None:
+            say(f"For a faster file, its corners rounded within the tolerance: {self.faster}")
         if found.mismatch:
             show_mismatch(found.mismatch, self.title, found.searched)
         if page is not None:
@@ -189,11 +194,7 @@ def verdict_content(verdict: Verdict) -> dict[str, Any]:
 
 
 def _steps(found: Fastest) -> dict[str, Any]:
-    return {
-        "alone": list(found.alone),
-        "step": found.step,
-        "step_at_edges": found.near_step,
-    }
+    return {"alone": list(found.alone), "step": found.step, "step_at_edges": found.near_step}
 
 
 _UNITS = {
@@ -216,7 +217,7 @@ class FeedOutput(SearchOutput):
         return self.found.passed or self.asked.options.following is Following.MOTOR
 
     def _table(self) -> Printed:
-        end, (unit, per_m_s) = self._end, _UNITS[self.of.by]
+        best, (unit, per_m_s) = self.of.best, _UNITS[self.of.by]
         rows = []
         for rung in self.of.rungs:
             for interval in rung.found.intervals:
@@ -227,7 +228,7 @@ class FeedOutput(SearchOutput):
                         typed(interval.low * per_m_s),
                         "alone" if interval.alone else typed(interval.high * per_m_s),
                         f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
-                        limit_words(rung.found.limited_by, end) if first else "",
+                        self._limit(rung.found.limited_by, best=rung is best) if first else "",
                     ]
                 )
         header = ["acceleration limits used", f"from {unit}", f"to {unit}", "job s", "limited by"]
@@ -251,11 +252,10 @@ class FeedOutput(SearchOutput):
         yield (
             f"fastest: {best.duration_s:.3f} s at {self._feed_text(best.found.best)} with "
             f"{share_words(best.share)} of the acceleration and jerk limits, limited by "
-            f"{limit_words(best.found.limited_by, self._end)}; "
-            f"{tried} plans tried"
+            f"{self._limit(best.found.limited_by)}; {tried} plans tried"
         )
         enough = self.of.enough
-        if enough is not None and enough < best.found.best / _MUCH_LESS:
+        if enough is not None and self._far_above_enough:
             least = self._feed_text(float(f"{1.0005 * enough:.4g}"))
             yield (
                 f"{least} takes the same time within 0.1 %: above it acceleration, corners and "
@@ -264,6 +264,18 @@ class FeedOutput(SearchOutput):
         yield f"feeds {resolution_words(best.found)}"
         if best.found.alone:
             yield alone_words(best.found, unit, per_m_s)
+
+    @property
+    def _far_above_enough(self) -> bool:
+        """Whether a much lower feed takes the same time as the highest one."""
+        best, enough = self.of.best.found.best, self.of.enough
+        return None not in (best, enough) and enough < best / _MUCH_LESS  # type: ignore[operator]
+
+    def _limit(self, limited_by: str, *, best: bool = True) -> str:
+        """Return what limits the time; the end of the search limits the feed alone."""
+        if best and limited_by == RANGE and self._far_above_enough:
+            return "acceleration, corners and rapid moves"
+        return limit_words(limited_by, self._end)
 
     def _feed_text(self, value: float) -> str:
         unit, per_m_s = _UNITS[self.of.by]

@@ -22,10 +22,7 @@ from threadline.search.mismatch import Certainty, Searched
 END = "the end of the search (--high)"
 AXES_ALONE = "the velocity limits of the axes"
 """Upper end of a search for a feed without --high: no axis can go faster."""
-_ENDS = {
-    LIMITS: "the limits of axes and drives",
-    ALLOWED: "what --contour allows",
-}
+_ENDS = {LIMITS: "the limits of axes and drives", ALLOWED: "what --contour allows"}
 
 
 def limit_words(limited_by: str, end: str = END) -> str:

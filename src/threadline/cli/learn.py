@@ -27,7 +27,7 @@ from threadline.live.store.run_store import TRACE, opened
 from threadline.live.store.whole_trace import whole_recording
 from threadline.proof.asked import Words, level_option
 from threadline.proof.recorded import warnings_of
-from threadline.search.learn import GAIN, REPEATS, Rules
+from threadline.search.learn import REPEATS
 from threadline.search.learned_job import (
     LearnedJob,
     LearnedRuns,
@@ -37,6 +37,7 @@ from threadline.search.learned_job import (
     rules_of,
     typed_options,
 )
+from threadline.search.repeats import GAIN, Rules
 from threadline.verdict import closing
 
 
@@ -149,13 +150,7 @@ def learn(
 
 def show(found: LearnedJob) -> None:
     """Print the repeats and the verdict on every best table."""
-    from threadline.report.learn import (
-        HEADER,
-        filter_facts,
-        repeat_rows,
-        table_name,
-        verdicts,
-    )
+    from threadline.report.learn import HEADER, filter_facts, repeat_rows, table_name, verdicts
 
     for at, (name, one) in enumerate(found.machines):
         title = f"{found.base.job.name} on {found.base.machine.name}, learned on {name}"

@@ -93,13 +93,7 @@ def measure_axis(
         if json:
             print_json({"predicted": _predicted(foreseen)})
         return
-    found = measure(
-        chosen,
-        planned,
-        link=link,
-        actual=other,
-        fault=fault,
-    )
+    found = measure(chosen, planned, link=link, actual=other, fault=fault)
     write_recording(found.recording, output)
     if found.ended is not RunEnd.COMPLETED:
         raise LinkFaultError(

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
-from threadline.base.progress import COMPILING, PLANNING
+from threadline.base.progress import COMPILING, PLANNING, WRITING
 from threadline.base.wording import grouped, plain
 
 STDOUT = "standard output"
@@ -27,10 +27,17 @@ LOOK_S = 1.0
 PLANNING_STAGE = "planning"
 """Stage whose progress ``PLANNING`` holds."""
 """The stage without a share done: the duration is unknown until the motion is planned."""
+WRITING_STAGE = "writing and reading back"
+"""Stage whose progress ``WRITING`` holds."""
 STARTING_S = 0.6
 _STARTING = "starting ..."
 _ERASED = "\r" + " " * len(_STARTING) + "\r"
 COMPILING_S = 4.0  # of compiling, after which a line says why it takes so long
+_ONCE = "once on this computer: later runs begin at once"
+_EACH_TIME = (
+    "as every run does on this computer: no folder to keep it in can be written; name one in "
+    "NUMBA_CACHE_DIR"
+)
 
 
 class Starting:
@@ -93,14 +100,20 @@ class Telling:
 
     def doing(self) -> str:
         """Return the stage, its share done, and the time left at the same rate."""
-        if not self.stage or not self.fraction:
+        fraction = share_of(self.stage, self.fraction)
+        if not self.stage or not fraction:
             return in_full(self.stage)
-        percent = int(100.0 * self.fraction + 1e-9)
+        percent = int(100.0 * fraction + 1e-9)
         if percent >= _NEARLY:
             return f"{self.stage}, nearly done"
         passed_s = time.monotonic() - self.since_s
-        left_s = passed_s * (1.0 - self.fraction) / self.fraction
+        left_s = passed_s * (1.0 - fraction) / fraction
         return f"{self.stage}, {percent} % done, about {_lasting(left_s)} more"
+
+
+def share_of(stage: str, fraction: float) -> float:
+    """Return the share done of a stage, ``fraction`` unless the stage tells it by ``WRITING``."""
+    return WRITING.share if stage == WRITING_STAGE else fraction
 
 
 def in_full(stage: str) -> str:
@@ -188,13 +201,19 @@ def telling(*, starting: bool = False) -> Iterator[Telling]:
         _TELLING.reset(before)
 
 
+ASKING = threading.Event()
+"""Set while a question waits for the answer of somebody at the keys."""
+
+
 def _beat(held: Telling, ended: threading.Event) -> None:
     began = told = time.monotonic()
     compiled_s: float | None = COMPILING.lasted_s()
     while not ended.wait(min(LOOK_S, EVERY_S)):
         if compiled_s is not None and COMPILING.lasted_s() - compiled_s > COMPILING_S:
             compiled_s = None
-            note("compiling machine code, once on this computer: later runs begin at once")
+            note(f"compiling machine code, {_ONCE if COMPILING.kept else _EACH_TIME}")
+        if ASKING.is_set():
+            began = told = time.monotonic()
         if time.monotonic() - told < EVERY_S:
             continue
         told = time.monotonic()

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from threadline.base.progress import Progress as ProgressCall
 from threadline.base.wording import plain
-from threadline.cli.messages import STARTING, at_work, in_full
+from threadline.cli.messages import STARTING, at_work, in_full, share_of
 
 _SHOW_AFTER_S = 1.0
 _BETWEEN = 3  # characters that a column takes beside its text
@@ -125,10 +125,13 @@ class _WhileItStands(io.TextIOBase):
 
 
 class _Stage(ProgressColumn):
-    """The stage, read anew at each drawing: planning tells how far it is."""
+    """The stage, read anew at each drawing: planning and writing tell how far they are."""
 
     def render(self, task: Task) -> Text:
-        """Return the text of the column."""
+        """Return the text of the column, the first; the columns beside it draw the same share."""
+        share = share_of(task.description, task.completed)
+        if share > task.completed:
+            task.completed, task.total = share, 1.0
         return Text(in_full(task.description))
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import select
-import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
@@ -20,13 +18,8 @@ from threadline.commands.plan import Plan
 from threadline.errors import CommandError, OptionError
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
 from threadline.live.derived import Rest
-from threadline.live.feed_override import (
-    MOST_PERCENT,
-    STEP_PERCENT,
-    feed_words,
-    refuse_override,
-)
-from threadline.live.guards import clock_s
+from threadline.live.feed_override import MOST_PERCENT, STEP_PERCENT, feed_words, refuse_override
+from threadline.live.job_run import UNATTENDED_S, HoldAlone, stopping_at_signals
 from threadline.live.links import Running
 from threadline.live.states import Cause, Desk, State
 from threadline.live.store.whole_trace import refuse_other_rows, trace_of, unfinished_run
@@ -34,8 +27,6 @@ from threadline.live.store.whole_trace import refuse_other_rows, trace_of, unfin
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 _OVERRIDES = {"-": -STEP_PERCENT, "+": STEP_PERCENT}
 """Any other key stops."""
-UNATTENDED_S = 10.0
-"""Longest hold in s while nobody is at the keys to end it."""
 _ALONE = f"nobody is at the keys: the run stops after {UNATTENDED_S:g} s unless it is resumed"
 
 
@@ -58,7 +49,7 @@ def at_the_keys(desk: Desk, duration_s: float, progress: Progress | None) -> Ite
         Called with the share done of the run; None for no progress.
     """
     with ExitStack() as stack:
-        stack.enter_context(_signals(desk))
+        stack.enter_context(stopping_at_signals(desk))
         terminal = stack.enter_context(_terminal())
         yield AtTheKeys(desk, duration_s, progress, terminal)
 
@@ -72,7 +63,7 @@ class AtTheKeys:
         self._desk, self._progress, self._terminal = desk, progress, terminal
         self._duration_s = max(duration_s, 1e-9)
         self._told_hold = ""  # message already printed about the current hold
-        self._ends_s: float | None = None  # when an unattended hold ends
+        self._alone = HoldAlone(desk)
         self._told = terminal is None
         self._asked: int | None = None  # override in %, by the latest keys
         self._overridden = MOST_PERCENT  # that was told
@@ -136,42 +127,17 @@ class AtTheKeys:
 
     def _tell_hold(self, executor: Running) -> None:
         """Print why a run holds and who can resume it; stop a hold that nobody can end."""
+        if self._terminal is None:
+            self._alone.step(executor)
         if executor.state is not State.HOLDING:
-            self._told_hold, self._ends_s = "", None
+            self._told_hold = ""
             return
-        alone, now_s = self._terminal is None, clock_s()
+        alone = self._terminal is None
         can = _ALONE if alone else "r goes on, any other key stops"
         told = f"holding: {executor.why}; {can}" if executor.why else f"holding: {can}"
         if told != self._told_hold:
             self._told_hold = told
             note(told)
-        if alone:
-            self._ends_s = now_s + UNATTENDED_S if self._ends_s is None else self._ends_s
-            if now_s >= self._ends_s:
-                executor.stopped_by = "Threadline: nobody is at the keys to resume"
-                self._desk.ask(Cause.STOP)
-
-
-@contextmanager
-def _signals(desk: Desk) -> Iterator[None]:
-    """Stop along the path at the first interrupt, raise ``KeyboardInterrupt`` at the second."""
-    came: list[int] = []
-
-    def answer(number: int, _frame: FrameType | None) -> None:
-        came.append(number)
-        desk.ask(Cause.STOP)
-        if len(came) > 1:
-            raise KeyboardInterrupt
-
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup: the run outlives it
-        numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, answer) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
@@ -209,12 +175,11 @@ AtOption = Annotated[
     str | None,
     typer.Option(
         help="With --continue: where the work begins again: block (the one under way at the end), "
-        'circuit, "circuit 12", "line 40".'
+        'circuit, "circuit 12", "line 40", "stitch 120", or "back 10" for ten stitches before.'
     ),
 ]
 ConfirmedOption = Annotated[
-    bool,
-    typer.Option("--confirmed", help="With --continue: go on without waiting for the key c."),
+    bool, typer.Option("--confirmed", help="With --continue: go on without waiting for the key c.")
 ]
 
 

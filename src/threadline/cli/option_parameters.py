@@ -15,6 +15,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from threadline.cli.messages import note
 from threadline.proof.asked import Words
 from threadline.proof.option_form import Option, Type
 from threadline.proof.option_table import options_for
@@ -62,7 +63,12 @@ def add(app: typer.Typer, verb: str, command: Callable[..., None]) -> None:
             name: make(**{one: given.pop(one) for one in own})
             for name, (make, own) in groups.items()
         }
-        command(**made, **given)
+        words = next((one for one in made.values() if isinstance(one, Words)), None)
+        if words is None:
+            command(**made, **given)
+            return
+        with words.judging(note):
+            command(**made, **given)
 
     called.__doc__, called.__name__ = command.__doc__, command.__name__
     called.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]

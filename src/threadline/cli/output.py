@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from threadline.base.progress import Progress as ProgressCall
 from threadline.base.wording import plain
 from threadline.base.writing import check_output, is_stdout
-from threadline.cli.messages import STARTING, STDOUT, at_work, note, warning
+from threadline.cli.messages import ASKING, STARTING, STDOUT, at_work, note, warning
 from threadline.errors import OptionError
 
 if TYPE_CHECKING:
@@ -47,7 +47,11 @@ def ask(question: str) -> str:
     with _to_stdout():
         sys.stdout.write(plain(question))
         sys.stdout.flush()
-    return sys.stdin.readline()
+    ASKING.set()
+    try:
+        return sys.stdin.readline()
+    finally:
+        ASKING.clear()
 
 
 @contextmanager

@@ -82,7 +82,7 @@ def panel(
     # Imported here, so that no other command waits for a web server.
     import uvicorn
 
-    from threadline.panel.admission import Admission, PromptHttp
+    from threadline.panel.admission import Admission, PromptHttp, PromptWebsocket
     from threadline.panel.calculation import Calculation, MachineGuide
     from threadline.panel.owner_process import Owned, OwnerLink, start_owner
     from threadline.panel.panel import Panel
@@ -106,7 +106,7 @@ def panel(
             app,
             log_level="warning",
             http=PromptHttp,
-            ws="websockets-sansio",
+            ws=PromptWebsocket,
             ws_max_size=MOST_TEXT,
             timeout_graceful_shutdown=1,
             access_log=False,

@@ -20,7 +20,8 @@ from threadline.live.store.whole_trace import as_one, joined_with, whole_recordi
 from threadline.proof.asked import Words
 from threadline.proof.option_form import Door
 from threadline.proof.pipeline import Proof
-from threadline.proof.proof_file import read_proof, spec_sha256
+from threadline.proof.proof_file import read_proof
+from threadline.proof.proof_hash import spec_sha256
 from threadline.proof.recorded import judge_files
 from threadline.report.proof import write_report
 from threadline.search.studied import studied
@@ -115,9 +116,18 @@ def report(
 
 
 def _check_samples(folder: Path, record: RunRecord) -> None:
-    """Refuse a run that ended before its first sample, for example while homing."""
+    """Refuse a run that ended before its first sample, for example while homing.
+
+    A run that was judged had samples: its trace was removed, or lost.
+    """
     trace = folder / TRACE
     nothing = not trace.exists() or not trace.stat().st_size
+    if nothing and record.passed is not None:
+        word = "empty" if trace.exists() else "missing"
+        raise StoreError(
+            f"the trace of run {folder.name} is {word}: {trace}",
+            remedy="The run was judged, so it had one: put it back from a copy.",
+        )
     if nothing or read_recording(trace).is_empty():
         why = f", {record.ended}: {record.text}" if record.text else ", without a word of its end"
         raise StoreError(

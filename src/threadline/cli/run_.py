@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping
 from contextlib import closing as closed
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from threadline.base.arrays import finite
 from threadline.base.reading import inputs_read
 from threadline.cli import option_parameters
 from threadline.cli.arguments import (
@@ -46,50 +43,32 @@ from threadline.cli.output import (
 from threadline.cli.prove import plot_every
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.commands.plan import Plan
-from threadline.errors import LinkFaultError, OptionError, RecordingError, StoreError
-from threadline.files import Recording, RunEnd
+from threadline.files import RunEnd
 from threadline.files.formats import write_recording
-from threadline.live.links import Link, link_of
-from threadline.live.sim_machine import SimFault, parse_fault
-from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
-from threadline.live.states import Desk
-from threadline.live.store.run_store import OpenRun, RunStore, check_folder
-from threadline.live.store.whole_trace import as_one, joined_with, whole_recording
-from threadline.live.supervised import (
-    check_halts,
-    check_override,
-    check_runnable,
-    interventions,
+from threadline.live.job_run import (
+    Executed,
+    JudgedRun,
+    Manner,
+    checked_speed,
+    execute,
+    fault_of,
+    judge_run,
 )
+from threadline.live.links import link_of
+from threadline.live.sim_machine import SimFault, parse_fault
+from threadline.live.sim_process import REAL_TIME
+from threadline.live.store.run_store import RunStore, check_folder
+from threadline.live.store.whole_trace import as_one
+from threadline.live.supervised import check_halts, check_override, check_runnable, interventions
 from threadline.proof.asked import Words
 from threadline.proof.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.proof.proof_file import read_proof, write_proof
 from threadline.proof.recorded import warnings_of
 from threadline.verdict import (
-    Spec,
-    Verdict,
     closing,
     happened_lines,
-    judge,
-    verdict_json,
     verdict_rows,
 )
-
-_MOST_SPEED = 1e6
-
-
-def _checked_speed(speed: float) -> float:
-    if not 0.0 <= speed <= _MOST_SPEED:
-        raise OptionError(
-            f"--speed {speed:g} is not between 0 and {_MOST_SPEED:g}",
-            remedy="1 is real time, 0 is as fast as it can.",
-        )
-    if 0.0 < speed < LEAST_SPEED:
-        raise OptionError(
-            f"--speed {speed:g} is slower than the link can wait",
-            remedy=f"Give {LEAST_SPEED:g} or more, or 0 for as fast as it can.",
-        )
-    return speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +87,7 @@ class Execution:
     speed: Annotated[
         float,
         typer.Option(
-            callback=_checked_speed,
+            callback=checked_speed,
             help="With sim: simulated seconds per second; 1 is real time, 0 as fast as possible.",
         ),
     ] = REAL_TIME
@@ -187,11 +166,7 @@ def run(
     check_machine(chosen)
     if proof_file is not None:
         read_proof(proof_file, secret)  # fail on an unreadable proof before planning
-    with (
-        progress_bar(not json) as progress,
-        tempfile.TemporaryDirectory() as folder,
-        closed(over),
-    ):
+    with progress_bar(not json) as progress, tempfile.TemporaryDirectory() as folder, closed(over):
         plan = plan_job(open_job(job, chosen, options), chosen, options)
         check_halts(plan, answered=execution.pass_stops or somebody_at_the_keys())
         if proof_file is None:
@@ -221,123 +196,43 @@ def run(
         )
         told |= known_of
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
+        manner = Manner(
+            may=may, told=told, pass_stops=execution.pass_stops, again=again, confirmed=confirmed
+        )
         kept = RunStore(store).begin(plan, known, told, execution.speed, inputs, over.sent)
-        with (
-            _moved(kept),
-            closed(Desk()) as desk,
-            at_the_keys(desk, plan.duration_s, progress) as keys,
-            kept,
-        ):
-            ended, text = over.run(
-                plan, desk, kept, pass_stops=execution.pass_stops,
-                hold_at_rest=may.hold_at_rest, no_override=may.no_override,
-                watch=keys.step, again=again,
-                confirmed=(lambda: True) if confirmed else keys.confirmed,
-            )  # fmt: skip
-        _is_over(kept, ended, text, plan, fault, keys.time_s)
-    before = () if again is None else joined_with(kept.trace)
-    happened = whole_recording(kept.trace)
-    verdict = _verdict(happened, plan, asked, kept, (ended, text), over, whole=again is None)
-    content = {
-        **verdict_json(verdict, plan),
-        **told,
-        "run": kept.path.name,
-        "trace": str(kept.trace),
-        "ended": ended.value,
-        "hold_deviation_m": finite(may.hold_deviation_m),
-        "hold_waits_for_rest": may.hold_at_rest,
-        "spoiled_by_holds": [
-            {"name": r.name, "axis": r.axis, "measured": r.measured, "limit": r.limit}
-            for r in may.spoiled_by_holds
-        ],
-        "no_feed_override": may.no_override,
-        **({"judged_with": before} if before else {}),
-    }
-    _judged(kept, content, ended, text)
-    if recording is not None:
-        write_recording(happened, recording, plot_every=plot_every(chosen))
-    _show(verdict, plan, content, over.label, kept, json=json)
-    if ended is RunEnd.FAULT:
-        raise _fault(kept, text, over)
-    raise typer.Exit(0 if verdict.passed else 1)
+        done = execute(
+            over, plan, kept, manner, lambda desk: at_the_keys(desk, plan.duration_s, progress)
+        )
+        _warn_unreached(done, plan, fault)
+    judged = judge_run(done, plan, asked, manner)
+    if judged.warned:
+        warning(judged.warned)
+    if recording is not None and judged.verdict is not None:
+        write_recording(judged.recording, recording, plot_every=plot_every(chosen))
+    _show(done, judged, plan, over.label, json=json)
+    if done.ended is RunEnd.FAULT:
+        raise fault_of(done, over)
+    raise typer.Exit(0 if judged.verdict is not None and judged.verdict.passed else 1)
 
 
-def _verdict(
-    happened: Recording,
-    plan: Plan,
-    spec: Spec,
-    kept: OpenRun,
-    outcome: tuple[RunEnd, str],
-    over: Link,
-    *,
-    whole: bool,
-) -> Verdict:
-    """Return the verdict; end the program if the run ended before there was anything to judge."""
-    try:
-        return judge([happened], plan, spec)
-    except RecordingError as error:
-        ended, text = outcome
-        if ended is RunEnd.COMPLETED and whole:
-            raise
-        text = text or f"NOT PROVEN: the rest of a job alone is not judged ({error.message})"
-    with _moved(kept):
-        kept.unjudged(ended.value, text)
-    if ended is RunEnd.FAULT:
-        raise _fault(kept, text, over)
-    note(text if ended is RunEnd.COMPLETED else f"{text}: nothing was recorded to be judged")
-    raise typer.Exit(1)
-
-
-def _is_over(
-    kept: OpenRun, ended: RunEnd, text: str, plan: Plan, fault: SimFault | None, until_s: float
-) -> None:
-    """Store how a run ended; warn if it ended before the injected fault."""
-    with suppress(StoreError):  # a locked index may be free when the verdict is stored
-        kept.over(ended.value, text)
+def _warn_unreached(done: Executed, plan: Plan, fault: SimFault | None) -> None:
+    """Warn if a run ended before the injected fault."""
     period_s = float(plan.machine.command_clock.period_s)
-    if fault is not None and ended is not RunEnd.FAULT and until_s < fault.tick * period_s:
+    if fault is not None and done.ended is not RunEnd.FAULT and done.time_s < fault.tick * period_s:
         at = f"{fault.kind} at {fault.tick * period_s:g} s"
-        warning(f"--inject: {at} never came: the run ended at {until_s:.6g} s")
+        warning(f"--inject: {at} never came: the run ended at {done.time_s:.6g} s")
 
 
-def _judged(kept: OpenRun, content: Mapping[str, Any], ended: RunEnd, text: str) -> None:
-    with _moved(kept):
-        if said := kept.judged(content, ended.value, text):
-            warning(said)
-
-
-@contextmanager
-def _moved(kept: OpenRun) -> Iterator[None]:
-    """Report a failure to store a run as a fault of the machine, since it may have moved.
-
-    Errors of the executor from before any motion pass unchanged.
-    """
-    try:
-        yield
-    except (OSError, StoreError) as error:
-        why = error.message if isinstance(error, StoreError) else error.strerror or str(error)
-        raise LinkFaultError(
-            f"the run could not be kept in {kept.path}: {why}",
-            remedy="The machine may have moved: look at it, then home it. Make room, or give "
-            "another folder with --store.",
-        ) from error
-
-
-def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
-    return LinkFaultError(
-        text,
-        remedy=f"What was recorded is in {kept.path}. {over.after_fault} Look at the machine, "
-        "then home it.",
-    )
-
-
-def _show(
-    verdict: Verdict, plan: Plan, content: Mapping[str, Any], label: str, kept: OpenRun, *,
-    json: bool,
-) -> None:  # fmt: skip
+def _show(done: Executed, judged: JudgedRun, plan: Plan, label: str, *, json: bool) -> None:
     """Print the verdict; after a fault the error message gives the rest."""
-    fault = content["ended"] == RunEnd.FAULT
-    with report_failed_print(f"the verdict is in {kept.path}"):
+    fault, content, verdict = done.ended is RunEnd.FAULT, judged.content, judged.verdict
+    if verdict is None:
+        if done.ended is RunEnd.COMPLETED:
+            note(judged.text)
+        elif not fault:
+            note(f"{judged.text}: nothing was recorded to be judged")
+        return
+    with report_failed_print(f"the verdict is in {done.kept.path}"):
         if json:
             if not fault:
                 print_json(content)
@@ -348,10 +243,10 @@ def _show(
         for line in happened_lines(verdict):
             say(line)
         say(closing(verdict) + (f"; {label}" if label else ""))
-        if before := content.get("judged_with"):
-            say(as_one(before))
+        if judged.before:
+            say(as_one(judged.before))
         if not fault:
-            say(f"Run: {kept.path}")
+            say(f"Run: {done.kept.path}")
 
 
 def register(app: typer.Typer) -> None:

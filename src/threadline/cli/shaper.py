@@ -102,8 +102,7 @@ def shaper(
     damping: Annotated[
         list[float] | None,
         typer.Option(
-            parser=ratio("--damping"),
-            help="Damping ratio: one for all modes, or one for each.",
+            parser=ratio("--damping"), help="Damping ratio: one for all modes, or one for each."
         ),
     ] = None,
     tolerance: Annotated[
@@ -137,8 +136,7 @@ def shaper(
         bool, typer.Option(help="With --tick: choose amplitudes anew (flow valves, axes).")
     ] = False,
     move: Annotated[
-        str | None,
-        typer.Option(help='Time a move of this length, with --acceleration: "200 mm".'),
+        str | None, typer.Option(help='Time a move of this length, with --acceleration: "200 mm".')
     ] = None,
     acceleration: Annotated[
         str | None, typer.Option(help='Acceleration during --move: "1 m/s^2".')

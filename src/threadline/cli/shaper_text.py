@@ -193,10 +193,7 @@ def missed(made: Shaper, asked: Sequence[tuple[FlexibleMode, float, float]]) -> 
 
 
 def designed(
-    kind: str,
-    modes: Sequence[FlexibleMode],
-    tolerances: Sequence[float],
-    bands: Sequence[float],
+    kind: str, modes: Sequence[FlexibleMode], tolerances: Sequence[float], bands: Sequence[float]
 ) -> Shaper:
     """Return the shaper of a kind for ``modes``.
 

@@ -19,20 +19,9 @@ from threadline.identify.experiment_run import LINKS
 from threadline.identify.machine_file import base_lines
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at, number_tables
-from threadline.search.tune import (
-    MEASURES,
-    RULES,
-    JobRun,
-    TunedAxis,
-    Tuning,
-    asked,
-    label,
-    parse_controller,
-    parse_rule,
-    tune,
-    usual_controller,
-)
+from threadline.search.tune import asked, parse_controller, parse_rule, tune, usual_controller
 from threadline.search.tuned_file import write_tuned
+from threadline.search.tuning import MEASURES, RULES, JobRun, TunedAxis, Tuning, label
 from threadline.units import parse_quantity
 from threadline.verdict.spec import load_spec
 

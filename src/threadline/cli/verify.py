@@ -10,7 +10,8 @@ import typer
 from threadline.cli.arguments import JsonOption, KeyOption
 from threadline.cli.output import print_json, say
 from threadline.errors import Place, ProofError
-from threadline.proof.proof_file import read_key, read_proof, verify_proof
+from threadline.proof.proof_file import read_proof, verify_proof
+from threadline.proof.proof_hash import read_key
 from threadline.verdict.types import Level
 
 _SIGNED = {

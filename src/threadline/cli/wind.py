@@ -74,7 +74,9 @@ def wind(
     ] = None,
     dialect: Annotated[
         str | None,
-        typer.Option(help="Dialect of --out: winder or linuxcnc. Default: the machine file's."),
+        typer.Option(
+            help="Dialect of --out: winder, linuxcnc, fanuc. Default: the machine file's."
+        ),
     ] = None,
     json: JsonOption = False,
 ) -> None:

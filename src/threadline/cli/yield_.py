@@ -17,8 +17,10 @@ from threadline.base.progress import Progress
 from threadline.base.writing import together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import (
+    JobsArgument,
     JsonOption,
     ReportOption,
+    ThisMachineOption,
     keep_inputs,
 )
 from threadline.cli.found import command_line
@@ -52,17 +54,16 @@ from threadline.cli.yield_tables import (
 )
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
-from threadline.machine import Machine
 from threadline.proof.asked import Words
 from threadline.proof.option_words import parse_yield
-from threadline.proof.pipeline import check_machine, open_job, plan_job, with_product
-from threadline.proof.proof_file import spec_sha256
+from threadline.proof.proof_hash import spec_sha256
 from threadline.proof.worst_machine import Worst, worst_toml
 from threadline.search.influence import MACHINES, CheapestSet, cheapest_set
 from threadline.search.machine_yield import (
     MachineYield,
     Yield,
     limited_rows,
+    planned_yield,
     quantile,
 )
 from threadline.search.yield_parts import Part, PartFile, check_same, merged, parse_part
@@ -126,22 +127,6 @@ class Drawing:
 
 
 _VARIANTS, _SEED = Drawing().variants, Drawing().seed
-ThisMachineOption = Annotated[
-    str | None,
-    typer.Option(
-        "--machine",
-        "-m",
-        help="Machine file (.toml) or library name (threadline machines lists them), overlays "
-        "after a plus: lathe-winder+physical. Not with --merge.",
-    ),
-]
-JobsArgument = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="JOB",
-        help="Part program, seam or move list; with --merge, the files of all parts.",
-    ),
-]
 
 
 def yield_(
@@ -170,7 +155,7 @@ def yield_(
     variants, seed = question.variants, question.seed
     chosen = question.words.machine(question.machine)
     _check_files(drawing, report, [*job, question.job, chosen.file, *question.words.files()])
-    judged, asked = _planned(question, chosen)
+    judged, asked = planned_yield(question.words, question.job, chosen)
     if wanted is not None:
         _check_reachable(variants, wanted, at_least or "")
     warn(chosen, judged.plan.job, own_feed=question.words.options().own_feeds)
@@ -213,20 +198,6 @@ def yield_(
     if drawn is not None:
         say(f"Report: {drawn}")
     raise typer.Exit(0 if enough else 1)
-
-
-def _planned(question: Question, machine: Machine) -> tuple[MachineYield, Spec]:
-    """Return the judge of the machines, and the specification."""
-    if question.parts and not question.job.exists():
-        raise OptionError(
-            f"the parts are of job {str(question.job)!r}, and it is not here",
-            remedy="Merge in the folder in which the parts were made, or in a copy of it.",
-        )
-    options = question.words.options(question.job)
-    check_machine(machine)
-    plan = plan_job(open_job(question.job, machine, options), machine, options)
-    asked = with_product(question.words.spec(machine), machine, options)
-    return MachineYield(plan, asked), asked
 
 
 def _cheapest(

@@ -13,10 +13,11 @@ from threadline.base.writing import is_stdout
 from threadline.cli.output import print_json, say
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, RecordingError
-from threadline.proof.asked import Words
-from threadline.proof.option_form import Door, Type, Word
-from threadline.proof.option_table import known_words, options_for
-from threadline.proof.proof_file import options_sha256, spec_sha256
+from threadline.proof.asked import Words, known_words
+from threadline.proof.option_form import Door, Group, Type, Word
+from threadline.proof.option_table import options_for
+from threadline.proof.proof_file import options_sha256
+from threadline.proof.proof_hash import spec_sha256
 from threadline.search.machine_yield import Yield
 from threadline.search.yield_parts import Part, PartFile, Record, read_parts, write_part
 from threadline.verdict import Spec
@@ -48,7 +49,7 @@ class Question:
 
 
 def asked_here(
-    files: Sequence[Path], machine: str | None, words: Words, variants: int, seed: int
+    files: Sequence[Path], machine: str | None, words: Words, variants: int = 0, seed: int = 0
 ) -> Question:
     """Return the question of the command line.
 
@@ -89,52 +90,94 @@ def asked_of_parts(
     RecordingError
         If a file cannot be read as a part.
     """
-    typed = [*([] if machine is None else ["--machine"]), *words.typed("yield")]
-    typed += [name for name, value in given.items() if value not in (None, False)]
-    if typed:
-        raise OptionError(
-            f"--merge takes job, machine and options from the parts, and {typed[0]} was given",
-            remedy=f"Leave {typed[0]} out.",
-        )
+    check_merge_options(machine, words, given)
     parts = read_parts(files)
     record = parts[0].record
-    told = dict(record.words)
-    job, named = told.pop("job", None), told.pop("machine", None)
-    if not isinstance(job, str) or not isinstance(named, str):
-        raise RecordingError(
-            f"{str(parts[0].path)!r} does not name its job and machine",
-            remedy="Make that part again.",
-        )
+    job, named, own = asked_in_part("yield", record.words, parts[0].path)
     return Question(
-        job=Path(job),
+        job=job,
         machine=named,
-        words=_words(told, parts[0].path),
+        words=own,
         variants=record.variants,
         seed=record.seed,
         parts=parts,
     )
 
 
-def _words(told: Mapping[str, Word], path: Path) -> Words:
-    table = {one.word: one for one in options_for("yield")}
+def check_merge_options(machine: str | None, words: Words, given: Mapping[str, object]) -> None:
+    """Refuse options of a merge that the parts decide.
+
+    Raises
+    ------
+    OptionError
+        If one is given.
+    """
+    own = words_for_part(words)
+    typed = [] if machine is None else ["--machine"]
+    typed += [one.typed for one in options_for(words.verb) if one.word in own]
+    typed += [name for name, value in given.items() if value not in (None, False)]
+    if typed:
+        raise OptionError(
+            f"--merge takes job, machine and options from the parts, and {typed[0]} was given",
+            remedy=f"Leave {typed[0]} out.",
+        )
+
+
+def asked_in_part(verb: str, words: Mapping[str, Word], path: Path) -> tuple[Path, str, Words]:
+    """Return job, machine and options that the record of the part in ``path`` states.
+
+    Raises
+    ------
+    OptionError, RecordingError
+        If it does not name them, or a word is no option of the verb.
+    """
+    told = dict(words)
+    job, named = told.pop("job", None), told.pop("machine", None)
+    if not isinstance(job, str) or not isinstance(named, str):
+        raise RecordingError(
+            f"{str(path)!r} does not name its job and machine", remedy="Make that part again."
+        )
+    if not Path(job).exists():
+        raise OptionError(
+            f"the parts are of job {job!r}, and it is not here",
+            remedy="Merge in the folder in which the parts were made, or in a copy of it.",
+        )
+    return Path(job), named, words_of_part(verb, told, path)
+
+
+def words_of_part(verb: str, told: Mapping[str, Word], path: Path) -> Words:
+    """Return the words that the record of a part states.
+
+    Raises
+    ------
+    OptionError, RecordingError
+        If a word is no option of the verb, or has another type.
+    """
+    table = {one.word: one for one in options_for(verb)}
     for word, value in told.items():
         if word in table and type(value) is not _KINDS.get(table[word].type, str):
             raise RecordingError(
                 f"{str(path)!r} has an option {word!r} of another type",
                 remedy="Make that part again.",
             )
-    return Words("yield", known_words("yield", Door.LINE, told))
+    return Words(verb, known_words(verb, Door.LINE, told))
+
+
+def words_for_part(words: Words) -> dict[str, str | int | float | bool]:
+    """Return the words that differ from their defaults; where machines are judged is left out."""
+    where = {one.word for one in options_for(words.verb, groups=[Group.WHERE])}
+    given = {
+        word: value if isinstance(value, bool | int | float) else str(value)
+        for word, value in words.given.items()
+        if value is not None and value is not False and word not in where
+    }
+    defaults = known_words(words.verb, Door.LINE, {})
+    return {word: value for word, value in given.items() if value != defaults[word]}
 
 
 def record_of(question: Question, identity: Mapping[str, str], part: Part) -> Record:
-    """Return the record of a part of the yield."""
-    given = {
-        word: value if isinstance(value, bool | int | float) else str(value)
-        for word, value in question.words.given.items()
-        if value is not None and value is not False
-    }
-    defaults = known_words("yield", Door.LINE, {})
-    own = {word: value for word, value in given.items() if value != defaults[word]}
+    """Return the record of a part of the yield; where it was judged does not matter."""
+    own = words_for_part(question.words)
     return Record(
         identity=identity,
         words={"job": str(question.job), "machine": question.machine, **own},
@@ -157,8 +200,17 @@ def part_identity(plan: Plan, spec: Spec) -> dict[str, str]:
     }
 
 
-def check_part_options(output: Path | None, given: Mapping[str, object]) -> None:
+def check_part_options(
+    output: Path | None, given: Mapping[str, object], whole: str = "yield", some: str = "machines"
+) -> None:
     """Refuse options that have no meaning for one part, and a missing or unusable file.
+
+    Parameters
+    ----------
+    given
+        Options of the whole, by name; None or False for what was left out.
+    whole, some
+        What is in parts, and what a part has some of.
 
     Raises
     ------
@@ -168,7 +220,7 @@ def check_part_options(output: Path | None, given: Mapping[str, object]) -> None
     typed = [name for name, value in given.items() if value not in (None, False)]
     if typed:
         raise OptionError(
-            f"{typed[0]} is of the whole yield, and --part is of some of its machines",
+            f"{typed[0]} is of the whole {whole}, and --part is of some of its {some}",
             remedy=f"Give {typed[0]} to --merge.",
         )
     if output is None:

@@ -10,9 +10,9 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.progress import Progress
+from threadline.base.workers import Done
 from threadline.cli.output import print_table, say
 from threadline.machine.numbers import number_at
-from threadline.proof.judge_runs import Done
 from threadline.proof.worst_machine import shares_of
 from threadline.search.influence import MACHINES, CheapestSet, Influence, influence, judgements
 from threadline.search.machine_yield import MachineYield

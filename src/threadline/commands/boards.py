@@ -192,7 +192,7 @@ def refuse_lost(job: Job, machine: Machine, target: str) -> None:
                 remedy=f"Set WRAPPED_ROTARY = 0 in [AXIS_{name}] of the control, and remove "
                 "wrapped from the machine file.",
             )
-    source = firmware_of(job, machine)
+    source = firmware_of(job, machine).removesuffix("-cnc")  # a mode of the same firmware
     if source == target:
         return
     lost = {found: None for found in working_words(job) if not _goes_over(found[1], source, target)}

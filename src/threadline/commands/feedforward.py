@@ -253,9 +253,7 @@ def reference_trajectory(
         If an axis or its filter has no stable inverse.
     """
     return Trajectory(
-        axes=trajectory.axes,
-        historical=True,
-        blocks=Stream(_referred, trajectory, machine, model),
+        axes=trajectory.axes, historical=True, blocks=Stream(_referred, trajectory, machine, model)
     )
 
 

@@ -12,29 +12,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
+from threadline.base.progress import WRITING
 from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, refuse_lost
 from threadline.commands.early_moves import early_moves
 from threadline.commands.endless_numbers import EndlessNumbers
+from threadline.commands.merged_chords import Chord, Chords, travels
+from threadline.commands.merging import CLOSE_M
 from threadline.commands.nc_blocks import operation_words
-from threadline.commands.planned_job import (
-    CHORD_TOLERANCE_M,
-    CLOSE_M,
-    ChordRun,
-    merged,
-    planned_runs,
-)
+from threadline.commands.planned_job import CHORD_TOLERANCE_M
 from threadline.errors import PlanError
 from threadline.files.formats.common import Written, atomic_file, written
-from threadline.jobs.feed_times import feed_time_s, programmed_time_s
+from threadline.jobs.feed_times import programmed_time_s
 from threadline.jobs.gcode.dialects import DIALECTS
-from threadline.jobs.gcode.feeds import RULES
 from threadline.jobs.gcode.part_program import read_part_program
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Stop, ToolEvent
 from threadline.machine import Machine
@@ -46,24 +42,9 @@ from threadline.motion.timing import plan_trajectory
 from threadline.motion.timing.types import Trajectory
 
 _DECIMALS = 4  # decimals of a millimetre or a degree
-_MOST_POINTS = 100_000
 _HOMES = "G28"
 _NO_SLOWER = 1e-3
 """Share by which a program may be slower than the job itself: F and end points are rounded."""
-
-
-class Chord(NamedTuple):
-    """A straight move through (n, axes) ``points``, at ``speed`` at most.
-
-    The move begins at ``points[0]``. ``speed`` is in m/s, measured as F of the target measures it.
-    ``feed`` is the feed of the programmed move. ``acts`` happen when the chord begins.
-    """
-
-    points: FloatArray
-    speed: float
-    duration_s: float
-    feed: Feed | None = None
-    acts: tuple[ToolEvent, ...] = ()
 
 
 def write_firmware_program(
@@ -101,27 +82,34 @@ def write_firmware_program(
     refuse_lost(job, machine, target)
     planned = Chords(target, job, trajectory, machine, override)
     with atomic_file(path) as file:
-        told, as_run_s = _written_once(planned, file, programmed)
+        told, as_run_s = _written_once(planned, file, programmed, (0.25, 0.4))
         if not slower and _is_slower(as_run_s):
             if override is not None:
-                told, as_run_s = _written_once(replace(planned, own_feeds=True), file, programmed)
+                own = planned.at_own_feeds()
+                told, as_run_s = _written_once(own, file, programmed, (0.6, 0.75))
                 told += "; F is that of the job, since the planned speeds as F would be slower"
             refuse_slower(target, job, as_run_s, override)
+        WRITING.pass_to(0.9)
         ways = (item.points for item in planned if isinstance(item, Chord))
         early = tuple(early_moves(job, ways, machine))
     return replace(written(path, (f"{path.name}: {told}", *early)), as_run_s=as_run_s)
 
 
 def _written_once(
-    chords: Chords, file: IO[bytes], programmed: ProgrammedPath
+    chords: Chords, file: IO[bytes], programmed: ProgrammedPath, shares: tuple[float, float]
 ) -> tuple[str, tuple[float, float] | None]:
-    """Replace the contents of a file with a program, and compare the program with the plan."""
+    """Replace the contents of a file with a program, and compare the program with the plan.
+
+    ``shares`` of the whole work are done once the program is written, and once it is read back.
+    """
     target, machine = chords.target, chords.planned_on
     file.seek(0)
     file.truncate()
+    WRITING.pass_to(shares[0])
     file.writelines(f"{line}\n".encode() for line in _Lines(chords))
     file.flush()
-    told, again = _read_back(chords, Path(file.name))
+    WRITING.pass_to(shares[1])
+    told, again, by_feed_s = _read_back(chords, Path(file.name))
     as_run_s = as_run_times_s(target, programmed, again, machine)
     planned_by = "which the firmware makes itself"
     if as_run_s is not None:
@@ -129,7 +117,7 @@ def _written_once(
             f"{as_run_s[1]:.4g} s as the planner of {BOARDS[target].planner} runs it, which takes "
             f"{as_run_s[0]:.4g} s over {_as_fed(chords.job, chords.override)}"
         )
-    rate = _rate_words(target, Path(file.name), again, machine)
+    rate = _rate_words(target, Path(file.name), by_feed_s)
     planned_s = chords.trajectory.duration_s
     return f"{told}, {planned_s:.4g} s as planned with its ramps, {planned_by}{rate}", as_run_s
 
@@ -165,132 +153,8 @@ def refuse_slower(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chords:
-    """The operations of a plan, with moves merged into chords; iteration may be repeated.
-
-    Parameters
-    ----------
-    target, job, trajectory
-        Firmware to write for, and the plan to write.
-    planned_on
-        Machine of the plan.
-    override
-        As in ``write_firmware_program``.
-    own_feeds
-        Whether F is the feed of the job, where job and target measure feeds alike.
-    """
-
-    target: str
-    job: Job
-    trajectory: Trajectory
-    planned_on: Machine
-    override: float | None
-    own_feeds: bool = False
-
-    @property
-    def machine(self) -> Machine:
-        """The machine without its operator's feed, because the plan already contains that feed."""
-        return replace(self.planned_on, operator=None)
-
-    def __iter__(self) -> Iterator[Operation | Chord]:
-        """Yield operations and chords in order."""
-        stretch = _Stretch(self)
-        for item in planned_runs(self.job, self.trajectory, self.planned_on):
-            if not isinstance(item, ChordRun):
-                yield from stretch.end()
-                yield item
-                continue
-            acts = item.acts
-            for first in range(0, len(item.ends), _MOST_POINTS):
-                rest = slice(first, first + _MOST_POINTS)
-                if stretch.ends_before(item.feed, acts, len(item.ends[rest])):
-                    yield from stretch.end()
-                    stretch.feed, stretch.acts = item.feed, acts
-                stretch.take(item.ends[rest], 1.0 / item.rates[rest])
-                acts = ()
-        yield from stretch.end()
-
-
-class _Stretch:
-    """Collected moves that follow each other at one programmed feed.
-
-    Attributes
-    ----------
-    feed, acts
-        Programmed feed, and actions at the start of the first move.
-    """
-
-    def __init__(self, chords: Chords) -> None:
-        job, machine = chords.job, chords.machine
-        dialect = DIALECTS[chords.target]
-        mode, _ = RULES[dialect.feed_rule]
-        self._unit, self._override = Feed(mode, 1.0), chords.override
-        self._own_feeds = chords.own_feeds
-        self._rapid_is_feed = dialect.rapid_is_feed
-        self._axes, self._machine = job.axes, machine
-        self._radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
-        self._start = np.array(job.start)
-        self._ends: list[FloatArray] = []
-        self._durations_s: list[FloatArray] = []
-        self._count = 0
-        self.feed: Feed | None = None
-        self.acts: tuple[ToolEvent, ...] = ()
-
-    def take(self, ends: FloatArray, durations_s: FloatArray) -> None:
-        """Add (n, axes) ends of chords and their (n,) durations."""
-        self._ends.append(ends)
-        self._durations_s.append(durations_s)
-        self._count += len(ends)
-
-    def ends_before(self, feed: Feed | None, acts: tuple[ToolEvent, ...], more: int) -> bool:
-        """Say whether the current stretch ends before ``more`` moves at a feed."""
-        if not self._count or acts or self._count + more > _MOST_POINTS:
-            return True
-        if self._override is None:  # one feed for all moves but G0
-            return _travels(feed) != _travels(self.feed)
-        return feed != self.feed
-
-    def end(self) -> Iterator[Chord]:
-        """Yield the chords of the collected moves, and start the next stretch at their end."""
-        if not self._count:
-            return
-        points = np.vstack([self._start, *self._ends])
-        seconds = np.concatenate(self._durations_s)
-        lengths = feed_time_s(np.diff(points, axis=0), self._unit, self._axes, self._machine)
-        speeds = lengths / seconds
-        if self.feed is not None and self.feed.mode is FeedMode.RAPID:
-            if not self._rapid_is_feed:
-                speeds = np.full(len(speeds), speeds.max())  # the program writes no F for G0
-        elif self.feed is not None and self._override and self.feed.mode is self._unit.mode:
-            # The plan accelerates to a faster move on the end of a slower one; F does not.
-            most = self._override * self.feed.value
-            speeds = np.full(len(speeds), most) if self._own_feeds else np.minimum(speeds, most)
-        acts = self.acts
-        for part in merged(points * self._radius_m, speeds):
-            yield Chord(
-                points[part.first : part.stop + 1],
-                part.speed,
-                float(seconds[part.first : part.stop].sum()),
-                self.feed,
-                acts,
-            )
-            acts = ()
-        self._start = points[-1]
-        self._ends, self._durations_s, self._count, self.acts = [], [], 0, ()
-
-
-def _travels(feed: Feed | None) -> bool:
-    return feed is not None and feed.travels
-
-
 def planned_instants(
-    target: str,
-    job: Job,
-    trajectory: Trajectory,
-    machine: Machine,
-    *,
-    override: float | None = 1.0,
+    target: str, job: Job, trajectory: Trajectory, machine: Machine, *, override: float | None = 1.0
 ) -> FloatArray:
     """Return the instant of the plan, in s, at which each written line begins.
 
@@ -374,7 +238,7 @@ class _Lines:
         """Return the G word of a chord: G0 at a feed only where the dialect's G0 uses the feed."""
         if feed is not None and feed.mode is FeedMode.RAPID:
             return 0
-        return 0 if _travels(feed) and self._dialect.rapid_is_feed else 1
+        return 0 if travels(feed) and self._dialect.rapid_is_feed else 1
 
     def _number(self, text: str) -> str:
         return f"{text}." if self._dialect.points and "." not in text else text
@@ -410,8 +274,10 @@ def _written_position(position: FloatArray, linear: list[bool]) -> list[str]:
     ]
 
 
-def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
-    """Compare the written program with the plan; return a description and the job read back.
+def _read_back(merged: Chords, path: Path) -> tuple[str, Job, float]:
+    """Compare the written program with the plan.
+
+    Returns a description, the job read back, and its time by F alone, s.
 
     Raises
     ------
@@ -448,17 +314,18 @@ def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
             raise _not_the_plan(target, "leaves it by", worst_m)
     if next(moves, None) is not None:
         raise _not_the_plan(target, "goes on behind it", 0.0)
-    return (
+    by_feed_s = programmed_time_s(again, machine)
+    told = (
         f"{count} blocks, read back: within {1e3 * worst_m:.2g} mm of the plan, "
-        f"{programmed_time_s(again, machine):.4g} s by F alone",
-        again,
+        f"{by_feed_s:.4g} s by F alone"
     )
+    return told, again, by_feed_s
 
 
-def _rate_words(target: str, path: Path, again: Job, machine: Machine) -> str:
+def _rate_words(target: str, path: Path, by_feed_s: float) -> str:
     """Return a note if a serial port is too slow for a program, else an empty string."""
     most = BOARDS[target].bytes_s
-    rate = path.stat().st_size / max(programmed_time_s(again, machine), 1e-9)
+    rate = path.stat().st_size / max(by_feed_s, 1e-9)
     if not most or rate <= most:
         return ""
     return (

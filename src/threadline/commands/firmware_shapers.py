@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from threadline.dynamics.without_loop import modes_held
 from threadline.machine import Machine
@@ -15,8 +15,6 @@ from threadline.motion.shaping.firmwares import (
 from threadline.motion.shaping.response import BAND, LEFT, most_left
 from threadline.motion.shaping.types import FlexibleMode
 
-_KLIPPER_AXES, _MARLIN_AXES = "XYZ", "XY"
-
 
 def klipper_section(machine: Machine, axes: Sequence[str]) -> list[str]:
     """Return the section to paste into ``printer.cfg``, and reasons for axes without a line.
@@ -27,101 +25,82 @@ def klipper_section(machine: Machine, axes: Sequence[str]) -> list[str]:
     Raises
     ------
     MachineError
-        If the equations of an axis are not linear.
+        If the equations of an axis are not linear, here as in the other functions.
     """
-    if machine.without_dynamics:
-        return ["no [input_shaper]: the machine file has no dynamics, and no modes"]
-    section, said = [], []
-    for axis, mode, why in _modes(machine, axes, _KLIPPER_AXES, "Klipper"):
-        if mode is None:
-            said.append(why)
-            continue
+    said, modes = _modes(machine, axes, "XYZ", "Klipper", "[input_shaper]")
+    section = []
+    for axis, (mode, why) in modes.items():
         found = shortest_type(mode)
         if found is None:
-            said.append(f"{why}: no type of Klipper's leaves {LEFT:.0%} within {BAND:.0%} of it")
+            said[axis] = f"{why}: no type of Klipper's leaves {LEFT:.0%} within {BAND:.0%} of it"
             continue
         name, left = found
-        said.append(f"{why}: {name} leaves {left:.1%} of it at most, {BAND:.0%} off")
+        said[axis] = f"{why}: {name} leaves {left:.1%} of it at most, {BAND:.0%} off"
         section += [
             f"shaper_type_{axis.lower()}: {name}",
             f"shaper_freq_{axis.lower()}: {mode.frequency_hz:.6g}",
             f"damping_ratio_{axis.lower()}: {mode.damping_ratio:.6g}",
         ]
-    return [*said, *(["[input_shaper]", *section] if section else [])]
+    return [*said.values(), *(["[input_shaper]", *section] if section else [])]
 
 
 def marlin_commands(machine: Machine, axes: Sequence[str]) -> list[str]:
     """Return ``M593`` for each axis that Marlin shapes, and how much of the mode its train leaves.
 
     Marlin has one shaper type; its F is the damped frequency.
-
-    Raises
-    ------
-    MachineError
-        If the equations of an axis are not linear.
     """
-    if machine.without_dynamics:
-        return ["no M593: the machine file has no dynamics, and no modes"]
-    said, commands = [], []
-    for axis, mode, why in _modes(machine, axes, _MARLIN_AXES, "Marlin"):
-        if mode is None:
-            said.append(why)
-            continue
+    said, modes = _modes(machine, axes, "XY", "Marlin", "M593")
+    commands = []
+    for axis, (mode, why) in modes.items():
         damped_hz = damped_frequency_hz(mode)
         train = marlin_impulses(damped_hz, mode.damping_ratio)
-        said.append(
+        said[axis] = (
             f"{why}: Marlin's ZV leaves {most_left(train, [mode], band=0.0):.1%} of it, and "
             f"{most_left(train, [mode]):.0%} at most, {BAND:.0%} off"
         )
         commands.append(f"M593 {axis} F{damped_hz:.6g} D{mode.damping_ratio:.6g}")
-    return [*said, *commands]
+    return [*said.values(), *commands]
 
 
 def reprap_command(machine: Machine, axes: Sequence[str]) -> list[str]:
     """Return the one ``M593`` of RepRapFirmware for the slowest mode of every axis.
 
     RepRapFirmware has one train for all axes, and applies it to moves in which X or Y takes part.
-
-    Raises
-    ------
-    MachineError
-        If the equations of an axis are not linear.
     """
-    if machine.without_dynamics:
-        return ["no M593: the machine file has no dynamics, and no modes"]
-    said, modes = [], []
-    for _, mode, why in _modes(machine, axes, "".join(axes), "RepRapFirmware"):
-        said.append(why)
-        if mode is not None:
-            modes.append(mode)
+    said, modes = _modes(machine, axes, "".join(axes), "RepRapFirmware", "M593")
+    lines = list(said.values())
     if not modes:
-        return said
-    found = shortest_for_all(modes)
+        return lines
+    found = shortest_for_all([mode for mode, _ in modes.values()])
     which = "it" if len(modes) == 1 else "each"
     if found is None:
-        return [
-            *said,
-            f"no M593: no type of RepRapFirmware's leaves {LEFT:.0%} within {BAND:.0%} of {which}",
-        ]
+        no = f"no type of RepRapFirmware's leaves {LEFT:.0%} within {BAND:.0%} of {which}"
+        return [*lines, f"no M593: {no}"]
     return [
-        *said,
+        *lines,
         f"{found.type} leaves {found.left:.1%} of {which} at most, {BAND:.0%} off",
         f'M593 P"{found.type}" F{found.frequency_hz:.6g} S{found.damping_ratio:.6g}',
     ]
 
 
 def _modes(
-    machine: Machine, axes: Sequence[str], shaped: str, firmware: str
-) -> Iterator[tuple[str, FlexibleMode | None, str]]:
-    """Yield each axis with its slowest mode, or None, and a comment about the axis."""
+    machine: Machine, axes: Sequence[str], shaped: str, firmware: str, setting: str
+) -> tuple[dict[str, str], dict[str, tuple[FlexibleMode, str]]]:
+    """Return a comment for each axis, and the slowest mode of each that has one, in words too."""
+    if machine.without_dynamics:
+        return {"": f"no {setting}: the machine file has no dynamics, and no modes"}, {}
+    said: dict[str, str] = {}
+    modes: dict[str, tuple[FlexibleMode, str]] = {}
     for axis in axes:
+        held = modes_held(machine, axis) if axis in shaped else ()
         if axis not in shaped:
-            yield axis, None, f"{axis}: {firmware} shapes {', '.join(shaped)} alone"
-            continue
-        held = modes_held(machine, axis)
-        if not held:
-            yield axis, None, f"{axis}: rigid in the machine file, nothing to shape"
-            continue
-        mode = FlexibleMode(frequency_hz=held[0].frequency_hz, damping_ratio=held[0].damping)
-        said = f"{axis}: {mode.frequency_hz:.4g} Hz, damping ratio {mode.damping_ratio:.3g}"
-        yield axis, mode, said
+            said[axis] = f"{axis}: {firmware} shapes {', '.join(shaped)} alone"
+        elif not held:
+            said[axis] = f"{axis}: rigid in the machine file, nothing to shape"
+        else:
+            mode = FlexibleMode(frequency_hz=held[0].frequency_hz, damping_ratio=held[0].damping)
+            said[axis] = (
+                f"{axis}: {mode.frequency_hz:.4g} Hz, damping ratio {mode.damping_ratio:.3g}"
+            )
+            modes[axis] = mode, said[axis]
+    return said, modes

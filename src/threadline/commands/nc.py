@@ -1,9 +1,13 @@
-"""Part programs for the winder and for LinuxCNC, with repeated passes of subroutines as calls.
+"""Part programs for the winder, LinuxCNC and Fanuc, with passes of subroutines as calls.
 
 A program for LinuxCNC differs in two points. Every G1 has its time as G93 F, because F of LinuxCNC
 is the speed along the path of X Y Z, and F of the winder is the speed of the fastest axis. G64 asks
 for corners blended within a stated distance of the program. LinuxCNC accepts O words only alone on
-a line, and the main program only before its subroutines; both kinds of programs keep these rules.
+a line, and the main program only before its subroutines; all kinds of programs keep these rules.
+
+A program for Fanuc has the time of every G1, too, and a point and at most four decimals in every
+number. Its controls write the number of passes differently: some as L, others in front of the
+number in P. Every pass is a call of its own there.
 """
 
 from __future__ import annotations
@@ -98,6 +102,7 @@ def _outermost_pass(block: OutBlock) -> int:
 MAIN_LABEL = 1
 _N_STEP = 5
 _N_LIMIT = 99_999
+_MOST_FANUC = 7999  # beyond it are the programs of the machine's builder
 
 
 class NcStyle(StrEnum):
@@ -105,6 +110,7 @@ class NcStyle(StrEnum):
 
     WINDER = "winder"
     LINUXCNC = "linuxcnc"
+    FANUC = "fanuc"
 
 
 def part_program_lines(
@@ -127,7 +133,7 @@ def part_program_lines(
     subroutines
         True: equal passes of the job's subroutines become calls. False: every move is written out.
     feed
-        Feed that replaces the programmed feeds; only for LinuxCNC.
+        Feed that replaces the programmed feeds; not for the winder.
     blend_m
         Largest distance from the program where LinuxCNC blends corners (G64 P), m.
 
@@ -137,13 +143,18 @@ def part_program_lines(
         If a part program has no word for a part of the job.
     """
     style = NcStyle(style)
-    linuxcnc = style is NcStyle.LINUXCNC
-    if feed is not None and not linuxcnc:
+    printed = style is NcStyle.WINDER
+    if feed is not None and printed:
         raise PlanError(
             "the feeds of a program for the winder are the job's own",
             remedy="Give the feed when the program is run.",
         )
-    wording = Wording(incremental=subroutines, blank="" if linuxcnc else " ", timed=linuxcnc)
+    wording = Wording(
+        incremental=subroutines,
+        blank=" " if printed else "",
+        timed=not printed,
+        points=style is NcStyle.FANUC,
+    )
     blocks = blocks_of(job, machine, wording, feed)
     if subroutines:
         return _Writer(style, blend_m, incremental=True).lines(fold(blocks))
@@ -176,9 +187,10 @@ def write_part_program(
 class _Writer:
     def __init__(self, style: NcStyle, blend_m: float, *, incremental: bool) -> None:
         self._blend = numbers.text(numbers.millimetres(blend_m))
-        self._linuxcnc = style is NcStyle.LINUXCNC
-        self._blank = "" if self._linuxcnc else " "
-        self._end = "" if self._linuxcnc else ";"
+        self._linuxcnc, self._fanuc = style is NcStyle.LINUXCNC, style is NcStyle.FANUC
+        self._blank = " " if style is NcStyle.WINDER else ""
+        self._end = ";" if style is NcStyle.WINDER else ""
+        self._points = Wording(incremental, self._blank, False, points=self._fanuc)
         self._incremental = incremental
         self._number = 0
         self._motion = -1
@@ -199,10 +211,17 @@ class _Writer:
         for item in items:
             if isinstance(item, Loop):
                 label = self._bodies.setdefault(item.body, MAIN_LABEL + 1 + len(self._bodies))
+                if self._fanuc and label > _MOST_FANUC:
+                    raise PlanError(
+                        f"the program has more than {_MOST_FANUC} different subprograms, and O of "
+                        "Fanuc has four digits",
+                        remedy="Write every move with threadline compile.",
+                    )
                 call = [self._words("M", 98), self._words("P", label)]
-                if item.passes > 1:
+                if item.passes > 1 and not self._fanuc:
                     call.append(self._words("L", item.passes))
-                yield self._numbered(*call)
+                for _ in range(item.passes if self._fanuc else 1):
+                    yield self._numbered(*call)
                 # The body changes the modes, so the next block states all of them again.
                 self._forget()
             else:
@@ -233,7 +252,7 @@ class _Writer:
             self._motion = block.motion
         words.append(block.words)
         if block.feed is not None and (block.inverse_time or block.feed != self._feed):
-            words.append(f"F{self._blank}{numbers.text(block.feed)}")
+            words.append(f"F{self._blank}{self._points.text(block.feed)}")
             self._feed = block.feed
         yield self._numbered(*words, comment=block.comment)
 
@@ -243,6 +262,8 @@ class _Writer:
     def _numbered(self, *words: str, comment: str = "") -> str:
         self._number = self._number % _N_LIMIT + _N_STEP
         text = " ".join([self._words("N", self._number), *words])
+        if comment and self._fanuc:
+            return f"{text} ({nc_comment(comment).upper()})"
         return f"{text} ; {nc_comment(comment)}" if comment else f"{text}{self._end}"
 
 

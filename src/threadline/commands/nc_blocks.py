@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import chain
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from threadline.commands import nc_numbers as numbers
 from threadline.errors import PlanError
 from threadline.jobs.feed_times import feed_time_s
 from threadline.jobs.gcode.feeds import F_MODES
+from threadline.jobs.gcode.words import ONE
 from threadline.jobs.operations import (
     Dwell,
     Feed,
@@ -27,6 +29,9 @@ from threadline.jobs.operations import (
 )
 from threadline.machine import Machine
 from threadline.motion.path import programmed_path
+
+_DECIMALS = 4
+_UNIT = ONE // 10**_DECIMALS
 
 
 class OutBlock(NamedTuple):
@@ -72,11 +77,25 @@ class Wording:
     timed
         True: every G1 gets Threadline's time, as G93 F. False: F is the programmed speed wherever
         the dialect has it.
+    points
+        Whether every length, angle and time has a decimal point, and ``_DECIMALS`` decimals at
+        most: Fanuc reads a number without a point by a parameter of the control, and refuses one
+        with more digits than it keeps.
     """
 
     incremental: bool
     blank: str
     timed: bool
+    points: bool = False
+
+    def rounded(self, exact: int) -> int:
+        """Return an exact number with the decimals that are written."""
+        return exact if not self.points else _UNIT * round(Fraction(exact, _UNIT))
+
+    def text(self, exact: int) -> str:
+        """Return an exact number as it is written."""
+        text = numbers.text(self.rounded(exact))
+        return f"{text}." if self.points and "." not in text else text
 
 
 def blocks_of(
@@ -104,6 +123,7 @@ class _Words:
         self._wording = wording
         self._linear = [machine.axes[name].kind == "linear" for name in job.axes]
         self._at = [0] * len(job.axes)
+        self._passes: tuple[int, ...] = ()
         self._position = list(job.start)
 
     def blocks(self, feed: Feed | None) -> Iterator[OutBlock]:
@@ -167,18 +187,27 @@ class _Words:
     def _axis_words(self, move: Move) -> str:
         words = []
         blank, incremental = self._wording.blank, self._wording.incremental
+        if move.source.passes != self._passes:
+            # What rounding left over stays out of the next pass, so that passes are equal.
+            self._passes = move.source.passes
+            self._at = [self._exact(k, at) for k, at in enumerate(self._position)]
         for index, target in enumerate(move.target):
             if target == self._position[index]:
                 continue
-            exact = numbers.millimetres(target) if self._linear[index] else numbers.degrees(target)
-            written = exact - self._at[index] if incremental else exact
-            words.append(f"{self._job.axes[index]}{blank}{numbers.text(written)}")
-            self._at[index] = exact
+            exact = self._exact(index, target)
+            written = self._wording.rounded(exact - self._at[index] if incremental else exact)
+            words.append(f"{self._job.axes[index]}{blank}{self._wording.text(written)}")
+            self._at[index] = self._at[index] + written if incremental else exact
             self._position[index] = target
         if not words:
             nothing = 0 if incremental else self._at[0]
-            words.append(f"{self._job.axes[0]}{blank}{numbers.text(nothing)}")
+            words.append(f"{self._job.axes[0]}{blank}{self._wording.text(nothing)}")
         return " ".join(words)
+
+    def _exact(self, index: int, position: float) -> int:
+        """Return the position of an axis as an exact number of mm or degrees."""
+        linear = self._linear[index]
+        return numbers.millimetres(position) if linear else numbers.degrees(position)
 
     def _tag(self, name: str, value: float | str, move: Move) -> str:
         if isinstance(value, str):
@@ -193,8 +222,9 @@ class _Words:
         passes = operation.source.passes
         blank = self._wording.blank
         if isinstance(operation, Dwell):
-            duration = numbers.text(numbers.seconds(operation.duration_s))
-            return OutBlock(-1, f"G{blank}4 P{blank}{duration}", passes=passes)
+            duration = self._wording.text(numbers.seconds(operation.duration_s))
+            letter = "X" if self._wording.points else "P"
+            return OutBlock(-1, f"G{blank}4 {letter}{blank}{duration}", passes=passes)
         if isinstance(operation, Stop):
             code = f"M{blank}{30 if operation.final else 0}"
             return OutBlock(-1, operation.words or code, passes=passes, final=operation.final)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from fractions import Fraction
+from functools import lru_cache
 
 from threadline.errors import PlanError
 from threadline.jobs.gcode.words import MAX_DECIMALS, ONE, exact
@@ -48,16 +49,19 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
     return min(values, key=lambda value: abs(read(value) - wanted))
 
 
+_REMEMBERED = 1 << 14  # numbers: circuits of a winding have the same ones again and again
 _MM = Fraction(1000)
 _COUNTING = 9  # significant digits: the time of a one-minute move is off by 60 ns
 _MM_PER_MIN = Fraction(60_000)
 
 
+@lru_cache(maxsize=_REMEMBERED)
 def millimetres(position_m: float) -> int:
     """Return the position of a linear axis as an exact number of mm."""
     return shortest(position_m, _MM, lambda value: value / (1000 * ONE))
 
 
+@lru_cache(maxsize=_REMEMBERED)
 def degrees(position_rad: float) -> int:
     """Return the position of a rotary axis as an exact number of degrees."""
     return shortest(position_rad, None, lambda value: math.radians(value / ONE))

@@ -1,4 +1,4 @@
-"""A winding as a part program of its circuits: a subroutine and its number of passes.
+"""A winding as a part program of its circuits: a subroutine and its passes.
 
 The moves are those of the design, with the times in which the fibre has its speed; the control
 plans the motion. The chords of a planned motion (``nc``) do not repeat: a plan begins and ends at
@@ -7,6 +7,7 @@ rest, and its chords lie elsewhere in every circuit.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,14 @@ from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 
 _NEAR_M = 1e-5  # rotary axes at their radius
+_NONE: Mapping[str, str] = {
+    "grbl": "grbl has no subprograms",
+    "fluidnc": "FluidNC has no subprograms (its loops are not written)",
+    "marlin": "Marlin has no subprograms within a program (M32 P calls another file of the card)",
+    "klipper": "Klipper has no subprograms within a program (its macros are in its configuration)",
+    "reprapfirmware": "RepRapFirmware has no subprograms within a program (M98 calls a macro file)",
+}
+_STYLE_OF_TARGET = {"nc": NcStyle.LINUXCNC}
 
 
 def write_passes(job: Job, machine: Machine, path: Path, dialect: str | None = None) -> str:
@@ -31,16 +40,11 @@ def write_passes(job: Job, machine: Machine, path: Path, dialect: str | None = N
     Raises
     ------
     OptionError
-        If the dialect has no subroutines here.
+        If the control has no subroutines.
     PlanError
         If a part program has no word for a part of the job, or the program read back is another.
     """
-    dialect = dialect or machine.programs.dialect
-    if dialect not in set(NcStyle):
-        raise OptionError(
-            f"programs of passes are written for winder and linuxcnc, not for {dialect[:40]!r}",
-            remedy="Write --dialect linuxcnc, or every move with threadline compile.",
-        )
+    dialect = check_passes(dialect or machine.programs.dialect)
     sizes = []
     with staged_file(path) as stream:
         for passes in (False, True):
@@ -54,9 +58,30 @@ def write_passes(job: Job, machine: Machine, path: Path, dialect: str | None = N
         stream.flush()
         off_m = _off(job, machine, Path(stream.name), dialect)
     whole, short = sizes
-    return (
-        f"{short} bytes, {whole} with every move written out; read back within {1e3 * off_m:.1g} mm"
-    )
+    told = f"{short} bytes, {whole} with every move written out"
+    if short >= whole:
+        told += ": passes save nothing, because no part is long and repeats"
+    return f"{told}; read back within {1e3 * off_m:.1g} mm"
+
+
+def check_passes(control: str) -> NcStyle:
+    """Return the style of programs with passes for a dialect or target.
+
+    Raises
+    ------
+    OptionError
+        If the control has no subroutines; says which has them.
+    """
+    known = _STYLE_OF_TARGET.get(control)
+    if known is not None:
+        return known
+    if control not in set(NcStyle):
+        why = _NONE.get(control, f"{control[:40]!r} holds every tick, and no part program")
+        raise OptionError(
+            f"{why}: programs of passes are written for winder, linuxcnc and fanuc",
+            remedy="Write linuxcnc or fanuc, or every move with threadline compile.",
+        )
+    return NcStyle(control)
 
 
 def _off(job: Job, machine: Machine, path: Path, dialect: str) -> float:

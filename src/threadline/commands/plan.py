@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from threadline.commands.feedforward import Following
-from threadline.commands.intents import Intent, Motion, Scheduled, Stitched
+from threadline.commands.intents import Intent, Motion, Scheduled
+from threadline.commands.turns import Stitched
 from threadline.errors import PlanError
 from threadline.files import Commands
 from threadline.jobs.feed_times import programmed_time_s

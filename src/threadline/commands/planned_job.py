@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil, comb, degrees, radians, sqrt
+from math import comb, degrees, radians
 from operator import sub
 from typing import NamedTuple
 
@@ -31,6 +31,7 @@ from threadline.motion.timing.types import Trajectory
 CHORD_TOLERANCE_M = 1e-5
 _DECIMALS = 6  # decimals of a millimetre or a degree: far below the chord tolerance
 _PARTS_OF_UNIT = 1_000_000
+_STANDS = 1e-12  # m or rad: the motion of a piece by its velocity at its beginning
 _STAYS = 1e-9  # m or rad: a path leaves out a vertex this close to the one before
 
 
@@ -79,6 +80,8 @@ class ChordRun(NamedTuple):
         Its place.
     acts
         Actions at the start of the first chord.
+    rests
+        Whether the motion stands where the run begins.
     """
 
     ends: FloatArray
@@ -86,6 +89,7 @@ class ChordRun(NamedTuple):
     feed: Feed | None
     source: Source
     acts: tuple[ToolEvent, ...]
+    rests: bool
 
 
 def planned_operations(
@@ -113,8 +117,8 @@ def planned_runs(
     linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
     merged = _Merged(job)
     for block in trajectory:
-        moves: NDArray[np.bool_] = np.any(block.coefficients[:, 1:] != 0.0, axis=(1, 2))
-        parts = np.array(_parts(block.coefficients, radius, tolerance_m))
+        moves = _moving(block.coefficients)
+        parts = _parts(block.coefficients, radius, tolerance_m)
         other = np.diff(block.operation) != 0
         new = np.flatnonzero(other | np.diff(moves) | ~moves[1:]) + 1
         edges = [0, *new.tolist(), len(moves)]
@@ -127,9 +131,20 @@ def planned_runs(
             count = parts[begin:end]
             ends = _ends(block.coefficients[begin:end], count)[:, order]
             rates = np.repeat(count / block.duration_s[begin:end], count)
-            yield ChordRun(_rounded(ends, linear), rates, merged.feed, merged.source, merged.acts)
+            rests = bool(np.abs(block.coefficients[begin, 1]).max() <= _STANDS)
+            yield ChordRun(
+                _rounded(ends, linear), rates, merged.feed, merged.source, merged.acts, rests
+            )
             merged.acts = ()
     yield from merged.rest()
+
+
+def _moving(coefficients: FloatArray) -> NDArray[np.bool_]:
+    """Return which of (N, degree + 1, A) pieces move, column by column: their rows are short."""
+    moving = np.zeros(len(coefficients), dtype=np.bool_)
+    for column in coefficients[:, 1:].reshape(len(coefficients), -1).T:
+        moving |= column != 0.0
+    return moving
 
 
 def _ends(coefficients: FloatArray, parts: NDArray[np.int64]) -> FloatArray:
@@ -164,19 +179,36 @@ def _powers(parts: int, count: int) -> FloatArray:
     return powers
 
 
-def _parts(coefficients: FloatArray, radius: FloatArray, tolerance_m: float) -> list[int]:
-    """Return the number of chords for each of (N, degree + 1, A) pieces.
+@lru_cache(maxsize=16)
+def _second_bernstein(degree: int) -> FloatArray:
+    """Return the matrix from powers of u to the Bernstein coefficients of the second derivative.
+
+    It is (degree - 1, degree - 1): the constant and the linear term have none.
+    """
+    n = degree - 2
+    matrix = np.array(
+        [[(j + 2) * (j + 1) * comb(i, j) / comb(n, j) for i in range(n + 1)] for j in range(n + 1)]
+    )
+    matrix.flags.writeable = False
+    return matrix
+
+
+def _parts(coefficients: FloatArray, radius: FloatArray, tolerance_m: float) -> NDArray[np.int64]:
+    """Return the (N,) numbers of chords for each of (N, degree + 1, A) pieces.
 
     A polynomial on [0, 1] lies between its smallest and largest Bernstein coefficient.
     """
-    second = coefficients * radius
-    for _ in range(2):
-        count = second.shape[1]
-        second = second[:, 1:] * np.arange(1.0, count)[:, None] if count > 1 else 0.0 * second
-    n = second.shape[1] - 1
-    to_bernstein = [[comb(i, j) / comb(n, j) for j in range(n + 1)] for i in range(n + 1)]
-    bounds = np.abs(np.array(to_bernstein) @ second).max(axis=(1, 2)).tolist()
-    return [max(1, ceil(sqrt(bound / (8.0 * tolerance_m)))) for bound in bounds]
+    degree, axes = coefficients.shape[1] - 1, coefficients.shape[2]
+    if degree < 2:
+        return np.ones(len(coefficients), dtype=np.int64)
+    # Axis by axis one product of matrices: many small products take five times as long.
+    matrix = _second_bernstein(degree)
+    bounds = np.zeros(len(coefficients))
+    for axis in range(axes):
+        second = np.abs(matrix.T * radius[axis] @ coefficients[:, 2:, axis].T)
+        np.maximum(bounds, second.max(axis=0), out=bounds)
+    parts: NDArray[np.int64] = np.ceil(np.sqrt(bounds / (8.0 * tolerance_m))).astype(np.int64)
+    return np.maximum(parts, 1)
 
 
 class _Merged:
@@ -237,104 +269,3 @@ class _Merged:
         """Yield the operations after the last piece."""
         yield from self.before(1 << 62)
         yield from self.acts
-
-
-CLOSE_M = 1e-7
-"""Largest error of an end point rounded to 0.0001 mm or degrees, with a margin."""
-_RISE = 1e-3  # share of a speed
-
-
-class Part(NamedTuple):
-    """The moves from ``first`` up to ``stop``, not included, as one chord at ``speed`` at most."""
-
-    first: int
-    stop: int
-    speed: float
-
-
-def merged(points: FloatArray, speeds: FloatArray) -> list[Part]:
-    """Return the chords of moves along (n + 1, axes) ``points`` of the tool at (n,) ``speeds``."""
-    first, parts = 0, list[Part]()
-    for last in _humps(speeds):
-        while first < last:
-            count = _longest(points[first : last + 1])
-            speed = float(speeds[first : first + count].max())
-            parts.append(Part(first, first + count, speed))
-            first += count
-    return _without_slivers(parts, points)
-
-
-def _humps(speeds: FloatArray) -> Iterator[int]:
-    """Yield the end of each stretch of (n,) speeds that rises and then falls at most once.
-
-    Changes below ``_RISE`` of the speed do not count, because end points of moves are rounded.
-    """
-    highest = lowest = float(speeds[0])
-    for at, speed in enumerate(speeds.tolist()):
-        fallen = lowest < highest * (1.0 - _RISE)
-        if fallen and speed > lowest * (1.0 + _RISE):
-            yield at
-            highest = lowest = speed
-        elif speed > highest:
-            highest = lowest = speed
-        else:
-            lowest = min(lowest, speed)
-    yield len(speeds)
-
-
-def _without_slivers(parts: list[Part], points: FloatArray) -> list[Part]:
-    """Return ``parts`` with each part shorter than the tolerance joined to its neighbour.
-
-    Where a planned speed falls and rises again in the middle of a move, the rest of the move would
-    become a block of its own. The joined part takes the speed of the longer part: a speed over less
-    than the tolerance of a chord has no effect.
-    """
-    kept: list[Part] = []
-    for part in parts:
-        if kept and (_short(kept[-1], points) or _short(part, points)):
-            before = kept[-1]
-            both = points[before.first : part.stop + 1]
-            if _within(both, CHORD_TOLERANCE_M, back_m=CHORD_TOLERANCE_M):
-                longer = part if _short(before, points) else before
-                kept[-1] = Part(before.first, part.stop, longer.speed)
-                continue
-        kept.append(part)
-    return kept
-
-
-def _short(part: Part, points: FloatArray) -> bool:
-    way = points[part.first : part.stop + 1] - points[part.first]
-    return bool(float((way**2).sum(axis=1).max()) < CHORD_TOLERANCE_M**2)
-
-
-def _longest(points: FloatArray) -> int:
-    """Return how many moves from the first of (n, axes) points on fit one chord, at least 1."""
-    most = len(points) - 1
-    good = 1
-    while good < most and _within(points[: min(2 * good, most) + 1], CHORD_TOLERANCE_M):
-        good = min(2 * good, most)
-    bad = min(2 * good, most + 1)
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        if middle <= most and _within(points[: middle + 1], CHORD_TOLERANCE_M):
-            good = middle
-        else:
-            bad = middle
-    return good
-
-
-def _within(points: FloatArray, most_m: float, back_m: float = CLOSE_M) -> bool:
-    """Say whether (n, axes) points lie within ``most_m`` of the line from first to last, in order.
-
-    No step goes back along the line by more than ``back_m``, and no point lies more than ``back_m``
-    beyond the ends of the line.
-    """
-    way = points[-1] - points[0]
-    length = float(np.linalg.norm(way))
-    if length == 0.0:
-        return False
-    along = (points - points[0]) @ (way / length)
-    if (np.diff(along) < -back_m).any() or along.min() < -back_m or along.max() > length + back_m:
-        return False
-    away = points - points[0] - along[:, None] * (way / length)
-    return bool(float(np.sqrt((away**2).sum(axis=1).max())) <= most_m)

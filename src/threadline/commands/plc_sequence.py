@@ -99,19 +99,15 @@ class PlcProgram:
 
 
 FAULTS = {
-    "no_fault": "none",
-    "f_light_grid": "the light grid is broken",
-    "f_enable": "the enable is missing",
-    "f_late_scan": "a scan came late",
-    "f_missing": "an input did not come in time",
-    "f_stuck": "an input is on that was never off",
+    "no_fault": "none", "f_light_grid": "the light grid is broken",
+    "f_enable": "the enable is missing", "f_late_scan": "a scan came late",
+    "f_missing": "an input did not come in time", "f_stuck": "an input is on that was never off",
     "f_opposite": "both end switches are on",
     "f_lost": "an end switch is off where its piston stands",
     "f_wrong": "an end switch is on where no piston stands",
-    "f_early": "an end switch came too early",
-    "f_stayed": "an end switch did not go off",
+    "f_early": "an end switch came too early", "f_stayed": "an end switch did not go off",
     "f_interlock": "an interlock of the machine file is off",
-}
+}  # fmt: skip
 """Reasons for a stop, by the name of their constant. The order gives the numbers."""
 
 

@@ -373,10 +373,7 @@ class Jog:
 
 
 def jogs_of(
-    scheduled: Scheduled,
-    cycle: tuple[NamedPlace, ...],
-    names: Names,
-    outputs: Mapping[str, str],
+    scheduled: Scheduled, cycle: tuple[NamedPlace, ...], names: Names, outputs: Mapping[str, str]
 ) -> Iterator[Jog]:
     """Yield each action by hand, under the conditions under which the cycle does it.
 

@@ -210,11 +210,7 @@ def write_scl(scheduled: Scheduled, path: Path) -> list[Written]:
     variables for a panel.
     """
     program = plc_program(scheduled)
-    tables = {
-        "tags": scl_tags(scheduled),
-        "alarms": scl_alarms(program),
-        "hmi": scl_panel(program),
-    }
+    tables = {"tags": scl_tags(scheduled), "alarms": scl_alarms(program), "hmi": scl_panel(program)}
     beside = [path.with_name(f"{path.stem}.{name}.csv") for name in tables]
     with together():
         for file, content in zip(

@@ -259,7 +259,7 @@ class _Builder:
                 self._set(self.tick, {name: int(value)}, index)
                 self.tick += self._ticks(self.machine.outputs[name].ramp_s) if value else 1
             case Dwell(duration_s=duration):
-                self.tick += self._ticks(duration)
+                self.tick += self._ticks(duration) if duration else 0
             case WaitInput(name=name, value=value, timeout_s=timeout, source=source):
                 check_timeout(timeout, float(self.clock.period_s), source)
                 self.warnings += check_wait(self.machine, self.position, name, bool(value), source)
@@ -282,11 +282,7 @@ class _Builder:
                 )
 
     def _move(
-        self,
-        index: int,
-        target: tuple[float, ...],
-        source: Source,
-        how: Mapping[str, float | str],
+        self, index: int, target: tuple[float, ...], source: Source, how: Mapping[str, float | str]
     ) -> None:
         check_air(self.machine, self.state, source)
         ends, before, moving = [self.tick + 1], dict(self.position), list[str]()
@@ -366,12 +362,7 @@ class _Builder:
         check_interlocks(self.machine, moving, on, before, self.position, self.on_its_way, source)
 
     def _stroke(
-        self,
-        index: int,
-        axis: str,
-        distance: float,
-        source: Source,
-        how: Mapping[str, float | str],
+        self, index: int, axis: str, distance: float, source: Source, how: Mapping[str, float | str]
     ) -> int:
         cylinder = self.machine.cylinders[axis]
         way = cylinder.way(distance > 0)

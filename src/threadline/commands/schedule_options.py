@@ -31,11 +31,7 @@ class _Wanted:
 
 
 def shaping_of(
-    machine: Machine,
-    shaper: str,
-    *,
-    mode: str | None = None,
-    damping_ratio: float | None = None,
+    machine: Machine, shaper: str, *, mode: str | None = None, damping_ratio: float | None = None
 ) -> dict[str, AxisShaping]:
     """Return the shaping of every cylinder.
 

@@ -173,10 +173,7 @@ def _table(
     for k, (start, end) in found.items():
         begun[:, k], ended[:, k] = start.more_si[: count + 1], end.more_si[: count + 1]
     return ShortTable(
-        rows=rows,
-        begun=begun,
-        ended=ended,
-        ends=tuple(found.get(k, ()) for k in range(axes)),
+        rows=rows, begun=begun, ended=ended, ends=tuple(found.get(k, ()) for k in range(axes))
     )
 
 

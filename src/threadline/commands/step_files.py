@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from threadline import __version__
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.writing import is_stdout
-from threadline.commands.intents import Stitched
 from threadline.commands.step_tables import shortest_s, steps_residual_m
+from threadline.commands.turns import Stitched
 from threadline.errors import OptionError, Place, PlanError
 from threadline.files import StepPlay
 from threadline.files.formats.common import Written, atomic_file, written

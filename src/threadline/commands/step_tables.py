@@ -23,12 +23,7 @@ _MOST_STEPS = 50_000_000
 
 
 def step_tables(
-    law: Law,
-    *,
-    window_s: Fraction,
-    timer_s: Fraction,
-    steps_per_unit: int,
-    longest_units: int,
+    law: Law, *, window_s: Fraction, timer_s: Fraction, steps_per_unit: int, longest_units: int
 ) -> tuple[StepTable, ...]:
     """Return the tables for moves of 1, 2 ... ``longest_units`` units.
 

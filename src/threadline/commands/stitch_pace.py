@@ -13,9 +13,11 @@ from math import ceil, pi
 
 import numpy as np
 
-from threadline.base.arrays import ComplexArray, FloatArray, IntArray
+from threadline.base.arrays import ComplexArray, FloatArray, IntArray, Recent
 from threadline.base.compiled import njit
 from threadline.commands.stitch_search import WIDER, FastestTurns, Speeds, Swings, fastest_turns
+from threadline.commands.stitch_shorten import shortest_turns
+from threadline.commands.stitch_swings import Limits, Swung
 from threadline.dynamics.without_loop import analyse_position_drive
 from threadline.machine import Machine
 from threadline.machine.shaft import Shaft, Tables
@@ -24,6 +26,8 @@ from threadline.motion.laws import Law
 from threadline.motion.shaping import FlexibleMode
 from threadline.motion.shaping.law_residual import lasting_windows_s, swing
 
+Asked = tuple[FloatArray, IntArray, FloatArray]
+"""Travel of each turn, m, whether its needle enters, and the shortest turns, s."""
 Modes = dict[str, tuple[FlexibleMode, ...]]
 """Modes of each axis, the slowest first."""
 _SLOWER = 1.03  # factor on one turn for all, per trial
@@ -38,6 +42,9 @@ _MODES = 4  # modes of an axis: faster ones hardly swing
 _BELOW = 1.0 - 1e-9
 _EVEN_TURNS, _AT_FIRST = 97, 4096  # number of turn times to try, and of moves to check first
 _ASIDE = (0.95, 1.0, 1.05)
+_WIDE = (0.03, 0.1)  # share of a mode: bands in which programs shorten the found turns
+_SLOWEST = 1.2  # of the found turns: how long a turn may become when they are shortened
+_FINE = 1e-3  # relative step of the turn times between which the swing of a move is interpolated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,6 +132,7 @@ class Pace:
             [np.max([np.zeros(len(lengths)), *rows], axis=0) for rows in still], axis=1
         )
         """(lengths, A) shortest windows that leave a swing within the tolerance, s."""
+        self._schedules: Recent[Moves, Schedule] = Recent(4, _alike)
 
     def rigid_windows_s(self, moves: Moves) -> FloatArray:
         """Return (n,) shortest windows within the limits of the axes and the step rate, s."""
@@ -176,8 +184,7 @@ class Pace:
             {
                 name: tuple(
                     FlexibleMode(
-                        mode.frequency_hz
-                        * (1.0 + part * (1.0 - low if part < 0.0 else high - 1.0)),
+                        mode.frequency_hz * _within(low, high, part),
                         mode.damping_ratio * damping,
                     )
                     for mode in self.modes[name]
@@ -232,8 +239,11 @@ class Pace:
         A beam search over speed and swing finds them, on machines with the dampings of other days
         and with modes all over the band. The forecast then checks modes that are closer together;
         where it is over the tolerance, the search is repeated for less. One time for all turns is
-        taken where that is shorter.
+        taken where that is shorter. The last designs keep their schedules.
         """
+        return self._schedules.of(moves, lambda: self._searched(moves))
+
+    def _searched(self, moves: Moves) -> Schedule:
         ways_m: FloatArray = np.asarray(moves.units * self.tables.unit.si, dtype=np.float64)
         rigid = self.rigid_windows_s(moves) / self.share
         shortest_s: FloatArray = np.minimum(
@@ -263,11 +273,75 @@ class Pace:
             self.robust_swings_m(moves, slowest).max() < most_m
         ):
             return Schedule(turn_s=slowest, bound_s=bound_s)
-        even = self._even_turn_s(moves, float(found.turn_s.mean()))
+        turn_s = self._shortened((speeds, swings), asked, moves, found.turn_s)
+        even = self._even_turn_s(moves, float(turn_s.mean()))
         if even is not None:
             count = len(moves.needle)
             return Schedule(turn_s=np.full(count, even), bound_s=min(bound_s, even * count))
-        return Schedule(turn_s=found.turn_s, bound_s=bound_s)
+        return Schedule(turn_s=turn_s, bound_s=bound_s)
+
+    def _shortened(
+        self, grid: tuple[Speeds, Swings], asked: Asked, moves: Moves, found_s: FloatArray
+    ) -> FloatArray:
+        """Return the shortest turns in spec, s; within a narrow band the found turns stay."""
+        widest = max((max(1.0 - low, high - 1.0) for low, high in self.bands.values()), default=0.0)
+        if not _WIDE[0] <= widest <= _WIDE[1]:
+            return found_s
+        assert self.shaft.acceleration is not None
+        speeds, swings = grid
+        ways_m, needle, shortest_s = asked
+        limits = Limits(
+            ways_m=ways_m,
+            needle=np.asarray(needle, dtype=np.int64),
+            shortest_s=shortest_s,
+            slowest_s=min(_SLOWEST * float(found_s.max()), self.shaft.slowest_turn.si),
+            share=self.share,
+            change=2.0 * (1.0 - self.share) * self.shaft.acceleration.si / (2.0 * pi),
+            tolerance_m=self.tolerance_m,
+        )
+        swung = self._swung((float(shortest_s.min()), limits.slowest_s))
+
+        def looser(more: float) -> FloatArray:
+            return fastest_turns(speeds, swings, asked, more * self.tolerance_m, self.share).turn_s
+
+        def most_m(turn_s: FloatArray) -> float:
+            return float(self.robust_swings_m(moves, turn_s).max())
+
+        return shortest_turns(found_s, (limits, swung), most_m, looser)
+
+    def _swung(self, ends_s: tuple[float, float]) -> Swung:
+        """Return what swings on machines all over the band, for turn times between ``ends_s``."""
+        count = 2 + ceil(np.log(ends_s[1] / ends_s[0]) / _FINE)
+        log_s = np.linspace(np.log(ends_s[0]), np.log(ends_s[1]), count)
+        windows = self.share * np.exp(log_s)
+        poles: list[complex] = []
+        fresh: list[ComplexArray] = []
+        axis: list[int] = []
+        begin, row = [0], list[int]()
+        dampings = DAMPING_OF_DAYS[0], 1.0, DAMPING_OF_DAYS[1]
+        for column, (name, (low, high)) in enumerate(self.bands.items()):
+            half = max(1, ceil(max(1.0 - low, high - 1.0) / _CHECKED))
+            for number, damping in enumerate(dampings):
+                for part in (np.arange(-half, half + 1) / half).tolist():
+                    for mode in self.modes[name]:
+                        off = FlexibleMode(
+                            mode.frequency_hz * _within(low, high, part),
+                            mode.damping_ratio * damping,
+                        )
+                        poles.append(_pole(off))
+                        fresh.append(swing(self.law, off, windows))
+                        axis.append(column)
+                    begin.append(len(poles))
+                    row.append(3 * column + number)
+        return Swung(
+            poles=np.array(poles),
+            axis=np.array(axis, dtype=np.int64),
+            begin=np.array(begin, dtype=np.int64),
+            row=np.array(row, dtype=np.int64),
+            log_s=np.array([log_s[0], log_s[1] - log_s[0]]),
+            fresh=np.ascontiguousarray(np.stack(fresh, axis=1)),
+            late=(self.shaft.needle_enters.si - self.shaft.window.si) / (2.0 * pi),
+        )
 
     def _speeds(self, moves: Moves, shortest_s: FloatArray) -> Speeds:
         """Return the grid of turn times: fine as far as moves need it, coarse beyond."""
@@ -361,6 +435,10 @@ class Pace:
         if self.most_swings_m(moves, turns).max() > self.tolerance_m:
             return False
         return bool(self.robust_swings_m(moves, turns).max() <= self.tolerance_m)
+
+
+def _alike(one: Moves, other: Moves) -> bool:
+    return np.array_equal(one.units, other.units) and np.array_equal(one.needle, other.needle)
 
 
 def _aside(mode: FlexibleMode, ratio: float) -> FlexibleMode:

@@ -199,10 +199,7 @@ def looked_up() -> Iterator[str]:
 
 
 def table_transitions(
-    sequence: PlcSequence,
-    words: Words,
-    tables: Tables,
-    ends: tuple[Sequence[str], Sequence[str]],
+    sequence: PlcSequence, words: Words, tables: Tables, ends: tuple[Sequence[str], Sequence[str]]
 ) -> Iterator[str]:
     """Yield the transitions: from place to place, as long as one fires.
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from threadline.commands.boards import BOARDS
-from threadline.commands.intents import Scheduled, Stitched
+from threadline.commands.intents import Scheduled
+from threadline.commands.turns import Stitched
 from threadline.files import Commands, TickTable
 from threadline.files.formats.common import Written
 from threadline.jobs.operations import Job

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from threadline.base.arrays import FloatArray
-from threadline.dynamics.network import loop_parts
+from threadline.dynamics.matrix_controller import loop_parts
 from threadline.dynamics.sampled import difference_equation
 from threadline.dynamics.state_designs import Designed
 from threadline.dynamics.values import Values

@@ -154,11 +154,7 @@ def friction(
 
 
 def belt(
-    name: str,
-    direction: FloatArray,
-    spring: FloatArray,
-    preload: FloatArray,
-    first: FloatArray,
+    name: str, direction: FloatArray, spring: FloatArray, preload: FloatArray, first: FloatArray
 ) -> Element:
     """Return a preloaded belt of two runs; each run pulls only while it is tight.
 
@@ -348,10 +344,7 @@ def motor(
             )
     elif voltage_modes:
         rows = [free - at_limit for at_limit, _ in voltage_modes]
-        guards = (
-            Guard(row=rows[0], high=0.0, high_to=1),
-            Guard(row=rows[1], low=0.0, low_to=2),
-        )
+        guards = (Guard(row=rows[0], high=0.0, high_to=1), Guard(row=rows[1], low=0.0, low_to=2))
         modes.append(Mode(name="free", law=free, guards=(*guards, *cut)))
         for (at_limit, sign), row in zip(voltage_modes, rows, strict=True):
             back = (

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,20 +62,6 @@ def decay_and_moments(Q: FloatArray, step_s: float, count: int) -> tuple[FloatAr
     factorials = np.cumprod([1.0, *range(1, count)])
     moments = [step_s * factorials[k] * row[:, n * (k + 1) : n * (k + 2)] for k in range(count)]
     return row[:, :n], np.stack(moments)
-
-
-_GAUSS_AT = 0.5 + 0.5 * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
-# Coefficients, constant first, of the three parabolas that are 1 at one Gauss point and 0 at the
-# others.
-_GAUSS_BASIS = np.linalg.inv(np.vander(_GAUSS_AT, increasing=True)).T
-
-
-class Motion(Protocol):
-    """Position of the load over time, with derivatives; m or rad."""
-
-    def __call__(self, time_s: FloatArray, order: int = 0) -> FloatArray:
-        """Return the (k,) derivative of ``order`` at (k,) times."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,21 +122,6 @@ class Inverse:
         """Number r of derivatives of the motion that the inverse needs; only the r-th may jump."""
         return self.chain.degree
 
-    def follow(self, motion: Motion, time_s: FloatArray) -> Followed:
-        """Return sensor, voltage and current while the load follows ``motion`` from rest.
-
-        Parameters
-        ----------
-        motion
-            Position of the load with ``degree`` derivatives, at rest at ``time_s[0]``.
-        time_s
-            (k,) equally spaced instants, in s. The inner states are exact to rounding only where
-            no derivative jumps between two of them.
-        """
-        t = np.asarray(time_s, dtype=np.float64)
-        ladder = np.stack([motion(t, order) for order in range(self.degree + 1)], axis=1)
-        return self.outputs(t, ladder, self._inner(motion, t), float(ladder[0, 0]))
-
     def outputs(
         self, time_s: FloatArray, ladder: FloatArray, inner: FloatArray, start_si: float
     ) -> Followed:
@@ -188,24 +158,6 @@ class Inverse:
         still = np.zeros(self.degree)
         still[0] = start_si
         return np.asarray(self.from_inner @ -np.linalg.solve(self.Q, self.R @ still))
-
-    def _inner(self, motion: Motion, t: FloatArray) -> FloatArray:
-        """Integrate the inner states under the parabola through each step's three Gauss points."""
-        inner = np.zeros((len(t), len(self.Q)))
-        if not len(self.Q) or len(t) < 2:
-            return inner
-        step = float(t[1] - t[0])
-        decay, moments = decay_and_moments(self.Q, step, 3)
-        first = float(motion(t[:1], 0)[0])
-        push = np.zeros((len(t) - 1, len(self.Q)))
-        for at, parabola in zip(_GAUSS_AT, _GAUSS_BASIS, strict=True):
-            times = t[:-1] + at * step
-            ladder = np.stack([motion(times, order) for order in range(self.degree)], axis=1)
-            ladder[:, 0] -= first
-            push += ladder @ self.R.T @ np.tensordot(parabola, moments, axes=1).T
-        for k in range(len(t) - 1):
-            inner[k + 1] = decay @ inner[k] + push[k]
-        return inner
 
 
 def _check_single(machine: Machine, loop: Loop) -> None:

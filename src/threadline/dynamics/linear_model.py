@@ -8,7 +8,8 @@ import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.dynamics import elements as el
-from threadline.dynamics.network import Group, PiecewiseLinear, connected_groups, piecewise_linear
+from threadline.dynamics.groups import Group, connected_groups
+from threadline.dynamics.network import PiecewiseLinear, piecewise_linear
 from threadline.dynamics.sampled import StateSpace
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError

@@ -15,15 +15,17 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics.groups import connected_groups
 from threadline.dynamics.linear_model import linear_model
 from threadline.dynamics.matrix_controller import (
+    LoopPart,
     MatrixController,
     close_matrix_loop,
     in_volts,
+    loop_parts,
     of_filter,
     side_by_side,
 )
-from threadline.dynamics.network import LoopPart, connected_groups, loop_parts
 from threadline.dynamics.sampled import (
     ClosedLoop,
     DigitalFilter,

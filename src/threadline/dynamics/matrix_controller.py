@@ -1,4 +1,4 @@
-"""State-space controllers in the linear analysis: blocks side by side, and their closed loop.
+"""State-space controllers in the linear analysis: their loops, side by side and closed.
 
 A controller in volts has the states x, the references r and the readings y of one tick:
 
@@ -10,15 +10,17 @@ direct form. The ends of the DAC are left out, as everywhere in the linear analy
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.dynamics.sampled import ClosedLoop, DigitalFilter, StateSpace, sample
-from threadline.machine.controllers import StateSpaceController
+from threadline.machine import Machine
+from threadline.machine.controllers import AxisController, AxisOfStateSpace, StateSpaceController
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -132,3 +134,40 @@ def close_matrix_loop(
         outputs=(*plant.outputs, *(f"controllers.{name}" for name in names)),
         period_s=period_s,
     )
+
+
+class LoopPart(NamedTuple):
+    """The loop of one axis in a controller; a state-space controller has one for each of its axes.
+
+    Parameters
+    ----------
+    controller
+        Name of the controller.
+    place
+        Index of the axis in the references of a state-space controller, else 0.
+    axis
+        Name of the axis; empty where a controller moves none.
+    of
+        Clocks, sensor, drive and DAC.
+    """
+
+    controller: str
+    place: int
+    axis: str
+    of: AxisController | AxisOfStateSpace
+
+
+def loop_parts(machine: Machine, controllers: Iterable[str]) -> tuple[LoopPart, ...]:
+    """Return the loops of ``controllers``, those of one controller side by side."""
+    owner = {axis.controller: name for name, axis in machine.axes.items()}
+    found: list[LoopPart] = []
+    for name in controllers:
+        controller = machine.controllers[name]
+        if isinstance(controller, StateSpaceController):
+            found += [
+                LoopPart(name, at, axis, controller.of_axis(axis))
+                for at, axis in enumerate(controller.references)
+            ]
+        else:
+            found.append(LoopPart(name, 0, owner.get(name, ""), controller))
+    return tuple(found)

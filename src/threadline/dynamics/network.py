@@ -7,172 +7,20 @@ stretch ``s = w . q`` adds ``k w w^T`` to K and ``c w w^T`` to C; a motor acts w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.dynamics import elements as el
 from threadline.dynamics.eccentric import Band, eccentric_play, pieces_needed
+from threadline.dynamics.groups import Group, connected_groups
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine
-from threadline.machine.controllers import (
-    AxisController,
-    AxisOfStateSpace,
-    StateSpaceController,
-)
 from threadline.machine.parts import Accelerometer, Eccentric
 from threadline.machine.quantity import Quantity
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
-    """Names of the parts of a connected piece of the network, in the order of the machine file."""
-
-    bodies: tuple[str, ...]
-    links: tuple[str, ...]
-    drives: tuple[str, ...]
-    sensors: tuple[str, ...]
-    controllers: tuple[str, ...]
-    axes: tuple[str, ...]
-    inputs: tuple[str, ...]
-    sources: tuple[str, ...] = ()
-
-
-def connected_groups(machine: Machine) -> tuple[Group, ...]:
-    """Return the connected pieces of the network, whose motions do not affect each other.
-
-    Bodies are connected by links, drives and sensors; drives and sensors by controllers; and a
-    switch connects its axis with the drive that it cuts.
-
-    Raises
-    ------
-    MachineError
-        If two axes share a controller, or two controllers a drive.
-    """
-    _check_shared(machine)
-    parent: dict[str, str] = {f"b.{b}": f"b.{b}" for b in machine.bodies}
-
-    def root(key: str) -> str:
-        parent.setdefault(key, key)
-        while parent[key] != key:
-            parent[key] = parent[parent[key]]
-            key = parent[key]
-        return key
-
-    def join(key: str, others: Iterable[str]) -> None:
-        for other in others:
-            parent[root(other)] = root(key)
-
-    for name, link in machine.links.items():
-        join(f"l.{name}", (f"b.{b}" for b in link.stretch))
-    for name, drive in machine.motors.items():
-        join(f"d.{name}", (f"b.{b}" for b in drive.acts_on))
-    for name, source in machine.position_sources.items():
-        join(f"d.{name}", (f"b.{source.body}",))
-    for name, sensor in machine.sensors.items():
-        join(f"s.{name}", (f"b.{b}" for b in sensor.reads))
-    for name, controller in machine.controllers.items():
-        if isinstance(controller, StateSpaceController):
-            join(f"c.{name}", (f"s.{s}" for s in controller.sensors))
-            join(f"c.{name}", (f"d.{d}" for d in controller.drives))
-        else:
-            join(f"c.{name}", (f"s.{controller.sensor}", f"d.{controller.drive}"))
-    for name, axis in machine.axes.items():
-        join(f"a.{name}", (f"d.{axis.drive}" if axis.drive else f"c.{axis.controller}",))
-        join(f"a.{name}", (f"b.{b}" for b in (*(axis.load or {}), *(axis.frame or {}))))
-    for name, switch in machine.inputs.items():
-        join(f"i.{name}", (f"a.{switch.axis}", f"d.{switch.cuts}"))
-
-    groups = []
-    for top in dict.fromkeys(root(f"b.{b}") for b in machine.bodies):
-
-        def mine(letter: str, names: Iterable[str], top: str = top) -> tuple[str, ...]:
-            return tuple(n for n in names if root(f"{letter}.{n}") == top)
-
-        groups.append(
-            Group(
-                bodies=mine("b", machine.bodies),
-                links=mine("l", machine.links),
-                drives=mine("d", machine.motors),
-                sensors=mine("s", machine.sensors),
-                controllers=mine("c", machine.controllers),
-                axes=mine("a", machine.axes),
-                inputs=mine("i", machine.inputs),
-                sources=mine("d", machine.position_sources),
-            )
-        )
-    return tuple(groups)
-
-
-class LoopPart(NamedTuple):
-    """The loop of one axis in a controller; a state-space controller has one for each of its axes.
-
-    Parameters
-    ----------
-    controller
-        Name of the controller.
-    place
-        Index of the axis in the references of a state-space controller, else 0.
-    axis
-        Name of the axis; empty where a controller moves none.
-    of
-        Clocks, sensor, drive and DAC.
-    """
-
-    controller: str
-    place: int
-    axis: str
-    of: AxisController | AxisOfStateSpace
-
-
-def loop_parts(machine: Machine, controllers: Iterable[str]) -> tuple[LoopPart, ...]:
-    """Return the loops of ``controllers``, those of one controller side by side."""
-    owner = {axis.controller: name for name, axis in machine.axes.items()}
-    found: list[LoopPart] = []
-    for name in controllers:
-        controller = machine.controllers[name]
-        if isinstance(controller, StateSpaceController):
-            found += [
-                LoopPart(name, at, axis, controller.of_axis(axis))
-                for at, axis in enumerate(controller.references)
-            ]
-        else:
-            found.append(LoopPart(name, 0, owner.get(name, ""), controller))
-    return tuple(found)
-
-
-def _check_shared(machine: Machine) -> None:
-    single = {
-        name: axis
-        for name, axis in machine.axes.items()
-        if axis.controller
-        and not isinstance(machine.controllers[axis.controller], StateSpaceController)
-    }
-    parts = loop_parts(machine, machine.controllers)
-    commanded = {
-        part.controller if part.of.kind != "state-space" else f"{part.controller} ({part.axis})":
-        part.of.drive
-        for part in parts
-    }  # fmt: skip
-    for what, users, owner in (
-        ("controller", {n: a.controller for n, a in single.items()}, "axes"),
-        ("drive", {n: a.drive for n, a in machine.axes.items() if a.drive}, "axes"),
-        ("body", {n: s.body for n, s in machine.position_sources.items()}, "drives"),
-        ("drive", commanded, "controllers"),
-    ):
-        seen: dict[str, str] = {}
-        for name, part in users.items():
-            if part in seen:
-                raise MachineError(
-                    f"{owner} {seen[part]!r} and {name!r} share the {what} {part!r}",
-                    place=machine.place,
-                    remedy=f"Give each a separate {what}.",
-                )
-            seen[part] = name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -205,6 +53,9 @@ class PiecewiseLinear:
     input_gain, input_limit
         (variants, drives) gain from the controller's voltage to the input, and fixed limit of the
         input.
+    pulled
+        Whether every axis has a further input, behind those of the drives: a force on it from
+        outside, N or N m.
     """
 
     group: Group
@@ -219,6 +70,7 @@ class PiecewiseLinear:
     has_frame: tuple[bool, ...]
     input_gain: FloatArray
     input_limit: FloatArray
+    pulled: bool = False
 
     @property
     def variants(self) -> int:
@@ -232,6 +84,7 @@ def piecewise_linear(
     start_si: FloatArray | None = None,
     *,
     drive: str = "",
+    pulled: bool = False,
 ) -> tuple[PiecewiseLinear, ...]:
     """Return the equations of every connected piece of ``machine``.
 
@@ -244,6 +97,8 @@ def piecewise_linear(
         None for 0.
     drive
         Only the piece with this motor; all pieces where it is empty.
+    pulled
+        Whether to add the inputs of forces on the axes.
 
     Raises
     ------
@@ -253,7 +108,7 @@ def piecewise_linear(
     used = Values.of(machine) if values is None else values
     start = np.zeros(len(machine.axes)) if start_si is None else start_si
     return tuple(
-        _Builder(machine, used, group, start).build()
+        _Builder(machine, used, group, start, pulled).build()
         for group in connected_groups(machine)
         if not drive or drive in group.drives
     )
@@ -262,7 +117,10 @@ def piecewise_linear(
 class _Builder:
     """Fills the arrays of one group."""
 
-    def __init__(self, machine: Machine, values: Values, group: Group, start: FloatArray) -> None:
+    def __init__(
+        self, machine: Machine, values: Values, group: Group, start: FloatArray, pulled: bool
+    ) -> None:
+        self.pulled = pulled
         self.machine, self.values, self.group = machine, values, group
         self.start = dict(zip(machine.axes, start, strict=True))
         self.count = values.count
@@ -277,7 +135,7 @@ class _Builder:
         ]
         self.coil = {d: 2 * bodies + i for i, d in enumerate(with_coil)}
         self.n = 2 * bodies + len(with_coil)
-        self.size = self.n + len(group.drives) + 1
+        self.size = self.n + len(group.drives) + (len(group.axes) if pulled else 0) + 1
         self.input = {d: self.n + i for i, d in enumerate(group.drives)}
         self.states = (
             *group.bodies,
@@ -307,6 +165,8 @@ class _Builder:
         load_rows = self._stack([self._load_row(a) for a in self.group.axes])
         rate_rows = np.zeros_like(load_rows)
         rate_rows[:, :, bodies : 2 * bodies] = load_rows[:, :, :bodies]
+        if self.pulled:
+            self._add_pulls(load_rows)
         return PiecewiseLinear(
             group=self.group,
             states=self.states,
@@ -320,7 +180,17 @@ class _Builder:
             has_frame=tuple(a.frame is not None for a in axes),
             input_gain=np.stack(gains, axis=1) if gains else np.zeros((self.count, 0)),
             input_limit=np.stack(limits, axis=1) if limits else np.zeros((self.count, 0)),
+            pulled=self.pulled,
         )
+
+    def _add_pulls(self, load_rows: FloatArray) -> None:
+        """Add the force on each axis: it acts on the bodies of the load by virtual work."""
+        bodies = len(self.group.bodies)
+        first = self.n + len(self.group.drives)
+        for x in range(len(self.group.axes)):
+            for at, body in enumerate(self.group.bodies):
+                weight = load_rows[:, x, at] / self.inertia[body]
+                self.base[:, bodies + at, first + x] = weight
 
     def _value(self, path: str, quantity: Quantity | None) -> FloatArray:
         # Called a hundred times per machine; ``np.broadcast_to`` would be ten times slower.

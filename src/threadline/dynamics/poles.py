@@ -233,12 +233,7 @@ def _chebyshev(count: int) -> FloatArray:
 
 
 def _newton(
-    s: complex,
-    A: FloatArray,
-    B: FloatArray,
-    C: FloatArray,
-    parts: list[_Parts],
-    delays: FloatArray,
+    s: complex, A: FloatArray, B: FloatArray, C: FloatArray, parts: list[_Parts], delays: FloatArray
 ) -> complex | None:
     """Return the root of the characteristic equation near ``s``; None if Newton fails.
 

@@ -152,12 +152,7 @@ class DigitalFilter(Locked):
     volt_per_level: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in (
-            "numerator",
-            "denominator",
-            "continuous_numerator",
-            "continuous_denominator",
-        ):
+        for name in ("numerator", "denominator", "continuous_numerator", "continuous_denominator"):
             object.__setattr__(self, name, read_only(getattr(self, name), name, ndim=1))
 
     def sampled_response(self, omega_rad_s: FloatArray) -> NDArray[np.complex128]:

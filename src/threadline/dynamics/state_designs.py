@@ -36,8 +36,9 @@ from scipy.linalg import block_diag, eigvals, solve_discrete_are
 from scipy.signal import tf2ss
 
 from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics.groups import connected_groups
 from threadline.dynamics.linear_model import linear_variants
-from threadline.dynamics.network import LoopPart, connected_groups, loop_parts
+from threadline.dynamics.matrix_controller import LoopPart, loop_parts
 from threadline.dynamics.sampled import StateSpace, difference_equation, sample
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError

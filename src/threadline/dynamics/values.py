@@ -102,6 +102,8 @@ def _paths(machine: Machine) -> Iterator[str]:
     for table in _TABLES:
         for name, part in getattr(machine, table).items():
             yield from _numbers(part, f"{table}.{name}")
+    if machine.spool is not None:
+        yield from _numbers(machine.spool, "spool")
     # Without ``load``, the load is the position of the sensor, so ``counts`` affects it.
     yield from (f"axes.{name}.counts" for name, axis in machine.axes.items() if axis.load is None)
 

@@ -23,27 +23,8 @@ from threadline.files.step_play import StepPlay, StepTable, StitchBlock
 from threadline.files.stream import KeptStream, Stream
 
 __all__ = [
-    "Channel",
-    "ChannelKind",
-    "Clock",
-    "Commands",
-    "Creep",
-    "Event",
-    "EventKind",
-    "KeptStream",
-    "Outcome",
-    "Recording",
-    "RecordingBlock",
-    "RunEnd",
-    "StepPlay",
-    "StepTable",
-    "StitchBlock",
-    "Stream",
-    "SwitchSchedule",
-    "TickBlock",
-    "TickTable",
-    "common_period_s",
-    "played",
-    "switch_schedule",
-    "tick_table",
-]
+    "Channel", "ChannelKind", "Clock", "Commands", "Creep", "Event", "EventKind", "KeptStream",
+    "Outcome", "Recording", "RecordingBlock", "RunEnd", "StepPlay", "StepTable", "StitchBlock",
+    "Stream", "SwitchSchedule", "TickBlock", "TickTable", "common_period_s", "played",
+    "switch_schedule", "tick_table",
+]  # fmt: skip

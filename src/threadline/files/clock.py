@@ -48,10 +48,6 @@ class Clock:
         # One product (exact below 2**53) and one division: no error accumulates.
         return ticks * float(self.period_s.numerator) / float(self.period_s.denominator)
 
-    def ticks_at(self, time_s: float | Fraction) -> int:
-        """Return the last tick at or before ``time_s``."""
-        return int(Fraction(time_s) // self.period_s)
-
 
 def common_period_s(periods_s: list[Fraction]) -> Fraction:
     """Return the longest period of which all of ``periods_s`` are whole multiples.
@@ -91,9 +87,9 @@ class Event:
         rows, ``late`` means that rows were missing for ``value`` ticks, ``override`` gives the
         speed overrides in ``name``, and in ``value`` the share of the feed if the run itself was
         overridden, 0 if the controller was; and ``completed``, ``stopped`` or ``fault`` ends the
-        run, with the reason in ``name``. ``plan`` maps this tick
-        to the plan time ``value`` in s. After it plan time runs with the clock, or at the rate in
-        ``name``; it stands still if the preceding ``plan`` event has the same ``value``.
+        run, with the reason in ``name``. ``plan`` maps this tick to the plan time ``value`` in s.
+        After it the plan time runs with the clock, or at the rate in ``name``; it stands still if
+        the preceding ``plan`` event has the same ``value``.
     operation
         Index of the job operation of the event; -1 for none.
     name, value

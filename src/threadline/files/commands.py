@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -253,53 +254,38 @@ class SwitchSchedule(Locked):
         """Return None: a schedule does not have a row for every tick."""
         return None
 
+    def creeps_by_row(self) -> dict[int, list[Creep]]:
+        """Return the creeps by the row that is in effect during their waits."""
+        found: dict[int, list[Creep]] = {}
+        rows = np.searchsorted(self.ticks, [creep.tick for creep in self.creeps], side="right")
+        for row, creep in zip(rows.tolist(), self.creeps, strict=True):
+            found.setdefault(row - 1, []).append(creep)
+        return found
+
 
 Commands = TickTable | SwitchSchedule | StepPlay
+KindT = TypeVar("KindT", bound=TickTable | SwitchSchedule | StepPlay)
+
+
+def _of_kind(commands: Commands, kind: type[KindT], lacking: str, remedy: str) -> KindT:
+    if not isinstance(commands, kind):
+        raise OptionError(f"this needs {lacking}", remedy=remedy)
+    return commands
 
 
 def tick_table(commands: Commands) -> TickTable:
-    """Return ``commands``, which must be a table of ticks.
-
-    Raises
-    ------
-    OptionError
-        If they are of another kind.
-    """
-    if not isinstance(commands, TickTable):
-        raise OptionError(
-            "this needs a table of counts, which an on/off machine does not have",
-            remedy="Choose a machine with axes.",
-        )
-    return commands
+    """Return ``commands``, a table of ticks; raise an ``OptionError`` for another kind."""
+    lacking = "a table of counts, which an on/off machine does not have"
+    return _of_kind(commands, TickTable, lacking, "Choose a machine with axes.")
 
 
 def switch_schedule(commands: Commands) -> SwitchSchedule:
-    """Return ``commands``, which must be a schedule of switchings.
-
-    Raises
-    ------
-    OptionError
-        If they are of another kind.
-    """
-    if not isinstance(commands, SwitchSchedule):
-        raise OptionError(
-            "this needs a schedule of switchings, which a machine with axes does not have",
-            remedy="Choose a machine with cylinders.",
-        )
-    return commands
+    """Return ``commands``, a schedule of switchings; raise an ``OptionError`` for another kind."""
+    lacking = "a schedule of switchings, which a machine with axes does not have"
+    return _of_kind(commands, SwitchSchedule, lacking, "Choose a machine with cylinders.")
 
 
 def played(commands: Commands) -> StepPlay:
-    """Return ``commands``, which must be step tables played stitch by stitch.
-
-    Raises
-    ------
-    OptionError
-        If they are of another kind.
-    """
-    if not isinstance(commands, StepPlay):
-        raise OptionError(
-            "this needs step tables, which only a machine with a main shaft plays",
-            remedy="Choose an embroidery machine.",
-        )
-    return commands
+    """Return ``commands``, step tables by stitch; raise an ``OptionError`` for another kind."""
+    lacking = "step tables, which only a machine with a main shaft plays"
+    return _of_kind(commands, StepPlay, lacking, "Choose an embroidery machine.")

@@ -114,6 +114,7 @@ class ChannelKind(StrEnum):
     CURRENT = "current"  # in the motor
     TORQUE_SHARE = "torque_share"  # torque needed from a position source / available torque
     SENSOR = "sensor"  # reading of a sensor that is not the encoder of an axis
+    TENSION = "tension"  # of a winder's fibre at its eye
     INPUT = "input"  # state of a digital input, 0 or 1
     OUTPUT = "output"  # state of a digital output, 0 or 1
     OPERATION = "operation"  # index of the job operation in progress

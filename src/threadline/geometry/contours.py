@@ -280,11 +280,7 @@ def join_strokes(
 
 
 def _partners(
-    ends: FloatArray,
-    free: np.ndarray,
-    gap_m: float,
-    strokes: Sequence[Stroke],
-    file: str,
+    ends: FloatArray, free: np.ndarray, gap_m: float, strokes: Sequence[Stroke], file: str
 ) -> IntArray:
     """Return (2 n,) for each end the index of the end that it meets, -1 for none."""
     from scipy.spatial import cKDTree

@@ -87,7 +87,7 @@ class _Texts:
     def label(self, leader: Any, end: FloatArray) -> tuple[str, int]:
         """Return the text of a leader and its line in the file.
 
-        This is the text that the leader names, else the nearest on its layer, else "" and 0.
+        The text is the one that the leader names, or the nearest on its layer, or "" with line 0.
         ``end``, shape (2,), is the last point of the leader.
         """
         text = self._of_handle.get(str(leader.dxf.get("annotation_handle", "")))

@@ -92,11 +92,7 @@ def _replace(
     parts.append(points[last:])
     names.append(labels[last:])
     owner.append(np.full(len(labels) - last, -1))
-    return (
-        np.concatenate(parts),
-        np.concatenate(names),
-        np.concatenate(owner).astype(np.int64),
-    )
+    return (np.concatenate(parts), np.concatenate(names), np.concatenate(owner).astype(np.int64))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -369,11 +365,7 @@ def _raw_offset(
 
 
 def _corner(
-    corner: FloatArray,
-    before: FloatArray,
-    after: FloatArray,
-    turn: float,
-    signed_m: float,
+    corner: FloatArray, before: FloatArray, after: FloatArray, turn: float, signed_m: float
 ) -> list[FloatArray]:
     """Return the points of the chain at a vertex; ``before`` and ``after`` are the two shifts."""
     inner = turn * signed_m > 0.0

@@ -198,12 +198,7 @@ def _refuse_unfinished(at: FloatArray, numbers: list[int], file: str) -> None:
 
 
 def _arcs(
-    at: FloatArray,
-    cx: FloatArray,
-    cy: FloatArray,
-    turns: list[str],
-    numbers: list[int],
-    file: str,
+    at: FloatArray, cx: FloatArray, cy: FloatArray, turns: list[str], numbers: list[int], file: str
 ) -> Pieces:
     parts: list[Pieces] = []
     for k, number in enumerate(numbers[:-1]):

@@ -16,6 +16,8 @@ from threadline.errors import Place, RecordingError
 AXES = "xyz"
 MAX_BYTES = 200_000_000
 LEAST_RATE_HZ = 20.0
+MOST_M_S2, MOST_PSD = 1e9, 1e100
+"""Largest acceleration and power in any unit: beyond them numbers overflow in a fit."""
 KLIPPER_LOWEST_HZ = 5.0
 """Start of Klipper's sweep: below it is what carries the axis to and fro."""
 _LOWEST_HZ = 0.5
@@ -240,6 +242,12 @@ def _spectrum(table: FloatArray, shaped: bool, place: Place) -> Spectrum:
             place=place,
             remedy="Give the file as it was written.",
         )
+    if (most := float(psd.max())) > MOST_PSD:
+        raise RecordingError(
+            f"the spectrum holds a power of {most:.3g}, limit {MOST_PSD:g}",
+            place=place,
+            remedy="Record again, or correct the line.",
+        )
     if (psd < 0.0).any() or not psd.any():
         raise RecordingError(
             "the spectrum holds a negative power" if psd.any() else "the spectrum is 0 throughout",
@@ -280,6 +288,13 @@ def _vibration(time_s: FloatArray, values: FloatArray, scale: float, first: Plac
             f"{usual * 1e3:.4g} ms apart",
             place=Place(place.file, start + at + 1),
             remedy="Record again, or cut the run there.",
+        )
+    if (most := float(np.abs(values).max())) > MOST_M_S2 / scale:
+        at = int(np.argmax(np.abs(values).max(axis=1)))
+        raise RecordingError(
+            f"an acceleration of {most * scale:.3g} m/s^2, limit {MOST_M_S2:g} m/s^2",
+            place=Place(place.file, start + at),
+            remedy="Correct the line, or the unit in the first line.",
         )
     for axis, column in zip(AXES, values.T, strict=True):
         if limit := _clipped(column):

@@ -88,7 +88,7 @@ def measure(
     out
         File of the measurement (``.npz``, ``.mcap``).
     experiment
-        ``"sweep"``, ``"steps"``, ``"constant"`` or ``"backlash"``.
+        ``"sweep"``, ``"steps"``, ``"constant"``, ``"coast"`` or ``"backlash"``.
     amplitude
         Largest deviation from the start, ``"2 mm"``.
     band

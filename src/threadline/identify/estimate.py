@@ -123,8 +123,7 @@ def estimate(problem: Problem, starts: int | None = None) -> Estimate:
     Raises
     ------
     OptionError
-        If there are more numbers than residuals, a number ends at the end of its range, or no start
-        gives a finite residual.
+        If there are more numbers than residuals, or no start gives a finite residual.
     """
     _check_count(problem)
     usual = _STARTS if problem.robust else _SIMULATED_STARTS
@@ -146,7 +145,6 @@ def estimate(problem: Problem, starts: int | None = None) -> Estimate:
             break
     if problem.step >= _ROUGH:
         best = _polished(problem, best)
-    _check_range(problem, best)
     return _judged(problem, best)
 
 
@@ -159,9 +157,19 @@ def _check_count(problem: Problem) -> None:
         )
 
 
-def _check_range(problem: Problem, at: FloatArray) -> None:
+def check_range(found: Estimate) -> None:
+    """Refuse numbers at the end of their range, ``FARTHEST_FACTOR`` from the first guess.
+
+    Ask for combinations that the data leaves free before: along one of them the fit may drift to
+    the end of the range, as the rounding will have it.
+
+    Raises
+    ------
+    OptionError
+        If a number ends there.
+    """
     edge = np.log(FARTHEST_FACTOR)
-    for name, value in zip(problem.names, at, strict=True):
+    for name, value in zip(found.names, found.log_factor, strict=True):
         if abs(value) > 0.999 * edge:
             raise OptionError(
                 f"{name} ends at {np.exp(value):.3g} times its first guess, the end of its range",
@@ -193,11 +201,7 @@ def _starts(problem: Problem, count: int) -> list[FloatArray]:
 
 
 def _refined(
-    problem: Problem,
-    start: FloatArray,
-    noise: FloatArray,
-    *,
-    final: bool,
+    problem: Problem, start: FloatArray, noise: FloatArray, *, final: bool
 ) -> tuple[FloatArray, float]:
     from scipy.optimize import least_squares
 

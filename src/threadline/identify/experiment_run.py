@@ -13,17 +13,12 @@ import numpy as np
 from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.base.writing import check_output
 from threadline.dynamics.loop import axis_loop
-from threadline.errors import LimitError, MachineError, OptionError, RecordingError
-from threadline.files import (
-    Channel,
-    Recording,
-    RecordingBlock,
-    RunEnd,
-    Stream,
-)
+from threadline.errors import LimitError, MachineError, OptionError, Place, RecordingError
+from threadline.files import Channel, Recording, RecordingBlock, RunEnd, Stream
 from threadline.files.recording import columns_of
-from threadline.identify.measured_response import MeasuredResponse
+from threadline.identify.measured_response import OUTPUTS, MeasuredResponse, check_response
 from threadline.identify.planned_experiment import Experiment, duration_s
+from threadline.identify.recorded_run import CUT_AT
 from threadline.live.hal_link import WHAT, check_hal, hal_link
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import sim_link
@@ -35,6 +30,7 @@ from threadline.twin.simulate import simulate
 
 RESPONSE = "response"
 """Key of a recording's origin with the measured response, as JSON."""
+_SPARE = 2.0  # an axis may coast this many times as far as its machine file says
 LINKS = ("sim", *(f"hal:{what}" for what in WHAT))
 
 
@@ -133,7 +129,7 @@ def predict(machine: Machine, planned: Experiment) -> Prediction:
             place=machine.place,
             remedy="Measure with a controller of another kind on this axis.",
         )
-    recording = simulate(planned.commands, machine)
+    recording = simulate(planned.commands, planned.on(machine))
     columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
     axis, limits = planned.axis, machine.axes[planned.axis]
     load = columns[f"{axis}.load"]
@@ -144,11 +140,15 @@ def predict(machine: Machine, planned: Experiment) -> Prediction:
         speed=float(np.abs(columns[f"{axis}.velocity"]).max()),
         current_a=float(np.abs(columns[f"{axis}.current_peak"]).max()),
     )
+    # Friction is what a coast is to find: it may be far less than the machine file says.
+    farthest = found.highest
+    if planned.cut_at_si is not None:
+        farthest = planned.cut_at_si + _SPARE * (found.highest - planned.cut_at_si)
     drive = machine.motors[machine.controller_of(axis).drive].amplifier
     low, high = (None, None) if limits.travel is None else limits.travel
     unit = "m" if limits.kind == "linear" else "rad"
     for quantity, value, limit, what in (
-        ("position", found.highest, None if high is None else high.si, unit),
+        ("position", farthest, None if high is None else high.si, unit),
         ("position", -found.lowest, None if low is None else -low.si, unit),
         ("velocity", found.speed, limits.velocity.si, f"{unit}/s"),
         ("current", found.current_a, _si(drive.current_limit), "A"),
@@ -227,7 +227,7 @@ def measure(
     with closing(Desk()) as desk:
         ended, why, _ = run_commands(
             planned.commands,
-            machine,
+            planned.on(machine),
             _connected(machine, planned, link, actual, speed, fault),
             desk,
             kept,
@@ -240,7 +240,7 @@ def measure(
         job_sha256="",
         machine_sha256=machine.sha256,
         simulated=kept.simulated,
-        origin={**origin, "link": link},
+        origin={**origin, "link": link, **_cut(planned)},
     )
     if not any(len(v) for block in kept.blocks for v in block.samples.values()):
         raise RecordingError(f"nothing was recorded: {why or ended.value}")
@@ -251,6 +251,10 @@ def measure(
         told = {**recording.origin, RESPONSE: _written(response)}
         recording = replace(recording, origin=told)
     return Measurement(recording=recording, response=response, ended=ended, why=why)
+
+
+def _cut(planned: Experiment) -> dict[str, str]:
+    return {} if planned.cut_at_si is None else {CUT_AT: repr(planned.cut_at_si)}
 
 
 def _connected(
@@ -266,13 +270,18 @@ def _connected(
         # The simulated machine gives itself out for the one in the file, as a real one would.
         far = machine if actual is None else replace(actual, sha256=machine.sha256)
         check_same_axes(machine, far)
-        return sim_link(far, start, speed, fault)
+        return sim_link(planned.on(far), start, speed, fault)
     if link not in LINKS:
         raise OptionError(
             f"there is no link {link[:20]!r} to measure on", remedy=f"Use {', '.join(LINKS)}."
         )
     if actual is not None or fault is not None:
         raise OptionError("--actual and --inject are for --link sim", remedy="Leave them out.")
+    if planned.cut_at_si is not None:
+        raise OptionError(
+            f"the link {link} keeps the drives of a moving axis on, and a coast needs one without",
+            remedy="Use --experiment constant: its volts at several speeds show friction, too.",
+        )
     check_hal(machine)
     return hal_link(machine, start, plant=link == "hal:plant")
 
@@ -348,35 +357,50 @@ def _written(response: MeasuredResponse) -> str:
     )
 
 
-def response_of(origin: Mapping[str, str]) -> MeasuredResponse | None:
+def response_of(origin: Mapping[str, str], place: Place | None = None) -> MeasuredResponse | None:
     """Return the response that a measured recording has in its origin, None if it has none.
+
+    Parameters
+    ----------
+    place
+        The file, for messages.
 
     Raises
     ------
     RecordingError
-        If it is damaged.
+        If it is damaged, or as ``check_response``.
     """
     if RESPONSE not in origin:
         return None
     try:
         told = json.loads(origin[RESPONSE])
-        arrays = {
-            key: np.array(told[key], dtype=np.float64)
+        frequency, real, imag, coherence = (
+            np.array(told[key], dtype=np.float64)
             for key in ("frequency_hz", "real", "imag", "coherence")
-        }
-        if len({array.shape for array in arrays.values()}) != 1 or arrays["real"].ndim != 1:
-            raise ValueError("columns of different lengths")
-        if not all(np.isfinite(array).all() for array in arrays.values()):
-            raise ValueError("a number that is not finite")
-        return MeasuredResponse(
-            frequency_hz=arrays["frequency_hz"],
-            value=np.asarray(arrays["real"] + 1j * arrays["imag"], dtype=np.complex128),
-            coherence=arrays["coherence"],
-            unit=str(told["unit"]).removesuffix("/V"),
-            axis=str(told["axis"]),
-            output=str(told["output"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+        words = [told[key] for key in ("unit", "axis", "output")]
+        if len({one.shape for one in (frequency, real, imag, coherence)}) != 1 or real.ndim != 1:
+            raise ValueError("columns of different lengths")
+        if not all(np.isfinite(one).all() for one in (frequency, real, imag, coherence)):
+            raise ValueError("a number that is not finite")
+        if not all(isinstance(word, str) for word in words):
+            raise ValueError("its unit, axis or output is no text")
+        unit, axis, output = words
+        if unit.removesuffix("/V") not in OUTPUTS:
+            raise ValueError(f"{unit[:20]!r} is no output per volt")
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        why = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise RecordingError(
-            f"its response is damaged: {error}", remedy="Measure again."
+            f"its response is damaged: {why}", place=place, remedy="Measure again."
         ) from error
+    found = MeasuredResponse(
+        frequency_hz=frequency,
+        value=np.asarray(real + 1j * imag, dtype=np.complex128),
+        coherence=coherence,
+        unit=unit.removesuffix("/V"),
+        axis=axis,
+        output=output,
+        place=place,
+    )
+    check_response(found)
+    return found

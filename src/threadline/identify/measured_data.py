@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from threadline.base.reading import read_text
@@ -13,8 +12,9 @@ from threadline.identify.frequency_domain import ResponseData
 from threadline.identify.measured_response import MeasuredResponse
 from threadline.identify.parameter_fit import Data
 from threadline.identify.read_response import MAX_BYTES, read_response, rows_of
+from threadline.identify.recorded_run import check_run
 from threadline.identify.time_domain import recording_data
-from threadline.machine import load_machine
+from threadline.machine import Machine, load_machine
 
 _OF_SWEEP = "response:"
 _RECORDINGS = (".npz", ".mcap", ".plt")
@@ -47,26 +47,40 @@ def open_data(text: str, machine: str, axis: str = "") -> Data:
             raise OptionError(
                 f"{text[:60]!r} names no file", remedy="Write it like +unloaded:motor.csv."
             )
-    chosen = load_machine(machine + overlay)
+    return read_data(file, load_machine(machine + overlay), axis)
+
+
+def read_data(file: str, machine: Machine, axis: str = "") -> Data:
+    """Return the measured data in a file, or in ``response:FILE``, of a machine.
+
+    Raises
+    ------
+    RecordingError, OptionError
+        As ``open_data``.
+    """
     if file.startswith(_OF_SWEEP):
         path = Path(file.removeprefix(_OF_SWEEP))
-        return ResponseData(machine=chosen, measured=_response_in(path), axis=axis)
+        return ResponseData(machine=machine, measured=_response_in(path, machine), axis=axis)
     path = Path(file)
     if path.suffix.lower() in _RECORDINGS or _is_trace(path):
-        return recording_data(read_recording(path), chosen, path, axis)
-    return ResponseData(machine=chosen, measured=read_response(path), axis=axis)
+        return recording_data(read_recording(path), machine, path, axis)
+    return ResponseData(machine=machine, measured=read_response(path), axis=axis)
 
 
-def _response_in(path: Path) -> MeasuredResponse:
+def _response_in(path: Path, machine: Machine) -> MeasuredResponse:
     """Return the response that a measured sweep has beside its raw run."""
-    found = response_of(read_recording(path).origin)
+    recording, place = read_recording(path), Place(str(path))
+    found = response_of(recording.origin, place)
     if found is None:
         raise RecordingError(
             "it has no response",
-            place=Place(str(path)),
+            place=place,
             remedy="threadline measure --experiment sweep writes one.",
         )
-    return replace(found, place=Place(str(path)))
+    # The response alone would fit any machine with such an axis.
+    if found.axis in machine.axes and machine.axes[found.axis].controller:
+        check_run(recording, machine, found.axis, place)
+    return found
 
 
 def _is_trace(path: Path) -> bool:

@@ -19,6 +19,11 @@ from threadline.machine.parts import Encoder
 
 LEAST_COHERENCE = 0.8
 """Points below this coherence are left out of a fit."""
+OUTPUTS = tuple(
+    f"{base}{rate}" for base in ("rad", "m", "count", "V") for rate in ("", "/s", "/s^2")
+)
+"""Units of an output, of which a response is a multiple for each volt."""
+_MAGNITUDES, _FREQUENCIES_HZ = (1e-100, 1e100), (1e-6, 1e9)
 MOTOR = "motor"
 """Output of a response: the body that the axis' encoder reads."""
 
@@ -92,6 +97,36 @@ class MeasuredResponse:
             float(np.sqrt(np.mean((level - self.magnitude_db) ** 2))),
             float(np.sqrt(np.mean(turn**2))),
         )
+
+
+def check_response(measured: MeasuredResponse) -> None:
+    """Refuse a response whose points no model can be compared with.
+
+    Raises
+    ------
+    RecordingError
+        If there are no points, frequencies do not increase or lie outside 1e-6 to 1e9 Hz,
+        magnitudes lie outside 1e-100 to 1e100, or a coherence is not from 0 to 1.
+    """
+    hertz, size, coherence = measured.frequency_hz, np.abs(measured.value), measured.coherence
+    what, remedy = "", "Remove or correct the points."
+    if not len(hertz):
+        what, remedy = "the response has no points", "Measure again."
+    elif (np.diff(hertz) <= 0.0).any():
+        at = int(np.argmax(np.diff(hertz) <= 0.0)) + 1
+        what, remedy = f"frequency {hertz[at]:g} Hz does not increase", "Sort the points."
+    elif not _FREQUENCIES_HZ[0] <= hertz[0] <= hertz[-1] <= _FREQUENCIES_HZ[1]:
+        odd = hertz[0] if hertz[0] < _FREQUENCIES_HZ[0] else hertz[-1]
+        what = f"frequency {odd:g} Hz is not from 1e-06 to 1e+09 Hz"
+    elif not (size.min() >= _MAGNITUDES[0] and size.max() <= _MAGNITUDES[1]):
+        outside = ~((size >= _MAGNITUDES[0]) & (size <= _MAGNITUDES[1]))
+        at = int(np.argmax(outside))
+        what = f"magnitude {size[at]:g} at {hertz[at]:g} Hz is not from 1e-100 to 1e+100"
+    elif coherence is not None and not ((coherence >= 0.0) & (coherence <= 1.0)).all():
+        odd = coherence[int(np.argmax(np.abs(coherence - 0.5)))]
+        what, remedy = f"coherence {odd:g} is not from 0 to 1", "Correct the column, or remove it."
+    if what:
+        raise RecordingError(what, place=measured.place, remedy=remedy)
 
 
 _RATES = {"": 0, "/s": 1, "/s^2": 2}

@@ -126,12 +126,7 @@ def klipper_spectrum(run: Vibration) -> Spectrum:
         )
     window: Any = np.kaiser(length, KAISER)  # symmetric, unlike scipy's own
     f, psd = signal.welch(
-        run.acceleration_m_s2,
-        rate,
-        window=window,
-        nperseg=length,
-        detrend="constant",
-        axis=0,
+        run.acceleration_m_s2, rate, window=window, nperseg=length, detrend="constant", axis=0
     )
     return Spectrum(frequency_hz=f, psd=psd, normalised=False, place=run.place)
 

@@ -1,4 +1,4 @@
-"""Fit numbers of a machine to measured data, and say how well each is known."""
+"""Fit numbers of a machine to measured data, with the uncertainty of each."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from threadline.errors import OptionError
 from threadline.identify.estimate import (
     Estimate,
     Problem,
+    check_range,
     combination_text,
     estimate,
     known_combinations,
@@ -46,7 +47,7 @@ class Data(Protocol):
 
     @property
     def robust(self) -> bool:
-        """Whether values far off may not pull the fit."""
+        """Whether the fit is robust against outliers."""
 
     @property
     def sources(self) -> IntArray:
@@ -76,7 +77,7 @@ class FittedNumber:
     name
         Its dotted name.
     quantity
-        The number as the machine file has it before the fit.
+        The number in the machine file before the fit.
     value
         Fitted value, SI.
     deviation
@@ -121,7 +122,7 @@ class Fit:
     noise
         Per name of the data: deviation of its noise.
     unexplained
-        Where the data was not explained, in words; empty if it was everywhere.
+        Places where the model does not explain the data, in words; empty without any.
     """
 
     machine: Machine
@@ -167,6 +168,7 @@ def fit(
     problem = _problem(data, names, start)
     found = estimate(problem, starts)
     _refuse_unknown(machine, data, found, start)
+    check_range(found)
     values = start * np.exp(found.log_factor)
     worst = np.argsort(-found.deviation)[:_PROFILED].tolist()
     numbers = []
@@ -235,7 +237,7 @@ def _has(machine: Machine, name: str) -> bool:
 
 
 def _problem(data: Sequence[Data], names: Sequence[str], start: FloatArray) -> Problem:
-    """Return the fit of all data together: the residuals of one after those of the other."""
+    """Return the fit of all data together, whose residuals follow one after the other."""
     own = [[k for k, name in enumerate(names) if _has(one.machine, name)] for one in data]
     sources, count = [], 0
     for one in data:
@@ -268,7 +270,7 @@ def _problem(data: Sequence[Data], names: Sequence[str], start: FloatArray) -> P
 def _refuse_unknown(
     machine: Machine, data: Sequence[Data], found: Estimate, start: FloatArray
 ) -> None:
-    """Refuse numbers that the data does not determine; name the combinations that it does."""
+    """Refuse numbers that the data does not determine; name the combinations that it determines."""
     combinations = known_combinations(found)
     if combinations is None:
         return

@@ -1,4 +1,4 @@
-"""Commands of experiments on one axis: a multisine, steps, constant speeds, slow reversals."""
+"""Commands of experiments on one axis: a multisine, steps, constant speeds, reversals, a coast."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.files import Stream, TickBlock, TickTable
+from threadline.files.recording import columns_of
 from threadline.machine import Machine
+from threadline.machine.variants import SUPPLY_CUT, coasting
+from threadline.twin.simulate import simulate
 from threadline.units import parse_quantity
 
-EXPERIMENTS = ("sweep", "steps", "constant", "backlash")
+EXPERIMENTS = ("sweep", "steps", "constant", "coast", "backlash")
 _LINES = 24
 _PERIODS = 4
 _LOWEST_HZ, _HIGHEST_HZ = 0.5, 60.0
@@ -23,6 +26,9 @@ _SPEED, _ACCELERATION, _TRAVEL = 0.25, 0.5, 0.05  # shares of the limits of the 
 _SWEEP_SPEED, _SWEEP_ACCELERATION = 0.9, 0.7
 _CONSTANT_SPEEDS = (0.0625, 0.125, 0.25, 0.5)  # shares of the limit
 _PAUSE_S = 0.4
+_COAST_SPEED, _COAST_TRAVEL = 0.5, 0.25  # shares of the limits of the axis
+_CRUISE_S, _COASTED = 0.4, 0.005  # constant speed before the cut; share of it that is rest
+_LONGEST_COAST_S = 60.0
 _MOST_TICKS = 300_000
 
 
@@ -42,6 +48,8 @@ class Experiment:
         Ticks of a period of a sweep, 0 for others.
     first
         Tick at which the first whole period begins.
+    cut_at_si
+        Of a coast: position from which on the drive has no supply, m or rad.
     """
 
     kind: str
@@ -50,6 +58,11 @@ class Experiment:
     lines: IntArray
     period: int = 0
     first: int = 0
+    cut_at_si: float | None = None
+
+    def on(self, machine: Machine) -> Machine:
+        """Return the machine of the experiment: for a coast, one with a cut of the supply."""
+        return machine if self.cut_at_si is None else coasting(machine, self.axis, self.cut_at_si)
 
 
 def experiment(
@@ -69,7 +82,8 @@ def experiment(
         One of ``EXPERIMENTS``.
     amplitude
         Largest deviation from the start, m or rad; by default a twentieth of the travel, of an
-        endless axis a twentieth of a turn.
+        endless axis a twentieth of a turn. A coast: where it ends by the machine file, by default
+        within a quarter of the travel.
     band_hz
         Lowest and highest frequency of a sweep; by default 0.5 to 60 Hz, at most a tenth of the
         rate of the ticks.
@@ -79,13 +93,9 @@ def experiment(
     Raises
     ------
     OptionError
-        If there is no such axis or experiment, or an option is out of range.
+        If there is no such axis or experiment, an option is out of range, or nothing in the machine
+        file would end a coast.
     """
-    if kind == "coast":
-        raise OptionError(
-            "coast needs a link that cuts the power of a moving axis, and no link does",
-            remedy="constant gives friction and damping from the volts at several speeds.",
-        )
     if kind not in EXPERIMENTS:
         raise OptionError(
             f"there is no experiment {kind[:30]!r}", remedy=f"There are {', '.join(EXPERIMENTS)}."
@@ -100,12 +110,14 @@ def experiment(
     size = _usual_amplitude(machine, axis) if amplitude is None else amplitude
     if size <= 0.0:
         raise OptionError(f"--amplitude is {size:g}", remedy="Give one above 0.")
-    lines, period = np.zeros(0, dtype=np.int64), 0
+    lines, period, cut = np.zeros(0, dtype=np.int64), 0, None
     if kind == "sweep":
         lines, period = _harmonics(band_hz, tick_s)
         position = _multisine(machine, axis, lines, period, size)
     elif band_hz is not None:
         raise OptionError("--band is for a sweep", remedy="Leave it out.")
+    elif kind == "coast":
+        position, cut = _coast(machine, axis, amplitude)
     else:
         position = _moves(machine, axis, kind, size, speeds)
     counts = np.rint(position * machine.axes[axis].counts.si).astype(np.int64)
@@ -116,6 +128,7 @@ def experiment(
         lines=lines,
         period=period,
         first=period,
+        cut_at_si=cut,
     )
 
 
@@ -236,6 +249,65 @@ def _move(machine: Machine, axis: str, begin: float, end: float, speed: float) -
     gone = 0.5 * acceleration * up**2 + speed * np.clip(time - ramp, 0.0, cruise)
     gone += speed * down - 0.5 * acceleration * down**2
     return np.asarray(begin + np.sign(end - begin) * np.minimum(gone, way))
+
+
+def _coast(machine: Machine, axis: str, amplitude: float | None) -> tuple[FloatArray, float]:
+    """Return the positions of a coast, tick by tick, and the position of the cut.
+
+    The speed is half of the limit, or the highest at which the axis comes to rest within
+    ``amplitude`` by the machine file. After the cut the command slows down as the axis is expected
+    to: if the supply is not cut, the axis stops all the same.
+    """
+    limits = machine.axes[axis]
+    if amplitude is None and limits.travel is not None:
+        amplitude = _COAST_TRAVEL * (limits.travel[1].si - limits.travel[0].si)
+    top = _COAST_SPEED * limits.velocity.si
+    least, speed = 0.0, top
+    position, cut = _coasted(machine, axis, speed)
+    if amplitude is None or position[-1] <= amplitude:
+        return position, cut
+    for _ in range(12):
+        speed = 0.5 * (least + top)
+        position, cut = _coasted(machine, axis, speed)
+        least, top = (speed, top) if position[-1] <= amplitude else (least, speed)
+    if least == 0.0:
+        raise OptionError(
+            f"axis {axis}: no coast ends within {amplitude:.4g} of the start by the machine file",
+            remedy="Give a larger --amplitude.",
+        )
+    return _coasted(machine, axis, least)
+
+
+def _coasted(machine: Machine, axis: str, speed: float) -> tuple[FloatArray, float]:
+    """Return the positions of a coast from a speed, and the position of the cut."""
+    tick_s = float(machine.tick_clock.period_s)
+    ramp_s = speed / (_ACCELERATION * machine.axes[axis].acceleration.si)
+    cut = speed * (0.5 * ramp_s + _CRUISE_S)
+    scale = machine.axes[axis].counts.si
+    length_s = ramp_s + 4.0 * _CRUISE_S
+    while True:
+        time = np.arange(1, int(np.ceil(length_s / tick_s)) + 1) * tick_s
+        onward = speed * (np.minimum(time, ramp_s) ** 2 / (2.0 * ramp_s))
+        onward += speed * np.clip(time - ramp_s, 0.0, None)
+        counts = np.rint(onward * scale).astype(np.int64)
+        recording = simulate(_table(machine, axis, counts), coasting(machine, axis, cut))
+        columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
+        load, rate = columns[f"{axis}.load"], columns[f"{axis}.velocity"]
+        after = columns[SUPPLY_CUT] > 0.0
+        moving = np.flatnonzero(~after | (np.abs(rate) > _COASTED * speed))
+        if moving[-1] + 1 < len(load):
+            break
+        if length_s > _LONGEST_COAST_S:
+            raise OptionError(
+                f"axis {axis} would not come to rest within {_LONGEST_COAST_S:g} s without supply: "
+                "the machine file has too little damping or friction for a coast",
+                remedy="Give its body or motor a damping or a friction first.",
+            )
+        length_s *= 2.0
+    begin, end = int(np.argmax(after)), int(moving[-1]) + 1
+    held = np.full(int(np.ceil(_PAUSE_S / tick_s)), load[end] - load[begin])
+    slowing = np.concatenate((load[begin : end + 1] - load[begin], held))
+    return np.concatenate((onward[:begin], onward[begin - 1] + slowing)), cut
 
 
 def _table(machine: Machine, axis: str, counts: IntArray) -> TickTable:

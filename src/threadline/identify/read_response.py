@@ -13,8 +13,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.base.reading import read_text
 from threadline.errors import Place, RecordingError
-from threadline.files.formats.common import atomic_file
-from threadline.identify.measured_response import MeasuredResponse
+from threadline.identify.measured_response import OUTPUTS, MeasuredResponse, check_response
 from threadline.units import same_dimension, unit_factor
 
 MAX_BYTES = 20_000_000
@@ -22,9 +21,6 @@ MAX_POINTS = 200_000
 _FORM = "The first line must name frequency_hz, magnitude_db, phase_deg."
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _COMMENT = re.compile(r"#\s*(?P<key>[a-z]+)\s*:\s*(?P<value>.*?)\s*")
-_OUTPUTS = tuple(
-    f"{base}{rate}" for base in ("rad", "m", "count", "V") for rate in ("", "/s", "/s^2")
-)
 _WORDS = ("axis", "output")
 
 
@@ -113,31 +109,26 @@ def _response(
     table: FloatArray, columns: _Columns, said: dict[str, str], place: Place
 ) -> MeasuredResponse:
     size = table[:, 1]
-    with np.errstate(over="ignore"):
-        size = 10.0 ** (size / 20.0) if columns.decibel else size
-        size = size * columns.scale
-    if not np.isfinite(size).all() or (size <= 0).any():
+    if not columns.decibel and (size <= 0.0).any():
         raise RecordingError(
-            "a magnitude is not above 0, or too large",
+            f"magnitude {size[int(np.argmax(size <= 0.0))]:g} is not above 0",
             place=place,
             remedy="Remove the points without a magnitude.",
         )
-    coherence = None if columns.coherence is None else table[:, 3]
-    if coherence is not None and ((coherence < 0) | (coherence > 1)).any():
-        raise RecordingError(
-            f"coherence {coherence[np.argmax(np.abs(coherence - 0.5))]:g} is not from 0 to 1",
-            place=place,
-            remedy="Correct the column, or remove it.",
-        )
-    return MeasuredResponse(
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        size = 10.0 ** (size / 20.0) if columns.decibel else size
+        value = size * columns.scale * np.exp(1j * table[:, 2] * columns.to_radian)
+    found = MeasuredResponse(
         frequency_hz=table[:, 0] * columns.to_hertz,
-        value=np.asarray(size * np.exp(1j * table[:, 2] * columns.to_radian), dtype=np.complex128),
-        coherence=coherence,
+        value=np.asarray(value, dtype=np.complex128),
+        coherence=None if columns.coherence is None else table[:, 3],
         unit=columns.unit,
         axis=said.get("axis", ""),
         output=said.get("output", ""),
         place=place,
     )
+    check_response(found)
+    return found
 
 
 def _columns(header: list[str], place: Place) -> _Columns:
@@ -179,7 +170,7 @@ def _columns(header: list[str], place: Place) -> _Columns:
 def _output_unit(text: str, place: Place) -> tuple[str, float]:
     """Return the SI unit of an output per volt, and the factor of ``text`` on it."""
     unit = text.removesuffix("/V").strip()
-    for si in _OUTPUTS if text.endswith("/V") else ():
+    for si in OUTPUTS if text.endswith("/V") else ():
         if same_dimension(unit, si):
             return si, unit_factor(unit, si)
     raise RecordingError(
@@ -201,24 +192,3 @@ def _numbers(row: list[str], places: list[int], place: Place) -> list[float]:
             f"{told!r} must hold finite numbers and a frequency above 0", place=place
         )
     return values
-
-
-def write_response(measured: MeasuredResponse, path: Path) -> None:
-    """Write a response as a table that ``read_response`` reads without loss of what it means.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be written.
-    """
-    unit = f" [{measured.unit}/V]" if measured.absolute else ""
-    with atomic_file(path) as file:
-        for key in _WORDS:
-            if value := getattr(measured, key):
-                file.write(f"# {key}: {value}\n".encode())
-        tail = "" if measured.coherence is None else ",coherence"
-        file.write(f"frequency_hz,magnitude{unit},phase_deg{tail}\n".encode())
-        cells = [measured.frequency_hz, np.abs(measured.value), measured.phase_deg]
-        cells += [] if measured.coherence is None else [measured.coherence]
-        for row in zip(*(column.tolist() for column in cells), strict=True):
-            file.write((",".join(map(repr, row)) + "\n").encode())

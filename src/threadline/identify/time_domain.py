@@ -26,7 +26,13 @@ from numpy.typing import NDArray
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, OptionError, Place, RecordingError
 from threadline.files import ChannelKind, Recording, Stream, TickBlock, TickTable
-from threadline.files.recording import Channel
+from threadline.identify.recorded_run import (
+    columns_in,
+    commands_in,
+    cut_as_recorded,
+    moves,
+    refuse_clipped,
+)
 from threadline.machine import Machine
 from threadline.machine.controllers import Dac, PController, StateSpaceController
 from threadline.machine.parts import Body, Encoder
@@ -36,11 +42,6 @@ from threadline.twin.batch import simulate_batch
 
 _PHASES = 8
 _MOVING_S = 0.5
-_MOST_TICKS = 400_000
-_LEAST_TICKS = 20
-_LEAST_MOTION = 20.0  # counts
-_ON_COUNTS = 0.02
-_CLIPPED = 0.2  # share of samples with the controller at its clamp, from which a run is refused
 _WINDOWS = 40
 _UNLIKELY = 6.0
 
@@ -220,9 +221,10 @@ def recording_data(
         )
     if recording.runs != 1:
         raise RecordingError(f"it has {recording.runs} runs", place=place, remedy="Give one run.")
-    columns = _columns(recording, machine, place)
-    commands = _commands(columns, machine, recording.job_sha256, place)
-    moved = [name for name in machine.axes if _moves(columns, name, machine)]
+    columns = columns_in(recording, machine, place)
+    commands = commands_in(columns, machine, recording.job_sha256, place)
+    moved = [name for name in machine.axes if moves(columns, name, machine)]
+    machine, powered = cut_as_recorded(recording, machine, place)
     chosen = [name for name in moved if axis in {"", name}]
     chosen = [name for name in chosen if (ChannelKind.MEASURED, name) in columns]
     if not chosen:
@@ -234,7 +236,7 @@ def recording_data(
         )
     for name in chosen:
         if (volts := columns.get((ChannelKind.VOLTAGE, name))) is not None:
-            _refuse_clipped(machine, name, volts, place)
+            refuse_clipped(machine, name, volts[:powered], place)
     by_volts = all(_volts_of_each_tick(columns, name, machine) for name in chosen)
     # In the loop the volts follow from the positions, with more rounding: they say nothing new.
     ending = "load" if by_volts else "measured"
@@ -345,113 +347,3 @@ def _in_motion(
         moving[1:] |= np.diff(columns[ChannelKind.COMMANDED, name]) != 0.0
     kept = max(round(_MOVING_S / float(machine.tick_clock.period_s)), 1)
     return np.convolve(moving, np.ones(kept), mode="full")[: len(moving)] > 0.5
-
-
-def _columns(
-    recording: Recording, machine: Machine, place: Place
-) -> dict[tuple[ChannelKind, str], FloatArray]:
-    """Return the samples of commands, positions and volts, by kind and axis, in SI."""
-    kinds = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.VOLTAGE)
-    wanted: list[Channel] = [
-        c for c in recording.channels if c.kind in kinds and c.axis in machine.axes
-    ]
-    tick = machine.tick_clock.period_s
-    for channel in wanted:
-        period = channel.clock.period_s * channel.stride
-        if abs(float(period / tick) - 1.0) > 1e-6:
-            raise RecordingError(
-                f"{channel.name} has a sample each {float(period) * 1e3:g} ms, but the tick of "
-                f"{machine.name} is {float(tick) * 1e3:g} ms",
-                place=place,
-                remedy="Record every tick.",
-            )
-    parts: dict[tuple[ChannelKind, str], list[FloatArray]] = {}
-    due: int | None = None
-    for block in recording:
-        first = {block.first_tick[c.clock.name] for c in wanted}
-        if due is not None and first and first != {due}:
-            raise RecordingError(
-                f"samples are missing at {due * float(tick):.6g} s",
-                place=place,
-                remedy="Fit a run without gaps.",
-            )
-        for channel in wanted:
-            parts.setdefault((channel.kind, channel.axis), []).append(block.samples[channel.name])
-        if wanted:
-            due = next(iter(first)) + len(block.samples[wanted[0].name])
-            if due > _MOST_TICKS:
-                raise RecordingError(
-                    f"more than {_MOST_TICKS} samples", place=place, remedy="Fit a shorter run."
-                )
-    return {key: np.concatenate(blocks) for key, blocks in parts.items()}
-
-
-def _commands(
-    columns: Mapping[tuple[ChannelKind, str], FloatArray],
-    machine: Machine,
-    job_sha256: str,
-    place: Place,
-) -> TickTable:
-    """Return the recorded commands as a table of counts; an axis without any stands still."""
-    given = {name: columns.get((ChannelKind.COMMANDED, name)) for name in machine.axes}
-    lengths = {len(one) for one in given.values() if one is not None}
-    if not lengths:
-        raise RecordingError(
-            "the commanded position is missing",
-            place=place,
-            remedy="Record it: a column X.commanded [mm].",
-        )
-    (length,) = lengths
-    if length < _LEAST_TICKS:
-        raise RecordingError(
-            f"{length} samples, fewer than {_LEAST_TICKS}", place=place, remedy="Record a move."
-        )
-    counts = np.zeros((length, len(machine.axes)), dtype=np.int64)
-    for column, (name, axis) in enumerate(machine.axes.items()):
-        position = given[name]
-        if position is None:
-            continue
-        exact = position * axis.counts.si
-        counts[:, column] = np.rint(exact)
-        off = float(np.abs(exact - counts[:, column]).max())
-        if off > _ON_COUNTS:
-            raise RecordingError(
-                f"{name}.commanded lies up to {off:.2g} counts beside whole counts of "
-                f"{machine.name} ({axis.counts.si:.6g} {axis.counts.unit})",
-                place=place,
-                remedy="Give the machine file of the run, and the commands as it was told them.",
-            )
-    rows = np.diff(counts, axis=0)
-    block = TickBlock(first_tick=0, counts=rows, operation=np.zeros(len(rows), dtype=np.int64))
-    return TickTable(
-        clock=machine.tick_clock,
-        axes=machine.axis_names,
-        counts_per_unit=np.array([axis.counts.si for axis in machine.axes.values()]),
-        start_counts=counts[0],
-        blocks=Stream(iter, (block,)),
-        job_sha256=job_sha256,
-        machine_sha256=machine.sha256,
-    )
-
-
-def _moves(
-    columns: Mapping[tuple[ChannelKind, str], FloatArray], name: str, machine: Machine
-) -> bool:
-    position = columns.get((ChannelKind.COMMANDED, name))
-    if position is None or not machine.axes[name].controller:
-        return False
-    return float(np.ptp(position)) * machine.axes[name].counts.si >= _LEAST_MOTION
-
-
-def _refuse_clipped(machine: Machine, axis: str, volts: FloatArray, place: Place) -> None:
-    """Refuse a run whose volts are mostly those of the clamp: it says little about the loop."""
-    dac = machine.controller_of(axis).dac
-    full = dac.range.si * (1.0 - 2.0 ** (1.0 - dac.bits.si))
-    share = float(np.mean(np.abs(volts) >= full * (1.0 - 1e-9)))
-    if share > _CLIPPED:
-        raise RecordingError(
-            f"the controller of {axis} is at its clamp of {full:.4g} V in {100.0 * share:.0f} % of "
-            f"the samples, limit {100.0 * _CLIPPED:.0f} %",
-            place=place,
-            remedy="Record a slower run.",
-        )

@@ -309,8 +309,10 @@ class _Reader:
 
     def _time(self, row: Mapping[str, Any], index: int, key: str) -> float:
         value = self._number(row[key], "s", index, key)
-        if not 0.0 < value <= 86400.0:
-            self.refuse(f"{key} = {row[key]!r} is not within 0 ... 24 h", index, key)
+        still = key == "dwell"  # a dwell of 0 does nothing; a wait of 0 would be a fault at once
+        if not 0.0 <= value <= 86400.0 or (value == 0.0 and not still):
+            room = "within 0 ... 24 h" if still else "more than 0 and at most 24 h"
+            self.refuse(f"{key} = {row[key]!r} is not {room}", index, key)
         return value
 
     def _number(self, text: Any, unit: str, index: int, key: str) -> float:

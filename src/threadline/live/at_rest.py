@@ -131,6 +131,8 @@ class AtRest:
     def home(self) -> None:
         """Home the machine; a stop ends homing and leaves it enabled, not homed.
 
+        Positions that were reported before are forgotten: the machine stands elsewhere now.
+
         Raises
         ------
         LinkFaultError
@@ -148,6 +150,8 @@ class AtRest:
             self._go(Cause.AT_REST_UNHOMED)
             return
         self._stands = found
+        places = {channel.name for channel in self.far_end.channels if channel.axis}
+        self.latest = {name: at for name, at in self.latest.items() if name not in places}
         self._go(Cause.HOMED)
 
     def _stopped(self) -> bool:

@@ -19,6 +19,7 @@ from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LimitError, OptionError
 from threadline.files import Channel, ChannelKind, Event, RecordingBlock
 from threadline.files.formats import read_recording
+from threadline.jobs.holes import hole_operations
 from threadline.live.braking import CountLimits
 from threadline.live.derived import Rest
 from threadline.live.jogging import manual_feed
@@ -148,7 +149,8 @@ def operation_at(plan: Plan, executed: int, at: str) -> int:
         The last operation that was executed.
     at
         ``block``: that operation. ``circuit``: the beginning of its circuit. ``circuit N`` or
-        ``line N``: the last execution of this circuit, or of this line of the job.
+        ``line N``: the last execution of this circuit, or of this line of the job. ``stitch N``:
+        the stitch with that number, counted from 1; ``back N``: N stitches before the next one.
 
     Raises
     ------
@@ -160,8 +162,12 @@ def operation_at(plan: Plan, executed: int, at: str) -> int:
         return executed
     wrong = OptionError(
         f"--at {at[:40]!r} is no place of a job",
-        remedy='Give "block", "circuit", "circuit 12" or "line 40".',
+        remedy='Give "block", "circuit", "circuit 12", "line 40", "stitch 120" or "back 10".',
     )
+    if word in {"stitch", "back"}:
+        if not _NUMBER.fullmatch(number):
+            raise wrong
+        return _stitch_at(plan, executed, word, int(number))
     if word not in {"circuit", "line"} or (number and not _NUMBER.fullmatch(number)):
         raise wrong
     if word == "line" and not number:
@@ -183,6 +189,23 @@ def operation_at(plan: Plan, executed: int, at: str) -> int:
             remedy='Give "block" for the place that it had reached.',
         )
     return begins
+
+
+def _stitch_at(plan: Plan, executed: int, word: str, number: int) -> int:
+    """Return the operation of a stitch that was reached; see ``operation_at``."""
+    holes = hole_operations(plan.job)
+    if not len(holes):
+        raise OptionError(
+            f"--at '{word} {number}': {plan.job.name} has no stitches", remedy='Give "block".'
+        )
+    reached = int(np.searchsorted(holes, executed, side="right"))  # with the one under way
+    wanted = number if word == "stitch" else max(reached - number, 1)
+    if not 1 <= wanted <= reached:
+        raise OptionError(
+            f"--at '{word} {number}': the run has reached stitch {reached}",
+            remedy='Give a stitch up to that one, or "block".',
+        )
+    return int(holes[wanted - 1])
 
 
 def _circuit(operation: object) -> int | None:

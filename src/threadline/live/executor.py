@@ -63,6 +63,7 @@ class Executor(AtRest):
         self._real_time = speed == 1.0
         self._many = _many(machine) if speed == 0.0 or speed >= _QUICK else 0
         self._run_kind = run_kind_of(machine)
+        self._period_s = float(machine.command_clock.period_s)
         self._ahead: RunAhead | JogAhead | None = None
         self._hold_at_rest = False
         self._lease = ticks_in(LEASE_S, machine)
@@ -87,7 +88,7 @@ class Executor(AtRest):
         ahead = self._ahead
         if not isinstance(ahead, Ahead):
             return self.time_s
-        return ahead.place_at(self.tick) * float(self._machine.tick_clock.period_s)
+        return ahead.place_at(self.tick) * self._period_s  # rows: its ticks are its commands
 
     @property
     def under_way(self) -> bool:

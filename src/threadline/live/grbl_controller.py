@@ -17,6 +17,18 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.errors import CommandError, LinkFaultError
+from threadline.live.grbl_settings import (
+    ACCELERATION,
+    RATE,
+    SAME,
+    STEPS,
+    BoardSetting,
+    compared,
+    number_of,
+    texts_of,
+    units_of,
+    wanted_of,
+)
 from threadline.live.grbl_words import (
     JOG_CANCEL,
     RESET,
@@ -37,7 +49,6 @@ from threadline.machine import Machine
 _ANSWER_S = 3.0
 _HOMING_S = 120.0
 _LISTEN_S = 0.05  # longest wait for the controller while the operator may stop it
-_SAME = 1e-3  # relative tolerance between a setting and the machine file
 _QUIET_S = 5.0  # within which a controller has sent its start-up messages after a reset
 _LEAST_ROOM = 40  # characters of its receive buffer
 ASLEEP_S = 1.0  # between two looks of a wait; longer: this program was suspended
@@ -66,6 +77,8 @@ class Controller:
         Characters that its receive buffer holds: 128, unless it reports fewer.
     brakes_s
         Time in s in which every axis stops from its highest speed, by its settings.
+    identity
+        Version of its firmware, as it tells it; empty before it was asked.
     """
 
     def __init__(self, port: Port, machine: Machine) -> None:
@@ -73,9 +86,24 @@ class Controller:
         self.blocks, self.room, self.brakes_s = 15, RX_BYTES, 0.0
         self._letters: tuple[str, ...] = ()
         self._homes = False
+        self.identity = ""
+        self._texts: dict[int, str] = {}  # its settings, by number
 
     def meet(self) -> None:
         """Connect to the controller, which must stand still, and check its settings.
+
+        Raises
+        ------
+        LinkFaultError
+            If it does not answer, or moves.
+        CommandError
+            If its settings are for another machine.
+        """
+        self.greet()
+        self.compare()
+
+    def greet(self) -> None:
+        """Connect to the controller, which must stand still, and read its settings.
 
         No motion is sent; earlier motion of the controller is not continued.
 
@@ -84,7 +112,7 @@ class Controller:
         LinkFaultError
             If it does not answer, or moves.
         CommandError
-            If its settings are for another machine.
+            If its reports cannot be read, or it lacks an axis.
         """
         found = self.ask_status()
         if found.state not in {"Idle", "Alarm"}:
@@ -101,10 +129,20 @@ class Controller:
                 f"{_LEAST_ROOM}, a move by hand",
                 remedy="Build its firmware with a larger one.",
             )
-        settings = settings_of(self.ask(b"$$\n", _ANSWER_S))
+        self.read_settings()
+
+    def read_settings(self) -> None:
+        """Read its settings at rest; a CommandError if its reports cannot be read with them."""
+        lines = self.ask(b"$$\n", _ANSWER_S)
+        settings, self._texts = settings_of(lines), texts_of(lines)
         _refuse_other_reports(settings)
-        self._compare(settings)
+        self._refuse_missing()
         self._homes = bool(settings.get(22, 0.0))
+
+    @property
+    def settings(self) -> list[BoardSetting]:
+        """Its settings beside the machine file; empty before they were read."""
+        return compared(self._texts, self.machine, self._letters) if self._texts else []
 
     @property
     def has_switches(self) -> bool:
@@ -220,21 +258,37 @@ class Controller:
                 )
 
     def _ask_letters(self) -> tuple[str, ...]:
-        """Return the letters of its axes, in the order of its reports."""
+        """Read what it says of itself; return the letters of its axes, in the order of its reports.
+
+        The size of the receive buffer stands before the axes in grblHAL, and after them in
+        grbl-Mega-5X.
+        """
+        letters: tuple[str, ...] = ("X", "Y", "Z")
         for line in self.ask(b"$I\n", _ANSWER_S):
+            if line.startswith("[VER:"):
+                self.identity = line.strip("[]").removeprefix("VER:").strip(":")
             if line.startswith("[AXS:") and line.count(":") > 1:
-                return tuple(line.strip("[]").split(":")[2])
+                letters = tuple(line.strip("[]").split(":")[2])
             if line.startswith("[OPT:"):
                 told = _OPTIONS.fullmatch(line)
                 self.blocks = self.blocks if told is None else int(told[1])
                 if told is not None and told[2] is not None:
                     self.room = min(int(told[2]), RX_BYTES)
-        return ("X", "Y", "Z")
+        return letters
 
     def _columns(self) -> Sequence[int]:
         return [self._letters.index(name) for name in self.machine.axis_names]
 
-    def _compare(self, settings: dict[int, float]) -> None:
+    def _refuse_missing(self) -> None:
+        """Refuse a controller that lacks an axis of the machine."""
+        missing = [name for name in self.machine.axis_names if name not in self._letters]
+        if missing:
+            raise CommandError(
+                f"the controller has no axis {missing[0]}: it has {', '.join(self._letters)}",
+                remedy="Build its firmware with that axis, or name the axes of the machine so.",
+            )
+
+    def compare(self) -> None:
         """Refuse a controller whose axes do not match the machine.
 
         Raises
@@ -242,34 +296,25 @@ class Controller:
         CommandError
             Names the first setting that differs, or lets an axis exceed its limit.
         """
-        machine = self.machine
-        missing = [name for name in machine.axis_names if name not in self._letters]
-        if missing:
-            raise CommandError(
-                f"the controller has no axis {missing[0]}: it has {', '.join(self._letters)}",
-                remedy="Build its firmware with that axis, or name the axes of the machine so.",
-            )
-        units = units_of(machine)
-        per_unit = machine.counts_per_unit * units
-        fastest = 60.0 * machine.velocity_limit / units
-        quickest = machine.acceleration_limit / units
-        for k, (name, letter) in enumerate(zip(machine.axis_names, self._columns(), strict=True)):
-            for first, wanted, exact, what in (
-                (100, per_unit[k], True, "steps"),
-                (110, fastest[k], False, "speed"),
-                (120, quickest[k], False, "acceleration"),
+        machine, self.brakes_s = self.machine, 0.0
+        wanted = wanted_of(machine, self._letters)
+        for name, letter in zip(machine.axis_names, self._columns(), strict=True):
+            for first, exact, what in (
+                (STEPS, True, "steps"),
+                (RATE, False, "speed"),
+                (ACCELERATION, False, "acceleration"),
             ):
                 number = first + letter
-                has = settings.get(number, np.nan)
-                high = 0.0 < has <= wanted * (1.0 + _SAME)
-                if not high or (exact and has < wanted * (1.0 - _SAME)):
+                has, right = number_of(self._texts.get(number, "")), wanted[number]
+                high = 0.0 < has <= right * (1.0 + SAME)
+                if not high or (exact and has < right * (1.0 - SAME)):
                     raise CommandError(
                         f"${number}={has:g} of the controller: the {what} of {name} in "
-                        f"{machine.name} is {wanted:.6g}",
-                        remedy=f"Set ${number}={wanted:.6g}, or correct the machine file.",
+                        f"{machine.name} is {right:.6g}",
+                        remedy=f"Set ${number}={right:.6g}, or correct the machine file.",
                     )
-            brakes_s = settings[110 + letter] / 60.0 / settings[120 + letter]
-            self.brakes_s = max(self.brakes_s, brakes_s)
+            speed, gain = (number_of(self._texts[n + letter]) for n in (RATE, ACCELERATION))
+            self.brakes_s = max(self.brakes_s, speed / 60.0 / gain)
 
     def position(self, found: Status) -> FloatArray:
         """Return the (axes,) position in a status report, m or rad; else a LinkFaultError."""
@@ -309,13 +354,6 @@ def _refuse_other_reports(settings: dict[int, float]) -> None:
             "read",
             remedy=f"Set $10={right}.",
         )
-
-
-def units_of(machine: Machine) -> FloatArray:
-    """Return the (axes,) m or rad per unit of grbl: a millimetre, or a degree."""
-    return np.array(
-        [1e-3 if axis.kind == "linear" else np.pi / 180.0 for axis in machine.axes.values()]
-    )
 
 
 AHEAD_S = 0.2

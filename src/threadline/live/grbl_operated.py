@@ -13,14 +13,16 @@ from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LinkFaultError
 from threadline.files import Channel, RunEnd
 from threadline.live.executor import LEASE_S
+from threadline.live.grbl_board import GrblBoard
+from threadline.live.grbl_console import Traffic, console_line
 from threadline.live.grbl_controller import Controller, GrblJog, fastest_by_hand
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_run import POLL_S, GrblRun
-from threadline.live.grbl_words import AS_IS, Status, in_words
+from threadline.live.grbl_words import Status, in_words
 from threadline.live.guards import clock_s
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load
-from threadline.live.states import Cause, Desk, Sink, State, next_state
+from threadline.live.states import MOVING, Cause, Desk, Sink, State, next_state
 
 _AT_REST = frozenset({State.DISABLED, State.ENABLED, State.FAULT})
 """States in which reports of a controller at rest are ignored: nothing is begun in them."""
@@ -46,6 +48,9 @@ class GrblOperated(GrblRun):
         self._set_out = False
         self._jog: GrblJog | None = None
         self._lease_until_s = 0.0
+        traffic = Traffic(lambda: self.under_way and self._jog is None, lambda: self.under_way)
+        self.board = GrblBoard(controller, traffic)
+        self._port.log = traffic
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -77,10 +82,18 @@ class GrblOperated(GrblRun):
     # --- at rest ---------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Connect to the controller; see ``Controller.meet``."""
-        self.controller.meet()
+        """Connect to the controller; see ``Controller.greet``.
+
+        Settings for another machine are a fault, which a reset leaves once they match.
+        """
+        self.controller.greet()
+        self.board.readings += 1
         self._note(self.controller.ask_status())
         self._trace.begin(self._at)
+        try:
+            self.controller.compare()
+        except CommandError as error:
+            self._fault_at_rest(f"{error.message}. {error.remedy}")
 
     def close(self) -> None:
         """Disconnect; a running controller is told to hold first."""
@@ -111,7 +124,8 @@ class GrblOperated(GrblRun):
         Raises
         ------
         CommandError
-            If there is no fault, the machine still brakes, or the link is gone.
+            If there is no fault, the machine still brakes, the link is gone, or the settings are
+            for another machine: they are read again.
         """
         next_state(self.state, Cause.RESET)
         if self._port.lost:
@@ -119,8 +133,53 @@ class GrblOperated(GrblRun):
         if self.under_way:
             raise CommandError("the machine is still braking", remedy="Wait until it stands.")
         self.controller.unlock()
-        self._overrides = np.full(3, AS_IS)
+        self._overrides.reset()
+        self._read_settings()
+        self.controller.compare()
         self._go(Cause.RESET)
+
+    def type_line(self, line: str) -> None:
+        """Send a line that the operator typed, and wait for its answer.
+
+        A setting that was written is a fault: the settings are compared again at the reset that
+        leaves it, and the machine must be homed.
+
+        Raises
+        ------
+        CommandError
+            If something moves, or a console must not send the line.
+        """
+        self._refuse_moving()
+        if self._port.lost:
+            raise CommandError("the link is gone", remedy="Reconnect.")
+        typed = console_line(line)
+        try:
+            answer = self.board.send(typed, self._stopped)
+            self._heard_s = clock_s()
+            if typed.setting is None or answer != "ok":
+                return
+            self._read_settings()
+        except LinkFaultError as error:
+            self._fault_at_rest(error.message)
+            return
+        self.homed = False
+        self._fault_at_rest(
+            f"the setting ${typed.setting} was written: Reset compares it with the machine file, "
+            "then home the machine"
+        )
+
+    def _refuse_moving(self) -> None:
+        """Refuse a typed line in a motion, and in the hold of a run."""
+        if self.under_way or self.state in MOVING:
+            raise CommandError(
+                "the console sends nothing while the machine moves or a run is held: its line "
+                "would wait behind those of the run",
+                remedy="Wait until it stands, or stop it.",
+            )
+
+    def _read_settings(self) -> None:
+        self.controller.read_settings()
+        self.board.readings += 1
 
     def stand(self, patience_s: float) -> None:
         """Listen to a controller at rest for at most ``patience_s``, and execute commands."""
@@ -148,7 +207,8 @@ class GrblOperated(GrblRun):
     def _note(self, found: Status) -> None:
         self._at = self.controller.position(found)
         self._heard_s = clock_s()
-        self._knows_overrides(found)
+        self.board.report(found)
+        self._overrides.take(found, to_note=False)
         self._keep_latest()
 
     def _keep_latest(self) -> None:
@@ -300,6 +360,7 @@ class GrblOperated(GrblRun):
         if not self.under_way:
             self._report_at_rest(found)
             return
+        self.board.report(found)
         if jog is None:
             super()._report(found)
             return

@@ -27,7 +27,8 @@ from threadline.files import (
     tick_table,
 )
 from threadline.live.derived import Rest, rest_from_row
-from threadline.live.grbl_controller import Controller, units_of
+from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_settings import units_of
 from threadline.live.grbl_words import Program, program_of, runs_out
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Sink
@@ -262,30 +263,3 @@ class ReportTrace:
     def _put(self, samples: dict[str, FloatArray], *events: Event) -> None:
         first = {_CLOCK.name: self.tick}
         self._sink.block(RecordingBlock(first_tick=first, samples=samples, events=events))
-
-
-def way_passed(
-    program: Program,
-    machine: Machine,
-    places: tuple[FloatArray, FloatArray],
-    executed: tuple[int, int],
-) -> tuple[FloatArray, IntArray]:
-    """Return where another line began between two reports, and the operations.
-
-    Parameters
-    ----------
-    program, machine
-        The program, and its machine.
-    places, executed
-        For the two reports: the (axes,) position, and the number of executed lines.
-
-    Returns
-    -------
-    tuple
-        (n,) shares of the motion at which another line began, and (n + 1,) operations.
-    """
-    was, now = executed
-    ways = np.vstack([places[0], *program.ends[was:now], places[1]]) * machine.radius_m
-    gone = np.cumsum(np.linalg.norm(np.diff(ways, axis=0), axis=1))
-    lines = np.minimum(np.arange(was, now + 1), len(program.operations) - 1)
-    return gone[:-1] / max(gone[-1], 1e-12), program.operations[lines]

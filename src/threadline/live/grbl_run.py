@@ -6,7 +6,6 @@ Only its position reports tell what moves: an answer means that a line was recei
 
 from __future__ import annotations
 
-import re
 import select
 
 import numpy as np
@@ -17,40 +16,34 @@ from threadline.files import RunEnd
 from threadline.live.at_rest import OPERATOR
 from threadline.live.feed_override import refuse_override
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_program import ReportTrace, way_passed
+from threadline.live.grbl_program import ReportTrace
+from threadline.live.grbl_way import OFF_PATH_M, Way, refuse_program, way_passed
 from threadline.live.grbl_words import (
-    AS_IS,
     HOLD,
     PAUSES,
     RESET,
     RESUME,
     STATUS,
     CharacterCount,
+    Overrides,
     Program,
     Status,
     in_words,
-    override_bytes,
-    override_words,
     program_of,
     status_of,
 )
 from threadline.live.guards import clock_s
-from threadline.live.pace import place_words
 from threadline.live.states import MOVING, Cause, Desk, Sink, State, homed_after, next_state
 
-POLL_S = 0.1
-"""Interval of position requests, s."""
+POLL_S = 0.1  # interval of position requests
 SILENCE_S = 1.0
 """Time in s without a report after which the link counts as lost."""
 FRESH_S = 5.0  # largest age of the latest report at a start
 _SETTLE_S = 0.5
-_STOP = re.compile(rb"M0?0(?![0-9.])")
 OBEYS_S = 1.0  # within which a controller reports that it obeys a hold or a resume
-OFF_PATH_M = 1e-3
 _STANDS_S = 1.0  # short of the end of its program, after which the run has failed
 ANSWERS_S = 30.0  # beyond the time of its lines: a spindle may be waited for
 _LISTENS_S = 0.05  # at a time: the operator may have sent a command meanwhile
-_OVERRIDES_S = 5.0  # for an override: nine coarse and nine fine steps, a report for each
 _HOLDS_S = 2.0  # beyond twice its braking time, after which a hold has failed
 
 
@@ -68,8 +61,6 @@ class GrblRun:
 
     Attributes
     ----------
-    controller
-        As given.
     state
         State of the run, as in an executor.
     executed
@@ -98,7 +89,7 @@ class GrblRun:
         self.why = ""
         self._at: FloatArray = np.zeros(len(machine.axes))
         self._asked_s = self._heard_s = 0.0
-        self._overrides: FloatArray = np.full(3, AS_IS)
+        self._overrides = Overrides()
         self._none = program_of(b"", machine.axis_names, np.ones(len(machine.axes)), self._at)
         self._trace = ReportTrace(machine, sink)
         self._forget()
@@ -110,7 +101,7 @@ class GrblRun:
         self.executed = self.acknowledged = 0
         self._count = CharacterCount(self.controller.room)
         self._program = self._none
-        self._sent_from = self._at
+        self._way = Way(self._none, self._machine, self._at)
         self._begun_s = 0.0
         self._settled_s: float | None = None
         self._braking = False
@@ -118,10 +109,7 @@ class GrblRun:
         self._told_s = -np.inf  # time of the last hold or resume command
         self._looked_s = clock_s()
         self.no_override = ""
-        self._unnoted = False  # whether overrides have changed that were not noted yet
-        self._wanted: int | None = None  # override of the feed, %, until the controller has it
-        self._overrode_s = -np.inf  # time of the latest step to it
-        self._override_until_s = np.inf  # when it has failed
+        self._overrides.forget_wanted()
         self._last_state_words = ""  # reported by the controller while it holds
         self._unready = ""  # why it cannot resume
         self._passed = -1  # line of the M0 that was passed last
@@ -140,8 +128,6 @@ class GrblRun:
     def _all_answered(self) -> bool:
         return self.acknowledged == len(self._program.lines)
 
-    # --- before a run ----------------------------------------------------------------------
-
     def enable(self) -> None:
         """Do nothing but change the state: grbl switches its drives by itself."""
         self._go(Cause.ENABLE)
@@ -157,7 +143,7 @@ class GrblRun:
         self._heard_s = clock_s()
         self._trace.begin(self._at)
         found = self.controller.has_switches
-        self._go(Cause.HOMED, "" if found else "it has no switches: it is where it says")
+        self._go(Cause.HOMED, "" if found else "it has no switches: its reported positions count")
 
     def _stopped(self) -> bool:
         """Process commands while it homes; return whether one was a stop."""
@@ -198,39 +184,15 @@ class GrblRun:
         self._trace.again(self._at)
         self._program, self.no_override = program, no_override
         self._go(Cause.START)
-        self._sent_from = starts
+        self._way = Way(program, self._machine, starts)
         self._begun_s = self._heard_s = clock_s()
-        if (self._overrides != AS_IS).any():
+        if not self._overrides.as_is:
             self._note_overrides()
         self._feed()
 
     def refuse_program(self, program: Program, starts: FloatArray) -> None:
         """Refuse a program that begins elsewhere, or leaves the travel; see ``start``."""
-        away = np.abs(self._at - starts) * self._machine.radius_m
-        if away.max() > OFF_PATH_M:
-            k, machine = int(away.argmax()), self._machine
-            here, there = (
-                place_words(machine, machine.axis_names[k], float(at[k]))
-                for at in (self._at, starts)
-            )
-            raise CommandError(
-                f"axis {machine.axis_names[k]} stands at {here}, the run begins at {there}",
-                remedy="Move it there first (run --approach, or Approach of the panel).",
-            )
-        longest = max(map(len, program.lines), default=0)
-        if longest > self.controller.room:
-            raise CommandError(
-                f"a line of the program has {longest} characters, the receive buffer of the "
-                f"controller {self.controller.room}",
-                remedy="Build its firmware with a larger one.",
-            )
-        for end in program.ends:
-            if name := self.controller.beyond(end):
-                raise CommandError(
-                    f"axis {name}: the program leaves its travel", remedy="Move the job."
-                )
-
-    # --- a run -----------------------------------------------------------------------------
+        refuse_program(program, self.controller, self._at, starts)
 
     def step(self) -> None:
         """Wait for a line or a command and act on it; call it until ``over`` is True."""
@@ -291,7 +253,7 @@ class GrblRun:
     @property
     def percent(self) -> int:
         """Override of the feed that the controller has reported, %."""
-        return round(float(self._overrides[0]))
+        return self._overrides.percent
 
     @property
     def plan_s(self) -> float:
@@ -299,38 +261,18 @@ class GrblRun:
         return float(self._program.durations_s[: self.executed].sum())
 
     def override(self, percent: int) -> None:
-        """Override the feed of the run at the controller, step by step as it reports them.
-
-        Parameters
-        ----------
-        percent
-            From 10 to 100: a proof covers no more.
-
-        Raises
-        ------
-        CommandError
-            If it is beyond that, there is no run, or this run allows none.
-        """
+        """Override the feed at the controller, step by step; see ``Executor.override``."""
         refuse_override(percent, self.state, self.no_override)
-        self._wanted, self._override_until_s = percent, clock_s() + _OVERRIDES_S
+        self._overrides.want(percent, clock_s())
         self._override_on()
 
     def _override_on(self) -> None:
-        """Send the next step to the wanted override; end where the controller has it."""
-        if self._wanted is None or self._wanted == self.percent:
-            self._wanted = None
-            return
-        now_s = clock_s()
-        if now_s > self._override_until_s:
-            text = (
-                f"the controller was told to override the feed by {self._wanted} %, and reports "
-                f"{self.percent} %"
-            )
-            self._wanted = None
-            self._sink.state(self._trace.tick, self.state, Cause.OVERRIDE, text)
-            return
-        self._overrode_s = now_s
-        self._port.send(override_bytes(self._wanted, self.percent))
+        """Send the next step to the wanted override, or tell that the controller lacks it."""
+        sent, failed = self._overrides.step(clock_s())
+        if sent:
+            self._port.send(sent)
+        if failed:
+            self._sink.state(self._trace.tick, self.state, Cause.OVERRIDE, failed)
 
     def _listen(self) -> None:
         """Act on the controller's messages, or on its silence."""
@@ -396,7 +338,7 @@ class GrblRun:
         elif line.startswith("ALARM"):
             self._fault(f"the controller is in alarm: {in_words(line)}")
         elif line.lower().startswith("grbl"):
-            self._overrides = np.full(3, AS_IS)
+            self._overrides.reset()
             if not (self._braking and self._settled_s):
                 self._fault("the controller was reset")
 
@@ -410,13 +352,14 @@ class GrblRun:
         self._trace.record(self._heard_s - self._begun_s, self._at, *passed)
         if self._settled_s is not None:
             self.over = self._heard_s >= self._settled_s
-            if self.over:
-                self._leave()
+            if self.over and self.state in (State.STOPPING, State.RUNNING):
+                stopping = self.state is State.STOPPING
+                self._go(Cause.AT_REST if stopping else Cause.COMPLETED)
             return
-        self._unnoted = self._knows_overrides(found) or self._unnoted
-        if found.overrides is not None or self._heard_s - self._overrode_s > OBEYS_S:
+        self._overrides.take(found)
+        if found.overrides is not None or self._overrides.waited_s(self._heard_s) > OBEYS_S:
             self._override_on()
-        if self._unnoted and self._wanted is None:  # steps on the way to one are not told
+        if self._overrides.to_note:
             self._note_overrides()
         if found.state != "Idle":
             self._stood_s = np.inf
@@ -434,18 +377,9 @@ class GrblRun:
         elif not self._braking:
             self._follow(found)
 
-    def _knows_overrides(self, found: Status) -> bool:
-        """Keep the overrides in a report; return whether they differ from those before."""
-        before, told = self._overrides, found.overrides
-        if told is None or np.array_equal(told, before):
-            return False
-        self._overrides = told
-        return True
-
     def _note_overrides(self) -> None:
         """Write the overrides, set at the controller itself, into recording and log."""
-        self._unnoted = False
-        text = override_words(self._overrides)
+        text = self._overrides.noted()
         self._trace.note("override", text, self._operation)
         text = f"overrides set at the controller: {text}"
         self._sink.state(self._trace.tick, self.state, Cause.OVERRIDE, text)
@@ -460,10 +394,15 @@ class GrblRun:
         """Follow the controller's own changes: hold, resume, or end if it cannot go on."""
         fresh = self._heard_s - self._told_s > OBEYS_S  # else the report may be the older
         if found.state in PAUSES:
-            door = found.state == "Door"
+            door, k = found.state == "Door", self.acknowledged
             self._unready = found.words if door and found.detail in (1, 2) else ""
-            if self._pass_stops and not door and self._stands_at_stop():
-                self._passed = self.acknowledged
+            if (
+                self._pass_stops
+                and not door
+                and k != self._passed
+                and self._way.stands_at_stop(k, self._at)
+            ):
+                self._passed = k
                 self._port.send(RESUME)
                 self._told_s = clock_s()
                 return
@@ -490,22 +429,6 @@ class GrblRun:
             else:
                 self._stand_unanswered()
 
-    def _stands_at_stop(self) -> bool:
-        """Return whether the controller stands at an M0 that it was not yet told to pass.
-
-        grbl answers an M0 only after it is resumed, so that the M0 is the first line without an
-        answer; and it stands at the end of the line before. A hold by its button on the way there
-        is the operator's.
-        """
-        k = self.acknowledged
-        if k >= len(self._program.lines) or k == self._passed:
-            return False
-        if _STOP.search(self._program.lines[k]) is None:
-            return False
-        there = self._program.ends[k - 1] if k else self._sent_from
-        away_m = np.linalg.norm((there - self._at) * self._machine.radius_m)
-        return float(away_m) <= 0.1 * OFF_PATH_M
-
     def _stand_unanswered(self) -> None:
         """Accept a standing controller with open lines for as long as these lines may wait."""
         self._stood_s = min(self._stood_s, self._heard_s)
@@ -519,9 +442,7 @@ class GrblRun:
 
         A report from before the last line began may show it elsewhere for a moment.
         """
-        ends = self._program.ends
-        away = (ends[-1] if len(ends) else self._sent_from) - self._at
-        away_m = float(np.linalg.norm(away * self._machine.radius_m))
+        away_m = self._way.end_away_m(self._at)
         if away_m <= OFF_PATH_M:
             self.executed = self.acknowledged
             self.ended = (RunEnd.COMPLETED, "")
@@ -538,36 +459,18 @@ class GrblRun:
         """Advance along the answered lines to the reported position."""
         if self._braking or not len(self._program.lines):
             return
-        radius = self._machine.radius_m
-        ends, at = self._program.ends * radius, self._at * radius
-        last = min(self.acknowledged + 1, len(ends))
-        nearest = np.inf
-        for k in range(self.executed, last):
-            begin = ends[k - 1] if k else self._sent_from * radius
-            way = ends[k] - begin
-            long = float(way @ way)
-            share = 0.0 if long == 0.0 else float(np.clip((at - begin) @ way / long, 0.0, 1.0))
-            off = float(np.linalg.norm(begin + share * way - at))
-            nearest = min(nearest, off)
-            if off <= 0.1 * OFF_PATH_M and long:
-                self.executed = k + (share == 1.0)
-                return
-        if nearest > OFF_PATH_M and np.isfinite(nearest):
-            self._fault(f"the controller is {1e3 * nearest:.3g} mm beside the lines it was sent")
-
-    # --- ends ------------------------------------------------------------------------------
+        lines = range(self.executed, min(self.acknowledged + 1, len(self._program.ends)))
+        executed, beside_m = self._way.passed(lines, self._at)
+        if executed is not None:
+            self.executed = executed
+        elif beside_m > OFF_PATH_M and np.isfinite(beside_m):
+            self._fault(f"the controller is {1e3 * beside_m:.3g} mm beside the lines it was sent")
 
     def _end(self) -> None:
         assert self.ended is not None
         ended, text = self.ended
         self._trace.end(ended, text)
         self._settled_s = clock_s() + _SETTLE_S
-
-    def _leave(self) -> None:
-        if self.state is State.STOPPING:
-            self._go(Cause.AT_REST)
-        elif self.state is State.RUNNING:
-            self._go(Cause.COMPLETED)
 
     def _fault(self, text: str) -> None:
         if self.ended is not None and self.ended[0] is RunEnd.FAULT:

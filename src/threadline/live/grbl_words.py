@@ -22,6 +22,7 @@ RX_BYTES = 128
 """Characters that grbl's receive buffer holds, unless it reports fewer (``$I``)."""
 AS_IS = 100.0
 """An override that changes nothing, %; grbl has it after each reset."""
+_OVERRIDES_S = 5.0  # for an override: nine coarse and nine fine steps, a report for each
 _FEED_AS_IS = b"\x90"
 _COARSE = 10  # %, of a coarse step; a fine one is 1 %
 _COARSER, _FINER = (b"\x92", b"\x91"), (b"\x94", b"\x93")  # down, up
@@ -89,6 +90,7 @@ _ERRORS = {
 _CODE = re.compile(r"(ALARM|error):(\d{1,3})")
 _REALTIME = re.compile(rb"[?!~\x00-\x1f\x7f-\xff]")
 _REPORT = re.compile(r"<([A-Za-z]+)(?::(\d{1,4}))?\|(.*)>")
+_BUFFER = re.compile(r"(\d{1,5}),(\d{1,6})")
 _SETTING = re.compile(r"\$(\d{1,5})=([^\s(]*).*")
 _WORD = re.compile(r"([A-Z])(-?\d+\.?\d*|-?\.\d+)")
 
@@ -109,6 +111,9 @@ class Status:
         (letters,) work coordinate offset; None if the report has none.
     overrides
         (3,) overrides of feed, rapids and spindle, %; None if the report has none, as most have.
+    free
+        Free blocks of the planner, and free characters of the receive buffer; None if the report
+        has none (``$10`` without 2).
     """
 
     state: str
@@ -116,6 +121,7 @@ class Status:
     position: FloatArray | None
     offset: FloatArray | None
     overrides: FloatArray | None = None
+    free: tuple[int, int] | None = None
 
     @property
     def stands(self) -> bool:
@@ -157,7 +163,9 @@ def status_of(line: str) -> Status | None:
     place, offset, overrides = (
         numbers(fields[name]) if name in fields else None for name in ("MPos", "WCO", "Ov")
     )
-    return Status(state, -1 if detail is None else int(detail), place, offset, overrides)
+    buffer = _BUFFER.fullmatch(fields.get("Bf", ""))
+    free = None if buffer is None else (int(buffer[1]), int(buffer[2]))
+    return Status(state, -1 if detail is None else int(detail), place, offset, overrides, free)
 
 
 def override_bytes(percent: int, told: int) -> bytes:
@@ -187,6 +195,72 @@ def override_words(overrides: FloatArray) -> str:
     """
     each = zip(("feed", "rapids", "spindle"), overrides.tolist(), strict=False)
     return ", ".join(f"{what} {share:g} %" for what, share in each if share != AS_IS) or "none"
+
+
+class Overrides:
+    """Overrides that a controller reports, and the override of the feed that was asked of it."""
+
+    def __init__(self) -> None:
+        self._reported = np.full(3, AS_IS)  # of feed, rapids and spindle, %
+        self.forget_wanted()
+
+    def reset(self) -> None:
+        """Take a reset of the controller into account, after which it has none."""
+        self._reported = np.full(3, AS_IS)
+
+    def forget_wanted(self) -> None:
+        """Forget what was asked, and that reports have changed."""
+        self._unnoted = False
+        self._wanted: int | None = None  # override of the feed, %, until the controller has it
+        self._sent_s = -np.inf  # time of the latest step to it
+        self._until_s = np.inf  # when it has failed
+
+    @property
+    def percent(self) -> int:
+        """Reported override of the feed, %."""
+        return round(float(self._reported[0]))
+
+    @property
+    def as_is(self) -> bool:
+        """Whether nothing is overridden."""
+        return bool((self._reported == AS_IS).all())
+
+    @property
+    def to_note(self) -> bool:
+        """Whether reports have changed; steps on the way to a wanted override do not count."""
+        return self._unnoted and self._wanted is None
+
+    def take(self, found: Status, *, to_note: bool = True) -> None:
+        """Take the overrides of a report, if it has some; other ones are to be noted."""
+        if found.overrides is not None and not np.array_equal(found.overrides, self._reported):
+            self._reported, self._unnoted = found.overrides, self._unnoted or to_note
+
+    def noted(self) -> str:
+        """Return the overrides in words, and count them as noted."""
+        self._unnoted = False
+        return override_words(self._reported)
+
+    def want(self, percent: int, now_s: float) -> None:
+        """Ask for an override of the feed, %, from a time on."""
+        self._wanted, self._until_s = percent, now_s + _OVERRIDES_S
+
+    def waited_s(self, now_s: float) -> float:
+        """Return the time since the latest step, s."""
+        return float(now_s - self._sent_s)
+
+    def step(self, now_s: float) -> tuple[bytes, str]:
+        """Return the bytes of the next step to the wanted override, and why it has failed."""
+        if self._wanted is None or self._wanted == self.percent:
+            self._wanted = None
+            return b"", ""
+        if now_s > self._until_s:
+            wanted, self._wanted = self._wanted, None
+            return b"", (
+                f"the controller was told to override the feed by {wanted} %, and reports "
+                f"{self.percent} %"
+            )
+        self._sent_s = now_s
+        return override_bytes(self._wanted, self.percent), ""
 
 
 def numbers(text: str) -> FloatArray:

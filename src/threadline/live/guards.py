@@ -14,6 +14,7 @@ from threadline.base.arrays import FloatArray
 from threadline.base.compiled import njit
 from threadline.dynamics.responses import answers_of
 from threadline.machine import Machine
+from threadline.machine.parts import SupplyCut
 
 LATE_IN_A_ROW = 3
 LATE_PERIODS = 5.0
@@ -99,7 +100,10 @@ class Guards:
         # Drives with a position interface have no loop and no encoder to watch.
         answers = {} if machine.takes_positions else answers_of(machine)
         scale = machine.counts_per_unit
-        self._tick_s, self._switches = tick_s, tuple(machine.inputs)
+        self._tick_s = tick_s
+        cut = {name: one for name, one in machine.inputs.items() if isinstance(one, SupplyCut)}
+        self._cuts = {name: one.axis for name, one in cut.items()}
+        self._switches = tuple(name for name in machine.inputs if name not in cut)
         self._lateness = Lateness()
         self._axes: list[_Axis] = []
         for k, (name, axis) in enumerate(machine.axes.items()):
@@ -151,10 +155,18 @@ class Guards:
             return why
         if why := self._switch_hit(samples):
             return why
+        self._let_coast(samples)
         for axis in self._axes:
             if not self._in_order(axis, samples) and (why := self._trip_of(axis, samples)):
                 return why
         return ""
+
+    def _let_coast(self, samples: Mapping[str, FloatArray]) -> None:
+        """Let an axis without supply be anywhere within its travel: it follows no command."""
+        for name, coasts in self._cuts.items():
+            if name in samples and samples[name].any():
+                for axis in self._axes:
+                    axis.room = np.inf if axis.name == coasts else axis.room
 
     def _in_order(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> bool:
         """Return whether no guard of an axis trips; update its state then.

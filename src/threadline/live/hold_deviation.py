@@ -21,14 +21,7 @@ from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
 from threadline.files import Event, RecordingBlock, Stream, TickBlock, TickTable, tick_table
 from threadline.live.ahead import OVERRIDE_S, ticks_in
-from threadline.live.braking import (
-    MOST_PLACES,
-    CountLimits,
-    brake,
-    change_rate,
-    most_changed,
-    rise,
-)
+from threadline.live.braking import MOST_PLACES, CountLimits, brake, change_rate, most_changed, rise
 from threadline.live.pace import Pace
 from threadline.live.path_window import HALTS, PathWindow, rest_rows
 from threadline.motion.timing import TrajectoryReader

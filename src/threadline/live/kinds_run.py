@@ -32,6 +32,7 @@ from threadline.live.hold_deviation import (
     spoiled_by_holds,
     spoiled_by_override,
 )
+from threadline.live.path_window import rests_of
 from threadline.live.scans_ahead import ScansAhead, waits_of_schedule
 from threadline.live.turns_ahead import TurnsAhead
 from threadline.live.wire import Message
@@ -160,6 +161,9 @@ class RunKind:
         Makes the commands for the rest of a job.
     loads_follow
         Whether the commands of a plan make the loads follow the motion (feed-forward).
+    rests_s
+        Returns the (n, 2) begins and ends of the rests at which a hold can stand, s; None if it
+        stands at once, or where the machine lets it.
     reports_plan_time
         Whether the machine reports the plan's time of its rows (events ``plan``).
     no_override
@@ -179,6 +183,7 @@ class RunKind:
     rest: MakeRest
     spoiled_by_holds: Callable[[Plan, Spec], tuple[Result, ...]] = lambda _, __: ()
     loads_follow: Callable[[Plan], bool] = lambda _: False
+    rests_s: Callable[[Commands], FloatArray | None] = lambda _: None
     by_hand: bool = False
     reports_plan_time: bool = False
     no_override: str = ""
@@ -194,6 +199,11 @@ def _override_spoils(plan: Plan, spec: Spec, leaves_m: float, at_rest: bool) -> 
     return override_words(0.0, *spoiled_by_override(plan, spec, holds=not at_rest))
 
 
+def _rests_s(commands: Commands) -> FloatArray:
+    table = tick_table(commands)
+    return np.asarray(rests_of(table) * float(table.clock.period_s))
+
+
 _RUN_KINDS: dict[type[Commands], RunKind] = {
     TickTable: RunKind(
         start=lambda commands: tick_table(commands).start_counts,
@@ -205,6 +215,7 @@ _RUN_KINDS: dict[type[Commands], RunKind] = {
         override_spoils=_override_spoils,
         rest=rest_of_rows,
         loads_follow=lambda plan: plan.motion.of_loads is not None,
+        rests_s=_rests_s,
         by_hand=True,
         reports_plan_time=True,
     ),

@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.base.arrays import IntArray
 from threadline.commands.plan import Plan
-from threadline.errors import OptionError
+from threadline.errors import CommandError, OptionError
 from threadline.files import Channel, RunEnd
 from threadline.live.continuing import Continued, ContinuedSink
 from threadline.live.derived import Rest
@@ -134,7 +134,10 @@ class SimLink(ExecutedLink):
         """Return the connection to a separate process."""
         simulated = machine
         if self._actual is not None:
-            simulated = replace(self._actual, name=machine.name, sha256=machine.sha256)
+            mounted = None if self._actual.spool is None else machine.mounted
+            simulated = replace(
+                self._actual, name=machine.name, sha256=machine.sha256, mounted=mounted
+            )
         return sim_link(simulated, start, self._speed, self._fault)
 
     @property
@@ -314,11 +317,14 @@ class AtLink:
         Commands that are not available there, and why.
     notes
         Notes for the operator.
+    console
+        Whether it takes typed lines at rest.
     """
 
     label: str = ""
     lacks: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    console: bool = False
 
 
 def at_link(link: str, machine: Machine, speed: float) -> AtLink:
@@ -344,6 +350,7 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
             "measured, inputs and outputs are not reported",
             "reset resets the controller; if it has no switches, its alarm is cleared, too",
         ),
+        console=True,
     )
 
 
@@ -352,12 +359,20 @@ class RowsOperated(Executor):
 
     share_done = None
     age_s = 0.0
+    board = None
     meanwhile: Callable[[], None] = staticmethod(lambda: None)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
         """Channels that the machine reports; empty until it has greeted."""
         return self.far_end.channels
+
+    def type_line(self, line: str) -> None:
+        """Refuse a typed line: the machine takes rows, not lines."""
+        raise CommandError(
+            f"the line {line[:40]!r} was not sent: this link has no console",
+            remedy="Use the buttons of the panel.",
+        )
 
     def prepare(self, plan: Plan) -> Load:
         """Return the plan as a load: its rows are sent."""

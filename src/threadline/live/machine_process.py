@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from threadline.base.importing import program_apart
 from threadline.live.wire import Connection
 
 _SEND_S = 2.0
@@ -34,7 +35,7 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
-        [sys.executable, "-c", program, str(theirs.fileno())],
+        [*program_apart(program), str(theirs.fileno())],
         stdin=subprocess.PIPE,
         pass_fds=(theirs.fileno(),),
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},

@@ -10,6 +10,7 @@ from threadline.base.arrays import IntArray
 from threadline.commands.plan import Plan
 from threadline.files import Channel, Commands, RunEnd
 from threadline.live.derived import Rest
+from threadline.live.grbl_board import GrblBoard
 from threadline.live.grbl_words import Program
 from threadline.live.states import State
 
@@ -130,6 +131,13 @@ class Operated(Protocol):
 
     def let_go(self) -> None:
         """End a motion by hand."""
+
+    @property
+    def board(self) -> GrblBoard | None:
+        """The board of a controller with grbl, which tells its settings; None for other links."""
+
+    def type_line(self, line: str) -> None:
+        """Send a line that the operator typed, if there is a board."""
 
     def prepare(self, plan: Plan) -> Load:
         """Prepare a plan; nothing is sent, and any thread may call it."""

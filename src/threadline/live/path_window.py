@@ -156,6 +156,17 @@ def _between(travelled: IntArray, first: int, places: FloatArray) -> FloatArray:
     return found
 
 
+def rests_of(table: TickTable) -> IntArray:
+    """Return the (n, 2) rests of a table: their first row, and the row after them.
+
+    In a rest no axis has a count for ``REST_S``. It reads the table once.
+    """
+    still = [(block.counts == 0).all(axis=1) for block in table]
+    edges = np.diff(np.concatenate([[False], *still, [False]]).astype(np.int8))
+    found = np.stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)], axis=1)
+    return found[found[:, 1] - found[:, 0] >= rest_rows(table)]
+
+
 def rest_rows(table: TickTable) -> int:
     """Return the number of rows without a count that make a rest."""
     return ceil(REST_S / float(table.clock.period_s) - 1e-9)

@@ -11,6 +11,7 @@ import select
 import socket
 from collections import deque
 from ipaddress import ip_address
+from typing import Protocol
 
 from threadline.errors import LinkFaultError, OptionError
 from threadline.live.guards import clock_s
@@ -112,6 +113,16 @@ def check_address(address: str) -> None:
         host_and_port(address)
 
 
+class PortLog(Protocol):
+    """Somebody who is told what passes a port."""
+
+    def sent(self, content: bytes) -> None:
+        """Take bytes that were sent."""
+
+    def heard(self, line: str) -> None:
+        """Take a line that was received."""
+
+
 class Port:
     """A stream of lines from a controller, and bytes to it.
 
@@ -126,6 +137,8 @@ class Port:
     ----------
     lost
         Whether the other side is gone.
+    log
+        Told of every line and byte that is sent, and of every line that is received; None: nobody.
 
     Raises
     ------
@@ -138,6 +151,7 @@ class Port:
     def __init__(self, address: str, baud: int = BAUD) -> None:
         self._socket: socket.socket | None = None
         self.lost = False
+        self.log: PortLog | None = None
         self._bytes = bytearray()
         self._lines: deque[str] = deque()
         try:
@@ -165,6 +179,8 @@ class Port:
 
     def send(self, content: bytes) -> None:
         """Send bytes; if the other side is gone or accepts none, ``lost`` becomes True."""
+        if self.log is not None:
+            self.log.sent(content)
         while content and not self.lost:
             try:
                 content = content[os.write(self._number, content) :]
@@ -189,7 +205,12 @@ class Port:
             self._read()
             if not self._lines and clock_s() >= until:  # data may never complete a line
                 return None
-        return self._lines.popleft() if self._lines else None
+        if not self._lines:
+            return None
+        line = self._lines.popleft()
+        if self.log is not None:
+            self.log.heard(line)
+        return line
 
     def forget_reports(self) -> None:
         """Drop the status reports received so far: they are outdated."""

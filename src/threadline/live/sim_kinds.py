@@ -7,7 +7,6 @@ scan from which on it switches everything off. Each refill moves both on.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -29,9 +28,8 @@ from threadline.files import (
 )
 from threadline.files.step_play import CountedBy
 from threadline.live.pace import Pace
-from threadline.live.sim_machine import SimFault, SimMachine
+from threadline.live.sim_machine import SimMachine
 from threadline.live.wire import Message, creep_of, event_of
-from threadline.machine import Machine
 from threadline.twin import session_of
 from threadline.twin.row_session import RowSession
 from threadline.twin.stitching import COLUMNS, StitchingSession, stitching_channels
@@ -41,22 +39,15 @@ from threadline.twin.switching_session import SwitchingSession
 class SimRows(SimMachine):
     """A machine that plays a row of counts at each tick; see ``SimMachine``."""
 
-    def __init__(
-        self,
-        machine: Machine,
-        start: IntArray,
-        tell: Callable[[Message], None],
-        fault: SimFault | None = None,
-    ) -> None:
-        super().__init__(machine, start, tell, fault)
-        self._session = self._new_session()
-        self._rows = np.zeros((0, len(machine.axes)), np.int64)  # held, for the ticks from now on
+    def _set_up(self) -> None:
+        self._session, axes = self._new_session(), len(self._machine.axes)
+        self._rows = np.zeros((0, axes), np.int64)  # held, for the ticks from now on
         self._operations = np.zeros(0, np.int64)  # of these rows
         self._places = np.zeros(0)  # in the table, after each of them
-        self._pace = Pace(machine.tick_clock)
+        self._pace = Pace(self._machine.tick_clock)
         self._events: deque[Event] = deque()
         self._wanted_until = 0  # tick from which on the held rows are the spare tail
-        self._position = np.zeros(len(machine.axes), dtype=np.int64)
+        self._position = np.zeros(axes, dtype=np.int64)
         self._last = False  # the held rows end with the last row of the run
 
     def _new_session(self) -> RowSession:
@@ -163,10 +154,7 @@ class SimRows(SimMachine):
             event = self._events.popleft()
             due.append(replace(event, tick=session.row + event.tick - self.tick))
         rows = TickBlock(
-            first_tick=session.row,
-            counts=counts,
-            operation=operation,
-            events=tuple(due),
+            first_tick=session.row, counts=counts, operation=operation, events=tuple(due)
         )
         self._position = self._position + counts.sum(axis=0)
         if self.tick + n > self._wanted_until:
@@ -198,14 +186,7 @@ def _telling(block: RecordingBlock, more: tuple[Event, ...]) -> RecordingBlock:
 class SimScans(SimMachine):
     """A machine that plays a schedule of outputs; see ``SimMachine``."""
 
-    def __init__(
-        self,
-        machine: Machine,
-        start: IntArray,
-        tell: Callable[[Message], None],
-        fault: SimFault | None = None,
-    ) -> None:
-        super().__init__(machine, start, tell, fault)
+    def _set_up(self) -> None:
         self._session = self._at_home()
         self._last = False  # it has all of the schedule, or was told to stop
 
@@ -274,25 +255,14 @@ class SimScans(SimMachine):
 
     def _extra_entries(self) -> dict[str, Any]:
         session = self._session
-        return {
-            "place": session.place,
-            "off": session.switched_off_at,
-            "failure": session.failure,
-        }
+        return {"place": session.place, "off": session.switched_off_at, "failure": session.failure}
 
 
 class SimTurns(SimMachine):
     """A machine that plays a table of steps for each turn and axis; see ``SimMachine``."""
 
-    def __init__(
-        self,
-        machine: Machine,
-        start: IntArray,
-        tell: Callable[[Message], None],
-        fault: SimFault | None = None,
-    ) -> None:
-        super().__init__(machine, start, tell, fault)
-        self._home_at = start
+    def _set_up(self) -> None:
+        self._home_at = self._start
         self._session: StitchingSession | None = None  # until it has its tables
         self._idle = 0  # samples without tables
         self._last = False

@@ -205,6 +205,7 @@ class SimMachine(ABC):
             "leave": self._leave, "stop-home": lambda _: None,  # it is home already
             "go": lambda _: None,  # only lets the clock go on (see ``sim_process``)
         }  # fmt: skip
+        self._set_up()
 
     @cached_property
     def _per_tick(self) -> Fraction:
@@ -212,6 +213,10 @@ class SimMachine(ABC):
         return samples_per_tick(self._machine, self.channels)
 
     # --- specific to each kind of work -----------------------------------------------------
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """Begin without commands, at the start; the last step of the constructor."""
 
     @property
     @abstractmethod

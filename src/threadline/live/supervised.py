@@ -155,9 +155,9 @@ def check_override(override: str | None) -> None:
     Raises
     ------
     OptionError
-        If it is empty.
+        If it has no letter or digit: it is empty, or has only blanks and signs.
     """
-    if override is not None and not override.strip():
+    if override is not None and not any(map(str.isalnum, override)):
         raise OptionError(
             "--override gives no reason", remedy='Say why: --override "test of the brake".'
         )

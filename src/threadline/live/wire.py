@@ -30,6 +30,7 @@ MOST_BYTES = 1 << 24
 _LENGTHS = struct.Struct("<II")
 _TYPES = {"<i8": np.int64, "<f8": np.float64}
 _AT_ONCE = 1 << 16
+_told = json.JSONEncoder(allow_nan=False, ensure_ascii=False).encode
 _EVENT_KINDS = get_args(EventKind)
 
 
@@ -63,7 +64,7 @@ class Message:
                 named.append(([name], form, a.shape))
             parts.append((a if a.dtype == form else a.astype(form)).tobytes())
         content = {"kind": self.kind, "head": dict(self.head), "arrays": named}
-        head = json.dumps(content, allow_nan=False, ensure_ascii=False).encode()
+        head = _told(content).encode()
         body = b"".join(parts)
         return _LENGTHS.pack(len(head) + len(body) + 4, len(head)) + head + body
 

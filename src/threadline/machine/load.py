@@ -39,15 +39,9 @@ from threadline.machine.tool import EYE_BODY, EYE_PARTS
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
 """Pydantic's types of error for a missing key."""
 _SAMPLES = {
-    "": "1",
-    "s": "5 ms",
-    "m": "100 mm",
-    "tick": "1e8 tick",
-    "bit": "12 bit",
-    "count/rad": "4000 count/rev",
-    "count/m": "100 count/mm",
-    "count/tick": "10 count/tick",
-}
+    "": "1", "s": "5 ms", "m": "100 mm", "tick": "1e8 tick", "bit": "12 bit",
+    "count/rad": "4000 count/rev", "count/m": "100 count/mm", "count/tick": "10 count/tick",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +200,7 @@ def _kind(content: Mapping[str, Any], location: tuple[str, ...]) -> str:
 _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*)(?: names the \w+ '([^']*)'|: )")
 _DESIGN_KEY = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*): ")
-_OURS = ("sha256", "file", "reference", "parameters")
+_OURS = ("sha256", "file", "reference", "parameters", "mounted")
 """Fields of ``Machine`` that are not keys of a file."""
 
 

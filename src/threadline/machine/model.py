@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import pi
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError, Place
 from threadline.files import Clock
 from threadline.machine.controllers import (
@@ -19,7 +16,6 @@ from threadline.machine.controllers import (
     Controller,
     StateSpaceController,
 )
-from threadline.machine.mandrel import LocalRadii, local_radii
 from threadline.machine.motion_planner import (
     FirmwarePlanner,
     Programs,
@@ -51,88 +47,16 @@ from threadline.machine.pneumatics import (
 from threadline.machine.quantity import Quantity, Units
 from threadline.machine.shaft import Shaft, Tables
 from threadline.machine.sources import Kinematic, PulseServo, Source, Stepper, check_limits_only
+from threadline.machine.spool import Mounted, Spool, check_spool
 from threadline.machine.tables import Design, Tolerances, check_named, quantities
 from threadline.machine.tool import (
+    AxisArrays,
     PathLimits,
     Tool,
-    acts_at_m,
     check_eye,
     check_path_limits,
     check_radii,
 )
-
-
-class AxisArrays:
-    """Arrays over the axes of a machine."""
-
-    __slots__ = ()
-    axes: dict[str, Axis]
-    path: PathLimits | None
-    tool: Tool | None
-
-    def _column(self, field: Literal["counts", "velocity", "acceleration"]) -> FloatArray:
-        return np.array([getattr(axis, field).si for axis in self.axes.values()])
-
-    @property
-    def counts_per_unit(self) -> FloatArray:
-        """(axes,) counts per m or rad."""
-        return self._column("counts")
-
-    @property
-    def velocity_limit(self) -> FloatArray:
-        """(axes,) m/s or rad/s."""
-        return self._column("velocity")
-
-    @property
-    def acceleration_limit(self) -> FloatArray:
-        """(axes,) m/s^2 or rad/s^2: the lower of the limits of speeding up and braking."""
-        return np.minimum(*self.sides)
-
-    @property
-    def sides(self) -> tuple[FloatArray, FloatArray]:
-        """(axes,) m/s^2 or rad/s^2: the limits of speeding up, and of braking."""
-        braking = [axis.deceleration or axis.acceleration for axis in self.axes.values()]
-        return self._column("acceleration"), np.array([limit.si for limit in braking])
-
-    def least_acceleration(self, axes: Sequence[str]) -> float:
-        """Return the lowest acceleration or deceleration limit of ``axes`` and the path, m/s^2."""
-        column = [list(self.axes).index(axis) for axis in axes]
-        own = [] if self.path is None else [self.path.acceleration, self.path.deceleration]
-        along = [limit.si for limit in own if limit is not None]
-        return min([float(self.acceleration_limit[column].min()), *along])
-
-    @property
-    def jerk_limit(self) -> FloatArray:
-        """(axes,) m/s^3 or rad/s^3; infinite where the file gives none."""
-        return np.array(
-            [np.inf if axis.jerk is None else axis.jerk.si for axis in self.axes.values()]
-        )
-
-    @property
-    def travel(self) -> FloatArray:
-        """(axes, 2) lowest and highest position, m or rad; infinite for an endless axis."""
-        return np.array(
-            [
-                (-np.inf, np.inf) if axis.travel is None else [end.si for end in axis.travel]
-                for axis in self.axes.values()
-            ]
-        )
-
-    @property
-    def radius_m(self) -> FloatArray:
-        """(axes,) 1 for a linear axis; for a rotary axis its radius, else the tool's, in m.
-
-        With a profile it is the largest radius.
-        """
-        return np.array([acts_at_m(axis, self.tool) for axis in self.axes.values()])
-
-    def local_radii(self, axes: Sequence[str]) -> LocalRadii | None:
-        """Return the local radii as shares of the largest radii, for a path of ``axes``."""
-        profiles = {
-            name: axis.profile for name, axis in self.axes.items() if axis.profile is not None
-        }
-        return local_radii(profiles, axes)
-
 
 Drive = Annotated[DcMotor | Stepper | PulseServo | Kinematic, Field(discriminator="kind")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
@@ -141,7 +65,7 @@ MAX_AXES = 6
 NUMBERED = (
     "tick_budget", "clocks", "bodies", "links", "drives", "sensors", "controllers", "axes",
     "inputs", "cylinders", "outputs", "contacts", "plc", "shaft", "tables", "path", "tool",
-    "operator",
+    "spool", "operator",
 )  # fmt: skip
 """Fields of ``Machine`` whose numbers can have tolerances."""
 _WITH_DYNAMICS = ("bodies", "links", "sensors", "controllers", "cylinders", "tables", "design")
@@ -198,6 +122,9 @@ class Machine(AxisArrays):
     tool: Tool | None = None
     """The tool: the radius at which rotary axes act, or a winder's eye. Without it: each rotary
     axis has its own radius."""
+    spool: Spool | None = None
+    """The spool, brake and spring arm of a winder's fibre. Without it: nothing pulls at the
+    eye."""
     operator: Operator | None = None
     """Settings of the operator."""
     programs: Programs = Field(default_factory=Programs)
@@ -218,6 +145,8 @@ class Machine(AxisArrays):
     """The argument of ``load_machine``."""
     parameters: str = ""
     """Parameter file whose settings replaced those of the machine file; empty without one."""
+    mounted: Mounted | None = None
+    """Mandrel on the machine; None without one."""
 
     @model_validator(mode="after")
     def _references(self) -> Machine:
@@ -261,6 +190,7 @@ class Machine(AxisArrays):
             check_known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")
         check_radii(self.axes, self.tool)
         check_eye(self.tool, self.axes)
+        check_spool(self.spool, self.tool, self.axes)
         if self.planner is not None:
             check_by_axis(self.planner, self.axes, self.rotary)
         check_path_limits(self.path, self.axes, self.cylinders, self.tables)
@@ -392,6 +322,11 @@ class Machine(AxisArrays):
                 raise ValueError(
                     f"{at}.counts: {steps:.6g} steps in tables.unit; it must be a whole number"
                 )
+
+    @property
+    def unwinds(self) -> bool:
+        """Whether the twin simulates the tension of the fibre: a spool, and a mandrel to wind."""
+        return self.spool is not None and self.mounted is not None
 
     @property
     def place(self) -> Place | None:

@@ -222,13 +222,15 @@ FeedRule = Literal[
 ]  # fmt: skip
 """Rules for the meaning of an F word; ``threadline.jobs.gcode.feeds`` defines each."""
 DialectName = Literal[
-    "winder", "linuxcnc", "grbl", "fluidnc", "marlin", "klipper", "reprapfirmware", "fanuc",
-    "x-winder",
+    "winder", "linuxcnc", "grbl", "fluidnc", "marlin", "klipper", "reprapfirmware",
+    "reprapfirmware-cnc", "fanuc", "x-winder",
 ]  # fmt: skip
 """Dialects of part programs; ``threadline.jobs.gcode.dialects`` defines each."""
 
 System = Annotated[str, Field(pattern=r"^G5[4-9]$")]
 Offset = Annotated[Quantity, Units(("m", "rad"))]
+ToolNumber = Annotated[str, Field(pattern=r"^H(0|[1-9][0-9]{0,5})$")]
+ToolLength = Annotated[Quantity, Units(("m",))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -244,6 +246,9 @@ class Programs:
     offsets: dict[System, dict[str, Offset]] = Field(default_factory=dict)
     """Origins of G54 to G59 in machine coordinates: ``G55 = { X = "120 mm exact, assumed" }``; an
     axis that is not named has 0."""
+    lengths: dict[ToolNumber, ToolLength] = Field(default_factory=dict)
+    """Lengths of the tools of ``G43 H``, as in the tool table of the control:
+    ``H1 = "52.3 mm exact, measured: tool table"``."""
 
     @model_validator(mode="after")
     def _base(self) -> Programs:

@@ -136,8 +136,7 @@ def number_at(machine: Machine, path: str) -> Quantity:
         node = node.get(key) if isinstance(node, Mapping) else getattr(node, key, None)
     if not isinstance(node, Quantity):
         raise OptionError(
-            f"machine {machine.name!r} has no number {path!r}",
-            remedy="Name a number in its file.",
+            f"machine {machine.name!r} has no number {path!r}", remedy="Name a number in its file."
         )
     return node
 
@@ -208,10 +207,7 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
         for key in parents:
             below = below.setdefault(key, {})
         below[last] = dataclasses.replace(
-            old,
-            si=float(value),
-            tolerance_si=old.tolerance_si * share,
-            exact_s=exact,
+            old, si=float(value), tolerance_si=old.tolerance_si * share, exact_s=exact
         )
     note = repr(sorted((path, float(value)) for path, value in numbers.items()))
     new["sha256"] = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()

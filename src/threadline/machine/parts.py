@@ -350,6 +350,13 @@ class LimitSwitch:
     """The drive whose supply the switch cuts."""
 
 
+class SupplyCut(LimitSwitch):
+    """A switch that cuts the supply of a drive on purpose, within the travel of its axis.
+
+    No machine file has one: an experiment adds it.
+    """
+
+
 def switches_in_the_way(
     axes: Mapping[str, Axis], inputs: Mapping[str, LimitSwitch]
 ) -> Iterator[tuple[str, str, str]]:

@@ -20,21 +20,30 @@ from threadline.errors import OptionError
 from threadline.machine.load import place_in
 from threadline.machine.model import NUMBERED, Machine
 from threadline.machine.numbers import is_whole, number_at, with_numbers
+from threadline.machine.parts import SupplyCut
 from threadline.machine.pneumatics import TIMES
-from threadline.machine.quantity import Quantity
+from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.tables import matches, quantities
 
 MOST_CORNERS = 12
 """Largest number n of varying numbers for ``corners``, which returns 2^n variants."""
+SUPPLY_CUT = "supply_cut"
+"""Input of ``coasting``: 1 once the supply of the drive is cut."""
 FARTHEST = 3.0
 """Standard deviations at which a normal distribution is cut off."""
 _PER_PART = 2.0
 """Standard deviations per tolerance."""
 _DELAY_STEPS = 100
-"""Dead times vary in hundredths of their tolerance, so that variants share instants."""
+"""Dead times vary in hundredths of their tolerance, so that their instants stay exact."""
+DRAWN_STEPS = 5
+"""Drawn dead times vary in fifths of their tolerance: machines of equal ones run side by side.
+
+A mean over the tolerance is then a sum by the trapezoidal rule, whose error shrinks with the square
+of the steps.
+"""
 _MACHINE = (
     "bodies.*", "links.*", "drives.*", "sensors.*", "controllers.*", "inputs.*", "cylinders.*",
-    "contacts.*",
+    "contacts.*", "spool.*",
 )  # fmt: skip
 _COUNTS = "axes.*.counts"
 _FRICTION, _STICTION = ".friction", ".stiction"
@@ -69,6 +78,26 @@ class Uncertain:
     def farthest(self) -> float:
         """Its largest deviation, in tolerances."""
         return FARTHEST / _PER_PART if self.normal else 1.0
+
+
+def coasting(machine: Machine, axis: str, at_si: float) -> Machine:
+    """Return the machine with an input ``SUPPLY_CUT`` that cuts the drive of an axis.
+
+    Parameters
+    ----------
+    at_si
+        Position from which on the drive has no supply, m or rad.
+    """
+    unit = "m" if machine.axes[axis].kind == "linear" else "rad"
+    at = Quantity(si=at_si, unit=unit, tolerance_si=0.0, provenance=Provenance.ASSUMED)
+    switch = SupplyCut(
+        kind="limit-switch",
+        axis=axis,
+        at=at,
+        beyond="above",
+        cuts=machine.controller_of(axis).drive,
+    )
+    return replace(machine, inputs={**machine.inputs, SUPPLY_CUT: switch})
 
 
 def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
@@ -142,7 +171,8 @@ def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
 
     A variant depends only on seed and index, so it is the same bit for bit in any order, any
     section of the sequence and any number of processes. The generator is the counter-based Philox,
-    keyed by both (Salmon and others, "Parallel random numbers: as easy as 1, 2, 3", 2011).
+    keyed by both (Salmon and others, "Parallel random numbers: as easy as 1, 2, 3", 2011). Dead
+    times take ``DRAWN_STEPS`` values on each side of the nominal one.
 
     Parameters
     ----------
@@ -172,6 +202,8 @@ def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
     gauss = ndtri(low + (high - low) * parts[:, normal]) / _PER_PART
     parts = 2.0 * parts - 1.0
     parts[:, normal] = gauss
+    late = np.array([all(path.endswith(TIMES) for path in one.numbers) for one in numbers], bool)
+    parts[:, late] = np.round(DRAWN_STEPS * parts[:, late]) / DRAWN_STEPS
     return parts
 
 
@@ -267,27 +299,6 @@ def load_by_counts(machine: Machine, axis: str) -> dict[str, Quantity]:
         body: replace(q, si=q.si / counts.si, unit=_per(unit, q.unit), tolerance_si=0.0)
         for body, q in _counted(machine, axis).items()
     }
-
-
-def variant_of(machine: Machine, changed: Mapping[str, float]) -> Machine:
-    """Return the machine with some of its uncertain numbers at the given parts.
-
-    Raises
-    ------
-    OptionError
-        If a name is not an uncertain number or group.
-    """
-    numbers = uncertain(machine)
-    names = [number.name for number in numbers]
-    parts = np.zeros(len(names))
-    for name, part in changed.items():
-        if name not in names:
-            raise OptionError(
-                f"{name!r} does not vary in machine {machine.name!r}",
-                remedy=f"These vary: {', '.join(names) or 'none'}.",
-            )
-        parts[names.index(name)] = part
-    return variant(machine, parts)
 
 
 def _counted(machine: Machine, axis: str) -> Mapping[str, Quantity]:

@@ -21,6 +21,7 @@ REPEAT_SEED = 1994
 """Seed of the runs of one machine."""
 DAMPING_OF_DAYS = (0.7, 1.3)
 """Smallest and largest damping from day to day, as a factor on the file's value."""
+_TENSION = (0.95, 1.05)  # of the brake of a spool, from day to day
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,11 +34,14 @@ class Days:
         (runs,) factors, as in ``vary``.
     phases
         (runs, axes) position of each encoder between two counts at the start, 0 to 1.
+    tension
+        (runs,) factors on the brake of a winder's spool.
     """
 
     friction: FloatArray
     supply: FloatArray
     phases: FloatArray
+    tension: FloatArray
 
     def __len__(self) -> int:
         return len(self.friction)
@@ -45,29 +49,39 @@ class Days:
     def taken(self, index: IntArray) -> Days:
         """Return the runs ``index``."""
         return Days(
-            friction=self.friction[index], supply=self.supply[index], phases=self.phases[index]
+            friction=self.friction[index],
+            supply=self.supply[index],
+            phases=self.phases[index],
+            tension=self.tension[index],
         )
 
 
 def drawn_days(count: int, axes: int, random: np.random.Generator) -> Days:
-    """Draw ``count`` runs: friction within +-30 %, supply within +-5 %, random encoder phases."""
+    """Draw ``count`` runs: friction within +-30 %, supply within +-5 %, random encoder phases.
+
+    The brake of a spool, within +-5 %, has a generator of its own: other machines keep their days.
+    """
+    tension = np.random.default_rng((REPEAT_SEED, axes)).uniform(*_TENSION, count)
+    tension[:1] = 1.0
     friction, supply = np.ones(count), np.ones(count)
     phases = np.full((count, axes), 0.5)
     for day in range(1, count):
         friction[day], supply[day] = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
         phases[day] = random.uniform(0.0, 1.0, axes)
-    return Days(friction=friction, supply=supply, phases=phases)
+    return Days(friction=friction, supply=supply, phases=phases, tension=tension)
 
 
 def vary(
-    machine: Machine, *, friction: float = 1.0, supply: float = 1.0, damping: float = 1.0
-) -> Machine:
+    machine: Machine, *, friction: float = 1.0, supply: float = 1.0, damping: float = 1.0,
+    tension: float = 1.0,
+) -> Machine:  # fmt: skip
     """Return ``machine`` with friction, supply and damping scaled.
 
     Parameters
     ----------
     friction
-        Scales sliding friction and stiction of every body and every cylinder.
+        Scales sliding friction and stiction of every body and every cylinder, and the friction of
+        the guides behind a spool.
     supply
         Scales the voltage and current limits of amplifiers (not their gain, which is set by
         feedback) and the supply voltage of steppers' drivers. In cylinders it scales the stiffness
@@ -76,14 +90,25 @@ def vary(
         volume flow then does not depend on that pressure.
     damping
         Scales the viscous damping of every body and every link.
+    tension
+        Scales the torque and stiction of the brake of a spool.
 
     Raises
     ------
     ValueError
         If a factor is not positive.
     """
-    if not (friction > 0 and supply > 0 and damping > 0):
-        raise ValueError(f"factors must be positive, got {friction!r}, {supply!r}, {damping!r}")
+    factors = friction, supply, damping, tension
+    if not min(factors) > 0:
+        raise ValueError(f"factors must be positive, got {', '.join(map(repr, factors))}")
+    spool = machine.spool
+    if spool is not None:
+        spool = replace(
+            spool,
+            torque=replace(spool.torque, si=spool.torque.si * tension),
+            stiction=_scaled(spool.stiction, tension),
+            friction=_scaled(spool.friction, friction),
+        )
     bodies = {
         name: replace(
             body,
@@ -121,22 +146,24 @@ def vary(
         )
         for name, cylinder in machine.cylinders.items()
     }
-    return replace(machine, bodies=bodies, links=links, drives=drives, cylinders=cylinders)
+    return replace(
+        machine, bodies=bodies, links=links, drives=drives, cylinders=cylinders, spool=spool
+    )
 
 
-def varied_numbers(
-    machine: Machine, friction: FloatArray, supply: FloatArray
-) -> dict[str, FloatArray]:
+def varied_numbers(machine: Machine, days: Days) -> dict[str, FloatArray]:
     """Return the numbers that ``vary`` changes in a machine with control loops, for many days.
 
     The result maps each dotted name to (days,) SI values.
-
-    Parameters
-    ----------
-    friction, supply
-        (days,) factors.
     """
+    friction, supply = days.friction, days.supply
     found: dict[str, FloatArray] = {}
+    spool = machine.spool
+    factors = {"torque": days.tension, "stiction": days.tension, "friction": friction}
+    for key, factor in factors.items() if spool is not None else ():
+        number = getattr(spool, key)
+        if number is not None:
+            found[f"spool.{key}"] = number.si * factor
     for name, body in machine.bodies.items():
         for key, quantity in (("friction", body.friction), ("stiction", body.stiction)):
             if quantity is not None:
@@ -164,7 +191,7 @@ def on_days(
     """
     count = len(next(iter(numbers.values())))
     found = {path: np.repeat(values, len(days)) for path, values in numbers.items()}
-    for path, values in varied_numbers(machine, days.friction, days.supply).items():
+    for path, values in varied_numbers(machine, days).items():
         if path in found:
             found[path] = found[path] * np.tile(values / number_at(machine, path).si, count)
         else:

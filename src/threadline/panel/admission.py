@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,6 +19,7 @@ from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from threadline.errors import OptionError
 from threadline.live.port import in_url
@@ -33,6 +35,12 @@ HALF_OPEN_S = 5.0
 MOST_HALF_OPEN = 256
 """Most connections without a complete request; beyond that the oldest is dropped."""
 MOST_BODY_S = 60.0  # from the first part of a body to its last
+HELLO_S = 5.0
+"""Time in s within which a websocket must say who it is."""
+MOST_WITHOUT_HELLO = 256
+"""Most websockets that did not say who they are; beyond that the oldest is closed."""
+CLOSING_S = 1.0
+"""Time in s for the answer to the close of a websocket; then its connection is dropped."""
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (
         "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; "
@@ -205,3 +213,38 @@ class PromptHttp(H11Protocol):
     def _drop(self) -> None:
         self._have()
         self.transport.close()
+
+
+class PromptWebsocket(WebSocketsSansIOProtocol):
+    """A websocket whose connection is dropped if its close is not answered in time."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.close_timeout = CLOSING_S
+
+
+class Unknown:
+    """Websockets that did not say who they are: a limited number, for a limited time."""
+
+    def __init__(self) -> None:
+        self._due: dict[asyncio.Timeout, None] = {}  # the oldest first
+
+    @asynccontextmanager
+    async def one_more(self) -> AsyncIterator[None]:
+        """Wait for the hello of a websocket.
+
+        Raises
+        ------
+        TimeoutError
+            If it takes more than ``HELLO_S``, or newer ones need the place.
+        """
+        async with asyncio.timeout(HELLO_S) as due:
+            self._due[due] = None
+            if len(self._due) > MOST_WITHOUT_HELLO:
+                oldest = next(iter(self._due))
+                del self._due[oldest]
+                oldest.reschedule(asyncio.get_running_loop().time())
+            try:
+                yield
+            finally:
+                self._due.pop(due, None)

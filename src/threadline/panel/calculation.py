@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query, Response
 from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 
-from threadline.base.importing import import_and_call
+from threadline.base.importing import import_and_call, program_apart
 from threadline.errors import CommandError
 from threadline.machine import Machine
 from threadline.panel.protocol import Calculate, Figures, Proven
@@ -84,7 +84,7 @@ class MachineGuide:
         async with self._one_at_a_time:
             if self._found is None:
                 status, told, why = await answer_of(
-                    sys.executable, "-m", "threadline", "guide", self._reference,
+                    sys.executable, "-P", "-m", "threadline", "guide", self._reference,
                     "-o", str(self._folder), "--json",
                 )  # fmt: skip
                 if status:
@@ -162,7 +162,7 @@ class Calculation:
             "folder": str(self._folder), "program": program,
             "machine": self._machine.reference, "par": self._machine.parameters or None,
         }  # fmt: skip
-        words, sent = (sys.executable, "-c", _PREVIEW), json.dumps(told).encode()
+        words, sent = program_apart(_PREVIEW), json.dumps(told).encode()
         try:
             async with self._one_preview:
                 status, found, _ = await answer_of(*words, sent=sent, longest_s=_PREVIEW_S)
@@ -234,7 +234,7 @@ class Calculation:
         }
         try:
             process = await asyncio.create_subprocess_exec(
-                sys.executable, "-c", _CHILD,
+                *program_apart(_CHILD),
                 stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
                 limit=_MOST_LINE, start_new_session=True,
             )  # fmt: skip

@@ -36,16 +36,21 @@ FIELDS = {
     "tolerance": "Tolerance",
 }
 """Labels of the page, by option."""
+_CODE = re.compile(r"^\[[A-Z_-]+\] ")
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*[a-z])(?![\w-])")
 
 
 def in_page_words(text: str) -> str:
     """Return a text with the labels of the page in place of options of the command line.
 
+    The code of an error is for programs, and is left out.
+
     >>> in_page_words("Choose another feed with --feed, or another dialect (--dialect).")
     "Choose another feed with 'Feed', or another dialect (--dialect of the command line)."
+    >>> in_page_words("[COMMAND] you are not in control. Take control first.")
+    'you are not in control. Take control first.'
     """
-    return _OPTION.sub(_label, text)
+    return _OPTION.sub(_label, _CODE.sub("", text))
 
 
 def _label(found: re.Match[str]) -> str:

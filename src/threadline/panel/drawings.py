@@ -96,12 +96,6 @@ def dxf(shapes: Sequence[Shape]) -> bytes:
     )
 
 
-def shapes_of(name: str, content: bytes) -> list[dict[str, Any]]:
-    """Return the shapes of a DXF or SVG; see ``opened``."""
-    found: list[dict[str, Any]] = opened(name, content)["shapes"]
-    return found
-
-
 def opened(name: str, content: bytes) -> dict[str, list[Any]]:
     """Return the shapes of a DXF or SVG, and the entities left out, line by line.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -12,7 +11,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from pydantic import ValidationError
 from starlette.requests import ClientDisconnect
 
-from threadline.base.importing import import_and_call
+from threadline.base.importing import import_and_call, program_apart
 from threadline.panel.calculation import answer_of
 from threadline.panel.drawings import WRONG, Lettering, outlines, why_invalid
 from threadline.panel.programs import MOST_UPLOAD
@@ -34,7 +33,7 @@ async def written_apart(content: bytes) -> bytes | str:
 
 
 async def _apart(what: str, name: str, content: bytes) -> bytes | str:
-    words = (sys.executable, "-c", CHILD, what, name)
+    words = (*program_apart(CHILD), what, name)
     try:
         async with _one_at_a_time:
             status, told, why = await answer_of(*words, sent=content, longest_s=LONGEST_S)

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.reading import reading_within
 from threadline.errors import ThreadlineError
 from threadline.files import ChannelKind, Recording
+from threadline.jobs.holes import entering
 from threadline.jobs.operations import (
     Job,
     Move,
@@ -44,6 +46,7 @@ _MOST_SWITCHED = 400  # changes of an output beyond which its lane would be a gr
 _MOST_READ = 2_000_000  # moves of a job that is shown before it is calculated
 _MOST_TEXT = 300_000  # bytes of a program whose text is shown
 _STEP = "step "
+_LEAST_TURN_M = 1e-4  # between two turn-rounds
 
 
 def plan_views(proof: Proof) -> dict[str, Any]:
@@ -62,6 +65,7 @@ def plan_views(proof: Proof) -> dict[str, Any]:
         "stitches": _stitches(job, begun, _uses(proof)),
         "steps": _steps(job, begun),
         "lanes": _lanes(proof.recording),
+        "turn_rounds": _turn_rounds(proof),
     }
 
 
@@ -170,6 +174,47 @@ def _lanes(recording: Recording) -> list[dict[str, Any]]:
     ]
 
 
+def _turn_rounds(proof: Proof) -> dict[str, Any] | None:
+    """Return when and where the axis along the mandrel turns round; None without a mandrel."""
+    mandrel = mandrel_of(proof.plan.machine)
+    recording = proof.recording
+    found = None if mandrel is None else recording.find(ChannelKind.COMMANDED, mandrel.along)
+    if mandrel is None or found is None:
+        return None
+    period_s = float(found.clock.period_s) * found.stride
+    at: list[FloatArray] = [np.zeros(0)]
+    begin: list[FloatArray] = [np.zeros(0)]
+    count, way, latest = 0, 0.0, 0.0
+    for block in recording:
+        places = block.samples[found.name]
+        steps = np.sign(np.diff(places, prepend=places[:1] if not count else latest))
+        moving = np.flatnonzero(steps)
+        turned = moving[np.diff(steps[moving], prepend=way) * steps[moving] > 1.0]
+        at.append(np.where(turned > 0, places[turned - 1], latest))
+        begin.append(period_s * (count + turned).astype(np.float64))
+        if len(moving):
+            way = float(steps[moving[-1]])
+        count, latest = count + len(places), float(places[-1]) if len(places) else latest
+    places, times_s = np.concatenate(at), np.concatenate(begin)
+    real = _further_apart(places, _LEAST_TURN_M)
+    kept = np.flatnonzero(real)[:: max(1, -(-int(real.sum()) // MOST_POINTS))]
+    return {
+        "axis": mandrel.along,
+        "times_s": _told(times_s[kept]),
+        "at": _told(places[kept]),
+    }
+
+
+def _further_apart(places: FloatArray, least: float) -> NDArray[np.bool_]:
+    """Return which places a carriage really turns at: a quiver of rounding turns, too."""
+    kept = np.zeros(len(places), dtype=np.bool_)
+    before = -np.inf
+    for k, place in enumerate(places.tolist()):
+        kept[k] = abs(place - before) > least
+        before = place if kept[k] else before
+    return kept
+
+
 def _stitches(
     job: Job, begun: _Operations | None, uses: tuple[str, FloatArray] | None
 ) -> dict[str, Any] | None:
@@ -188,12 +233,9 @@ def _stitches(
         if not isinstance(item, MoveRun):
             first += 1
             continue
-        tag = item.columns.get("stitch")
-        number = np.full(len(item), -1) if tag is None else np.where(lacking(tag), -1, tag)
         block = item.columns.get("block")
-        up = -1 if block is None else 0  # in a design the number of a move with the needle up
         places.append(item.targets[:, :2])
-        sewn.append(number.astype(float) > up)
+        sewn.append(entering(item))
         blocks.append(np.zeros(len(item)) if block is None else np.where(lacking(block), 0, block))
         operations.append(first + np.arange(len(item)))
         first += len(item)

@@ -1,15 +1,12 @@
 """Runs of the panel: the check of the proof beforehand, the store, and the verdict afterwards.
 
 Check and verdict take seconds, while the executor keeps listening, and may move. So the check is a
-thread, whose start is dropped if another command comes, and the judge is a process.
+thread, whose start is dropped if another command comes. The simulations of the check, and the
+judge, are processes: this one stays small.
 """
 
 from __future__ import annotations
 
-import os
-import pickle
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
@@ -19,19 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from threadline.base.arrays import finite
-from threadline.base.importing import import_and_call
+from threadline.base.arrays import FloatArray, finite
 from threadline.base.reading import inputs_read, noting_inputs
 from threadline.commands.plan import Plan
-from threadline.errors import (
-    CommandError,
-    InputError,
-    ProofError,
-    RecordingError,
-    StoreError,
-    ThreadlineError,
-)
-from threadline.files import Channel, RecordingBlock
+from threadline.errors import ProofError, RecordingError, StoreError, ThreadlineError
+from threadline.files import Channel, RecordingBlock, RunEnd
 from threadline.live.continuing import (
     Continued,
     ContinuedSink,
@@ -49,24 +38,22 @@ from threadline.live.store.whole_trace import (
     refuse_other_rows,
     trace_of,
     unfinished_run,
-    whole_recording,
 )
 from threadline.live.supervised import (
     Interventions,
     check_halts,
     check_override,
     check_runnable,
-    interventions,
 )
 from threadline.machine import Machine
+from threadline.panel.holds import next_hold
+from threadline.panel.live_contour import Also, LiveContour
 from threadline.panel.programs import planned
+from threadline.panel.run_work import interventions_apart, judged_apart
 from threadline.proof.pipeline import with_shaping
 from threadline.proof.proof_file import ProofFile
-from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
+from threadline.verdict import Spec, load_spec
 from threadline.verdict.progress import PlanClock
-
-_JUDGE = import_and_call("threadline.panel.kept_runs", "judge_main")
-_NICE = 10  # the executor comes first
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +68,8 @@ class Prepared:
         Number of stops received when it was requested.
     may
         What holds and overrides of the feed do to its work.
+    rests_s
+        (n, 2) instants of the plan between which a hold can stand, if holds wait for a rest.
     again, continues
         The rest of an interrupted run, and that run's name; else None, and empty.
     """
@@ -93,6 +82,7 @@ class Prepared:
     override: str | None
     inputs: tuple[Path, ...]
     may: Interventions
+    rests_s: FloatArray | None = None
     again: Continued | None = None
     continues: str = ""
 
@@ -156,6 +146,9 @@ class KeptRuns:
         self._channels: tuple[Channel, ...] = ()
         self._simulated = True
         self._sink: Sink | None = None  # of the open run
+        self._live: LiveContour | None = None  # of the open run
+        self._may: tuple[str, Interventions] | None = None  # of the latest proof, by its hash
+        self._completed: dict[str, int] = {}  # runs by program
         self._left_out_s = 0.0  # of its commands, if it does the rest of a job
         self._open: tuple[OpenRun, Prepared, ExitStack] | None = None
         self._progress: dict[str, Any] | None = None
@@ -242,13 +235,22 @@ class KeptRuns:
             inputs = tuple(file for file in inputs_read() if not file.samefile(proof_file))
         if proof.content["sha256"] != told["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
-        may = interventions(plan, spec)
+        may = self._interventions(str(told["proof"]), plan, spec)
+        LiveContour.rehearse(plan, spec, self._channels)
         load, number = executor.prepare(plan), int(told["number"])
         load = replace(load, notes=(*load.notes, *may.notes))
-        found = Prepared(number, stops, load, spec, proof, override, inputs, may)
+        rests = run_kind_of(plan.machine).rests_s
+        rests_s = rests(plan.commands) if may.hold_at_rest else None
+        found = Prepared(number, stops, load, spec, proof, override, inputs, may, rests_s)
         if "run" not in told:
             return found
         return self._rest_of(str(told["run"]), str(told["at"]), found, executor)
+
+    def _interventions(self, proof: str, plan: Plan, spec: Spec) -> Interventions:
+        """Return what holds and overrides do to the work of a proof; simulated once for each."""
+        if self._may is None or self._may[0] != proof:
+            self._may = proof, interventions_apart(plan, spec)
+        return self._may[1]
 
     def _rest_of(self, run: str, at: str, whole: Prepared, executor: Operated) -> Prepared:
         """Return the rest of an interrupted run; its approach is checked."""
@@ -277,10 +279,13 @@ class KeptRuns:
         run = RunStore(self._store).begin(plan, ready.proof, told, self._speed, ready.inputs, sent)
         stack = ExitStack()
         stack.enter_context(run)
-        rest, self._sink = ready.load.rest, run
+        rest = ready.load.rest
+        self._live = LiveContour.of(plan, ready.spec, self._channels)
+        judged: Sink = run if self._live is None else Also(run, self._live)
+        self._sink = judged
         self._left_out_s = 0.0
         if rest is not None:
-            self._sink = ContinuedSink(run, self._machine, rest.left_out, rest.operation)
+            self._sink = ContinuedSink(judged, self._machine, rest.left_out, rest.operation)
             self._left_out_s = rest.left_out * float(self._machine.command_clock.period_s)
         self._sink.begin(self._channels, self._simulated)
         self._open = (run, ready, stack)
@@ -291,6 +296,7 @@ class KeptRuns:
             "program": plan.job.name,
             "time_s": self._left_out_s,
             "duration_s": plan.duration_s,
+            "completed": self._completed.get(plan.job.name, 0),
         }
         try:
             may = ready.may
@@ -307,10 +313,14 @@ class KeptRuns:
             stack.close()
             assert executor.ended is not None
             ended, why = executor.ended
+            self._end_live()
             assert self._progress is not None
             share = executor.share_done
             time_s = self._time_s(executor) if share is None else self._at_share(share)
+            name = str(self._progress["program"])
+            self._completed[name] = self._completed.get(name, 0) + (ended is RunEnd.COMPLETED)
             self._progress |= {"time_s": time_s, "ended": ended.value, "why": why}
+            self._progress["completed"] = self._completed[name]
             self._judging = self._pool.submit(self._judged, run, ready, ended.value, why)
         elif self._judging is not None and self._judging.done():
             future, self._judging = self._judging, None
@@ -318,7 +328,8 @@ class KeptRuns:
             try:
                 self._progress["verdict"] = future.result().closing
             except (ThreadlineError, OSError) as error:
-                self._said(f"the run could not be judged: {error}", True)
+                why = error.message if isinstance(error, ThreadlineError) else str(error)
+                self._progress["verdict"] = f"NOT JUDGED: {why}"
 
     def _judged(self, run: OpenRun, ready: Prepared, ended: str, why: str) -> _Finished:
         with suppress(StoreError):  # a locked index may be free when the verdict is stored
@@ -366,9 +377,22 @@ class KeptRuns:
         """
         if self._progress is None or self._open is None:
             return self._progress
-        if (share := executor.share_done) is not None:
-            return {**self._progress, "time_s": self._at_share(share)}
-        return {**self._progress, "time_s": self._time_s(executor)}
+        if self._live is not None:
+            self._progress["contour"] = self._live.report()
+        share = executor.share_done
+        time_s = self._time_s(executor) if share is None else self._at_share(share)
+        ready = self._open[1]
+        return {**self._progress, "time_s": time_s, **next_hold(ready.rests_s, time_s)}
+
+    def _end_live(self) -> None:
+        """End the measurement beside the run; the last state of it is kept."""
+        live, self._live = self._live, None
+        if live is None or self._progress is None:
+            return
+        live.close()
+        self._progress["contour"] = live.report()
+        if live.failed:
+            self._said(f"the error of the run was not followed to its end: {live.failed}", True)
 
     def _time_s(self, executor: Operated) -> float:
         """Return the instant of the whole job that a run is at, s, from its recording.
@@ -391,6 +415,7 @@ class KeptRuns:
 
     def _break_off(self, error: BaseException | None) -> None:
         if self._open is not None:
+            self._end_live()
             stack = self._open[2]
             self._open = None
             stack.__exit__(type(error) if error else None, error, None)
@@ -399,48 +424,3 @@ class KeptRuns:
         """Close an open run, as ended by ``error``; wait for the threads."""
         self._break_off(error)
         self._pool.shutdown(wait=True)
-
-
-def judged_apart(trace: Path, plan: Plan, spec: Spec) -> tuple[Mapping[str, Any], str]:
-    """Return the verdict on the recording of a run, as JSON and in a line, from another process.
-
-    A judge in this process would take processor time from the executor.
-
-    Raises
-    ------
-    RecordingError
-        If the recording cannot be judged.
-    CommandError
-        If the other process cannot be started, or ends without an answer.
-    """
-    try:
-        done = subprocess.run(  # noqa: S603  # this interpreter, and words of ours
-            [sys.executable, "-c", _JUDGE],
-            input=pickle.dumps((trace.absolute(), plan, spec)),
-            stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            start_new_session=True,
-            check=False,
-        )
-    except OSError as error:
-        raise CommandError(
-            f"the process that judges cannot be started: {error.strerror or error}"
-        ) from error
-    if done.returncode:
-        raise CommandError("the process that judges has ended without an answer")
-    found: tuple[Mapping[str, Any], str] | str = pickle.loads(done.stdout)  # noqa: S301  # of our child
-    if isinstance(found, str):
-        raise RecordingError(found)
-    return found
-
-
-def judge_main() -> None:
-    """Judge the recording named on standard input; write the verdict, or why there is none."""
-    os.nice(_NICE)
-    trace, plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe
-    try:
-        verdict = judge([whole_recording(trace)], plan, spec)
-        found: tuple[Mapping[str, Any], str] | str = (verdict_json(verdict, plan), closing(verdict))
-    except InputError as error:
-        found = error.message
-    sys.stdout.buffer.write(pickle.dumps(found))

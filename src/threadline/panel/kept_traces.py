@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from threadline.base.importing import import_and_call
+from threadline.base.importing import import_and_call, program_apart
 from threadline.errors import StoreError
 from threadline.live.store.run_store import TRACE, opened, verdict_of_run
 from threadline.panel.calculation import answer_of
@@ -60,7 +60,7 @@ async def in_process(trace: Path, out: Path) -> str:
         File of the recording, and the file to write; its suffix sets the format.
     """
     async with _one_at_a_time:
-        status, said, _ = await answer_of(sys.executable, "-c", _CHILD, str(trace), str(out))
+        status, said, _ = await answer_of(*program_apart(_CHILD), str(trace), str(out))
     ended = "the trace cannot be read: the process that did has ended" if status else ""
     return said.decode("utf-8", "replace").strip() or ended
 
@@ -75,7 +75,7 @@ async def report_of(store: Path, run: str, out: Path) -> str:
     """
     async with _one_at_a_time:
         status, _, said = await answer_of(
-            sys.executable, "-m", "threadline", "report", run,
+            sys.executable, "-P", "-m", "threadline", "report", run,
             "--store", str(store), "-o", str(out.parent),
         )  # fmt: skip
     if status in _JUDGED and out.exists():

@@ -23,8 +23,9 @@ from threadline.live.operated import Operated
 from threadline.live.states import TRANSITIONS, Cause, Desk, State
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
+from threadline.panel.board_reports import BoardReports
 from threadline.panel.kept_runs import KeptRuns, Prepared
-from threadline.panel.welcoming import positions, signals
+from threadline.panel.welcoming import positions, readings, signals
 
 
 class MoveSequence:
@@ -140,6 +141,7 @@ class Owner:
         self._moves = MoveSequence()
         self._rest: Prepared | None = None  # of an interrupted run, not confirmed yet
         self._told_s, self._told = 0.0, State.DISABLED
+        self._board = BoardReports(executor)
 
     def serve(self) -> None:
         """Serve until the server leaves, and the machine stands."""
@@ -161,6 +163,7 @@ class Owner:
         except (ThreadlineError, OSError) as error:
             # Whatever the error: the link ends with this process, and its tail brakes the machine.
             failed = error
+            self._tell_board()
             self._say("dead", why=str(error))
         finally:
             executor.close()
@@ -251,6 +254,9 @@ class Owner:
             k = self._machine.axis_names.index(str(head["axis"]))
             to = int(executor.stands[k]) + int(head["by"])
             self._moves.begin([(str(head["axis"]), to)], asked.stops, clock_s())
+        elif what == "console":
+            self._refuse_console()
+            executor.type_line(str(head["line"]))
         elif what == "override-feed":
             executor.override(int(head["percent"]))
         elif what in _LATER:
@@ -269,6 +275,13 @@ class Owner:
             self._obey_drives(what)
         else:
             raise CommandError(f"{what[:40]!r} is no command", remedy="Use the panel's own page.")
+
+    def _refuse_console(self) -> None:
+        """Refuse a typed line while something else is about to move."""
+        if self._moves.left:
+            raise CommandError("the machine makes an earlier move", remedy="Wait.")
+        if self._runs.busy:
+            raise CommandError(f"the console waits: {self._runs.busy}", remedy="Wait.")
 
     def _obey_drives(self, what: str) -> None:
         """Switch or home the machine; moves that have not begun are dropped."""
@@ -367,6 +380,7 @@ class Owner:
                 channels, executor.latest, machine, executor.stands if executor.homed else None
             ),
             signals=signals(channels, executor.latest),
+            readings=readings(channels, executor.latest),
             late_ticks=executor.late_ticks,
             percent=executor.percent if executor.under_way else 100,
             no_override=executor.no_override,
@@ -376,7 +390,14 @@ class Owner:
             progress=self._runs.progress(executor),
             rest=None if self._rest is None else self._rest.rest_notes(),
             age_s=executor.age_s,
+            board=self._board.fill(),
         )
+        self._tell_board()
+
+    def _tell_board(self) -> None:
+        """Report what a controller's board has told since."""
+        for kind, head in self._board.news(clock_s()):
+            self._say(kind, **head)
 
     def _say(self, kind: str, **head: Any) -> None:
         """Send the server a message; a server that does not read is not waited for."""

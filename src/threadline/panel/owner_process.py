@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from threadline.base.importing import import_and_call
+from threadline.base.importing import import_and_call, program_apart
 from threadline.errors import LinkFaultError, ThreadlineError
 from threadline.live.guards import clock_s
 from threadline.live.links import at_link, operated
@@ -180,7 +180,7 @@ def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
-        [sys.executable, "-c", _CHILD, str(theirs.fileno())],
+        [*program_apart(_CHILD), str(theirs.fileno())],
         stdin=subprocess.PIPE,
         pass_fds=(theirs.fileno(),),
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},

@@ -17,6 +17,7 @@ from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.wire import Message
 from threadline.machine import Machine
 from threadline.panel import protocol as say
+from threadline.panel.board_messages import Board, Console, Exchange, Fill
 from threadline.panel.calculation import Calculation
 from threadline.panel.control import SEEN_S, Client, ControlLease, Lease
 from threadline.panel.owner import TELL_S
@@ -27,6 +28,7 @@ BEAT_S = 0.04
 """Period of the states sent to clients, s."""
 _STANDS_S = 10.0
 """Longest wait in s for the machine to stand, at the end of the panel."""
+_LINES_KEPT = 400  # of the console, for a page that is loaded again
 _STOPS_KNOWN = 64  # latest stops, each reported once though it may come by two ways
 _NOT_AWAITED = "the machine is stopped by its own process, which was not waited for"
 _MOVING = frozenset({State.HOMING, State.JOGGING, State.RUNNING, State.HOLDING, State.STOPPING})
@@ -87,6 +89,8 @@ class Panel:
         self._asked: dict[int, tuple[int, int]] = {}  # request: client, and its number
         self._requests = 0
         self._stops: deque[tuple[int, int | None]] = deque(maxlen=_STOPS_KNOWN)
+        self._board: Board | None = None
+        self._lines: deque[Exchange] = deque(maxlen=_LINES_KEPT)
 
     def connect(self) -> None:
         """Start an owner of the machine; call it on the event loop."""
@@ -128,6 +132,10 @@ class Panel:
         client.tell(welcome_of(self.machine, client.number, self._link, self._far_end))
         if self.calculation.figures is not None:
             client.tell(self.calculation.figures)
+        if self._board is not None:
+            client.tell(self._board)
+        if self._lines:
+            client.tell(Console(lines=list(self._lines), whole=True))
         return client
 
     def leave(self, client: Client) -> None:
@@ -232,6 +240,7 @@ class Panel:
         | say.ZeroAxis
         | say.Jog
         | say.Step
+        | say.ConsoleLine
         | say.OverrideFeed
         | say.Start
         | say.Continue,
@@ -253,6 +262,8 @@ class Panel:
             case say.ZeroAxis():
                 self._axis(command.axis)
                 owner.send("zero-axis", number=number, to=[[command.axis, 0]])
+            case say.ConsoleLine():
+                owner.send("console", number=number, line=command.line)
             case say.OverrideFeed():
                 owner.send("override-feed", number=number, percent=command.percent)
             case say.Start():
@@ -304,6 +315,8 @@ class Panel:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
         if state in MAY_OVERRIDE and not now["no_override"]:
             found.append("override-feed")
+        if self._far_end.console and stands and state not in _MOVING and not self.busy():
+            found.append("console")
         if calculation.proven is None:
             found = [what for what in found if what not in _OF_PROVEN]
         if now["rest"] is None:
@@ -330,11 +343,19 @@ class Panel:
                 answer = say.Answer(number=number, ok=bool(head["ok"]), text=str(head["text"]))
                 self._clients[client].tell(answer)
 
+        elif message.kind == "board":
+            self._board = Board.model_validate(head)
+            self._tell_all(self._board)
+        elif message.kind == "console":
+            lines = Console.model_validate(head)
+            self._lines.extend(lines.lines)
+            self._tell_all(lines)
+
     def _show_result(self, found: say.Figures | str) -> None:
         """Show the result of a calculation, or why there is none."""
         self._tell_all(say.Said(text=found, wrong=True) if isinstance(found, str) else found)
 
-    def _tell_all(self, message: say.Said | say.Figures) -> None:
+    def _tell_all(self, message: say.Said | say.Figures | Board | Console) -> None:
         for client in self._clients.values():
             client.tell(message)
 
@@ -365,6 +386,10 @@ class Panel:
                 for name, at in now.get("axes", {}).items()
             },
             signals=now.get("signals", {}),
+            readings={
+                name: say.Reading(value=value, unit=unit)
+                for name, (value, unit) in now.get("readings", {}).items()
+            },
             late_ticks=int(now.get("late_ticks", 0)),
             feed_percent=int(now.get("percent", 100)),
             no_override=str(now.get("no_override", "")),
@@ -380,6 +405,7 @@ class Panel:
             rest=None if not now.get("rest") else say.RestOfRun.model_validate(now["rest"]),
             proven=self.calculation.proven,
             calculating=self.calculation.share,
+            board=None if not now.get("board") else Fill.model_validate(now["board"]),
             busy=self.busy(),
             clients=len(self._clients),
         )

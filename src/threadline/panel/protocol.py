@@ -13,6 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
 
 from threadline.live.feed_override import LEAST_PERCENT, MOST_PERCENT
+from threadline.panel.board_messages import Board, Console, Fill
+from threadline.panel.cylinder_messages import Cylinder
+from threadline.panel.job_messages import (
+    Criterion,
+    Lane,
+    Lines,
+    NamedStep,
+    Stitches,
+    TurnRounds,
+)
 from threadline.proof.option_form import Door, Type
 from threadline.proof.option_table import options_for
 
@@ -78,6 +88,13 @@ class Step(_Strict):
     """Distance in m or rad; its sign is the direction."""
 
 
+class ConsoleLine(_Strict):
+    """Send a typed line to a controller at rest; a line that moves anything is refused."""
+
+    what: Literal["console"]
+    line: Annotated[str, Field(max_length=100)]
+
+
 class OverrideFeed(_Strict):
     """Override the feed of the run: 10 to 100 % were proven."""
 
@@ -133,13 +150,14 @@ class Continue(_Strict):
     what: Literal["continue"]
     run: Text
     at: Text = "block"
-    """Where the work begins again: ``block``, ``circuit``, ``circuit 12``, ``line 40``."""
+    """Where the work begins again: ``block``, ``circuit``, ``circuit 12``, ``line 40``,
+    ``stitch 120``, ``back 10``."""
     proof: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
     override: Text | None = None
 
 
 Command = Annotated[
-    Simple | ZeroAxis | Jog | Step | OverrideFeed | Calculate | Start | Continue,
+    Simple | ZeroAxis | Jog | Step | ConsoleLine | OverrideFeed | Calculate | Start | Continue,
     Field(discriminator="what"),
 ]
 
@@ -247,7 +265,13 @@ class Welcome(BaseModel):
     normal_feed: bool = False
     """Whether the machine has an operator's normal feed, which the priority ``accuracy`` takes."""
     axes: list[Axis]
+    cylinders: list[Cylinder] = []
+    inputs: list[str] = []
+    """Names of the machine's inputs, and of its outputs."""
+    outputs: list[str] = []
     mandrel: Mandrel | None
+    console: bool = False
+    """Whether the link leads to a controller that takes typed lines at rest."""
     jog_lease_s: float
     control_lease_s: float
 
@@ -274,6 +298,25 @@ class Holder(BaseModel):
     passes_in_s: float = 0.0
 
 
+class LiveContour(BaseModel):
+    """The contour error of a run so far, m, at its samples; the judge looks between them, too."""
+
+    now_m: float
+    """The largest since the last state."""
+    worst_m: float
+    worst_s: float
+    """Instant of the plan at which it is largest, s."""
+    limit_m: float
+    at: Literal["load", "encoder"]
+
+
+class Reading(BaseModel):
+    """A quantity besides those of the axes, such as the tension of the fibre; SI units."""
+
+    value: float
+    unit: str
+
+
 class Progress(BaseModel):
     """A run, or the last one."""
 
@@ -284,6 +327,14 @@ class Progress(BaseModel):
     ended: str | None = None
     why: str = ""
     verdict: str = ""
+    completed: int = 0
+    """Completed runs of this program since the machine was connected."""
+    hold: Literal["at once", "at a rest", "at the end"] = "at once"
+    """Where a hold stands: on the path, at the next rest of the program, or only at its end."""
+    hold_at_s: float | None = None
+    """Instant of the plan of that rest, s; None without one."""
+    contour: LiveContour | None = None
+    """None where the link does not measure where the machine is."""
 
 
 class RestOfRun(BaseModel):
@@ -319,6 +370,8 @@ class State(BaseModel):
     axes: dict[str, Where]
     signals: dict[str, float]
     """State of each digital input and output."""
+    readings: dict[str, Reading] = {}
+    """Whatever else the machine reports that belongs to no axis."""
     late_ticks: int
     feed_percent: int = 100
     """Override of the feed of the run, %."""
@@ -330,6 +383,8 @@ class State(BaseModel):
     proven: Proven | None
     calculating: float | None
     """Share done of a calculation; None without one."""
+    board: Fill | None = None
+    """How full the controller is; None if it does not report it."""
     busy: str = ""
     """Why no run and no calculation can begin now, for people; empty if they can."""
     clients: int
@@ -349,72 +404,6 @@ class Answer(BaseModel):
     number: int
     ok: bool
     text: str = ""
-
-
-class Lines(BaseModel):
-    """Lines and circuits of the job, and the times from which each is under way, s."""
-
-    times_s: list[float]
-    line: list[int]
-    circuit: list[int]
-    """The circuit, from 1; 0 outside of any."""
-
-
-class Stitches(BaseModel):
-    """Holes of a seam or a design in order, thinned if there are many; m and s."""
-
-    x: list[float]
-    y: list[float]
-    joined: list[bool]
-    """Whether the thread comes from the hole before, without travel between."""
-    block: list[int]
-    """Number of the thread, from 1; 0 for a seam."""
-    threads: list[str | None]
-    """Colour of each thread; None where the file does not say it."""
-    number: list[int]
-    count: int
-    times_s: list[float]
-    use: list[float]
-    """Share of a limit that each stitch uses; empty without such a limit."""
-    use_of: str
-
-
-class NamedStep(BaseModel):
-    """A step of a move list."""
-
-    name: str
-    line: int
-    begin_s: float
-
-
-class Lane(BaseModel):
-    """An input or output over the time of the plan: its first state, and when it changes, s."""
-
-    name: str
-    input: bool
-    on: bool
-    changes_s: list[float]
-
-
-class Criterion(BaseModel):
-    """A criterion of the specification and its result, as ``prove --json`` has it."""
-
-    name: str
-    axis: str
-    step: str = ""
-    measured: float | None
-    limit: float | None
-    unit: str
-    status: str
-    time_s: float | None = None
-    job_line: int | None = None
-    passes: list[int] = []
-    operation: int | None = None
-    position: list[float] | None = None
-    run: int | None = None
-    of: str = "run"
-    required: bool = False
-    note: str = ""
 
 
 class Figures(BaseModel):
@@ -445,6 +434,7 @@ class Figures(BaseModel):
     stitches: Stitches | None
     steps: list[NamedStep]
     lanes: list[Lane]
+    turn_rounds: TurnRounds | None = None
 
 
 class Preview(BaseModel):
@@ -478,7 +468,8 @@ class Said(BaseModel):
 
 
 ServerMessage = Annotated[
-    Welcome | State | Leased | Answer | Figures | Said, Field(discriminator="type")
+    Welcome | State | Leased | Answer | Figures | Said | Board | Console,
+    Field(discriminator="type"),
 ]
 
 

@@ -23,7 +23,7 @@ from starlette.types import ASGIApp, Scope
 from threadline.errors import InputError, OptionError, StoreError
 from threadline.live.guards import clock_s
 from threadline.panel import protocol as say
-from threadline.panel.admission import HEADERS, Admission, AdmittingApp
+from threadline.panel.admission import HEADERS, Admission, AdmittingApp, Unknown
 from threadline.panel.calculation import MachineGuide, add_guide, add_winding
 from threadline.panel.control import Client, in_page_words
 from threadline.panel.drawn import TooLongError, add_drawing, whole_body
@@ -34,7 +34,6 @@ from threadline.panel.programs import MOST_UPLOAD, ThereAlreadyError, program_na
 PAGE = Path(__file__).parent / "page"
 """Folder of the built page; ``make panel`` makes it."""
 _NUMBERS = re.compile("[0-9]{1,15}")
-_HELLO_S = 5.0  # time within which a client must send its hello
 _REFUSALS: dict[int | str, dict[str, Any]] = {
     404: {"description": "there is none with that name"},
     409: {"description": "the lease is not the one in force"},
@@ -214,11 +213,12 @@ async def _read_trace(store: Path, run: str, ending: str) -> Response:
 
 def _add_live(app: FastAPI, panel: Panel, admission: Admission) -> None:
     """Add the websocket for states and commands."""
+    unknown = Unknown()
 
     @app.websocket("/api/live")
     async def live(socket: WebSocket) -> None:
         await socket.accept()
-        client = await _greeted(socket, panel, admission)
+        client = await _greeted(socket, panel, admission, unknown)
         if client is None:
             return
         sending = asyncio.create_task(_send(socket, client))
@@ -282,10 +282,12 @@ def _read(text: str) -> say.Stop | say.Control | say.Alive | say.Act:
     return message
 
 
-async def _greeted(socket: WebSocket, panel: Panel, admission: Admission) -> Client | None:
+async def _greeted(
+    socket: WebSocket, panel: Panel, admission: Admission, unknown: Unknown
+) -> Client | None:
     """Return the client at a socket after its hello; close the socket without one."""
     try:
-        async with asyncio.timeout(_HELLO_S):
+        async with unknown.one_more():
             hello = say.CLIENT_MESSAGE.validate_json(await socket.receive_text())
     except (ValidationError, KeyError):
         await _close(socket, _UNREADABLE, "this is no message of the protocol")

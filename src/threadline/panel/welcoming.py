@@ -14,10 +14,12 @@ from threadline.live.sim_process import SLOWER
 from threadline.machine import Machine
 from threadline.panel import protocol as say
 from threadline.panel.control import CONTROL_LEASE_S
+from threadline.panel.cylinder_messages import cylinders_of
 from threadline.panel.programs import untaught
 from threadline.panel.protocol import Mandrel
 from threadline.proof.kinds import kind_of
 
+_RAW = f".{ChannelKind.SENSOR.value}"
 _STATES = (ChannelKind.INPUT, ChannelKind.OUTPUT)
 _PLACES = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD)
 
@@ -62,6 +64,23 @@ def signals(channels: Iterable[Channel], latest: Mapping[str, float]) -> dict[st
         channel.name: latest[channel.name]
         for channel in channels
         if channel.kind in _STATES and not channel.axis and channel.name in latest
+    }
+
+
+def readings(
+    channels: Iterable[Channel], latest: Mapping[str, float]
+) -> dict[str, tuple[float, str]]:
+    """Return value and SI unit of each reported quantity that belongs to no axis.
+
+    Readings of sensors (``x_pot.sensor``, in V) are for the controller, and are left out.
+    """
+    return {
+        channel.name: (latest[channel.name], channel.unit)
+        for channel in channels
+        if channel.unit
+        and not channel.axis
+        and not channel.name.endswith(_RAW)
+        and channel.name in latest
     }
 
 
@@ -116,7 +135,11 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
             )
             for name, axis in machine.axes.items()
         ],
+        cylinders=cylinders_of(machine),
+        inputs=list(machine.contacts),
+        outputs=list(machine.outputs),
         mandrel=mandrel_of(machine),
+        console=far_end.console,
         jog_lease_s=LEASE_S,
         control_lease_s=CONTROL_LEASE_S,
     )

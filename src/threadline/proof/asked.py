@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import product
@@ -18,6 +19,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
 from threadline.base.reading import note_input
+from threadline.base.wording import nearest
 from threadline.errors import OptionError, ThreadlineError
 from threadline.jobs import own_product
 from threadline.machine import Machine, load_machine
@@ -25,7 +27,7 @@ from threadline.machine.radii import with_radii
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
 from threadline.proof.option_form import Door, Group, Option, Type, Word
-from threadline.proof.option_table import PYTHON_VERBS, known_words, options_for
+from threadline.proof.option_table import PYTHON_VERBS, options_for, verb_of
 from threadline.proof.option_words import parse_band, parse_ends, parse_yield
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
@@ -182,6 +184,42 @@ class Words:
         words = {name: self.given.get(name) for name in _OF_LEVEL}
         return trials_of(**{**words, **({} if ends is None else {"ends": ends})})
 
+    @contextmanager
+    def judging(self, tell: Callable[[str], None] | None = None) -> Iterator[None]:
+        """Let the workers of ``cluster`` judge all machines inside; without it, this computer.
+
+        Parameters
+        ----------
+        tell
+            Called with the cluster in words.
+
+        Raises
+        ------
+        OptionError, LinkFaultError
+            If no machines would be judged there, or the cluster cannot be used.
+        """
+        address = self.text("cluster")
+        if address is None:
+            yield
+            return
+        if self.verb == "fastest":
+            trials = self.trials()
+            if trials.wanted_yield is not None:
+                raise OptionError(
+                    "--cluster judges the machines of --tolerances; those of --yield are judged by "
+                    "this computer",
+                    remedy="Give --tolerances in place of --yield, or leave --cluster out.",
+                )
+            if not trials.machines:
+                raise OptionError(
+                    "--cluster judges machines within the tolerances, and this search judges none",
+                    remedy="Give --tolerances, or leave --cluster out.",
+                )
+        from threadline.base.cluster import on_cluster  # few searches go there
+
+        with on_cluster(address, tell or (lambda _: None)):
+            yield
+
     def changed(self, **changed: Word) -> dict[str, Word]:
         """Return the planning words that differ from the defaults of ``prove``."""
         known = {one.word: one for one in options_for("prove", groups=[Group.PLAN])}
@@ -204,6 +242,24 @@ class Words:
             if value is not None and value != one.default and value is not False:
                 typed["-s" if one.name == "spec" else one.typed] = _typed(value)
         return typed
+
+
+def known_words(verb: str, door: Door, words: Mapping[str, Word]) -> dict[str, Word]:
+    """Return the words of all options of a verb: given values, else defaults.
+
+    Raises
+    ------
+    OptionError
+        If a word is not an option of the verb, or not one of its choices.
+    """
+    taken = {one.word: one for one in options_for(verb, door)}
+    for word, value in words.items():
+        if word not in taken:
+            raise OptionError(f"unknown option {word!r}", remedy=nearest(word, tuple(taken)))
+        choices = taken[word].choices
+        if choices and value not in choices:
+            raise OptionError(f"unknown {word} {value!r}", remedy=nearest(str(value), choices))
+    return {word: words.get(word, one.default_of(verb)) for word, one in taken.items()}
 
 
 _OF_OPTIMAL = ("contour", "outside", "reserve", "narrow")
@@ -340,6 +396,8 @@ _OTHER_ARGUMENTS = {
     "gain": "gain=", "sensors": "sensors=", "ahead": "ahead=", "direction": "direction=",
     "coupling": "coupling=", "controller": "controller=", "rule": "rule=", "axis": "axis=",
     "amplitude": "amplitude=", "link": "link=", "numbers": "numbers=", "experiment": "experiment=",
+    "speed": "speed=", "store": "store=", "override": "override=", "proof": "proof=", "key": "key=",
+    "approach": "approach=True", "pass-stops": "pass_stops=True",
 }  # fmt: skip
 
 
@@ -400,16 +458,17 @@ def with_options(function: VerbT) -> VerbT:
     Its errors name arguments of the function where the command line names options.
     """
     verb = in_arguments(function)
+    named = verb_of(function.__name__)
     own = inspect.signature(function)
     first = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
     listed = [
         inspect.Parameter(
             one.word,
             inspect.Parameter.KEYWORD_ONLY,
-            default=one.default_of(verb.__name__),
-            annotation=python_type(one, verb.__name__),
+            default=one.default_of(named),
+            annotation=python_type(one, named),
         )
-        for one in options_for(verb.__name__, Door.PYTHON)
+        for one in options_for(named, Door.PYTHON)
         if one.word not in own.parameters
     ]
     verb.__signature__ = own.replace(parameters=[*first, *listed])  # type: ignore[attr-defined]

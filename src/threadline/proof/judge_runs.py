@@ -8,17 +8,19 @@ variant's result is the same to the bit in any part and with any number of threa
 from __future__ import annotations
 
 import ctypes
+import hashlib
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from os import cpu_count
-from threading import Lock
+from typing import Any
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.workers import Done, answers, workers
 from threadline.commands.plan import Plan
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, RecordingError
@@ -30,10 +32,20 @@ from threadline.proof.kinds.variants import with_machine_hash
 from threadline.twin import fastest_rates, simulate_runs
 from threadline.twin.simulate import DEFAULT_SETTLE_S
 from threadline.verdict import EachRun, Judge, Spec, needed_channels
+from threadline.verdict.pattern import raster_bytes
 from threadline.verdict.replayed import with_products
 
-Done = Callable[[float], None]
-"""Called with the number of judged machines since the call before; a part of one counts, too."""
+_Alone = tuple[FloatArray, FloatArray | None]
+"""Parts of one machine, and (1, 5) parts of its product."""
+
+
+def bits_of(found: EachRun) -> bytes:
+    """Return a digest of every value, limit and name of a result."""
+    digest = hashlib.sha256()
+    for row in found.rows:
+        digest.update(f"{row.name} {row.axis} {row.step} {row.limit!r} ".encode())
+        digest.update(np.ascontiguousarray(row.values, dtype="<f8").tobytes())
+    return digest.digest()
 
 
 class AloneJudge:
@@ -48,14 +60,11 @@ class AloneJudge:
     """
 
     def __init__(self, plan: Plan, spec: Spec, judge: Judge | None = None) -> None:
-        self._plan = plan
+        self._plan, self._spec = plan, spec
         self._judge = Judge(plan, spec) if judge is None else judge
 
     def judged(
-        self,
-        parts: FloatArray,
-        done: Done | None = None,
-        products: FloatArray | None = None,
+        self, parts: FloatArray, done: Done | None = None, products: FloatArray | None = None
     ) -> EachRun:
         """Return the results of machines at (k, n) parts of their tolerances.
 
@@ -70,15 +79,56 @@ class AloneJudge:
             (k, 5) parts of the tolerances of each machine's product, as ``with_products``; None for
             the product as it is.
         """
-        found = []
-        for number, row in enumerate(parts):
-            try:
-                found.append(self._one(row, None if products is None else products[number, None]))
-            except (MachineError, RecordingError):
-                found.append(self._own.without_answer())
-            if done is not None:
-                done(1)
-        return EachRun.joined(found)
+        return EachRun.joined(list(self._answers([(parts, products)], done, len(parts) == 1)))
+
+    def judged_each(
+        self, batches: Iterable[tuple[FloatArray, FloatArray | None]], done: Done | None = None
+    ) -> Iterator[EachRun]:
+        """Yield the results of each batch of machines, its parts and products as in ``judged``."""
+        sizes: deque[int] = deque()
+
+        def noted() -> Iterator[tuple[FloatArray, FloatArray | None]]:
+            for parts, products in batches:
+                sizes.append(len(parts))
+                yield parts, products
+
+        found = self._answers(noted(), done, here=False)
+        for first in found:
+            yield EachRun.joined([first, *islice(found, sizes.popleft() - 1)])
+
+    def _answers(
+        self,
+        batches: Iterable[tuple[FloatArray, FloatArray | None]],
+        done: Done | None,
+        here: bool,
+    ) -> Iterator[EachRun]:
+        items = (
+            (row, None if products is None else products[k, None])
+            for parts, products in batches
+            for k, row in enumerate(parts)
+        )
+        return answers(self, items, done, here=here)
+
+    def answer(self, item: _Alone, done: Done | None = None) -> EachRun:
+        """Return the result of one machine with its product."""
+        try:
+            found = self._one(*item)
+        except (MachineError, RecordingError):
+            found = self._own.without_answer()
+        if done is not None:
+            done(1)
+        return found
+
+    def machines(self, _item: _Alone) -> int:
+        """Return 1: machines are judged one by one."""
+        return 1
+
+    def known(self) -> bytes:
+        """Return the bits of the result of the plan's own machine."""
+        return bits_of(self._own)
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return AloneJudge, (self._plan, self._spec)
 
     def why_not(self, parts: FloatArray) -> str:
         """Return why a machine at (n,) parts cannot be simulated to its end; empty if it can."""
@@ -128,16 +178,21 @@ def keep_freed_memory() -> None:
 
 AT_ONCE = 256
 """Variants per part: they share common calculations, and their samples fit the cache."""
-_AT_ONCE_WOUND = 32
-"""The same with products."""
+_LEAST_WOUND = 16
+"""Least variants with products per part, if there are as many: what they share costs as much."""
+_WOUND_BYTES = 256 << 20
+"""Memory of the rasters of a part, each variant with a product having its own."""
 
 KEPT_S = 300.0
-"""Longest job that is kept in memory while it is judged repeatedly."""
+"""Job that is kept in memory while it is judged repeatedly, whatever its ticks."""
+KEPT_TICKS = 500_000
+"""Ticks of a longer job that is kept as well: a winding of an hour has 5 ms each."""
 
 
 def kept_in_memory(plan: Plan) -> Plan:
     """Return a plan with job, path, trajectory and commands in memory, if the job is short."""
-    if plan.duration_s > KEPT_S:
+    tick_s = float(plan.commands.clock.period_s)
+    if plan.duration_s > max(KEPT_S, KEPT_TICKS * tick_s):
         return plan
     motion, table = plan.motion, tick_table(plan.commands)
     trajectory, programmed = motion.trajectory, motion.programmed
@@ -151,6 +206,39 @@ def kept_in_memory(plan: Plan) -> Plan:
         ),
         commands=replace(table, blocks=Stream.of(table)),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Variants:
+    """Machines to be judged: V of them.
+
+    Parameters
+    ----------
+    numbers
+        Path of a number of the machine file to its (V,) SI values, at least one of them.
+    phases
+        (V, axes) place of each encoder between two counts; 0.5 when None.
+    products
+        (V, 5) parts of the tolerances of each variant's product, as ``with_products``; None for
+        the product as it is.
+    """
+
+    numbers: Mapping[str, FloatArray]
+    phases: FloatArray | None = None
+    products: FloatArray | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of machines."""
+        return len(next(iter(self.numbers.values())))
+
+    def taken(self, index: IntArray) -> Variants:
+        """Return the machines at ``index``."""
+        return Variants(
+            numbers={path: values[index] for path, values in self.numbers.items()},
+            phases=None if self.phases is None else self.phases[index],
+            products=None if self.products is None else self.products[index],
+        )
 
 
 class RunsJudge:
@@ -191,7 +279,7 @@ class RunsJudge:
     ) -> None:
         keep_freed_memory()
         plan = kept_in_memory(plan)
-        self.plan = plan
+        self.plan, self._spec = plan, spec
         self.judge = Judge(plan, spec)
         self._table = tick_table(plan.commands)
         self._machine = plan.machine if machine is None else machine
@@ -210,68 +298,98 @@ class RunsJudge:
         done: Done | None = None,
         products: FloatArray | None = None,
     ) -> EachRun:
-        """Return the result of every variant.
+        """Return the result of every variant, its numbers, phases and product as in ``Variants``.
 
         A variant that cannot be simulated, because its motion grows without bound or its modes
         change without end, fails every criterion with a limit, with an infinite value.
 
         Parameters
         ----------
-        variants
-            Path of a number of the machine file to its (V,) SI values, at least one of them.
-        phases
-            (V, axes) place of each encoder between two counts; 0.5 when None.
         done
             Called as a part is read and after it, with the number of its variants since.
-        products
-            (V, 5) parts of the tolerances of each variant's product, as ``with_products``; None for
-            the product as it is.
         """
-        values = Values.of(self._machine, variants)
-        # Each run with a product keeps a raster of its own, of some megabytes.
-        at_once = AT_ONCE if products is None else min(AT_ONCE, _AT_ONCE_WOUND)
-        parts = list(self._parts(values, at_once))
-        lock = Lock()
+        values = Values.of(self._machine, variants)  # refuses a path that is no number
+        asked = Variants(numbers=values.replaced, phases=phases, products=products)
+        places = list(self._places(asked, whole=True))
+        items = (asked.taken(index) for index in places)
+        found = answers(self, items, done, threads=self._threads, here=len(places) == 1)
+        return _in_order(list(found), places)
 
-        def told(count: float) -> None:
-            if done is not None:
-                with lock:
-                    done(count)
+    def judged_each(
+        self, batches: Iterable[Variants], done: Done | None = None
+    ) -> Iterator[EachRun]:
+        """Yield the result of each batch; the next ones are begun before one has ended."""
+        waiting: deque[list[IntArray]] = deque()
 
-        def part(of: tuple[Values, IntArray]) -> EachRun:
-            some, places = of
-            own = None if phases is None else phases[places]
-            product = None if products is None else products[places]
-            return self._part(some, own, product, told)
+        def items() -> Iterator[Variants]:
+            for batch in batches:
+                waiting.append(list(self._places(batch, whole=False)))
+                yield from (batch.taken(index) for index in waiting[-1])
 
-        # A thread of a pool has no context of its own: progress is told to the command that asked.
-        contexts = [copy_context() for _ in parts]
-        with ThreadPoolExecutor(self._threads) as pool:
-            found = list(pool.map(lambda context, of: context.run(part, of), contexts, parts))
-        order = np.argsort(np.concatenate([places for _, places in parts]), kind="stable")
-        return EachRun.joined(found).taken(order)
+        found = answers(self, items(), done, threads=self._threads)
+        for first in found:
+            places = waiting.popleft()
+            yield _in_order([first, *islice(found, len(places) - 1)], places)
+
+    def answer(self, item: Variants, done: Done | None = None) -> EachRun:
+        """Return the results of one part, whose variants have one dead time."""
+        ((values, _),) = Values.of(self._machine, item.numbers).by_delay()
+        so_far = _SoFar(values.count, self.plan, done)
+        return self._part(values, item.phases, item.products, so_far)
+
+    def machines(self, item: Variants) -> int:
+        """Return the number of variants in a part."""
+        return item.count
+
+    def known(self) -> bytes:
+        """Return the bits of the result of the plan's own machine."""
+        return bits_of(self._own)
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        state = self.plan, self._spec, self._machine, self._settle_s, self._rates
+        return _runs_judge, state
+
+    def _wound_at_once(self, count: int) -> int:
+        """Return how many of ``count`` variants with products are judged in a part."""
+        most = min(AT_ONCE, max(_WOUND_BYTES // max(self._raster_bytes, 1), 1))
+        return min(most, max(-(-count // self._threads), _LEAST_WOUND))
+
+    @cached_property
+    def _raster_bytes(self) -> int:
+        return raster_bytes(self.plan)
 
     @cached_property
     def _own(self) -> EachRun:
         """Result of the plan's own machine."""
         own = simulate_runs(
-            self._table,
-            Values.of(self.plan.machine),
-            settle_s=self._settle_s,
-            kinds=self._kinds,
+            self._table, Values.of(self.plan.machine), settle_s=self._settle_s, kinds=self._kinds
         )
         return self.judge.each(own)
 
-    def _parts(self, values: Values, at_once: int) -> Iterator[tuple[Values, IntArray]]:
-        """Yield the variants in parts with one dead time, each part with its indices among all."""
-        for sharing, places in values.by_delay():
-            for at in range(0, sharing.count, at_once):
-                yield sharing.slice(at, at + at_once), places[at : at + at_once]
+    def _places(self, variants: Variants, *, whole: bool) -> Iterator[IntArray]:
+        """Yield the indices of each part of the variants; a part has one dead time.
+
+        Parameters
+        ----------
+        whole
+            Whether nothing else is judged meanwhile: every worker then gets a part.
+        """
+        wound = variants.products is not None
+        at_once = self._wound_at_once(variants.count) if wound else AT_ONCE
+        elsewhere = workers()
+        if whole and elsewhere is not None and self._rates:
+            at_once = min(at_once, max(-(-variants.count // elsewhere.cores), 1))
+        for _, places in Values.of(self._machine, variants.numbers).by_delay():
+            for at in range(0, len(places), at_once):
+                yield places[at : at + at_once]
 
     def _part(
-        self, values: Values, phases: FloatArray | None, products: FloatArray | None, told: Done
+        self,
+        values: Values,
+        phases: FloatArray | None,
+        products: FloatArray | None,
+        so_far: _SoFar,
     ) -> EachRun:
-        so_far = _SoFar(values.count, self.plan, told)
         try:
             recording = simulate_runs(
                 self._table,
@@ -299,23 +417,37 @@ class RunsJudge:
                     values.slice(rows.start, rows.stop),
                     None if phases is None else phases[rows],
                     None if products is None else products[rows],
-                    told,
+                    _SoFar(rows.stop - rows.start, self.plan, so_far.told),
                 )
                 for rows in (slice(0, half), slice(half, values.count))
             ]
             return EachRun.joined(found)
 
 
+def _runs_judge(
+    plan: Plan, spec: Spec, machine: Machine, settle_s: float, rates: tuple[float, ...]
+) -> RunsJudge:
+    """Return the copy of a judge in another process, where a part is judged in one thread."""
+    found = RunsJudge(plan, spec, machine, settle_s=settle_s, threads=1)
+    found._rates = rates
+    return found
+
+
+def _in_order(found: list[EachRun], places: list[IntArray]) -> EachRun:
+    """Return the results of parts at their ``places``, in the order of the variants."""
+    return EachRun.joined(found).taken(np.argsort(np.concatenate(places), kind="stable"))
+
+
 class _SoFar:
     """Tells how many variants of a part were judged since it last told: a share of its motion."""
 
-    def __init__(self, count: int, plan: Plan, told: Done) -> None:
-        self._count, self._plan, self._told, self._share = count, plan, told, 0.0
+    def __init__(self, count: int, plan: Plan, told: Done | None) -> None:
+        self._count, self._plan, self.told, self._share = count, plan, told, 0.0
 
     def tell(self, share: float) -> None:
         """Tell that a share of the motion was judged, if it is more than was told."""
-        if share > self._share:
-            self._told(self._count * (share - self._share))
+        if share > self._share and self.told is not None:
+            self.told(self._count * (share - self._share))
             self._share = share
 
     def read(self, block: RecordingBlock) -> None:

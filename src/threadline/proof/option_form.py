@@ -35,6 +35,7 @@ class Group(StrEnum):
     PLAN = "Planning"
     LEVEL = "Level of the verdict"
     SEARCH = "Search for the fastest"
+    WHERE = "Where machines are judged"
 
 
 class Door(StrEnum):

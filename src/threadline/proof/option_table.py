@@ -8,7 +8,7 @@ the planner reads.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from threadline.base.option_defaults import (
@@ -22,22 +22,10 @@ from threadline.base.option_defaults import (
     NO_CONTOUR,
     OPTIMAL_FEED_FORWARD,
 )
-from threadline.base.wording import nearest
 from threadline.commands.learned import MOST_TEXT as MOST_TABLE_TEXT
 from threadline.commands.learned import table_text
-from threadline.errors import OptionError
 from threadline.machine.radii import written_out
-from threadline.proof.option_form import (
-    STEPS,
-    SWITCHES,
-    TICKS,
-    Door,
-    FileForm,
-    Group,
-    Option,
-    Type,
-    Word,
-)
+from threadline.proof.option_form import STEPS, SWITCHES, TICKS, Door, FileForm, Group, Option, Type
 from threadline.proof.option_words import (
     feed_words,
     narrow_words,
@@ -59,13 +47,15 @@ from threadline.winding.product import product_text
 
 PLANNERS = (
     "prove", "run", "compile", "equal", "compare", "fastest", "yield", "design", "animate", "judge",
-    "learn",
-    "panel",
+    "learn", "panel",
 )  # fmt: skip
 """The verbs that plan a job; ``panel`` is a calculation on the panel."""
 _TYPED = tuple(verb for verb in PLANNERS if verb != "panel")
-PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile", "equal", "learn")
+PYTHON_VERBS = (
+    "prove", "run", "fastest", "compare", "yield", "design", "judge", "compile", "equal", "learn",
+)  # fmt: skip
 """The verbs of ``import threadline as tl``."""
+_PYTHON_NAMES = {"yield": "yields"}
 PROGRAMMED = "programmed"
 """Feed written into a recording whose plan keeps the feeds of its job."""
 MOST_PROFILE = 20_000
@@ -93,9 +83,7 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="spec", short="s", group=Group.INPUT, type=Type.SPEC,
         help="Specification file (.toml); default: the machine's own.",
-        verbs=(
-            "prove", "run", "compare", "fastest", "yield", "design", "animate", "judge", "learn",
-        ),
+        verbs=tuple(verb for verb in _TYPED if verb not in ("compile", "equal")),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
@@ -159,7 +147,7 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="dialect", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
         help="Dialect of a part program: winder, linuxcnc, grbl, fluidnc, marlin, klipper, "
-        "reprapfirmware, fanuc, x-winder. Default: the machine file's.",
+        "reprapfirmware, reprapfirmware-cnc, fanuc, x-winder. Default: the machine file's.",
         attribute="dialect", parse=str,
         recorded=FileForm(key="dialect", write=_same, read=str),
         label="Dialect", placeholder="the machine's",
@@ -465,6 +453,18 @@ TABLE: tuple[Option, ...] = (
         "Ctrl-C ends the search at once.",
         doors=(Door.LINE, Door.PYTHON),
     ),
+    Option(
+        name="cluster", group=Group.WHERE, verbs=("yield", "design", "fastest"),
+        help='Judge the machines on the workers of this scheduler of distributed: '
+        '"localhost:8786"; another computer only by TLS, "tls://HOST:8786". The answer is the same '
+        "to the bit.",
+        helps={
+            "fastest": "With --tolerances: judge the machines within the tolerances on "
+            'the workers of this scheduler of distributed: "localhost:8786"; another computer only '
+            'by TLS, "tls://HOST:8786". The answer is the same to the bit.',
+        },
+        doors=(Door.LINE, Door.PYTHON),
+    ),
 )  # fmt: skip
 """The options, in the order in which help, reference and recordings name them."""
 
@@ -480,6 +480,24 @@ def option(name: str) -> Option:
     return _BY_NAME[name]
 
 
+def python_name(verb: str) -> str:
+    """Return the name of the Python function of a verb: ``yield`` is a word of Python itself.
+
+    >>> python_name("yield"), python_name("prove")
+    ('yields', 'prove')
+    """
+    return _PYTHON_NAMES.get(verb, verb)
+
+
+def verb_of(name: str) -> str:
+    """Return the verb of a Python function.
+
+    >>> verb_of("yields"), verb_of("prove")
+    ('yield', 'prove')
+    """
+    return next((verb for verb, own in _PYTHON_NAMES.items() if own == name), name)
+
+
 _BY_NAME = {one.name: one for one in TABLE}
 RECORDED = tuple((one, one.recorded) for one in TABLE if one.recorded is not None)
 """The planning options that recordings and proofs write, with their form there."""
@@ -489,34 +507,13 @@ def options_for(
     verb: str, door: Door = Door.LINE, groups: Iterable[Group] = tuple(Group)
 ) -> tuple[Option, ...]:
     """Return the options of a verb at one interface."""
-    chosen = tuple(groups)
+    among = tuple(groups)
     listed = verb if door is Door.PYTHON else ""  # a list in Python is an argument of its own
     return tuple(
         one
         for one in TABLE
-        if verb in one.verbs
-        and door in one.doors
-        and one.group in chosen
-        and listed not in one.many
+        if verb in one.verbs and door in one.doors and one.group in among and listed not in one.many
     )
-
-
-def known_words(verb: str, door: Door, words: Mapping[str, Word]) -> dict[str, Word]:
-    """Return the words of all options of a verb: given values, else defaults.
-
-    Raises
-    ------
-    OptionError
-        If a word is not an option of the verb, or not one of its choices.
-    """
-    taken = {one.word: one for one in options_for(verb, door)}
-    for word, value in words.items():
-        if word not in taken:
-            raise OptionError(f"unknown option {word!r}", remedy=nearest(word, tuple(taken)))
-        choices = taken[word].choices
-        if choices and value not in choices:
-            raise OptionError(f"unknown {word} {value!r}", remedy=nearest(str(value), choices))
-    return {word: words.get(word, one.default_of(verb)) for word, one in taken.items()}
 
 
 def planned_by(kind: str) -> tuple[str, ...]:

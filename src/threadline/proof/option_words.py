@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from typing import NamedTuple
 
 from threadline.base.option_defaults import NO_CONTOUR, UNSHAPED_WORD
@@ -79,18 +80,68 @@ def feed_words(feed: Feed) -> str:
     return f"{feed.value!r} {FEED_UNITS.get(feed.mode, 'm/s')}"
 
 
-def parse_tolerance_m(text: str) -> float:
-    """Return a tolerance such as ``"0.1 mm"`` in m.
+def _range(
+    name: str,
+    example: str,
+    fits: Callable[[float], bool],
+    range_words: str,
+    remedy: str = "",
+    unit: str = "",
+) -> Callable[[str], float]:
+    """Return the parser of an option with a number in a range; it raises an ``OptionError``."""
 
-    Raises
-    ------
-    OptionError
-        If it is not a positive length.
-    """
-    value = parse_number("tolerance", text, "m", "0.1 mm")
-    if value <= 0:
-        raise OptionError(f"tolerance {text!r} must be greater than zero")
-    return value
+    def parse(text: str) -> float:
+        value = parse_number(name, text, unit, example)
+        if not fits(value):
+            subject = "distance outside" if name == "outside" else name
+            raise OptionError(f"{subject} {text!r} must be {range_words}", remedy=remedy)
+        return value
+
+    return parse
+
+
+parse_tolerance_m = _range("tolerance", "0.1 mm", lambda m: m > 0, "greater than zero", unit="m")
+parse_outside_m = _range(
+    "outside", "0.3 mm", lambda m: 0.0 <= m < math.inf, "at least 0",
+    'Write it like "0.3 mm", or leave it out.', "m",
+)  # fmt: skip
+"""The largest distance of the path on the outside of corners, in m."""
+parse_width_s = _range(
+    "smoothing", "36 ms", lambda s: 1e-4 <= s <= 10.0, "at least 0.1 ms and at most 10 s", unit="s"
+)
+"""A smoothing time, in s."""
+parse_share = _range(
+    "limits", "25 %", lambda share: LEAST_SHARE <= share <= 1.0,
+    f"at least {100.0 * LEAST_SHARE:g} % and at most 100 %", 'A quarter of the limits is "25 %".',
+)  # fmt: skip
+"""A share of the limits."""
+parse_margin = _range(
+    "margin", "20 %", lambda share: 0.0 <= share < 1.0, "at least 0 % and below 100 %",
+    'Write it like "20 %".',
+)  # fmt: skip
+parse_ends = _range(
+    "ends", "100 %", lambda share: 0.0 < share <= 2.0,
+    "above 0 % and at most 200 % of the tolerances",
+    'Machines at the ends of all tolerances are "100 %".',
+)  # fmt: skip
+"""The share of the tolerances whose end machines are judged."""
+parse_band = _range(
+    "band", "20 %", lambda share: 0.0 < share <= 0.6,
+    "above 0 % and at most 60 % of the frequency",
+    'Modes that may be a fifth off to either side are "20 %".',
+)  # fmt: skip
+"""The half width of a band, as a share of the frequency."""
+parse_robust = _range(
+    "robust", "100 %", lambda share: 0.0 <= share <= 2.0,
+    "at least 0 % and at most 200 % of the tolerances",
+    'All of them are "100 %", the nominal machine is "0 %".',
+)  # fmt: skip
+"""The share of the tolerances that a robust plan covers."""
+parse_yield = _range(
+    "yield", "99 %", lambda share: 0.0 < share < 1.0, "above 0 % and below 100 %",
+    '99 of 100 machines in spec is "99 %"; no number of machines proves 100 %.',
+)  # fmt: skip
+"""A wanted yield, as a share."""
 
 
 def tolerance_words(tolerance_m: float) -> str:
@@ -100,23 +151,6 @@ def tolerance_words(tolerance_m: float) -> str:
     '0.0875 mm'
     """
     return f"{tolerance_m * 1e3:.4g} mm"
-
-
-def parse_outside_m(text: str) -> float:
-    """Return the largest distance of the path on the outside of corners, ``"0.3 mm"``, in m.
-
-    Raises
-    ------
-    OptionError
-        If it is not a length of at least 0.
-    """
-    value = parse_number("outside", text, "m", "0.3 mm")
-    if not 0.0 <= value < math.inf:
-        raise OptionError(
-            f"distance outside {text!r} must be at least 0",
-            remedy='Write it like "0.3 mm", or leave it out.',
-        )
-    return value
 
 
 class Reserve(NamedTuple):
@@ -248,23 +282,6 @@ def parse_contour_m(text: str) -> float:
     return value
 
 
-def parse_share(text: str) -> float:
-    """Return a share such as ``"25 %"`` as a number.
-
-    Raises
-    ------
-    OptionError
-        If it is not at least ``LEAST_SHARE`` and at most 100 %.
-    """
-    value = parse_number("limits", text, "", "25 %")
-    if not LEAST_SHARE <= value <= 1.0:
-        raise OptionError(
-            f"limits {text!r} must be at least {100.0 * LEAST_SHARE:g} % and at most 100 %",
-            remedy='A quarter of the limits is "25 %".',
-        )
-    return value
-
-
 def share_words(share: float) -> str:
     """Return a share as a percentage of at most eight digits, else as a plain number.
 
@@ -278,90 +295,6 @@ def share_words(share: float) -> str:
         if "e" not in text and parse_quantity(text, "") == share:
             return text
     return f"{share!r}"
-
-
-def parse_margin(text: str) -> float:
-    """Return a margin such as ``"20 %"`` as a number.
-
-    Raises
-    ------
-    OptionError
-        If it is not at least 0 % and below 100 %.
-    """
-    value = parse_number("margin", text, "", "20 %")
-    if not 0.0 <= value < 1.0:
-        raise OptionError(
-            f"margin {text!r} must be at least 0 % and below 100 %", remedy='Write it like "20 %".'
-        )
-    return value
-
-
-def parse_ends(text: str) -> float:
-    """Return the share of the tolerances whose end machines are judged, ``"100 %"`` as 1.0.
-
-    Raises
-    ------
-    OptionError
-        If it is not above 0 % and at most 200 %.
-    """
-    value = parse_number("ends", text, "", "100 %")
-    if not 0.0 < value <= 2.0:
-        raise OptionError(
-            f"ends {text!r} must be above 0 % and at most 200 % of the tolerances",
-            remedy='Machines at the ends of all tolerances are "100 %".',
-        )
-    return value
-
-
-def parse_band(text: str) -> float:
-    """Return the half width of a band, ``"20 %"`` of the frequency, as a share: 0.2.
-
-    Raises
-    ------
-    OptionError
-        If it is not above 0 % and at most 60 %.
-    """
-    value = parse_number("band", text, "", "20 %")
-    if not 0.0 < value <= 0.6:
-        raise OptionError(
-            f"band {text!r} must be above 0 % and at most 60 % of the frequency",
-            remedy='Modes that may be a fifth off to either side are "20 %".',
-        )
-    return value
-
-
-def parse_robust(text: str) -> float:
-    """Return the share of the tolerances that a robust plan covers, ``"100 %"`` as 1.0.
-
-    Raises
-    ------
-    OptionError
-        If it is not within 0 % and 200 %.
-    """
-    value = parse_number("robust", text, "", "100 %")
-    if not 0.0 <= value <= 2.0:
-        raise OptionError(
-            f"robust {text!r} must be at least 0 % and at most 200 % of the tolerances",
-            remedy='All of them are "100 %", the nominal machine is "0 %".',
-        )
-    return value
-
-
-def parse_yield(text: str) -> float:
-    """Return a wanted yield such as ``"99 %"`` as a share.
-
-    Raises
-    ------
-    OptionError
-        If it is not above 0 % and below 100 %: no number of machines proves 100 %.
-    """
-    value = parse_number("yield", text, "", "99 %")
-    if not 0.0 < value < 1.0:
-        raise OptionError(
-            f"yield {text!r} must be above 0 % and below 100 %",
-            remedy='99 of 100 machines in spec is "99 %"; no number of machines proves 100 %.',
-        )
-    return value
 
 
 def parse_damping(given: str | float) -> float:
@@ -378,17 +311,3 @@ def parse_damping(given: str | float) -> float:
 def parse_shaper_text(text: str) -> str | None:
     """Return a shaper's text unchanged; None for ``none``, which shapes nothing."""
     return None if text == UNSHAPED_WORD else text
-
-
-def parse_width_s(text: str) -> float:
-    """Return a smoothing time such as ``"36 ms"`` in s.
-
-    Raises
-    ------
-    OptionError
-        If it is not a time of at least 0.1 ms and at most 10 s.
-    """
-    value = parse_number("smoothing", text, "s", "36 ms")
-    if not 1e-4 <= value <= 10.0:
-        raise OptionError(f"smoothing {text!r} must be at least 0.1 ms and at most 10 s")
-    return value

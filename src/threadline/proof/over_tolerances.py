@@ -4,29 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.progress import Progress
+from threadline.base.workers import Done
 from threadline.commands.plan import Plan
 from threadline.errors import MachineError, RecordingError
 from threadline.files import Recording
 from threadline.machine import Machine
 from threadline.machine.variants import drawn, variant
 from threadline.machine.vary import REPEAT_SEED, Days, drawn_days
-from threadline.proof.judge_runs import Done
 from threadline.proof.kinds.variants import UNANSWERED, unanswered
-from threadline.proof.worst_machine import (
-    WithinTolerances,
-    Worst,
-    shares_of,
-    unanswered_in,
-)
+from threadline.proof.worst_machine import WithinTolerances, Worst, shares_of, unanswered_in
 from threadline.proof.worst_search import WorstSearch
-from threadline.verdict import Result, Spec, Status, Verdict
+from threadline.verdict import Result, Spec, Status, Verdict, with_lines
 from threadline.verdict.each_run import at_least, in_others, worst_of
 from threadline.verdict.types import REPEATED_RUNS, OverTolerances
+
+if TYPE_CHECKING:
+    from threadline.proof.worst_search import WorstSearch
 
 VARIANT_SEED = 1994
 _AT_ONCE_ALONE = 20
@@ -91,6 +90,8 @@ def over_tolerances(
         judgement ends at the first machine that is out of specification. None: every machine is
         judged. What passes with suspects passes without.
     """
+    from threadline.proof.worst_search import WorstSearch  # of this level alone
+
     within = WithinTolerances(plan, spec, with_product=True)
     hasty = suspects is not None
     if suspects:
@@ -153,7 +154,7 @@ def _found(
     except (MachineError, RecordingError):
         of_worst, judged = None, ()
     others = found.taken(np.flatnonzero(np.arange(found.runs) != at))
-    results = [*in_others(verdict, others).results]
+    results = [*with_lines(in_others(verdict, others).results, within.plan)]
     stuck = np.flatnonzero(unanswered_in(found))
     if len(stuck):
         why = [within.why_not(search.parts[stuck[0]])] * len(stuck)

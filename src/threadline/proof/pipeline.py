@@ -36,30 +36,14 @@ from threadline.verdict import Judge, Spec, Status, Verdict
 from threadline.verdict.deviation import measure_motion_deviation
 from threadline.verdict.each_run import worst_of
 from threadline.verdict.rendering import shown
-from threadline.verdict.replayed import of_product
+from threadline.verdict.replayed import of_product, with_beginning
 from threadline.verdict.types import REPEATED_RUNS, Level, level_of
 
 __all__ = [
-    "NOMINAL",
-    "REPEATED",
-    "TOLERANCES",
-    "Proof",
-    "Trials",
-    "check_loops",
-    "check_machine",
-    "open_job",
-    "plan_job",
-    "prove",
-    "prove_plan",
-    "simulate",
-    "target_names",
-    "target_of",
-    "try_plan",
-    "with_product",
-    "with_shaping",
-    "write",
-    "yielding",
-]
+    "NOMINAL", "REPEATED", "TOLERANCES", "Proof", "Trials", "check_loops", "check_machine",
+    "open_job", "plan_job", "prove", "prove_plan", "simulate", "target_names", "target_of",
+    "try_plan", "with_product", "with_shaping", "write", "yielding",
+]  # fmt: skip
 
 _MOST_SAMPLES = 5e7  # ticks times runs: half a minute
 _MOST_HELD = 1e6  # samples of the lag times runs, in memory
@@ -128,7 +112,7 @@ class Trials:
 
 
 NOMINAL: Trials = Trials()
-REPEATED = Trials(repeats=REPEATED_RUNS)
+REPEATED: Trials = Trials(repeats=REPEATED_RUNS)
 TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
 
 
@@ -228,7 +212,13 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     """
     kind, options = kind_of(machine), options.on(machine)
     kind.check_options(machine, options)
-    return kind.plan(job, with_radii(machine, options.radius), options)
+    known = with_radii(machine, options.radius)
+    if options.product is not None:
+        from threadline.winding.mounting import with_mandrel  # of windings alone
+
+        known = with_mandrel(known, options.product)
+    plan = kind.plan(job, known, options)
+    return plan if known.mounted is None else with_beginning(plan)
 
 
 def simulate(commands: Commands, machine: Machine) -> Recording:
@@ -249,7 +239,7 @@ def with_shaping(spec: Spec, machine: Machine, options: Options) -> Spec:
 
     The path deviation due to shaping and smoothing is always listed, with or without a limit.
     """
-    return kind_of(machine).with_criteria(spec, options)
+    return kind_of(machine).with_criteria(spec, machine, options)
 
 
 def with_product(spec: Spec, machine: Machine, options: Options) -> Spec:
@@ -389,6 +379,8 @@ def prove_plan(
     judge = Judge(plan, spec) if judge is None else judge
     if trials != trials.alone:
         return _with_others(plan, spec, progress, trials, actual, judge, suspects)
+    if actual is not None and actual.spool is not None:
+        actual = replace(actual, mounted=plan.machine.mounted)
     if actual is not None or trials.machines:
         check_dynamics("what another machine makes of the plan", plan.machine, actual)
     kind = kind_of_commands(plan.commands)

@@ -9,13 +9,11 @@ be signed with a key (HMAC-SHA256): the signature shows that the writer had that
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from errno import ENOENT
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,7 @@ from typing import Any
 from threadline import __version__
 from threadline.base.reading import read_text
 from threadline.commands.plan import Plan
-from threadline.errors import OptionError, Place, ProofError
+from threadline.errors import Place, ProofError
 from threadline.files.formats.common import Written, atomic_file, written
 from threadline.machine import Machine, load_machine
 from threadline.machine.load import split_reference
@@ -31,6 +29,7 @@ from threadline.machine.par import read_parameters
 from threadline.proof.options import options_from
 from threadline.proof.pipeline import Proof, open_job, plan_job, with_shaping
 from threadline.proof.proof_form import contradiction, criteria_difference, in_spec, malformed_entry
+from threadline.proof.proof_hash import METHOD, canonical_sha256, signature, spec_sha256
 from threadline.verdict import Spec, load_spec
 from threadline.verdict.rendering import criteria_json, tolerances_json
 
@@ -38,13 +37,6 @@ FORMAT = "threadline proof 1"
 _MAX_BYTES = 64 << 20
 _NAMES = ("job", "machine", "par")
 """Options that name files: the proof has the hashes of the files instead."""
-_METHOD = "HMAC-SHA256"
-_LEAST_KEY, _MOST_KEY = 16, 1 << 16  # bytes
-_PLACES = {
-    "job": ("file",), "spec": ("file",), "machine": ("reference", "par"),
-    "actual": ("reference", "par"),
-}  # fmt: skip
-"""Entries that locate a file; its hash identifies the content."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,16 +136,13 @@ def proof_content(proof: Proof, folder: Path, key: bytes | None = None) -> dict[
         },
         "machine": _machine(plan.machine, folder),
         "actual": None if proof.actual is None else _machine(proof.actual, folder),
-        "options": {"given": given, "sha256": _canonical_sha256(given)},
+        "options": {"given": given, "sha256": canonical_sha256(given)},
         "spec": {
             "name": proof.spec.name,
             "file": _beside(proof.spec.file, folder) if proof.spec.file else None,
             "sha256": spec_sha256(proof.spec),
         },
-        "commands": {
-            "kind": plan.machine.commanded_by,
-            "sha256": plan.commands.rows_sha256(),
-        },
+        "commands": {"kind": plan.machine.commanded_by, "sha256": plan.commands.rows_sha256()},
         "verdict": {
             "passed": proof.verdict.passed,
             "simulated": proof.verdict.simulated,
@@ -162,8 +151,8 @@ def proof_content(proof: Proof, folder: Path, key: bytes | None = None) -> dict[
         },
     }
     if key is not None:
-        content["signature"] = {"method": _METHOD, "value": _signature(content, key)}
-    return {**content, "sha256": _canonical_sha256(content)}
+        content["signature"] = {"method": METHOD, "value": signature(content, key)}
+    return {**content, "sha256": canonical_sha256(content)}
 
 
 def write_proof(proof: Proof, path: str | Path, key: bytes | None = None) -> Written:
@@ -183,34 +172,6 @@ def write_proof(proof: Proof, path: str | Path, key: bytes | None = None) -> Wri
     return _write(proof_content(proof, path.parent, key), path)
 
 
-def read_key(path: str | Path) -> bytes:
-    """Return the key in a file: all of its bytes, except line ends at the end.
-
-    Raises
-    ------
-    OptionError
-        If it cannot be read, or is shorter than 16 bytes or longer than 65 536.
-    """
-    path = Path(path)
-    try:
-        # Not the usual reader: it lists inputs, which a run copies to its folder.
-        if not path.is_file():
-            raise FileNotFoundError(ENOENT, "there is no such file")
-        with path.open("rb") as file:
-            key = file.read(_MOST_KEY + 3).rstrip(b"\r\n")
-    except OSError as error:
-        raise OptionError(
-            f"the key {str(path)!r} cannot be read: {error.strerror or error}",
-            remedy="Give the file of a key.",
-        ) from error
-    if not _LEAST_KEY <= len(key) <= _MOST_KEY:
-        raise OptionError(
-            f"the key {str(path)!r} has {len(key)} bytes, not {_LEAST_KEY} to {_MOST_KEY}",
-            remedy=f"Make one: openssl rand -hex 32 > {path.name}",
-        )
-    return key
-
-
 def _check_signature(proof: ProofFile, key: bytes) -> None:
     """Refuse a proof that was not signed with ``key``, or was changed since."""
     place = Place(str(proof.path))
@@ -222,24 +183,15 @@ def _check_signature(proof: ProofFile, key: bytes) -> None:
         )
     told = proof.content["signature"]
     value = told.get("value") if isinstance(told, dict) else None
-    known = isinstance(value, str) and told.get("method") == _METHOD
+    known = isinstance(value, str) and told.get("method") == METHOD
     if not known or not hmac.compare_digest(
-        str(value).encode(), _signature(proof.content, key).encode()
+        str(value).encode(), signature(proof.content, key).encode()
     ):
         raise ProofError(
             "its signature is not by this key, or it was changed since it was signed",
             place=place,
             remedy="Give the key that it was signed with, or prove the job again.",
         )
-
-
-def _signature(content: Mapping[str, Any], key: bytes) -> str:
-    """Return the signature of a proof, which does not depend on the place of its files."""
-    signed = {k: v for k, v in content.items() if k not in {"sha256", "signature"}}
-    for what, places in _PLACES.items():
-        if signed[what] is not None:
-            signed[what] = {k: v for k, v in signed[what].items() if k not in places}
-    return hmac.new(key, _canonical(signed), hashlib.sha256).hexdigest()
 
 
 def copy_proof(known: ProofFile, path: str | Path) -> ProofFile:
@@ -264,7 +216,7 @@ def copy_proof(known: ProofFile, path: str | Path) -> ProofFile:
             name = _from(here, name, there)
         par = None if told["par"] is None else _from(here, told["par"], there)
         content[what] = {**told, "reference": "+".join([name, *overlays]), "par": par}
-    content = {**content, "sha256": _canonical_sha256(content)}
+    content = {**content, "sha256": canonical_sha256(content)}
     _write(content, path)
     return ProofFile(path=path, content=content)
 
@@ -292,7 +244,7 @@ def read_proof(path: str | Path, key: bytes | None = None) -> ProofFile:
         content = json.loads(
             text, parse_constant=_refuse_constant, object_pairs_hook=partial(_entries, place)
         )
-        _canonical_sha256(content)  # fails on infinite numbers and unpaired surrogates
+        canonical_sha256(content)  # fails on infinite numbers and unpaired surrogates
     except ProofError:
         raise
     except (ValueError, RecursionError) as error:
@@ -304,7 +256,7 @@ def read_proof(path: str | Path, key: bytes | None = None) -> ProofFile:
             remedy="Write one with threadline prove --proof FILE.",
         )
     rest = {key: value for key, value in content.items() if key != "sha256"}
-    if content.get("sha256") != _canonical_sha256(rest):
+    if content.get("sha256") != canonical_sha256(rest):
         raise ProofError(
             "the file was changed since it was written: its sha256 entry does not match",
             place=place,
@@ -332,7 +284,7 @@ def _contradicts(path: Path, why: str) -> ProofError:
 
 def _other_options(content: Mapping[str, Any]) -> str:
     told = content["options"]
-    right = told["sha256"] == _canonical_sha256(told["given"])
+    right = told["sha256"] == canonical_sha256(told["given"])
     return "" if right else "the sha256 of its options does not match the options in it"
 
 
@@ -402,30 +354,11 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
 
 def options_sha256(plan: Plan) -> str:
     """Return the hash of the planning options, as a proof has it."""
-    return _canonical_sha256(_given(plan))
+    return canonical_sha256(_given(plan))
 
 
 def _given(plan: Plan) -> dict[str, Any]:
     return {key: value for key, value in plan.options.items() if key not in _NAMES}
-
-
-def spec_sha256(spec: Spec) -> str:
-    """Return the hash of a specification: its name, lag and every criterion."""
-    criteria = [
-        [
-            criterion.name,
-            criterion.axis,
-            criterion.step,
-            None if criterion.limit is None else repr(float(criterion.limit)),
-            criterion.required,
-            criterion.hard,
-            criterion.every_axis,
-            {key: repr(float(value)) for key, value in criterion.options.items()},
-        ]
-        for criterion in spec.criteria
-    ]
-    content = {"name": spec.name, "lag_s": repr(float(spec.lag_s)), "criteria": criteria}
-    return _canonical_sha256(content)
 
 
 def _read_sha256(job_sha256: str, machine: Machine, actual: Machine | None) -> dict[str, str]:
@@ -480,19 +413,6 @@ def _beside(file: str, folder: Path) -> str:
         return Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # on another drive
         return Path(file).absolute().as_posix()
-
-
-def _canonical(content: Any) -> bytes:
-    """Return JSON with sorted keys and no blanks, in UTF-8."""
-    text = json.dumps(
-        content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
-    )
-    return text.encode()
-
-
-def _canonical_sha256(content: Any) -> str:
-    """Return the SHA-256 of canonical JSON."""
-    return hashlib.sha256(_canonical(content)).hexdigest()
 
 
 def _entries(place: Place, pairs: list[tuple[str, Any]]) -> dict[str, Any]:

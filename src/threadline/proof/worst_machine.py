@@ -7,6 +7,7 @@ that are planned for the machine of the file.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,20 +17,16 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.wording import toml_string
+from threadline.base.workers import Done
 from threadline.commands.plan import Plan
 from threadline.dynamics.values import Values
 from threadline.files import tick_table
 from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at, number_tables, with_numbers
-from threadline.machine.variants import (
-    check_uncertain,
-    load_by_counts,
-    numbers_at,
-    one_at_a_time,
-)
+from threadline.machine.variants import check_uncertain, load_by_counts, numbers_at, one_at_a_time
 from threadline.machine.vary import Days, on_days
-from threadline.proof.judge_runs import AloneJudge, Done, RunsJudge
+from threadline.proof.judge_runs import AloneJudge, RunsJudge, Variants
 from threadline.proof.kinds import kind_of
 from threadline.twin import fastest_rates
 from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
@@ -58,6 +55,11 @@ class WithinTolerances:
         Whether the numbers of the plan's product vary, too: their parts follow those of the
         machine.
 
+    Attributes
+    ----------
+    replayed
+        Whether the fibre of each run is replayed.
+
     Raises
     ------
     OptionError
@@ -70,6 +72,7 @@ class WithinTolerances:
         self.plan = plan
         self.numbers = check_uncertain(plan.machine)
         product = product_of(plan) if with_product else None
+        self.replayed = product_of(plan) is not None
         self._wound = toleranced(product) if product is not None else np.zeros(0, dtype=np.int64)
         self._many: RunsJudge | None = None
         if kind_of(plan.machine).together(plan.machine):
@@ -104,6 +107,11 @@ class WithinTolerances:
         return self._many is not None
 
     @property
+    def ticks(self) -> int:
+        """Number of ticks of a run; 0 for commands without rows for every tick."""
+        return self.plan.commands.tick_count() or 0
+
+    @property
     def ends(self) -> FloatArray:
         """(n,) largest deviation of each number, in parts of its tolerance."""
         own = [number.farthest for number in self.numbers]
@@ -134,11 +142,28 @@ class WithinTolerances:
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
         """Return the results of machines at (k, n) parts of their tolerances."""
-        own = self.machine_parts(parts)
-        products = self.product(parts) if len(self._wound) else None
+        own, products = self.machine_parts(parts), self._products(parts)
         if self._many is None:
             return self._alone.judged(own, done, products)
         return self._many.judged(numbers_at(self.plan.machine, own), done=done, products=products)
+
+    def judged_each(
+        self, batches: Iterable[FloatArray], done: Done | None = None
+    ) -> Iterator[EachRun]:
+        """Yield the results of each batch of machines, at (k, n) parts of their tolerances.
+
+        The machines of the next batches are begun before the first batch has ended.
+        """
+        each = ((self.machine_parts(parts), self._products(parts)) for parts in batches)
+        if self._many is None:
+            return self._alone.judged_each(each, done)
+        machine = self.plan.machine
+        variants = (Variants(numbers=numbers_at(machine, own), products=p) for own, p in each)
+        return self._many.judged_each(variants, done)
+
+    def _products(self, parts: FloatArray) -> FloatArray | None:
+        """Return the parts of the products of machines; None where no product varies."""
+        return self.product(parts) if len(self._wound) else None
 
     def in_days(self, parts: FloatArray, days: Days) -> EachRun:
         """Return the results of (k, n) parts, each on every one of ``days``, machine by machine.
@@ -148,7 +173,7 @@ class WithinTolerances:
         assert self._many is not None
         own = numbers_at(self.plan.machine, self.machine_parts(parts))
         numbers = on_days(self.plan.machine, own, days)
-        products = self.product(parts) if len(self._wound) else None
+        products = self._products(parts)
         if products is not None:
             products = np.repeat(products, len(days), axis=0)
         return self._many.judged(numbers, np.tile(days.phases, (len(parts), 1)), products=products)

@@ -7,17 +7,20 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.workers import Done
 from threadline.machine.vary import Days
-from threadline.proof.judge_runs import Done
 from threadline.proof.worst_machine import WithinTolerances, row_shares, shares_of
 from threadline.verdict import EachRun
 
 SEARCHED, SEARCHED_ALONE = 1200, 60
 """Most machines that a search tries after both ends of each number, where machines are simulated in
 batches, and where they are simulated one by one."""
+_REPLAYED_TICKS = 50_000_000
+"""Ticks of runs whose fibre is replayed that a search tries at most, after the ends: a tick costs
+some ten times as much as without a product."""
 _CORNERS, _LEANING, _LEAN = 200, 200, 0.75
 """Corners that are drawn, all alike; that lean to the slopes of one criterion; and the share of the
-numbers that follow them."""
+numbers that follow them. Fewer in a search of fewer than ``SEARCHED`` machines."""
 _CORNER_SEED = 1941
 _NEAR, _ROWS = 0.7, 3
 """Criteria that are climbed use at least this part of the worst share; the most of them."""
@@ -27,8 +30,9 @@ _MOST_KICKS, _KICKED, _KICK = 40, 4, 4
 """Climbs that start from an ended one; ended climbs that they start from; numbers changed first."""
 _INSIDE, _INNER = 0.2, 3
 """Part of the machines kept for steps inside the tolerances; climbs that go on inside."""
-_CONTENDERS, _TELLS = 8, 2
-"""Machines that are judged on further days, and least numbers that tell two of them apart."""
+_CONTENDERS, _LEAST_CONTENDERS, _TELLS = 8, 2, 2
+"""Machines that are judged on further days, fewer in a search of fewer than ``SEARCHED`` machines;
+the least of them; and least numbers that tell two of them apart."""
 _MATTERS = 1e-5
 """Change of a share of a limit below which a number has no influence on it."""
 _SAME = 1e-9
@@ -39,6 +43,15 @@ _MOST_SHARE = 100.0
 
 _Climb = tuple[int, int]
 """Number of the criterion's row, and number of the machine."""
+
+
+def most_searched(within: WithinTolerances) -> int:
+    """Return how many machines a search tries after both ends of each number."""
+    if not within.together:
+        return SEARCHED_ALONE
+    if not within.replayed:
+        return SEARCHED
+    return min(max(_REPLAYED_TICKS // max(within.ticks, 1), SEARCHED_ALONE), SEARCHED)
 
 
 class WorstSearch:
@@ -93,8 +106,8 @@ class WorstSearch:
     ) -> None:
         self._random = np.random.default_rng(seed)
         self._within, self._hasty, self.done = within, hasty, done
-        usual = SEARCHED if within.together else SEARCHED_ALONE
-        self.most = usual if most is None else most
+        self.most = most_searched(within) if most is None else most
+        self._share = 1.0 if most is not None else self.most / SEARCHED
         self._parts: list[FloatArray] = []
         self._found: list[EachRun] = []
         self._known: dict[bytes, int] = {}
@@ -170,7 +183,8 @@ class WorstSearch:
         order = self._in_order()
         if not self._within.together or self.ended:
             return int(order[0])
-        some = self._told_apart(order.tolist(), _CONTENDERS, _TELLS, self._moving)
+        most = max(self._scaled(_CONTENDERS), _LEAST_CONTENDERS)
+        some = self._told_apart(order.tolist(), most, _TELLS, self._moving)
         found = self._within.in_days(self.parts[some], days)
         if self.done is not None:
             self.done(found.runs)
@@ -197,6 +211,10 @@ class WorstSearch:
                 if len(found) >= most:
                     break
         return found
+
+    def _scaled(self, count: int) -> int:
+        """Return a number of machines of a whole search, for this one."""
+        return round(count * self._share)
 
     def begin(self) -> None:
         """Try the ends of each number, and the corners: by the slopes, and from a fixed seed."""
@@ -263,9 +281,10 @@ class WorstSearch:
         assert self._slopes is not None
         ends = self._within.ends
         random = self._random
-        alike = np.where(random.random((_CORNERS, len(ends))) < 0.5, -1.0, 1.0)
-        follow = random.random((_LEANING, len(ends))) < _LEAN
-        of_rows = self._slopes[np.resize(rows, _LEANING)]
+        count, lean = self._scaled(_CORNERS), self._scaled(_LEANING)
+        alike = np.where(random.random((count, len(ends))) < 0.5, -1.0, 1.0)
+        follow = random.random((lean, len(ends))) < _LEAN
+        of_rows = self._slopes[np.resize(rows, lean)]
         leaning = np.where(follow, of_rows, -of_rows)
         other = np.where(random.random(leaning.shape) < 0.5, -1.0, 1.0)
         leaning = np.where(leaning == 0.0, other, leaning)
@@ -368,9 +387,7 @@ class WorstSearch:
         return [k for k in self._moving.tolist() if k not in idle]
 
     def _round(
-        self,
-        climbs: Sequence[_Climb],
-        moves: Callable[[_Climb], list[FloatArray]],
+        self, climbs: Sequence[_Climb], moves: Callable[[_Climb], list[FloatArray]]
     ) -> tuple[list[_Climb], list[_Climb]]:
         """Take one step of every climb; return those that got worse, and those that did not."""
         tried = [moves(one) for one in climbs]

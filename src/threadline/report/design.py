@@ -12,9 +12,11 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.machine.numbers import number_at
 from threadline.report.document import Document, Table, origin_facts
+from threadline.report.front import front_figure, front_rows, front_title
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
-from threadline.search.design import Candidate, DesignResult, ProvedDesign
+from threadline.search.design import DesignResult
+from threadline.search.design_proof import Candidate, ProvedDesign
 from threadline.verdict import Verdict, closing, percent_used, verdict_rows
 
 if TYPE_CHECKING:
@@ -159,6 +161,9 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
             "of spec in its first run was not tried in others.",
         )
     )
+    if result.front:
+        header, rows = front_rows(result)
+        tables.append(Table(title=front_title(result), header=header, rows=rows))
     with figure_style():
         if result.region is not None:
             figures["region"] = region_figure(result)
@@ -167,6 +172,12 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
         captions["pareto"] = (
             "No machine that was tried has both less cost and less use of the limit than one here."
         )
+        if result.front:
+            figures["front"] = front_figure(result)
+            captions["front"] = (
+                "Machines drawn within the tolerances of each candidate, all with the same "
+                "deviations. Crosses: another candidate has as many in spec and costs no more."
+            )
         return write_document(
             Document(
                 title=f"{result.job.name} on {result.machine.name}: redesign",

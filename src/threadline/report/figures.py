@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from threadline.base.arrays import FloatArray
+from threadline.files import ChannelKind, Recording
 from threadline.proof.pipeline import Proof
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST
 from threadline.report.traces import Traces, envelope, run_words, worst_result
-from threadline.verdict import Result, Status, of_moving_axes, percent_used
+from threadline.verdict import Result, Status, Verdict, of_moving_axes, percent_used
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,6 +49,9 @@ def all_figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
         figures["errors"] = error_figure(proof, traces)
     else:
         figures["criteria"] = criteria_figure(proof)
+    tension = tension_figure(proof.verdict, traces.run.recording)
+    if tension is not None:
+        figures["tension"] = tension
     return figures
 
 
@@ -228,6 +232,8 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
     if worst is not None and worst.time_s is not None:
         other = worst.run is not None and worst.run != traces.run.number
         note = f", in {run_words(proof.verdict, worst.run)}" if worst.run and other else ""
+        if worst.run is None and proof.verdict.tolerances is not None and worst.note:
+            note = f", {worst.note}"  # of a machine whose runs are not drawn
         tracking.axvline(worst.time_s, label=_worst_label(worst, note), **LIMIT)
     tracking.set_xlabel("time [s]")
     tracking.set_ylabel("actual - commanded [mm]")
@@ -235,6 +241,31 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
     tracking.set_title("Tracking error along the job, at the tool (lag counts)")
     _legend_beside(tracking)
     _bars(proof, bars)
+    return figure
+
+
+def tension_figure(verdict: Verdict, recording: Recording) -> Figure | None:
+    """Draw the tension of the fibre over time, with its worst place; None without a tension."""
+    from matplotlib.figure import Figure
+
+    names = [one.name for one in recording.channels if one.kind is ChannelKind.TENSION]
+    if not names:
+        return None
+    figure = Figure(figsize=(7.2, 3.0))
+    panel: Axes = figure.subplots()
+    times_s, low, high = envelope(*recording.samples_of(names)[names[0]])
+    panel.fill_between(times_s, low, high, step="post", color=ACTUAL["color"], linewidth=1.1)
+    worst = worst_result(verdict, "tension_variation")
+    if worst is not None and worst.time_s is not None:
+        share, line = 100.0 * (worst.measured or 0.0), worst.job_line
+        label = f"worst {share:.3g} % off the mean" + (f" at line {line}" if line else "")
+        limit = "" if worst.limit is None else f", limit {100.0 * worst.limit:g} %"
+        panel.axvline(worst.time_s, label=label + limit, **LIMIT)
+    panel.set_ylim(0.0, 1.15 * float(np.nanmax(high)))
+    panel.set_xlabel("time [s]")
+    panel.set_ylabel("tension [N]")
+    panel.set_title("Tension of the fibre at the eye")
+    _legend_beside(panel)
     return figure
 
 

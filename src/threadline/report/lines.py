@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from threadline.base.option_defaults import AUTO
-from threadline.commands.intents import Sewn
 from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
+from threadline.commands.turns import Sewn
 from threadline.files import TickTable, tick_table
 from threadline.jobs.gcode.feeds import of_which
 from threadline.jobs.operations import Job, Source, begins_circuit
@@ -234,8 +234,8 @@ def feed_lines(plan: Plan) -> list[str]:
     length = of_which(plan.job.feed_rule)
     return [
         f"F is a speed:         {length} (feed mode {plan.job.feed_rule})",
-        f"Time by F alone:      {nominal_s:.6g} s ({nominal_s / 60.0:.2f} min), rapids at the "
-        f"velocity limits; as planned {plan.duration_s:.6g} s",
+        f"Time:                 {plan.duration_s:.6g} s ({plan.duration_s / 60.0:.2f} min) as "
+        f"planned; {nominal_s:.6g} s by F alone, rapids at the velocity limits",
     ]
 
 

@@ -147,6 +147,11 @@ def _caption(name: str, *, known: bool) -> str:
             f"{actual}. Where the planned velocity steps, its "
             "acceleration is infinite, and not drawn."
         )
+    if name == "tension":
+        return (
+            "Tension of the fibre at the eye. The mean counts from where the place of the fibre is "
+            "known, without the first fibre drawn; before it, the spool comes to its speed."
+        )
     if name == "criteria":
         return (
             "Each figure as a share of its limit. Where the driven mass is, is not known: the "

@@ -160,7 +160,7 @@ def write_pdf(document: Document, file: Path) -> None:
 
 
 def _text_pages(document: Document, pages: int) -> tuple[bytes, list[Place]]:
-    """Return a PDF without figures that shows ``pages`` as their number, and figures' places."""
+    """Return a PDF without figures, ``pages`` as its number of pages, and the places of figures."""
     places: list[Place] = []
     buffer = io.BytesIO()
     made = BaseDocTemplate(
@@ -248,11 +248,7 @@ def _verdict_box(text: str, *, good: bool) -> Flowable:
 
 
 def _with_caption(
-    name: str,
-    figure: Figure,
-    caption: Flowable,
-    above: Sequence[Flowable],
-    places: list[Place],
+    name: str, figure: Figure, caption: Flowable, above: Sequence[Flowable], places: list[Place]
 ) -> Flowable:
     """Return a figure with ``above`` over it and its caption below, as large as a page allows."""
     taken_pt = sum(part.wrap(_ROOM_PT, 1e6)[1] + part.getSpaceAfter() for part in (*above, caption))

@@ -225,10 +225,7 @@ def _drawn(
         ]
         cells.append(
             [
-                Paragraph(
-                    escape(line[c]),
-                    text_style(size_pt, bold=bold[c], right=not left[c]),
-                )
+                Paragraph(escape(line[c]), text_style(size_pt, bold=bold[c], right=not left[c]))
                 for c in columns
             ]
         )

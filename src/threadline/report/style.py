@@ -44,25 +44,13 @@ AXES: tuple[dict[str, Any], ...] = (
 """Styles of several axes in one figure; none is dotted like LIMIT."""
 
 _RC: dict[Any, Any] = {
-    "figure.dpi": 110,
-    "figure.constrained_layout.use": True,
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "0.88",
-    "grid.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "threadline",
-    "path.simplify": True,
+    "figure.dpi": 110, "figure.constrained_layout.use": True, "font.family": "DejaVu Sans",
+    "font.size": 9, "axes.titlesize": 10, "axes.titlelocation": "left", "axes.grid": True,
+    "axes.axisbelow": True, "grid.color": "0.88", "grid.linewidth": 0.6, "axes.spines.top": False,
+    "axes.spines.right": False, "legend.frameon": False, "legend.fontsize": 8,
+    "svg.fonttype": "path", "svg.hashsalt": "threadline", "path.simplify": True,
     "agg.path.chunksize": 20000,
-}
+}  # fmt: skip
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from threadline.report.document import Table
 from threadline.report.solid import wound_glb
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, WORST
 from threadline.verdict.causes import Causes, causes_of
-from threadline.verdict.fibre import middle_of
+from threadline.verdict.pattern import middle_of
 from threadline.verdict.replayed import (
     WoundJob,
     least_friction,
@@ -189,7 +189,7 @@ def _pattern(
     for panel, count, number in zip(panels, shown, circuits, strict=True):
         _shade(panel, job, raster, count)
         panel.set_title("After 1 circuit" if number == 1 else f"After {number} circuits")
-    panels[0].set_ylabel("round it, deg")
+    panels[0].set_ylabel("round the mandrel, deg")
     return figure
 
 
@@ -212,7 +212,7 @@ def _map(proof: Proof, job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
     panel.plot(line_x, line_a, **ACTUAL)
     _mark(proof, job, laid, panel)
     panel.set_xlim(float(x[0]), float(x[-1]))
-    panel.set_ylabel("round it, deg")
+    panel.set_ylabel("round the mandrel, deg")
     panel.set_title(f"The unrolled mandrel, {'as wound' if laid.of_run else 'as planned'}")
     return figure
 
@@ -295,5 +295,5 @@ def _along(job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
     lower.plot(places, mean if thick is None else 1e3 * thick * mean, **PLANNED)
     lower.set_ylabel("bands" if thick is None else "thickness, mm")
     lower.set_xlabel("along the mandrel, mm")
-    lower.set_title("Mean of what lies on it")
+    lower.set_title("Mean thickness of the bands round the mandrel")
     return figure

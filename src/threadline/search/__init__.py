@@ -11,23 +11,7 @@ from threadline.search.mismatch import Certainty, Mismatch
 from threadline.search.paced import Question
 
 __all__ = [
-    "PLACEMENT",
-    "Bound",
-    "Certainty",
-    "Comparison",
-    "Fastest",
-    "FastestJob",
-    "Grid",
-    "Interval",
-    "Mismatch",
-    "Question",
-    "Rung",
-    "compare",
-    "fastest_feed",
-    "fastest_job",
-    "fastest_needle",
-    "feed_range_m_s",
-    "find_fastest",
-    "needle_range_hz",
-    "placement_spec",
-]
+    "PLACEMENT", "Bound", "Certainty", "Comparison", "Fastest", "FastestJob", "Grid", "Interval",
+    "Mismatch", "Question", "Rung", "compare", "fastest_feed", "fastest_job", "fastest_needle",
+    "feed_range_m_s", "find_fastest", "needle_range_hz", "placement_spec",
+]  # fmt: skip

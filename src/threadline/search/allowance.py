@@ -210,11 +210,7 @@ def options_at(asked: Question, rung: Rung) -> Options:
 
 
 def rung_of(
-    options: Options,
-    feed_m_s: float,
-    verdict: Verdict,
-    duration_s: float | None,
-    by_contour: bool,
+    options: Options, feed_m_s: float, verdict: Verdict, duration_s: float | None, by_contour: bool
 ) -> Rung:
     """Return the result of one plan."""
     passed = verdict.passed

@@ -31,13 +31,7 @@ from threadline.search.allowance import FastestJob, options_at
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
 from threadline.search.cycle_robust import RobustCycle, robust_cycle
 from threadline.search.fastest import COARSE, Fastest
-from threadline.search.feed import (
-    fastest_feed,
-    fastest_needle,
-    feed_unit,
-    search_range,
-    sewn_at,
-)
+from threadline.search.feed import fastest_feed, fastest_needle, feed_unit, search_range, sewn_at
 from threadline.search.forbidden import Interval
 from threadline.search.least_limits import fastest_job, planned_at
 from threadline.search.mismatch import (

@@ -319,11 +319,7 @@ def boldest(
 
 
 def improved(
-    attempt: Try,
-    tried: list[Tried],
-    most: int,
-    tick_s: float,
-    careful: tuple[float, ...],
+    attempt: Try, tried: list[Tried], most: int, tick_s: float, careful: tuple[float, ...]
 ) -> None:
     """Try plans that promise to be shorter than the best one, ``most`` of them.
 

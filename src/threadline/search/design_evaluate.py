@@ -10,21 +10,29 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.option_defaults import FEED_FORWARD
+from threadline.base.workers import Done, answers
 from threadline.dynamics.elements import working_rates
 from threadline.dynamics.lead import lead_deg, lead_from_response
 from threadline.dynamics.network import PiecewiseLinear, piecewise_linear
 from threadline.dynamics.values import Values
-from threadline.errors import MachineError, PlanError, RecordingError
+from threadline.errors import MachineError, PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.controllers import COEFFICIENT_HIGH, COEFFICIENT_LOW
 from threadline.machine.numbers import with_numbers
 from threadline.proof.option_words import parse_width_s
 from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Trials, plan_job, prove_plan
+from threadline.proof.pipeline import NOMINAL, plan_job
+from threadline.search.design_alone import (
+    NO_COMMANDS,
+    AloneItem,
+    AloneProofs,
+    Used,
+    bits_of_used,
+)
 from threadline.search.design_judge import HOPELESS, DesignJudge, OtherRuns, Ratios, design_judge
 from threadline.search.design_space import Space
-from threadline.verdict import Spec, Status, Verdict
+from threadline.verdict import Spec
 
 _ROUNDING = 1e-9
 _TERMS = 14  # terms of the series, for norms up to a half: 0.5^15 / 15! is below rounding
@@ -141,72 +149,6 @@ def _exponentials(matrices: FloatArray) -> FloatArray:
     for _ in range(halvings):
         total = total @ total
     return np.asarray(total)
-
-
-NO_COMMANDS = "no commands"
-"""Criterion name of a candidate that cannot be planned for, or that never ends the job."""
-
-
-class AloneProofs:
-    """Proves candidates one by one, each with a plan of its own.
-
-    Parameters
-    ----------
-    read
-        Reads the job for a given machine.
-    spec, options
-        Specification and planning options of the job.
-    repeats
-        Number of runs of a candidate that passes the first run.
-    """
-
-    def __init__(
-        self, read: Callable[[Machine], Job], spec: Spec, options: Options, repeats: int
-    ) -> None:
-        self._read, self._spec, self._options, self._repeats = read, spec, options, repeats
-        self.simulated = 0
-
-    def used(self, machine: Machine, beyond: float) -> tuple[float, float, str]:
-        """Return the used share of a machine's limits in one run and at worst, and the criterion.
-
-        Parameters
-        ----------
-        beyond
-            Further runs follow where the share in the first run is at most this.
-        """
-        try:
-            plan = plan_job(self._read(machine), machine, self._options)
-            first, binding = share_used(prove_plan(plan, self._spec, trials=NOMINAL).verdict)
-            self.simulated += 1
-            if first > beyond or self._repeats == 1:
-                return first, first, binding
-            trials = Trials(repeats=self._repeats)
-            worst, binding = share_used(prove_plan(plan, self._spec, trials=trials).verdict)
-            self.simulated += self._repeats
-        except (PlanError, MachineError, RecordingError):
-            return HOPELESS, HOPELESS, NO_COMMANDS
-        return first, worst, binding
-
-
-def share_used(verdict: Verdict) -> tuple[float, str]:
-    """Return the largest used share of a limit, at most 1000, and its criterion.
-
-    The machine's own limits count only where they are broken, because plans use them fully. A
-    verdict that fails without a broken limit counts as 1000.
-    """
-    shares = {
-        f"{r.name} {r.axis}".strip(): min(r.measured / r.limit, HOPELESS) if r.limit > 0.0
-        else HOPELESS * (r.status is Status.FAILED)
-        for r in verdict.results
-        if r.limit is not None and r.measured is not None
-        and (not r.hard or r.status is Status.FAILED)
-    }  # fmt: skip
-    binding = max(shares, key=lambda name: shares[name], default="")
-    share = shares.get(binding, 0.0)
-    if not verdict.passed and share <= 1.0:
-        lacking = [r.name for r in verdict.results if r.required and r.measured is None]
-        return HOPELESS, next(iter(lacking), binding)
-    return share, binding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -343,7 +285,7 @@ class Evaluator:
             return
         if space.alone:
             plan_job(read(space.machine), space.machine, options)  # may refuse the machine
-            self._alone = AloneProofs(read, spec, options, self.others.repeats)
+            self._alone = AloneProofs(space.machine, read, spec, options, self.others.repeats)
             return
         judges = []
         for share in space.levels:
@@ -407,47 +349,53 @@ class Evaluator:
         self, proofs: AloneProofs, points: FloatArray, level: IntArray, beyond: float
     ) -> Tried:
         """Prove every candidate by itself."""
-        found = []
+        items = []
         for point, share in zip(points, level.tolist(), strict=True):
             numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
             numbers |= self.space.slower(self.space.levels[share])
-            found.append(proofs.used(with_numbers(self.space.machine, numbers), beyond))
-        self.simulated = proofs.simulated
+            items.append(AloneItem(numbers=numbers, beyond=beyond))
+        found = list(answers(proofs, items))
+        self.simulated += sum(one.simulated for one in found)
         return Tried(
             points=points,
             level=np.asarray(level, dtype=np.int64),
-            ratio=np.array([worst for _, worst, _ in found]),
-            nominal=np.array([first for first, _, _ in found]),
+            ratio=np.array([one.worst for one in found]),
+            nominal=np.array([one.first for one in found]),
             delay=np.zeros(len(points), dtype=np.int64),
-            binding=tuple(binding for _, _, binding in found),
+            binding=tuple(one.binding for one in found),
         )
 
     def _ahead(self, points: FloatArray, level: IntArray, beyond: float) -> Tried:
         """Plan every candidate through its own inverse, then judge the plan."""
-        count = len(points)
-        ratio = np.full(count, HOPELESS)
-        nominal = ratio.copy()
-        binding = [NO_COMMANDS] * count
-        for index, point in enumerate(points):
-            numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
-            slower = self.space.slower(self.space.share(point, int(level[index])))
-            machine = with_numbers(self.space.machine, numbers | slower)
-            try:
-                plan = plan_job(self.read(machine), machine, self.options_at(point))
-                judge = design_judge(plan, machine, self._spec, self.space.delays_s)
-            except (PlanError, MachineError):
-                continue
-            own = {k: np.array([v]) for k, v in numbers.items()}
-            found, ratios = self._judged(judge, point[None], own, beyond)
-            nominal[index], ratio[index] = found.best()[0][0], ratios.best()[0][0]
-            binding[index] = ratios.binding(0)
+        items = [(point, int(level[k]), beyond) for k, point in enumerate(points)]
+        found = list(answers(_Ahead(self), items))
+        self.simulated += sum(one.simulated for one in found)
         return Tried(
             points=points,
             level=np.asarray(level, dtype=np.int64),
-            ratio=ratio,
-            nominal=nominal,
-            delay=np.zeros(count, dtype=np.int64),
-            binding=tuple(binding),
+            ratio=np.array([one.worst for one in found]),
+            nominal=np.array([one.first for one in found]),
+            delay=np.zeros(len(points), dtype=np.int64),
+            binding=tuple(one.binding for one in found),
+        )
+
+    def one_ahead(self, point: FloatArray, level: int, beyond: float) -> Used:
+        """Return the used share of a (dims,) candidate's limits, with commands of its own."""
+        numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
+        slower = self.space.slower(self.space.share(point, level))
+        machine = with_numbers(self.space.machine, numbers | slower)
+        try:
+            plan = plan_job(self.read(machine), machine, self.options_at(point))
+            judge = design_judge(plan, machine, self._spec, self.space.delays_s)
+        except (PlanError, MachineError):
+            return Used(first=HOPELESS, worst=HOPELESS, binding=NO_COMMANDS, simulated=0)
+        own = {k: np.array([v]) for k, v in numbers.items()}
+        found, ratios, simulated = self._judged(judge, point[None], own, beyond)
+        return Used(
+            first=float(found.best()[0][0]),
+            worst=float(ratios.best()[0][0]),
+            binding=ratios.binding(0),
+            simulated=simulated,
         )
 
     def _at_level(self, points: FloatArray, level: int, beyond: float) -> Tried:
@@ -460,7 +408,8 @@ class Evaluator:
         at = np.flatnonzero(possible)
         if len(at):
             own = self.space.numbers(points[at]) | {k: v[at] for k, v in gains.items()}
-            found, ratios = self._judged(judge, points[at], own, beyond)
+            found, ratios, simulated = self._judged(judge, points[at], own, beyond)
+            self.simulated += simulated
             nominal[at] = found.best()[0]
             ratio[at], delay[at] = ratios.best()
             for i, k in enumerate(at.tolist()):
@@ -480,9 +429,32 @@ class Evaluator:
         points: FloatArray,
         numbers: Mapping[str, FloatArray],
         beyond: float,
-    ) -> tuple[Ratios, Ratios]:
-        """Return the used limits of (n, dims) candidates in the first run, and at worst."""
+    ) -> tuple[Ratios, Ratios, int]:
+        """Return the used limits of (n, dims) candidates in the first run, and at worst.
+
+        The number of simulated machines follows.
+        """
         first = judge.ratios(numbers)
         worst, simulated = self.others.worst(judge, points, numbers, first, beyond)
-        self.simulated += len(points) + simulated
-        return first, worst
+        return first, worst, len(points) + simulated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ahead:
+    """Judges candidates that have commands of their own, through their own inverse."""
+
+    evaluator: Evaluator
+
+    def answer(self, item: tuple[FloatArray, int, float], _done: Done | None = None) -> Used:
+        """Return the used share of a candidate's limits."""
+        return self.evaluator.one_ahead(*item)
+
+    def machines(self, _item: tuple[FloatArray, int, float]) -> int:
+        """Return 1: candidates are judged one by one."""
+        return 1
+
+    def known(self) -> bytes:
+        """Return the bits of the result of the machine as its file says, at its least settings."""
+        space = self.evaluator.space
+        point = np.clip(np.zeros(len(space.low)), space.low, space.high)
+        return bits_of_used(self.evaluator.one_ahead(point, 0, -1.0))

@@ -12,7 +12,8 @@ from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at, number_tables
 from threadline.machine.quantity import Quantity
-from threadline.search.design import DesignResult, ProvedDesign
+from threadline.search.design import DesignResult
+from threadline.search.design_proof import ProvedDesign
 from threadline.verdict import Spec
 from threadline.verdict.registry import MEASURES
 

@@ -162,7 +162,7 @@ TARGETS = (0.8, 0.6)
 Report = Callable[[float], None]
 
 
-def first_sample(space: Space, evaluator: Evaluator, report: Report) -> Tried:
+def first_sample(space: Space, evaluator: Evaluator, report: Report, seed: int = SEED) -> Tried:
     """Return a Sobol sample of the whole space at every level, and samples of the settings alone.
 
     The samples of the settings keep the parameters of the original machine, or of a known answer.
@@ -173,10 +173,10 @@ def first_sample(space: Space, evaluator: Evaluator, report: Report) -> Tried:
     points: list[FloatArray] = []
     levels: list[int] = []
     for level in range(len(space.levels)):
-        cube = qmc.Sobol(dims, seed=SEED + level).random_base2(effort.sample_log2)
+        cube = qmc.Sobol(dims, seed=seed + level).random_base2(effort.sample_log2)
         points.append(qmc.scale(cube, space.low, np.maximum(space.high, space.low + 1e-12)))
         for fixed in [np.zeros(space.parameters), *known_points(space).values()]:
-            points.append(with_settings(space, fixed, effort.settings_log2))
+            points.append(with_settings(space, fixed, effort.settings_log2, seed))
         levels += [level] * (sum(len(p) for p in points) - len(levels))
     everything, of_level = np.concatenate(points), np.array(levels, dtype=np.int64)
     found: Tried | None = None
@@ -203,14 +203,14 @@ def known_points(space: Space) -> dict[str, FloatArray]:
     }
 
 
-def with_settings(space: Space, parameters: FloatArray, log2: int) -> FloatArray:
+def with_settings(space: Space, parameters: FloatArray, log2: int, seed: int = SEED) -> FloatArray:
     """Return points with the same parameters and a Sobol sample of the settings."""
     from scipy.stats import qmc
 
     settings = len(space.low) - space.parameters
     if not settings:
         return parameters[None]
-    cube = qmc.Sobol(settings, seed=SEED).random_base2(log2)
+    cube = qmc.Sobol(settings, seed=seed).random_base2(log2)
     low, high = space.low[space.parameters :], space.high[space.parameters :]
     scaled = np.minimum(qmc.scale(cube, low, np.maximum(high, low + 1e-12)), high)
     return np.hstack([np.broadcast_to(parameters, (len(scaled), len(parameters))), scaled])
@@ -223,6 +223,7 @@ def least_change(
     report: Report,
     *,
     target: float = 1.0,
+    seed: int = SEED,
 ) -> Tried:
     """Return all tried candidates, with the candidates of a search for the least cost at a ratio.
 
@@ -232,8 +233,10 @@ def least_change(
         Candidates to start from.
     target
         Largest ratio of measured to limit.
+    seed
+        Seed of the random moves.
     """
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(seed)
     step, stale = _FIRST_STEP, 0
     effort = evaluator.effort
     rounds = effort.rounds if target == 1.0 else effort.trade_rounds

@@ -10,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 
 from threadline.base.arrays import FloatArray
+from threadline.base.workers import Done
 from threadline.machine.variants import FARTHEST, drawn
-from threadline.proof.judge_runs import Done
 from threadline.proof.worst_machine import shares_of
 from threadline.search.machine_yield import MachineYield
 from threadline.verdict.each_run import clopper_pearson

@@ -9,8 +9,7 @@ the file: a change that brings a drive to its limit, or an axis out of its trave
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,166 +17,35 @@ from threadline.base.arrays import FloatArray
 from threadline.base.progress import Progress
 from threadline.commands.learned import learned_plan, positions, with_offsets
 from threadline.commands.plan import Following, Plan
-from threadline.dynamics.learning import LearningFilter, learning_filter
+from threadline.dynamics.learning import learning_filter
 from threadline.errors import OptionError
 from threadline.files import ChannelKind, Recording, TickTable, tick_table
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.machine.vary import (
-    REPEAT_SEED,
-    corners,
-    drawn_days,
-    ends_of,
-    off_tolerance,
-    vary,
-)
+from threadline.machine.vary import REPEAT_SEED, corners, drawn_days, ends_of, off_tolerance, vary
 from threadline.motion.timing import TrajectoryReader
-from threadline.proof.pipeline import NOMINAL, Proof, Trials, prove_plan
+from threadline.proof.pipeline import NOMINAL, Trials, prove_plan
 from threadline.search.forbidden import used
+from threadline.search.repeats import (
+    GIVEN_UP,
+    Learned,
+    Repeat,
+    Rules,
+    Tried,
+    best_of,
+    best_table,
+    with_followed,
+)
 from threadline.twin import simulate
 from threadline.verdict import Judge, Spec, Verdict
 from threadline.verdict.needle import has_stitches
 
-Sensed = Literal["head", "motor"]
-GAIN = 0.9
 REPEATS = 5
 MOST_REPEATS = 100
-_WORSE = 1.1  # times the least error: a larger error is undone
-_GIVEN_UP = 1.0 / 16.0  # of the first gain: from there on the best table is kept
 _HALVINGS = 5
 _RINGING_S = 0.25  # after the motion: the error is still learned, and then fades over as long
 _MOST_TICKS = 400_000
 _FULL = 0.999  # of a limit of a drive: the simulated amplifier gives no more than its limit
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rules:
-    """How a job is learned.
-
-    Parameters
-    ----------
-    gain
-        Share of the error that is corrected after a run, in (0, 1].
-    low_pass_hz
-        Frequency at which the low-pass halves, Hz; None: chosen by ``learning_filter``.
-    sensed
-        Where the error is measured: at the head (the load) or at the motor's encoder.
-    """
-
-    gain: float = GAIN
-    low_pass_hz: float | None = None
-    sensed: Sensed = "head"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Repeat:
-    """One run of the job.
-
-    Parameters
-    ----------
-    number
-        0 for the run of the plan's table.
-    verdict
-        Verdict on this run.
-    error_si
-        (axes,) root mean square of the error, m or rad.
-    error_m
-        Root mean square of the error over all axes at the tool, m.
-    peak_si
-        (axes,) largest error, m or rad.
-    current
-        Largest current / limit over all drives; None if no current was recorded.
-    gain
-        Gain of the change before this run; 0 for the table of an earlier run.
-    followed
-        Whether learning went on from this run; if not, it was undone.
-    note
-        Limit that shortened or stopped the change before this run; empty if there is none.
-    """
-
-    number: int
-    verdict: Verdict
-    error_si: FloatArray
-    error_m: float
-    peak_si: FloatArray
-    current: float | None
-    gain: float
-    followed: bool
-    note: str = ""
-
-    @property
-    def share(self) -> float:
-        """Used share of the tightest limit."""
-        return used(self.verdict)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tried:
-    """A run, the references that it played, and its error.
-
-    Parameters
-    ----------
-    offset
-        (n + 1, axes) change of the planned references, counts, not rounded.
-    error
-        (n + 1, axes) error at the beginning of each tick, m or rad, faded out after the motion.
-    passed
-        Whether the run was in specification.
-    error_m
-        Root mean square of the error over all axes at the tool, m.
-    """
-
-    offset: FloatArray
-    error: FloatArray
-    passed: bool
-    error_m: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Learned:
-    """The result of repeats.
-
-    Parameters
-    ----------
-    plan
-        The plan with the best table.
-    actual
-        The machine that ran.
-    repeats
-        Every run, in order.
-    best
-        Number of the run with the best table.
-    filters
-        The learning filter of each axis.
-    rules
-        Gain, low-pass and sensor of the learning.
-    proof
-        Proof of the best table, at the given level.
-    """
-
-    plan: Plan
-    actual: Machine
-    repeats: tuple[Repeat, ...]
-    best: int
-    filters: tuple[LearningFilter, ...]
-    rules: Rules
-    proof: Proof
-
-    @property
-    def passed(self) -> bool:
-        """Whether the best table is in specification."""
-        return self.proof.verdict.passed
-
-    @property
-    def within(self) -> int | None:
-        """Number of the first run from which on every followed run is in specification."""
-        kept = [one for one in self.repeats if one.followed]
-        found = None
-        for one in reversed(kept):
-            if not one.verdict.passed:
-                break
-            found = one.number
-        return found
 
 
 class Learner:
@@ -290,7 +158,7 @@ class Learner:
         """
         at, gain = best_of([(one.passed, one.error_m) for one in runs], self.rules.gain)
         best = runs[at]
-        if gain < self.rules.gain * _GIVEN_UP:
+        if gain < self.rules.gain * GIVEN_UP:
             return best.offset, 0.0, "the best table is kept"
         columns = zip(self.filters, best.error.T, self._scale, strict=True)
         change = np.stack([one.change(error) * scale for one, error, scale in columns], axis=1)
@@ -377,38 +245,6 @@ class Learner:
         )
 
 
-def best_of(runs: Sequence[tuple[bool, float]], gain: float) -> tuple[int, float]:
-    """Return the number of the run to go on from, and the gain after runs that got worse.
-
-    Parameters
-    ----------
-    runs
-        For each run whether it was in specification, and its error.
-    gain
-        The first gain; each run that is undone halves it.
-
-    Examples
-    --------
-    >>> best_of([(False, 1.0), (False, 0.3), (False, 0.5)], 0.8)
-    (1, 0.4)
-    """
-    at, least = 0, runs[0][1]
-    for number, (passed, error) in enumerate(runs[1:], start=1):
-        if follows(runs[at][0], least, passed, error):
-            least = error if passed and not runs[at][0] else min(least, error)
-            at = number
-        else:
-            gain *= 0.5
-    return at, gain
-
-
-def follows(best_passed: bool, least: float, passed: bool, error: float) -> bool:
-    """Return whether a run is followed: in spec where no run was, or not worse than the best."""
-    if passed != best_passed:
-        return passed
-    return error <= _WORSE * least
-
-
 def learn(
     learner: Learner,
     spec: Spec,
@@ -454,7 +290,12 @@ def learn(
             offset, gain, note = learner.next(runs)
         table = learner.commands(offset)
         day = number if trials.repeats > 1 else 0
-        varied = vary(ran, friction=float(days.friction[day]), supply=float(days.supply[day]))
+        varied = vary(
+            ran,
+            friction=float(days.friction[day]),
+            supply=float(days.supply[day]),
+            tension=float(days.tension[day]),
+        )
         recording = simulate(table, varied, encoder_phase=days.phases[day])
         kept = replace(recording, blocks=tuple(recording.blocks))
         verdict = Judge(replace(plan, commands=table), spec).verdict([kept])
@@ -498,21 +339,6 @@ def learned_verdict(
             return learned
         found.append(learned)
     return max(found, key=used)
-
-
-def best_table(told: Sequence[Repeat]) -> int:
-    """Return the number of the followed run that is best in specification."""
-    followed = (one for one in told if one.followed)
-    return min(followed, key=lambda one: (not one.verdict.passed, one.share)).number
-
-
-def with_followed(told: Sequence[Repeat]) -> list[Repeat]:
-    """Mark the runs that were undone."""
-    found, runs = [], [(one.verdict.passed, one.error_m) for one in told]
-    for number, one in enumerate(told):
-        at, _ = best_of(runs[: number + 1], 1.0)
-        found.append(replace(one, followed=at == number))
-    return found
 
 
 def check_learnable(job: Job, machine: Machine, following: Following) -> None:

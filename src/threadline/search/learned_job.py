@@ -24,17 +24,14 @@ from threadline.proof.option_table import RECORDED
 from threadline.proof.options import Options, options_from
 from threadline.proof.pipeline import check_machine, open_job, plan_job, with_shaping
 from threadline.proof.recorded import refuse_other_files
-from threadline.search.learn import (
-    MOST_REPEATS,
+from threadline.search.learn import MOST_REPEATS, Learner, check_learnable, learn
+from threadline.search.repeats import (
     Learned,
-    Learner,
     Repeat,
     Rules,
     Sensed,
     Tried,
     best_table,
-    check_learnable,
-    learn,
     with_followed,
 )
 from threadline.units import parse_number

@@ -313,9 +313,7 @@ def _only_limits(asked: Question) -> bool:
 
 
 def _climb(
-    tried: Callable[..., Rung | None],
-    rungs: Mapping[float, Rung],
-    ladder: Sequence[float],
+    tried: Callable[..., Rung | None], rungs: Mapping[float, Rung], ladder: Sequence[float]
 ) -> None:
     """Try shares of the limits until the neighbours of the best are not better.
 

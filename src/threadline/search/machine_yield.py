@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.workers import Done, workers
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
+from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
+from threadline.machine.pneumatics import TIMES
 from threadline.machine.variants import MOST_CORNERS, Uncertain, corners, drawn, not_drawn
-from threadline.proof.judge_runs import Done
+from threadline.proof.asked import Words
+from threadline.proof.pipeline import check_machine, open_job, plan_job, with_product
 from threadline.proof.worst_machine import WithinTolerances, Worst, shares_of
 from threadline.proof.worst_search import WorstSearch
 from threadline.search.yield_state import YieldState
@@ -23,11 +28,31 @@ from threadline.verdict.replayed import NUMBERS, product_of, toleranced
 AT_ONCE = 4096
 """Machines that are judged, and kept in a state, as one part; results do not depend on it."""
 _AT_ONCE_ALONE = 32
+_AT_ONCE_LATE = 16_384
+"""The same where dead times vary: only machines of equal dead times are simulated together."""
+_AT_ONCE_AWAY, _TURNS = 256, 8
+"""Most machines together where workers judge, which may be lost at any time; parts for each core.
+"""
 _SEARCHED = 2000
 """Most machines that the search for the worst tries, where they are simulated in batches."""
 _OF_PRODUCT = (
     "as the product file has it: a yield counts machines, and prove varies the product too"
 )
+
+
+def planned_yield(words: Words, job: Path, machine: Machine) -> tuple[MachineYield, Spec]:
+    """Plan a job for the machine of the file; return the judge of its machines, and the spec.
+
+    Raises
+    ------
+    MachineError, JobError, PlanError, OptionError
+        If the input is wrong, or no number of the machine varies.
+    """
+    options = words.options(job)
+    check_machine(machine)
+    plan = plan_job(open_job(job, machine, options), machine, options)
+    asked = with_product(words.spec(machine), machine, options)
+    return MachineYield(plan, asked), asked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -138,13 +163,28 @@ class MachineYield(WithinTolerances):
             found.append(state.known.taken(np.arange(through)))
             if done is not None:
                 done(through)
-        at_once = AT_ONCE if self._many is not None else _AT_ONCE_ALONE
-        for at in range(through, variants, at_once):
-            index: IntArray = np.arange(at, min(at + at_once, variants))
-            found.append(self.judged(drawn(self.plan.machine, seed, first + index), done))
+        at_once = self._at_once(variants)
+        batches = (
+            drawn(self.plan.machine, seed, first + np.arange(at, min(at + at_once, variants)))
+            for at in range(through, variants, at_once)
+        )
+        for batch in self.judged_each(batches, done):
+            found.append(batch)
             if state is not None:
-                state.add(found[-1])
+                state.add(batch)
         return Yield(numbers=self.numbers, found=EachRun.joined(found), seed=seed)
+
+    def _at_once(self, variants: int) -> int:
+        """Return the number of machines that are judged, and kept, together."""
+        if not self.together:
+            return _AT_ONCE_ALONE
+        if any(path.endswith(TIMES) for number in self.numbers for path in number.numbers):
+            return _AT_ONCE_LATE  # workers get a task for each choice of dead times
+        elsewhere = workers()
+        if elsewhere is None:
+            return AT_ONCE
+        # Few enough that all workers end at about the same time, and that a lost part is no loss.
+        return max(min(_AT_ONCE_AWAY, variants // (_TURNS * elsewhere.cores)), 1)
 
     def worst(self, known: Yield | None = None, done: Done | None = None) -> Worst:
         """Return the worst machine that is found within the tolerances.

@@ -210,10 +210,7 @@ def _operation_lines(
                 for axis, at in shown.items()
                 for cylinder in (machine.cylinders[axis],)
             )
-            return [
-                f"move = {{ {places} }}",
-                *(_tag(key, value) for key, value in tags.items()),
-            ]
+            return [f"move = {{ {places} }}", *(_tag(key, value) for key, value in tags.items())]
         case Dwell(duration_s=duration):
             return [f"dwell = {_text(duration, 's', 1e3, 'ms')}"]
         case SetOutput(name=name, value=value):

@@ -9,7 +9,7 @@ from threadline.dynamics.loop_design import CONTROLLERS, NAMES, NUMBERS, Control
 from threadline.errors import OptionError
 from threadline.files.formats.common import atomic_file
 from threadline.identify.machine_file import base_lines
-from threadline.search.tune import Rule, Tuning
+from threadline.search.tuning import Rule, Tuning
 
 
 def tuned_toml(tuning: Tuning, kind: ControllerKind, rule: Rule, folder: Path) -> str:

@@ -13,15 +13,15 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from threadline.base.reading import refuse_special
+from threadline.base.workers import Done
 from threadline.base.writing import staged_file
 from threadline.errors import OptionError, RecordingError
 from threadline.machine.variants import drawn
-from threadline.proof.judge_runs import Done
 from threadline.search.machine_yield import AT_ONCE, MachineYield, Yield
 from threadline.search.yield_state import (
     MOST_LINE,
@@ -67,14 +67,27 @@ class Part:
         OptionError
             If there are fewer machines than parts.
         """
-        if variants < self.count:
+        return self.share(variants, "machines", "draw more machines (--variants)")
+
+    def share(self, total: int, what: str, more: str) -> range:
+        """Return the numbers of its share of ``total`` things, from 0.
+
+        Parameters
+        ----------
+        what, more
+            The things in words, and how to have more of them.
+
+        Raises
+        ------
+        OptionError
+            If there are fewer things than parts.
+        """
+        if total < self.count:
             raise OptionError(
-                f"--part {self}: {variants} machines are too few for {self.count} parts",
-                remedy=f"Make at most {variants} parts, or draw more machines (--variants).",
+                f"--part {self}: {total} {what} are too few for {self.count} parts",
+                remedy=f"Make at most {total} parts, or {more}.",
             )
-        return range(
-            (self.number - 1) * variants // self.count, self.number * variants // self.count
-        )
+        return range((self.number - 1) * total // self.count, self.number * total // self.count)
 
 
 def parse_part(text: str) -> Part:
@@ -154,6 +167,22 @@ class PartFile:
     path: Path
     record: Record
     found: EachRun
+
+
+class _OfPart(Protocol):
+    @property
+    def part(self) -> Part: ...
+
+
+class _OnePart(Protocol):
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def record(self) -> _OfPart: ...
+
+
+OnePartT = TypeVar("OnePartT", bound=_OnePart)
 
 
 def write_part(path: Path, record: Record, found: EachRun) -> None:
@@ -250,13 +279,25 @@ def read_parts(paths: Sequence[Path]) -> list[PartFile]:
     """
     parts = [read_part(path) for path in paths]
     first = parts[0]
-    known: dict[int, PartFile] = {}
     for one in parts:
         check_same(one, first.record, f"{str(first.path)!r}")
         if not same_rows(one.found, first.found):
             raise OptionError(
                 f"{str(one.path)!r} has other criteria than {str(first.path)!r}", remedy=_AGAIN
             )
+    return in_order(parts)
+
+
+def in_order(parts: Sequence[OnePartT]) -> list[OnePartT]:
+    """Return all parts of one whole, in their order.
+
+    Raises
+    ------
+    OptionError
+        If a part is missing, or is there twice.
+    """
+    known: dict[int, OnePartT] = {}
+    for one in parts:
         number = one.record.part.number
         if number in known:
             raise OptionError(
@@ -265,7 +306,7 @@ def read_parts(paths: Sequence[Path]) -> list[PartFile]:
                 remedy="Give each part once.",
             )
         known[number] = one
-    count = first.record.part.count
+    count = parts[0].record.part.count
     if len(known) < count:
         missing = count - len(known)
         found = (k for k in range(1, count + 1) if k not in known)

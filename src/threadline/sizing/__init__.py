@@ -14,14 +14,6 @@ from threadline.sizing.profiles import (
 from threadline.sizing.size import Demands, SizeLine, Sizing, size
 
 __all__ = [
-    "PROFILES",
-    "Demands",
-    "SizeLine",
-    "Sizing",
-    "SpeedProfile",
-    "corner_acceleration_m_s2",
-    "corner_error_m",
-    "corner_speed_m_s",
-    "ramp_acceleration_m_s2",
-    "size",
-]
+    "PROFILES", "Demands", "SizeLine", "Sizing", "SpeedProfile", "corner_acceleration_m_s2",
+    "corner_error_m", "corner_speed_m_s", "ramp_acceleration_m_s2", "size",
+]  # fmt: skip

@@ -60,13 +60,7 @@ class Sizing:
         return any(line.name == name for line in self.lines)
 
 
-_MAY_BE_ZERO = (
-    "turn_rad",
-    "load_damping_n_s_m",
-    "motor_damping_n_m_s",
-    "friction_n",
-    "dwell_s",
-)
+_MAY_BE_ZERO = ("turn_rad", "load_damping_n_s_m", "motor_damping_n_m_s", "friction_n", "dwell_s")
 _NOT_NUMBERS = ("profile",)
 _BEYOND = 1e15  # squares and products of numbers up to here are finite
 

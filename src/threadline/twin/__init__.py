@@ -5,12 +5,6 @@ from threadline.twin.session import Session
 from threadline.twin.simulate import fastest_rates, session_of, simulate, simulate_runs
 
 __all__ = [
-    "BatchResult",
-    "Session",
-    "fastest_rates",
-    "session_of",
-    "simulate",
-    "simulate_batch",
-    "simulate_position_runs",
-    "simulate_runs",
-]
+    "BatchResult", "Session", "fastest_rates", "session_of", "simulate", "simulate_batch",
+    "simulate_position_runs", "simulate_runs",
+]  # fmt: skip

@@ -14,6 +14,9 @@ from threadline.machine import Machine
 from threadline.machine.parts import Encoder, Potentiometer
 from threadline.twin.kernel import Reading, Signal
 
+TENSION = Reading(Signal.TENSION, "tension")
+"""The tension of the fibre, which the session simulates beside the engine."""
+
 
 def tick_channels(
     machine: Machine, every: int, kinds: Collection[ChannelKind] = tuple(ChannelKind)
@@ -38,6 +41,8 @@ def tick_channels(
         add(f"{name}.current_peak", ChannelKind.CURRENT, "A", name)
     for name in machine.observing:
         add(f"{name}.sensor", ChannelKind.SENSOR, unit_of(machine, name))
+    if machine.unwinds:
+        add("tension", ChannelKind.TENSION, "N")
     add("operation", ChannelKind.OPERATION, "")
     for name, switch in machine.inputs.items():
         add(name, ChannelKind.INPUT, "", switch.axis)
@@ -71,7 +76,9 @@ def readings_of(channels: Sequence[Channel]) -> dict[str, Reading]:
     found = {}
     for channel in channels:
         ending = channel.name.rpartition(".")[2]
-        if channel.kind is ChannelKind.INPUT:
+        if channel.kind is ChannelKind.TENSION:
+            found[channel.name] = TENSION
+        elif channel.kind is ChannelKind.INPUT:
             found[channel.name] = Reading(Signal.TRIPPED, channel.name)
         elif channel.kind is ChannelKind.SENSOR:
             found[channel.name] = Reading(Signal.OBSERVED, channel.name.removesuffix(".sensor"))

@@ -6,7 +6,7 @@ A live simulation is a session; ``simulate`` runs a session in a loop.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,10 +15,20 @@ from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
 from threadline.files import Channel, ChannelKind, RecordingBlock
 from threadline.machine import Machine
-from threadline.twin.channels import run_phases, samples_of, sources_of, tick_channels
+from threadline.twin.channels import (
+    TENSION,
+    run_phases,
+    samples_of,
+    sources_of,
+    tick_channels,
+)
 from threadline.twin.kernel import Engine, Run
 from threadline.twin.row_session import Part, RowSession, joined
 
+if TYPE_CHECKING:
+    from threadline.twin.unwinding import Unwinding
+
+_SETTLES_S = 2.0  # of the loops under the pull of the fibre, before the first tick
 _REBUILT = frozenset(("channels", "_clock", "_sources", "_readings", "_run"))
 
 
@@ -101,7 +111,15 @@ class Session(RowSession):
         self._phases = run_phases(machine, encoder_phase, self._values.count)
         self._kinds = tuple(kinds)
         self._every, self._quantised = record_every, quantised
+        start_si = self._start / machine.counts_per_unit
+        self._fibre: Unwinding | None = None
+        if machine.unwinds:
+            from threadline.twin.unwinding import Unwinding  # of winders with a spool alone
+
+            self._fibre = Unwinding(machine, self._values, start_si)
         self._begin(engine)
+        if self._fibre is not None:
+            self._run.settle(self._fibre.pulls, _SETTLES_S)
 
     def _begin(self, engine: Engine | None) -> None:
         machine = self._machine
@@ -139,7 +157,7 @@ class Session(RowSession):
     # --- samples ---------------------------------------------------------------------------
 
     def _read(self, part: Part) -> Mapping[Any, FloatArray]:
-        read = self._run.advance(part.travelled, self._readings, every=self._every)
+        read = self._advanced(part)
         failure = self._run.failure()
         if failure is not None:
             axes, why = failure
@@ -147,6 +165,33 @@ class Session(RowSession):
                 f"axes {', '.join(axes)}: the simulation has no answer, {why}",
                 remedy="Check stiffness, friction and gains in the machine file.",
             )
+        return read
+
+    def _advanced(self, part: Part) -> Mapping[Any, FloatArray]:
+        """Advance by as many ticks as there are rows; return the samples."""
+        travelled, operations = part.travelled, part.operation.tolist()
+        own = tuple(one for one in self._readings if one is not TENSION)
+        fibre = self._fibre
+        if fibre is None:
+            return self._run.advance(travelled, own, every=self._every)
+        counts = self._machine.counts_per_unit
+        start_si, runs = self._start / counts, self._values.count
+        first, every = self.tick, self._every
+        samples = -(-(first + len(travelled)) // every) - -(-first // every)
+        read = {one: np.empty((samples, runs)) for one in self._readings}
+        at = 0
+        for row in range(len(travelled)):
+            now = self._run.advance(travelled[row : row + 1], own, every=every)
+            if (first + row) % every == 0:
+                for one in own:
+                    read[one][at] = now[one][0]
+                if TENSION in read:
+                    read[TENSION][at] = fibre.tension_n
+                at += 1
+            place, rate = self._run.loads()
+            told = start_si + travelled[row] / counts
+            fibre.advance(told, start_si + place, rate, operations[row])
+            self._run.pull(fibre.pulls)
         return read
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:

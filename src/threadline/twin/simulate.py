@@ -209,10 +209,7 @@ def fastest_rates(commands: TickTable, values: Values) -> tuple[FloatArray, ...]
 
 
 def _recording(
-    commands: TickTable,
-    values: Values,
-    options: RunOptions,
-    least_rates: tuple[float, ...] = (),
+    commands: TickTable, values: Values, options: RunOptions, least_rates: tuple[float, ...] = ()
 ) -> Recording:
     machine, start = values.machine, commands.start_counts / commands.counts_per_unit
     engine = engine_of(values, start, least_rates)

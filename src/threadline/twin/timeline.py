@@ -15,7 +15,8 @@ from math import gcd, lcm
 from operator import itemgetter
 
 from threadline.base.arrays import IntArray, Locked, read_only_int
-from threadline.dynamics.network import Group, loop_parts
+from threadline.dynamics.groups import Group
+from threadline.dynamics.matrix_controller import loop_parts
 from threadline.errors import MachineError
 from threadline.files import common_period_s
 from threadline.machine import Machine

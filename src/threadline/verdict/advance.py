@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from threading import local
 
 import numpy as np
 
@@ -15,12 +16,15 @@ from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.nearest import chord_vectors, lengths_squared
-from threadline.verdict.places import ProgressPart, move_on
+from threadline.verdict.places import CEILING, ProgressPart, move_on
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 COMMAND_BY_TIME = "command from the plan by time"
 """Note of a result that was measured against the plan, for lack of a recorded command."""
+_LATEST = local()
+"""The trajectory that a recording of many runs had to be read again for, and the ceiling, m^2,
+with which the next recording of it need not be."""
 
 
 class _Progress(SweptMeasure):
@@ -40,7 +44,8 @@ class _Progress(SweptMeasure):
     tool may have left such a line is added: a tool that moves on along it at any speed has not.
 
     With many runs, places far behind all of them are dropped while the recording is read. If one of
-    them might have been the better match, the recording is read again with every place kept.
+    them might have been the better match, the recording is read again with every place kept. The
+    next runs of the same plan keep places as far behind as these runs needed.
     """
 
     def __init__(self, setting: Setting, *, every_place: bool = False) -> None:
@@ -49,7 +54,10 @@ class _Progress(SweptMeasure):
         self._lag = setting.lag_samples
         self._number = 0  # samples so far
         self._places: IntArray = np.array([0, -1], dtype=np.int64)
-        self._ceiling: FloatArray = np.full(1, np.inf if every_place or runs == 1 else 0.0)  # m^2
+        known_m2 = getattr(_LATEST, "ceiling", 0.0)
+        if getattr(_LATEST, "trajectory", None) is not setting.plan.motion.trajectory:
+            known_m2 = 0.0
+        self._ceiling: FloatArray = np.full(1, np.inf if every_place or runs == 1 else known_m2)
         self._dropped: FloatArray = np.full(runs, np.inf)  # m^2
         # The command's places within the lag, and one before them.
         self._command: FloatArray = np.empty((0, axes))
@@ -138,6 +146,8 @@ class _Progress(SweptMeasure):
         for block in judged_blocks(setting.recording, axes, lag, path, resolution):
             move_on(block.at_tool, NO_BOXES, block.nearest[0], 0, every.part(block))
             every.feed(block)
+        _LATEST.trajectory = self._trajectory
+        _LATEST.ceiling = CEILING * float(every._squared.max())
         every._charge[:] = self._charge
         return every.finish()
 

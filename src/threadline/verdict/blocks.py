@@ -174,6 +174,9 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
         for name, channels in found.items()
         if any(c is not None for c in channels)
     }
+    tension = recording.find(ChannelKind.TENSION)
+    if tension is not None:
+        followers["tension"] = [Follower(tension, master)]
     operations = recording.find(ChannelKind.OPERATION)
     if operations is not None:
         followers["operation"] = [Follower(operations, master)]
@@ -288,6 +291,8 @@ def judged_blocks(
     lag_samples: int,
     path: PathWindow | None,
     resolution: FloatArray | None = None,
+    *,
+    few: int = FEW,
 ) -> Iterator[Block]:
     """Yield every sample once, in order, with the chords within the lag before and after it.
 
@@ -306,12 +311,14 @@ def judged_blocks(
         Window on the path, moved along with the blocks; None leaves the path out.
     resolution
         (axes,) resolution of the commanded positions: see ``Steady``. None: every change is motion.
+    few
+        Samples for which a smaller block waits for more; 1 while a run goes on.
     """
     held = None if resolution is None else Steady(resolution)
     waiting: list[_Held] = []  # samples that were not yielded yet, the oldest first
     past: _Places = {}  # chords of the samples before them, as far as the lag reaches
     last: FloatArray | None = None  # the command before the next samples
-    first, few = 0, min(FEW, _OF_RUNS // recording.runs)
+    first, few = 0, min(few, _OF_RUNS // recording.runs)
     for fresh in _samples(recording, axes):
         commanded = fresh.columns.get("commanded")
         if held is not None and commanded is not None:
@@ -350,12 +357,7 @@ def _joined(parts: Sequence[_Places]) -> _Places:
 
 
 def _block(
-    part: _Held,
-    chords: _Places,
-    at: int,
-    first: int,
-    lag_samples: int,
-    path: PathWindow | None,
+    part: _Held, chords: _Places, at: int, first: int, lag_samples: int, path: PathWindow | None
 ) -> Block:
     """Return a block of ``part``, whose first sample has row ``at`` of ``chords``."""
     chord_begin = chord_end = left = None
@@ -379,6 +381,7 @@ def _block(
         current=part.columns.get("current"),
         current_peak=part.columns.get("current_peak"),
         torque_share=part.columns.get("torque_share"),
+        tension=_of_no_axis(part.columns.get("tension")),
         operation=part.whole.get("operation"),
         chord=part.whole.get("low"),
         begin=chord_begin,
@@ -389,6 +392,11 @@ def _block(
         steady=part.columns.get("steady"),
         left=left,
     )
+
+
+def _of_no_axis(values: FloatArray | None) -> FloatArray | None:
+    """Return (n, runs) of the single column of a channel that belongs to no axis."""
+    return None if values is None else values[:, :, 0]
 
 
 def _chords(

@@ -15,7 +15,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
-from threadline.verdict.fibre import Closing
+from threadline.verdict.pattern import Closing
 from threadline.verdict.replayed import WoundJob, programmed_fibre, wound_job
 from threadline.winding.product_reader import Toleranced
 

@@ -297,9 +297,7 @@ class _Events:
         if self._holds > MOST_NAMED:
             self._found.append(
                 Disturbance(
-                    change=Change.HOLD,
-                    text=f"it was held {self._holds} times in all",
-                    time_s=None,
+                    change=Change.HOLD, text=f"it was held {self._holds} times in all", time_s=None
                 )
             )
         if self._overrides > MOST_NAMED:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -13,13 +13,14 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.motion.path.types import Timing
 from threadline.verdict.demands import BRAKING, PATH_USE
-from threadline.verdict.finding import RunFindings
+from threadline.verdict.finding import Finding, RunFindings
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.types import Criterion, Result, Status, Verdict, is_measured
 
 _WITHIN = "a machine within the tolerances"
 _EXCUSED = ("acceleration", BRAKING, "jerk", PATH_USE)
+_PLACED = 2  # the worst of all machines, and the next one where the worst is judged by itself
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,6 +37,9 @@ class CriterionRow:
         (runs,) whether the limit is exceeded.
     of_plan
         Whether it is measured on the plan alone, and so equal in every run.
+    places
+        The finding, with time, operation and note, of each run among the worst of those that were
+        measured together, by the index of the run.
     """
 
     name: str
@@ -48,6 +52,40 @@ class CriterionRow:
     values: FloatArray
     failed: NDArray[np.bool_]
     of_plan: bool = False
+    places: Mapping[int, Finding] = field(default_factory=dict)
+
+    def taken(self, index: IntArray) -> CriterionRow:
+        """Return the row of the runs at (n,) ``index``, in that order."""
+        at = enumerate(index.tolist()) if self.places else ()
+        places = {new: self.places[old] for new, old in at if old in self.places}
+        return replace(self, values=self.values[index], failed=self.failed[index], places=places)
+
+    @classmethod
+    def joined(cls, parts: Sequence[CriterionRow]) -> CriterionRow:
+        """Return the row of consecutive runs of the same plan."""
+        values = np.concatenate([row.values for row in parts])
+        failed = np.concatenate([row.failed for row in parts])
+        begin = np.cumsum([0, *(len(row.values) for row in parts)]).tolist()
+        places = {
+            first + run: finding
+            for first, row in zip(begin, parts, strict=False)
+            for run, finding in row.places.items()
+        }
+        return replace(parts[0], values=values, failed=failed, places=places)
+
+    def worst(self) -> tuple[float, Finding] | None:
+        """Return the largest value that was measured, with its finding; None if there is none.
+
+        The finding has no place where the place is not known. Of runs with equal values, the first
+        one whose place is known counts.
+        """
+        known = [is_measured(value, self.unit) for value in self.values.tolist()]
+        if not any(known):
+            return None
+        most = float(self.values[known].max())
+        equal = np.flatnonzero(self.values == most).tolist()
+        placed = (self.places[run] for run in equal if run in self.places)
+        return most, next(placed, Finding(value=most, axis=self.axis, step=self.step))
 
     @property
     def missed(self) -> NDArray[np.bool_]:
@@ -104,13 +142,8 @@ class EachRun:
         """Return consecutive runs of the same plan, joined."""
         if len(parts) == 1:
             return parts[0]
-        rows = []
-        for same in zip(*(part.rows for part in parts), strict=True):
-            values = np.concatenate([row.values for row in same])
-            failed = np.concatenate([row.failed for row in same])
-            rows.append(replace(same[0], values=values, failed=failed))
         return cls(
-            rows=tuple(rows),
+            rows=tuple(map(CriterionRow.joined, zip(*(part.rows for part in parts), strict=True))),
             runs=sum(part.runs for part in parts),
             incomplete=next(filter(None, (part.incomplete for part in parts)), ""),
         )
@@ -123,17 +156,16 @@ class EachRun:
         rows = []
         for row in self.rows:
             if row.of_plan:
-                rows.append(replace(row, values=row.values[:1], failed=row.failed[:1]))
+                rows.append(row.taken(np.zeros(1, dtype=np.int64)))
             else:
                 failed = np.array([row.limit is not None])
-                rows.append(replace(row, values=np.array([np.inf]), failed=failed))
+                lost = replace(row, values=np.array([np.inf]), failed=failed, places={})
+                rows.append(lost)
         return EachRun(rows=tuple(rows), runs=1)
 
     def taken(self, index: IntArray) -> EachRun:
         """Return the runs at (n,) ``index``, in that order."""
-        rows = tuple(
-            replace(row, values=row.values[index], failed=row.failed[index]) for row in self.rows
-        )
+        rows = tuple(row.taken(index) for row in self.rows)
         return EachRun(rows=rows, runs=len(index), incomplete=self.incomplete)
 
 
@@ -162,8 +194,10 @@ def criterion_row(
     """Return the results of ``runs`` runs; a value of the plan alone is repeated for each."""
     unit, limit = unit_of(kind, found.axis, plan), limit_of(criterion, plan)
     values = found.value if unit == "s" else np.where(np.isfinite(found.value), found.value, np.nan)
+    values = _counted(found, values, kind, limit)
     if len(values) != runs:
         values = np.broadcast_to(values, (runs,))
+    of_plan = kind.of_plan(plan) is not None
     return CriterionRow(
         name=criterion.name,
         axis=found.axis,
@@ -174,8 +208,30 @@ def criterion_row(
         hard=criterion.hard,
         values=values,
         failed=exceeded(kind, limit, values),
-        of_plan=kind.of_plan(plan) is not None,
+        of_plan=of_plan,
+        places={} if of_plan or len(found) != runs else _places(found, values),
     )
+
+
+def _counted(
+    found: RunFindings, values: FloatArray, kind: MeasureKind, limit: float | None
+) -> FloatArray:
+    """Return (n,) values as they count under a limit, as in a verdict: NaN if not measured.
+
+    The runs of one recording have the same samples, so all of them lack the same part or none.
+    """
+    first = found.of(0)
+    if not first.unseen and first.hidden is None:
+        return values
+    counted = (found.of(run).under(limit, kind.status).value for run in range(len(values)))
+    return np.array([np.nan if value is None else value for value in counted])
+
+
+def _places(found: RunFindings, values: FloatArray) -> dict[int, Finding]:
+    """Return the findings of the worst of (runs,) values that were measured, by run."""
+    known = np.flatnonzero(~np.isnan(values))
+    worst = known[np.argsort(-values[known], kind="stable")[:_PLACED]]
+    return {run: found.of(run).somewhere() for run in worst.tolist()}
 
 
 def exceeded(kind: MeasureKind, limit: float | None, values: FloatArray) -> NDArray[np.bool_]:
@@ -220,7 +276,8 @@ def worst_of(
 def in_others(verdict: Verdict, others: EachRun, told: str = _WITHIN) -> Verdict:
     """Return ``verdict`` with every result replaced by the worst of other machines, if it is worse.
 
-    Their places in the job are not known. A machine that could not be simulated is left out.
+    Such a result has the place where the worst machine had this value; the line is left to
+    ``with_lines``. A machine that could not be simulated is left out.
 
     Parameters
     ----------
@@ -236,23 +293,27 @@ def in_others(verdict: Verdict, others: EachRun, told: str = _WITHIN) -> Verdict
         if row is None:
             continue
         kind = MEASURES[row.name]
-        known = row.values[[is_measured(value, row.unit) for value in row.values.tolist()]]
+        worst = row.worst()
+        most, place = (None, Finding(value=None)) if worst is None else worst
         other = replace(
             result,
-            measured=float(known.max()) if len(known) else None,
-            status=kind.status(float(known.max()) if len(known) else None, row.limit),
-            time_s=None,
-            operation=None,
-            job_line=None,
-            position=None,
+            measured=most,
+            status=kind.status(most, row.limit),
+            time_s=place.time_s,
+            operation=place.operation,
+            job_line=place.job_line,
+            position=place.position,
             passes=(),
             run=None,
-            note=told,
+            note=", ".join(filter(None, (place.note, told))),
         )
-        if len(known) and _worse(other, results[k]):
+        if worst is not None and _worse(other, results[k]):
             results[k] = other
         if row.missed.any() and results[k].status is not Status.FAILED:
-            results[k] = replace(other, measured=None, status=Status.NOT_MEASURED)
+            results[k] = replace(
+                other, measured=None, status=Status.NOT_MEASURED, note=told, time_s=None,
+                operation=None, job_line=None, position=None,
+            )  # fmt: skip
     return replace(verdict, results=tuple(results))
 
 

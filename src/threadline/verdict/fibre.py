@@ -12,6 +12,7 @@ from threadline.commands.plan import Plan
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.laid_error import Apart
 from threadline.verdict.measure import Measure, Option
+from threadline.verdict.pattern import NEVER_KNOWN, Closing, Covering
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
@@ -21,17 +22,11 @@ from threadline.verdict.replayed import (
     wound_job,
 )
 from threadline.verdict.samples import Block, Setting
-from threadline.verdict.types import Criterion
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
-from threadline.winding.product import Product
-from threadline.winding.surface import Surface
 
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
-_NEVER = "the fibre is never known"
-_FEW = 0.01  # share of the laid fibre; less than this may lie anywhere
 EVENNESS_OPTIONS = {"over": Option(unit="s", default=0.02, above_0=True)}
 _AT_REST_M_S = 1e-4  # speed of the fibre below which it rests: no winding is as slow
-_OUTLINE = 8193  # places of the meridian among which the widest is searched
 
 
 Values = Callable[[Wound, int], FloatArray]
@@ -44,7 +39,7 @@ class _Largest:
     """The largest value of each run."""
 
     def __init__(self, runs: int, axes: int, values: Values, note: Note | None = None) -> None:
-        self._worst = Worst(runs, axes, note=_NEVER)
+        self._worst = Worst(runs, axes, note=NEVER_KNOWN)
         self._values, self._note, self._axes = values, note, axes
 
     def take(self, runs: Sequence[Wound]) -> None:
@@ -110,9 +105,7 @@ def _held(values: IntArray, before: int) -> IntArray:
 class _OfRun:
     """A measure that takes the samples of the shared replays."""
 
-    def __init__(
-        self, setting: Setting, taking: _Largest | _Covering | Closing | _Evenness
-    ) -> None:
+    def __init__(self, setting: Setting, taking: _Largest | Covering | Closing | _Evenness) -> None:
         self._shared, self._taking = shared_replays(setting), taking
 
     def feed(self, block: Block) -> None:
@@ -190,7 +183,7 @@ class _Evenness:
     """
 
     def __init__(self, runs: int, axes: int, over_s: float) -> None:
-        self._worst = Worst(runs, axes, note=_NEVER)
+        self._worst = Worst(runs, axes, note=NEVER_KNOWN)
         self._over_s = over_s
         # Time and drawn length from the beginning of the open window on; None: nothing is known.
         self._open: list[tuple[FloatArray, FloatArray] | None] = [None] * runs
@@ -280,132 +273,6 @@ class Near:
         return one.words(int(one.pair[at])) if one.too_near else ""
 
 
-class _Covering:
-    """The largest gap between the bands of each run."""
-
-    def __init__(self, jobs: Sequence[WoundJob], axes: int) -> None:
-        from threadline.winding.raster import Raster
-
-        self._worst = Worst(len(jobs), axes, note=_NEVER)
-        self._rasters = []
-        for job in jobs:
-            begin, end = job.product.covered or (0.0, 0.0)
-            self._rasters.append(Raster(job.surface, job.width_m, begin, end))
-        self._last = [np.nan for _ in jobs]
-        self._laid = np.zeros((len(jobs), 2))  # length in all, and of an unknown place, m
-
-    def take(self, runs: Sequence[Wound]) -> None:
-        """Lay the bands of the next samples of every run."""
-        for run, (raster, samples) in enumerate(zip(self._rasters, runs, strict=True)):
-            fibre = samples.fibre
-            step = np.diff(fibre.length_m, prepend=self._last[run])
-            step = np.where(step > 0.0, step, 0.0)
-            self._laid[run] += step.sum(), step[~fibre.known].sum()
-            self._last[run] = fibre.length_m[-1] if len(fibre) else self._last[run]
-            operation = samples.operation
-            lines = np.zeros(len(fibre), dtype=np.int64) if operation is None else operation
-            raster.lay(fibre.u, fibre.angle, fibre.winding, fibre.known, lines)
-
-    def found(self) -> RunFindings:
-        """Return the largest gap of each run, beside the operation that laid the band there."""
-        gaps = [raster.gap() for raster in self._rasters]
-        self._worst.offer(
-            np.array([gap.width_m for gap in gaps]),
-            operation=np.array([gap.operation for gap in gaps]),
-            note=np.array(
-                [gap.words + self._unknown(run) for run, gap in enumerate(gaps)], dtype=object
-            ),
-        )
-        return self._worst.found()
-
-    def _unknown(self, run: int) -> str:
-        """Say how much of the fibre is missing on the raster because its place is not known."""
-        laid, unknown = self._laid[run]
-        if not unknown > _FEW * laid:
-            return ""
-        return f"; the place of {1e2 * unknown / laid:.2g} % of the laid fibre is not known"
-
-
-def middle_of(surface: Surface) -> float:
-    """Return the place u, m, in the middle of where a mandrel is widest."""
-    u = np.linspace(0.0, surface.length_m, _OUTLINE)
-    r = surface.at(u)[1][:, 0]
-    return float(np.median(u[r > r.max() * (1.0 - 1e-9)]))
-
-
-class Closing:
-    """How far a pattern is from its closure: where one more circuit would lie beside the first.
-
-    A circuit begins where the fibre crosses the middle of the widest place from left to right.
-    """
-
-    def __init__(self, jobs: Sequence[WoundJob], axes: int) -> None:
-        self._worst = Worst(len(jobs), axes, note="fewer than two known circuits")
-        self._width_m, self._radius_m, self._at_u = [], [], []
-        for job in jobs:
-            at = middle_of(job.surface)
-            self._width_m.append(job.width_m)
-            self._radius_m.append(float(job.surface.at(np.array([at]))[1][0, 0]))
-            self._at_u.append(at)
-        self._last = [np.full((1, 2), np.nan) for _ in jobs]
-        # Angle, angle with the meridian and operation of each beginning.
-        self._circuits: list[list[FloatArray]] = [[] for _ in jobs]
-
-    def take(self, runs: Sequence[Wound]) -> None:
-        """Look for circuits that begin in the next samples of every run."""
-        for run, samples in enumerate(runs):
-            fibre = samples.fibre
-            if not len(fibre):
-                continue
-            rows = np.column_stack([fibre.u - self._at_u[run], fibre.angle])
-            rows[~fibre.known] = np.nan
-            chain = np.vstack([self._last[run], rows])
-            self._last[run] = chain[-1:]
-            at = np.flatnonzero((chain[:-1, 0] < 0.0) & (chain[1:, 0] >= 0.0))
-            share = chain[at, 0] / (chain[at, 0] - chain[at + 1, 0])
-            angle = chain[at, 1] + share * (chain[at + 1, 1] - chain[at, 1])
-            none = np.full(len(fibre), -1)
-            operation = none if samples.operation is None else samples.operation
-            self._circuits[run].append(np.column_stack([angle, fibre.winding[at], operation[at]]))
-
-    def circuits(self, run: int) -> FloatArray:
-        """Return (n, 3) angle, angle with the meridian and operation where each circuit begins."""
-        return np.vstack([np.empty((0, 3)), *self._circuits[run]])
-
-    def radius_m(self, run: int) -> float:
-        """Return the radius of the mandrel where circuits begin."""
-        return self._radius_m[run]
-
-    def found(self) -> RunFindings:
-        """Return the distance of each run across the bands, at the last circuit."""
-        from threadline.winding.fit import turn_error
-
-        values, operations, notes = [], [], []
-        for run in range(len(self._circuits)):
-            rows = self.circuits(run)
-            if len(rows) < 2:
-                values.append(np.nan)
-                operations.append(-1)
-                notes.append("")
-                continue
-            off = 2.0 * rows[-1, 0] - rows[-2, 0] - rows[0, 0]
-            whole, off = off, float(np.arctan2(np.sin(off), np.cos(off)))
-            away = abs(off) * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
-            values.append(away)
-            operations.append(int(rows[-1, 2]))
-            bands = away / self._width_m[run]
-            notes.append(
-                f"after {len(rows)} circuits the next would lie {bands:.2f} bands beside the first"
-                + turn_error(off, whole, bands)
-            )
-        self._worst.offer(
-            np.array(values),
-            operation=np.array(operations),
-            note=np.array(notes, dtype=object),
-        )
-        return self._worst.found()
-
-
 _OF_FIBRE: Mapping[str, tuple[Values, Note | None]] = {
     "slip_tendency": (_steer, _wobble),
     "bridging": (_bridged, None),
@@ -427,7 +294,7 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
         if name == "coverage_gap":
             if jobs[0].product.covered is None:
                 return _Absent(runs, "the product names no [coverage]")
-            return _OfRun(setting, _Covering(jobs, axes))
+            return _OfRun(setting, Covering(jobs, axes))
         if name == "pattern_closure":
             return _OfRun(setting, Closing(jobs, axes))
         if name == "clearance":
@@ -464,14 +331,14 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     if job is None:
         return {name: [Finding(value=None, note=_NO_PRODUCT)] for name in PLANNED}
     axes = len(plan.axes)
-    taking: dict[str, _Largest | _Covering | Closing] = {
+    taking: dict[str, _Largest | Covering | Closing] = {
         f"planned_{name}": _Largest(1, axes, *_OF_FIBRE[name])
         for name in ("slip_tendency", "bridging")
     }
     taking["planned_lifting"] = _Lifted(1, axes)
     taking["planned_pattern_closure"] = Closing([job], axes)
     if job.product.covered is not None:
-        taking["planned_coverage_gap"] = _Covering([job], axes)
+        taking["planned_coverage_gap"] = Covering([job], axes)
     from threadline.winding.fit import Witness
 
     witness = Witness(job.surface)
@@ -484,40 +351,10 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     friction = least_friction(job.product)
     note = ""
     if slip.value is None:
-        note = f"{_NEVER}: {witness.reason()}"
+        note = f"{NEVER_KNOWN}: {witness.reason()}"
     elif slip.value > friction:
         fit = witness.fit(job.tool, friction, job.product.tied)
         note = "; ".join(text for text in (slip.note, fit) if text)
     if note:
         found["planned_slip_tendency"] = [replace(slip, note=note)]
     return found
-
-
-_LEAST_M = 5e-5  # lifted or bridged: a tow is thicker
-
-
-def criteria_of(product: Product) -> tuple[Criterion, ...]:
-    """Return the criteria that a product asks for, beside those of the specification."""
-    slip = least_friction(product)
-    wanted: dict[str, float | None] = {
-        "planned_slip_tendency": slip,
-        "planned_bridging": _LEAST_M,
-        "planned_lifting": _LEAST_M,
-        "slip_tendency": slip,
-        "bridging": _LEAST_M,
-        "lifting": _LEAST_M,
-        "clearance": 0.0,
-        "slack": product.take_up,
-        "laid_error": None,
-        "free_length": None,
-        "fibre_speed": None,
-        "fibre_speed_variation": None,
-        "planned_pattern_closure": None,
-        "pattern_closure": None,
-    }
-    if product.covered is not None:
-        wanted |= {"planned_coverage_gap": product.gap, "coverage_gap": product.gap}
-    return tuple(
-        Criterion(name=name, limit=limit, required=limit is not None)
-        for name, limit in wanted.items()
-    )

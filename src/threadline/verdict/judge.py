@@ -166,7 +166,7 @@ class Judge:
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
         ]
-        results = tuple(with_passes(tuple(_with_lines(told, plan)), plan.job))
+        results = with_lines(told, plan)
         happened = [*(one for listener in listened for one in listener.disturbances)]
         return Verdict(
             results=results,
@@ -422,11 +422,14 @@ def _in_order(happened: Sequence[Disturbance]) -> list[Disturbance]:
     return sorted(happened, key=lambda one: np.inf if one.time_s is None else one.time_s)
 
 
-def _with_lines(results: Sequence[Result], plan: Plan) -> Iterator[Result]:
-    """Fill in the job lines that the measures did not know."""
+def with_lines(results: Sequence[Result], plan: Plan) -> tuple[Result, ...]:
+    """Return results with the job lines and passes that their measures did not know."""
     wanted = {r.operation for r in results if r.operation is not None and r.job_line is None}
     lines = plan.intent.lines_of(plan.job, {o for o in wanted if o is not None})
-    for result in results:
-        if result.operation is not None and result.job_line is None:
-            result = replace(result, job_line=lines.get(result.operation) or None)  # noqa: PLW2901
-        yield result
+    lined = tuple(
+        replace(result, job_line=lines.get(result.operation) or None)
+        if result.operation is not None and result.job_line is None
+        else result
+        for result in results
+    )
+    return tuple(with_passes(lined, plan.job))

@@ -86,6 +86,10 @@ class Branch(Generic[T]):
 
 _ROUNDING = 1e-9
 NO_DYNAMICS = "the machine file has no dynamics: nothing is known of what its drives move"
+_NO_TENSION = (
+    'no tension channel: a column "tension" gives it, see docs/files.md; a simulated machine has '
+    "one with the [spool] of its machine file and a --product"
+)
 _ARRIVED_M = 1e-4  # at the tool: a few counts, the accuracy of a quantised command
 
 
@@ -154,6 +158,8 @@ class MotionRun(Setting):
         """Return why none of these channels of some axes exists, and how to provide one."""
         if self.recording.simulated and self.plan.machine.without_dynamics:
             return NO_DYNAMICS
+        if ChannelKind.TENSION in alternatives:
+            return _NO_TENSION
         return f"no {' or '.join(alternatives)} channel of {', '.join(axes)}: " + _how_to_give(
             alternatives, axes[0]
         )
@@ -163,6 +169,8 @@ class MotionRun(Setting):
         operation = self.recording.find(ChannelKind.OPERATION)
         if ChannelKind.OPERATION in alternatives and operation is not None:
             return []  # one channel for all axes
+        if ChannelKind.TENSION in alternatives and self.recording.find(ChannelKind.TENSION):
+            return []
         return [a for a in self.axes if find_first(self.recording, alternatives, a) is None]
 
     def _too_coarse(self, needs: Needs) -> str:

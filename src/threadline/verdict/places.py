@@ -11,7 +11,7 @@ from threadline.base.compiled import njit
 from threadline.verdict.bow import NO_BETWEEN, Between
 from threadline.verdict.boxes import MORE, Boxes
 
-_CEILING = 4.0  # times the largest squared error: a worse trailing place is dropped
+CEILING = 4.0  # times the largest squared error: a worse trailing place is dropped
 
 
 def _given_up(
@@ -279,7 +279,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
             for r in range(runs):
                 if least[r] > worst[r]:
                     worst[r], at[r] = least[r], number + i
-                    ceiling = max(ceiling, _CEILING * worst[r])
+                    ceiling = max(ceiling, CEILING * worst[r])
                     k = low
                     while value[(origin + k) % rows, r] > least[r]:
                         k += 1

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from threadline.commands.plan import Motion, Plan, Stitched
 from threadline.files import ChannelKind
 from threadline.verdict import demands, electrical, repeat, seam, settling, switch_measures, turning
-from threadline.verdict import demands as lost_steps
-from threadline.verdict import settling as ripple
-from threadline.verdict import stitch_run as stitch_measures
 from threadline.verdict import stitch_run as stitches
 from threadline.verdict.advance import start_progress
 from threadline.verdict.bow import FOLLOWED
@@ -39,6 +37,8 @@ from threadline.verdict.measure import (
 from threadline.verdict.samples import Setting
 from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
+from threadline.verdict.tension import OPTIONS as TENSION_OPTIONS
+from threadline.verdict.tension import start_variation
 from threadline.verdict.to_speed import NEEDLE_OPTIONS, start_from_needle, start_to_speed
 from threadline.verdict.to_speed import OPTIONS as RISE_OPTIONS
 from threadline.verdict.tracking import start_tracking
@@ -83,6 +83,12 @@ def _sewn(
     return OfRun(run=StitchRun, start=whole(measure), needs=((needs,),))
 
 
+def _kind(
+    name: str, dimension: Dimension, *reads: Any, per_axis: bool = False, **more: Any
+) -> MeasureKind:
+    return MeasureKind(name=name, dimension=dimension, per_axis=per_axis, reads=reads, **more)
+
+
 _DIMENSIONS: Mapping[str, Dimension] = {
     "slip_tendency": "ratio",
     "fibre_speed": "tool/s",
@@ -110,287 +116,134 @@ _FIBRE = (
         )
         for name in MEASURED
     ),
+    MeasureKind(
+        name="tension_variation",
+        dimension="ratio",
+        per_axis=False,
+        options=TENSION_OPTIONS,
+        reads=(_moved(start_variation, (ChannelKind.TENSION,), _ACTUAL, _OPERATION),),
+    ),
 )
 _DEMANDS = OfPlan(intent=Motion, measure=demands.measure_demands)
-_TABLES = OfPlan(intent=Stitched, measure=stitch_measures.measure_tables)
+_TABLES = OfPlan(intent=Stitched, measure=stitches.measure_tables)
 
 _KINDS = (
-    MeasureKind(
-        name="contour_error",
-        dimension="tool",
-        per_axis=False,
-        of_worst=True,
-        reads=(_moved(start_contour, _ACTUAL, _OPERATION),),
+    _kind("contour_error", "tool", _moved(start_contour, _ACTUAL, _OPERATION), of_worst=True),
+    _kind("progress_error", "tool", _moved(start_progress, _ACTUAL, _OPERATION), of_worst=True),
+    _kind(
+        "turning_point_error", "tool", _moved(turning.start_turning, _ACTUAL, _OPERATION),
+        per_axis=True, options=turning.OPTIONS,
     ),
-    MeasureKind(
-        name="progress_error",
-        dimension="tool",
-        per_axis=False,
-        of_worst=True,
-        reads=(_moved(start_progress, _ACTUAL, _OPERATION),),
-    ),
-    MeasureKind(
-        name="turning_point_error",
-        dimension="tool",
-        per_axis=True,
-        reads=(_moved(turning.start_turning, _ACTUAL, _OPERATION),),
-        options=turning.OPTIONS,
-    ),
-    MeasureKind(
-        name="repeatability",
-        dimension="tool",
-        per_axis=False,
-        reads=(
-            OfRuns(
-                run=Setting,
-                in_step=repeat.start_in_step,
-                start=repeat.start_repeatability,
-                needs=(_ACTUAL, _OPERATION),
-                follows=True,
-            ),
-            OfRuns(run=SwitchRun, in_step=whole_runs(switch_measures.repeatability)),
-        ),
+    _kind(
+        "repeatability", "tool", OfRuns(run=Setting, in_step=repeat.start_in_step,
+        start=repeat.start_repeatability, needs=(_ACTUAL, _OPERATION), follows=True),
+        OfRuns(run=SwitchRun, in_step=whole_runs(switch_measures.repeatability)),
         options=repeat.OPTIONS,
     ),
     # Measured on plans or on runs, by intent: a path or step tables tell beforehand how far they
     # go, a schedule does not. The allowance is for rounded sums that end beyond the travel.
-    MeasureKind(
-        name="travel",
-        least=-math.inf,
-        dimension="axis",
-        per_axis=True,
-        allowance=1e-9,
-        reads=(_DEMANDS, _switched(switch_measures.travel), _TABLES),
+    _kind(
+        "travel", "axis", _DEMANDS, _switched(switch_measures.travel), _TABLES, per_axis=True,
+        least=-math.inf, allowance=1e-9,
     ),
-    MeasureKind(
-        name="velocity", dimension="axis/s", per_axis=True, slack=demands.SLACK, reads=(_DEMANDS,)
-    ),
-    MeasureKind(
-        name="acceleration",
-        dimension="axis/s^2",
-        per_axis=True,
+    _kind("velocity", "axis/s", _DEMANDS, per_axis=True, slack=demands.SLACK),
+    _kind("acceleration", "axis/s^2", _DEMANDS, per_axis=True, slack=demands.SLACK),
+    _kind(
+        BRAKING, "axis/s^2", OfPlan(intent=Motion, measure=measure_braking), per_axis=True,
         slack=demands.SLACK,
-        reads=(_DEMANDS,),
     ),
-    MeasureKind(
-        name=BRAKING,
-        dimension="axis/s^2",
-        per_axis=True,
-        slack=demands.SLACK,
-        reads=(OfPlan(intent=Motion, measure=measure_braking),),
-    ),
-    MeasureKind(
-        name="jerk", dimension="axis/s^3", per_axis=True, slack=demands.SLACK, reads=(_DEMANDS,)
-    ),
-    MeasureKind(
-        name=PATH_USE,
-        dimension="ratio",
-        per_axis=False,
-        slack=demands.SLACK,
-        reads=(OfPlan(intent=Motion, measure=measure_path_use),),
-    ),
-    MeasureKind(
-        name="path_deviation",
-        dimension="tool",
-        per_axis=False,
-        reads=(OfPlan(intent=Motion, measure=_path_deviation),),
-    ),
-    MeasureKind(
-        name="shaping_deviation",
-        dimension="tool",
-        per_axis=False,
-        reads=(OfPlan(intent=Motion, measure=_shaping_deviation),),
-    ),
-    MeasureKind(
-        name="tracking_error",
-        dimension="axis",
-        per_axis=True,
+    _kind("jerk", "axis/s^3", _DEMANDS, per_axis=True, slack=demands.SLACK),
+    _kind(PATH_USE, "ratio", OfPlan(intent=Motion, measure=measure_path_use), slack=demands.SLACK),
+    _kind("path_deviation", "tool", OfPlan(intent=Motion, measure=_path_deviation)),
+    _kind("shaping_deviation", "tool", OfPlan(intent=Motion, measure=_shaping_deviation)),
+    _kind(
+        "tracking_error", "axis",
+        _moved(start_tracking, _COMMANDED, (*_ACTUAL, ChannelKind.MEASURED)), per_axis=True,
         of_worst=True,
-        reads=(_moved(start_tracking, _COMMANDED, (*_ACTUAL, ChannelKind.MEASURED)),),
     ),
-    MeasureKind(
-        name="velocity_ripple",
-        dimension="ratio",
-        per_axis=False,
-        of_worst=True,
-        reads=(_moved(ripple.start_ripple, _ACTUAL, _OPERATION),),
-        options=ripple.OPTIONS,
+    _kind(
+        "velocity_ripple", "ratio", _moved(settling.start_ripple, _ACTUAL, _OPERATION),
+        of_worst=True, options=settling.OPTIONS,
     ),
-    MeasureKind(
-        name="stitch_length_error",
-        dimension="ratio",
-        per_axis=False,
-        reads=(_moved(stitches.start_length, _ACTUAL),),
+    _kind(
+        "stitch_length_error", "ratio", _moved(stitches.start_length, _ACTUAL),
         options=stitches.OPTIONS,
     ),
-    MeasureKind(
-        name="stitch_speed_error",
-        dimension="ratio",
-        per_axis=False,
-        reads=(_moved(stitches.start_speed, _ACTUAL),),
+    _kind(
+        "stitch_speed_error", "ratio", _moved(stitches.start_speed, _ACTUAL),
         options=stitches.SPEED_OPTIONS,
     ),
-    MeasureKind(
-        name="stitches_to_speed",
-        dimension="stitch",
-        per_axis=False,
-        reads=(_moved(start_to_speed, _ACTUAL, _COMMANDED),),
+    _kind(
+        "stitches_to_speed", "stitch", _moved(start_to_speed, _ACTUAL, _COMMANDED),
         options=RISE_OPTIONS,
     ),
-    MeasureKind(
-        name="stitches_from_needle",
-        dimension="stitch",
-        per_axis=False,
-        reads=(_moved(start_from_needle, _ACTUAL, _COMMANDED),),
+    _kind(
+        "stitches_from_needle", "stitch", _moved(start_from_needle, _ACTUAL, _COMMANDED),
         options=NEEDLE_OPTIONS,
     ),
-    MeasureKind(
-        name="stitch_placement_error",
-        dimension="tool",
-        per_axis=False,
-        reads=(_moved(stitches.start_placement, _ACTUAL),),
+    _kind(
+        "stitch_placement_error", "tool", _moved(stitches.start_placement, _ACTUAL),
         options=stitches.OPTIONS,
     ),
-    MeasureKind(
-        name="seam_error",
-        dimension="tool",
-        per_axis=False,
-        reads=(_moved(seam.start_seam, _ACTUAL),),
+    _kind("seam_error", "tool", _moved(seam.start_seam, _ACTUAL), options=stitches.OPTIONS),
+    _kind(
+        "needle_time_error", "ratio", _moved(stitches.start_needle, _ACTUAL),
         options=stitches.OPTIONS,
     ),
-    MeasureKind(
-        name="needle_time_error",
-        dimension="ratio",
-        per_axis=False,
-        reads=(_moved(stitches.start_needle, _ACTUAL),),
-        options=stitches.OPTIONS,
-    ),
-    MeasureKind(
-        name=NEEDLE_USE,
-        dimension="ratio",
-        per_axis=False,
+    _kind(
+        NEEDLE_USE, "ratio", OfPlan(intent=Motion, measure=measure_needle_use),
         slack=demands.SLACK,
-        reads=(OfPlan(intent=Motion, measure=measure_needle_use),),
     ),
-    MeasureKind(
-        name="residual_vibration",
-        dimension="tool",
-        per_axis=True,
-        reads=(
-            _moved(
-                settling.start_residual, _ACTUAL, _COMMANDED, of_every_axis=ChannelKind.COMMANDED
-            ),
-            _switched(switch_measures.residual_vibration),
-        ),
-        options=settling.RESIDUAL_OPTIONS,
+    _kind(
+        "residual_vibration", "tool", _moved(settling.start_residual, _ACTUAL, _COMMANDED,
+        of_every_axis=ChannelKind.COMMANDED), _switched(switch_measures.residual_vibration),
+        per_axis=True, options=settling.RESIDUAL_OPTIONS,
     ),
-    MeasureKind(
-        name="settling_time",
-        dimension="time",
-        per_axis=False,
-        reads=(
-            _moved(settling.start_settling, _ACTUAL, _COMMANDED),
-            _switched(switch_measures.settling_time),
-        ),
-        options=settling.SETTLING_OPTIONS,
+    _kind(
+        "settling_time", "time", _moved(settling.start_settling, _ACTUAL, _COMMANDED),
+        _switched(switch_measures.settling_time), options=settling.SETTLING_OPTIONS,
     ),
-    MeasureKind(
-        name="dac_saturation",
-        most=1.0,
-        dimension="ratio",
-        per_axis=True,
-        reads=(_moved(electrical.start_dac_saturation, (ChannelKind.VOLTAGE,), follows=False),),
+    _kind(
+        "dac_saturation", "ratio",
+        _moved(electrical.start_dac_saturation, (ChannelKind.VOLTAGE,), follows=False),
+        per_axis=True, most=1.0,
     ),
-    MeasureKind(
-        name="step_loss",
-        dimension="ratio",
-        per_axis=True,
-        of_worst=True,
-        reads=(_moved(lost_steps.start_step_loss, (ChannelKind.TORQUE_SHARE,), follows=False),),
+    _kind(
+        "step_loss", "ratio",
+        _moved(demands.start_step_loss, (ChannelKind.TORQUE_SHARE,), follows=False),
+        per_axis=True, of_worst=True,
     ),
-    MeasureKind(
-        name="current_peak",
-        dimension="current",
-        per_axis=True,
-        of_worst=True,
-        reads=(_moved(electrical.start_current_peak, (ChannelKind.CURRENT,), follows=False),),
+    _kind(
+        "current_peak", "current",
+        _moved(electrical.start_current_peak, (ChannelKind.CURRENT,), follows=False),
+        per_axis=True, of_worst=True,
     ),
-    MeasureKind(
-        name="current_rms",
-        dimension="current",
-        per_axis=True,
-        reads=(_moved(electrical.start_current_rms, (ChannelKind.CURRENT,), follows=False),),
+    _kind(
+        "current_rms", "current",
+        _moved(electrical.start_current_rms, (ChannelKind.CURRENT,), follows=False), per_axis=True,
     ),
-    MeasureKind(
-        name="end_position_error",
-        dimension="axis",
-        per_axis=True,
-        reads=(_switched(switch_measures.end_position_error),),
+    _kind(
+        "end_position_error", "axis", _switched(switch_measures.end_position_error), per_axis=True,
     ),
-    MeasureKind(
-        name="cycle_time",
-        dimension="time",
-        per_axis=False,
-        reads=(_switched(switch_measures.cycle_time),),
-    ),
-    MeasureKind(
-        name="switching_order",
-        most=1.0,
-        dimension="ratio",
-        per_axis=False,
-        reads=(_switched(switch_measures.switching_order),),
-    ),
-    MeasureKind(
-        name="switching_error",
-        dimension="time",
-        per_axis=False,
-        reads=(_switched(switch_measures.switching_error),),
-    ),
+    _kind("cycle_time", "time", _switched(switch_measures.cycle_time)),
+    _kind("switching_order", "ratio", _switched(switch_measures.switching_order), most=1.0),
+    _kind("switching_error", "time", _switched(switch_measures.switching_error)),
     # Recorded instants are sums of periods: allow for rounding.
-    MeasureKind(
-        name="switching_dwell",
-        dimension="time",
-        per_axis=False,
-        allowance=1e-9,
-        reads=(_switched(switch_measures.switching_dwell),),
+    _kind("switching_dwell", "time", _switched(switch_measures.switching_dwell), allowance=1e-9),
+    _kind("valve_conflict", "time", _switched(switch_measures.valve_conflict)),
+    _kind("over_level", "ratio", _switched(switch_measures.over_level), allowance=1e-9),
+    _kind(
+        "stitch_residual", "axis", _sewn(stitches.stitch_residual, ChannelKind.LOAD),
+        per_axis=True, of_worst=True,
     ),
-    MeasureKind(
-        name="valve_conflict",
-        dimension="time",
-        per_axis=False,
-        reads=(_switched(switch_measures.valve_conflict),),
+    _kind(
+        "servo_force", "ratio", _sewn(stitches.servo_force, ChannelKind.TORQUE_SHARE),
+        per_axis=True, of_worst=True,
     ),
-    MeasureKind(
-        name="over_level",
-        dimension="ratio",
-        per_axis=False,
-        allowance=1e-9,
-        reads=(_switched(switch_measures.over_level),),
-    ),
-    MeasureKind(
-        name="stitch_residual",
-        dimension="axis",
-        per_axis=True,
-        of_worst=True,
-        reads=(_sewn(stitch_measures.stitch_residual, ChannelKind.LOAD),),
-    ),
-    MeasureKind(
-        name="servo_force",
-        dimension="ratio",
-        per_axis=True,
-        of_worst=True,
-        reads=(_sewn(stitch_measures.servo_force, ChannelKind.TORQUE_SHARE),),
-    ),
-    MeasureKind(
-        name="window_use",
-        dimension="ratio",
-        per_axis=False,
-        slack=demands.SLACK,
-        reads=(_TABLES,),
-    ),
-    MeasureKind(name="step_rate", dimension="rate", per_axis=True, reads=(_TABLES,)),
-    MeasureKind(name="fetch_use", dimension="ratio", per_axis=False, reads=(_TABLES,)),
-)
+    _kind("window_use", "ratio", _TABLES, slack=demands.SLACK),
+    _kind("step_rate", "rate", _TABLES, per_axis=True),
+    _kind("fetch_use", "ratio", _TABLES),
+)  # fmt: skip
 MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in (*_KINDS, *_FIBRE)}
 
 

@@ -313,12 +313,17 @@ def percent_used(share: float, digits: int = 0) -> str:
     return f"{math.ceil(100.0 * share * fine - 1e-9) / fine:.{digits}f} %"
 
 
+_CORNERS_JUMP = (
+    "corners jump in speed, as on the controller, beyond limits of acceleration and jerk"
+)
+
+
 def _not_kept(verdict: Verdict) -> list[str]:
     """Return a line about limits of the machine that a plan need not keep; usually empty."""
     steps = any(r.hard and r.limit is None and VELOCITY_STEPS in r.note for r in verdict.results)
     if verdict.answers or not steps:
         return []
-    return [f"but for acceleration and jerk: {VELOCITY_STEPS} at corners"]
+    return [_CORNERS_JUMP]
 
 
 def _unasked(verdict: Verdict) -> str:
@@ -476,7 +481,7 @@ def shown(value: float, unit: str) -> str:
     if math.isinf(value):
         return "never" if unit == "s" else "unbounded"
     if not unit:
-        return f"{100.0 * value:.3g} %"
+        return f"{float(f'{100.0 * value:.3g}'):g} %"  # 1250 %, not 1.25e+03 %
     if unit == "s" and abs(value) >= _IN_SECONDS:
         return f"{value:.5g} s"
     factor, name = _SHOWN.get(unit, (1.0, unit))

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
+from threadline.errors import JobError, Place
 from threadline.files import ChannelKind, Recording
+from threadline.jobs.tensions import tensions_of
 from threadline.machine.tool import Tool
 from threadline.verdict.samples import Block, Setting
+from threadline.winding.laying import LAID
 from threadline.winding.product import Product, Ring, product_of_text
 from threadline.winding.replay import Fibre, Replay, eye_columns
 from threadline.winding.surface import Surface
@@ -295,6 +298,7 @@ class SharedReplays:
 
 
 _LATEST = local()
+_ROUNDING = 1e-9
 
 
 def shared_replays(setting: Setting) -> SharedReplays:
@@ -304,6 +308,54 @@ def shared_replays(setting: Setting) -> SharedReplays:
         latest = SharedReplays(setting)
         _LATEST.shared = latest
     return latest
+
+
+def with_beginning(plan: Plan) -> Plan:
+    """Return a plan whose machine knows how its fibre is tied, where its mandrel is mounted.
+
+    The fibre leads from where the program begins to lay it to the eye; the operator ties it so. It
+    knows, too, how the brake of its spool is set for each layer. A plan that lays no fibre has no
+    direction of the tied one.
+
+    Raises
+    ------
+    JobError
+        If the brake cannot be set to a tension that the job asks for.
+    """
+    job, mandrel = wound_job(plan), plan.machine.mounted
+    if job is None or mandrel is None:
+        return plan
+    mandrel = replace(mandrel, brakes=_brakes(plan))
+    plan = replace(plan, machine=replace(plan.machine, mounted=mandrel))
+    for samples in programmed_fibre(plan, job):
+        laid = np.flatnonzero(samples.fibre.state == LAID)
+        if not len(laid):
+            continue
+        at, replay = int(laid[0]), job.replay()
+        leads = replay.leads(samples.eyes[at], samples.fibre.u[at], samples.fibre.angle[at])
+        tied = replace(mandrel, leads=tuple(leads.tolist()))
+        return replace(plan, machine=replace(plan.machine, mounted=tied))
+    return plan
+
+
+def _brakes(plan: Plan) -> tuple[tuple[int, float], ...]:
+    """Return from which operation on the brake has which share of its torque, if it can be set."""
+    spool = plan.machine.spool
+    if spool is None or spool.most_torque is None:
+        return ()
+    found, most = [], spool.most_torque.si
+    for operation, tension_n in tensions_of(plan.job):
+        torque = spool.torque_for(tension_n)
+        if not 0.0 < torque <= most * (1.0 + _ROUNDING):
+            line = plan.intent.lines_of(plan.job, [operation]).get(operation, 0)
+            raise JobError(
+                f"a tension of {tension_n:.4g} N needs a torque of {torque:.4g} N m, and the brake "
+                f"of {plan.machine.name} can be set from above 0 to {most:.4g} N m",
+                place=Place(plan.job.file, line) if line else Place(plan.job.file),
+                remedy="Ask for another tension, or correct spool.most_torque and the spring arm.",
+            )
+        found.append((operation, torque / spool.torque.si))
+    return tuple(found)
 
 
 def programmed_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:

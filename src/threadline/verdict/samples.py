@@ -236,6 +236,8 @@ class Block:
         previous sample; None until the first hold, while it equals the recording's time.
     velocity
         (n, runs, axes) or None: of the load, at each of these instants.
+    tension
+        (n, runs) or None: of a winder's fibre, N.
     steady
         (n, axes) ``commanded`` with rests found by ``Steady``; None: equal to ``commanded``.
     """
@@ -259,6 +261,7 @@ class Block:
     steady: FloatArray | None = None
     left: FloatArray | None = None
     velocity: FloatArray | None = None
+    tension: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -350,6 +353,7 @@ class Block:
             begin=those(self.begin),
             end=those(self.end),
             torque_share=None,
+            tension=those(self.tension),
             plan_s=those(self.plan_s),
             slow=None if self.slow is None else _any_since(self.slow, rows),
             steady=those(self.steady),

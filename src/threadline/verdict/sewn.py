@@ -1,4 +1,4 @@
-"""Stitches as they were sewn: time of each needle-down, and position of the tool then."""
+"""Stitches as they were sewn: the time of each needle-down, and the position of the tool."""
 
 from __future__ import annotations
 
@@ -96,9 +96,9 @@ class SewnStitches:
     down_s
         (n,) times of needle-down, the delay included.
     actual, begun
-        (n, axes, runs) tool position then, and at the previous needle-down; lengths at the tool.
+        (n, axes, runs) tool position at this and at the previous needle-down; lengths at the tool.
     length_error
-        (n, runs) distance moved since the previous needle-down, over the wanted one, less 1.
+        (n, runs) distance moved since the previous needle-down divided by the wanted one, minus 1.
     placement_m
         (n, runs) distance of ``actual`` from the seam: the nearest point of the nearby stitches.
     speed_error

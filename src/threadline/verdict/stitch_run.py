@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.commands.intents import Stitched
 from threadline.commands.plan import Plan
+from threadline.commands.turns import Stitched
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.files.step_play import one_behind_the_other
 from threadline.verdict.coverage import Coverage

@@ -14,14 +14,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.verdict.bow import (
-    NO_BETWEEN,
-    NO_BOWS,
-    Bows,
-    bound_bows,
-    charge_ways,
-    raise_to_bows,
-)
+from threadline.verdict.bow import NO_BETWEEN, NO_BOWS, Bows, bound_bows, charge_ways, raise_to_bows
 from threadline.verdict.boxes import (
     COMPANY,
     NO_BOXES,
@@ -34,12 +27,7 @@ from threadline.verdict.contour import ContourPart, raise_to_samples
 from threadline.verdict.electrical import DacPart, PeakPart, RmsPart
 from threadline.verdict.finding import add_squares, count_beyond, raise_to_farthest
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import (
-    between,
-    charge_trailing,
-    chord_vectors,
-    nearest_chords_each,
-)
+from threadline.verdict.nearest import between, charge_trailing, chord_vectors, nearest_chords_each
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, lanes
 from threadline.verdict.single_run import contour_of_one, nearest_of_one, progress_of_one

@@ -19,15 +19,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.intents import Scheduled, ScheduledMove
 from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
-from threadline.files import (
-    Channel,
-    ChannelKind,
-    Clock,
-    Creep,
-    Event,
-    Recording,
-    SwitchSchedule,
-)
+from threadline.files import Channel, ChannelKind, Clock, Creep, Event, Recording
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import RunFindings
 from threadline.verdict.measure import Running, RunReading
@@ -310,7 +302,7 @@ class SwitchRun:
         """Instants of rows, last end of openings by wait, and the first unscheduled switching."""
         rows, openings = list[float](), list[tuple[int, float]]()
         levels, opened = self.commands.levels, False
-        creeps = _creeps_of_rows(self.commands)
+        creeps = self.commands.creeps_by_row()
         left_s = float(self.time_s[-1])
         for index in self.changes:
             row, state, now_s = len(rows), self.states[index], float(self.time_s[index])
@@ -464,15 +456,6 @@ class SwitchRun:
         begin_s = max([step.begin_s, *(m.rest_s for m in done)])
         last_s = max(float(self.time_s[-1]), self.end_s)
         return begin_s, min([last_s, *(m.begin_s for m in later)])
-
-
-def _creeps_of_rows(commands: SwitchSchedule) -> dict[int, list[Creep]]:
-    """Return the creeps by the row of the schedule that is in effect during their waits."""
-    found: dict[int, list[Creep]] = {}
-    rows = np.searchsorted(commands.ticks, [creep.tick for creep in commands.creeps], side="right")
-    for row, creep in zip(rows.tolist(), commands.creeps, strict=True):
-        found.setdefault(row - 1, []).append(creep)
-    return found
 
 
 def _held(events: Sequence[Event], clock: Clock) -> list[tuple[float, float]]:

@@ -113,14 +113,7 @@ class ReversalScan:
         where = np.empty(len(vertices), dtype=np.int64)
         leaves = np.empty(len(vertices), dtype=np.int64)
         self.direction, at, count = _scan_fast(
-            vertices,
-            self._column,
-            self._smallest,
-            self.direction,
-            -1,
-            self._extreme,
-            where,
-            leaves,
+            vertices, self._column, self._smallest, self.direction, -1, self._extreme, where, leaves
         )
         found = []
         # Only the first one can be at an extreme of an earlier call. Before the first, the axis may

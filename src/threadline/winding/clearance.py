@@ -8,12 +8,20 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
 from threadline.machine.tool import Tool
 from threadline.winding.apart import LEAF, free_fibre, walk
 from threadline.winding.product import Ring
 from threadline.winding.replay import Fibre
 from threadline.winding.surface import Surface
-from threadline.winding.taut import MOST_PLACES, PILE, hollow_over, over_layers, wind
+from threadline.winding.taut import (
+    MOST_PLACES,
+    PILE,
+    highest_in_blocks,
+    hollow_over,
+    over_layers,
+    wind,
+)
 
 _SAGITTA_M = 1e-6  # of a chord of the outline
 _MOST_CHORDS = 20_000
@@ -39,6 +47,47 @@ def outline_of(surface: Surface) -> FloatArray:
             break
         u = np.sort(np.concatenate([u, middle[coarse]]))
     return u
+
+
+@njit(nogil=True)
+def _grown(
+    bare: FloatArray, normal: FloatArray, u: FloatArray, piece: IntArray, middle: FloatArray,
+    layers: FloatArray, line: FloatArray, boxes: FloatArray,
+) -> None:  # fmt: skip
+    """Write the closed outline of a mandrel with its layers, and the boxes of its chords.
+
+    Parameters
+    ----------
+    bare, normal
+        (n, 2) vertices of the mandrel, m, and the normals there.
+    u, piece
+        (n,) their places, and the cell before each; -1 and the last one for what is beyond.
+    middle, layers
+        (m,) middles of the cells, and the thickness of the layers there, m.
+    line, boxes
+        (n + 2, 2) and (b, 4), written: see ``apart.walk``.
+    """
+    last = len(layers) - 1
+    for k in range(len(bare)):
+        cell = piece[k]
+        if cell < 0:
+            thick = layers[0]
+        elif cell >= last:
+            thick = layers[last]
+        else:
+            slope = (layers[cell + 1] - layers[cell]) / (middle[cell + 1] - middle[cell])
+            thick = slope * (u[k] - middle[cell]) + layers[cell]
+        for j in range(2):
+            line[k + 1, j] = bare[k, j] + thick * normal[k, j]
+    end = len(line) - 1
+    line[0, 0], line[0, 1], line[end, 0], line[end, 1] = line[1, 0], 0.0, line[end - 1, 0], 0.0
+    for box in range(len(boxes)):
+        first = box * LEAF
+        for j in range(2):
+            low, high = line[first, j], line[first, j]
+            for k in range(first + 1, min(first + LEAF, end) + 1):
+                low, high = min(low, line[k, j]), max(high, line[k, j])
+            boxes[box, 2 * j], boxes[box, 2 * j + 1] = low, high
 
 
 _PARTS = ("the eye", "the arm", "the free fibre")
@@ -80,15 +129,20 @@ class Clearance:
         self._payout = np.array([*tool.payout_m, *tool.roller_m, 0.0, 1.0, 0.0])
         self._edges = np.linspace(0.0, surface.length_m, _CELLS + 1)
         self._wide = max(round(width_m / self._edges[1]), 1)
-        middle = 0.5 * (self._edges[:-1] + self._edges[1:])
+        self._middle = middle = 0.5 * (self._edges[:-1] + self._edges[1:])
         self._u = outline_of(surface)
         if layer_m2:  # the flanks of layers are between the vertices of a straight meridian, too
             self._u = np.union1d(self._u, middle)
+        self._piece = np.searchsorted(middle, self._u, side="right") - 1
         x, r = surface.at(self._u)
         self._x, self._r = x[:, 0], r[:, 0]
+        self._bare = np.column_stack([self._x, self._r])
         self._normal = np.column_stack([-r[:, 1], x[:, 1]]) / np.hypot(x[:, 1], r[:, 1])[:, None]
         self._area = 2.0 * math.pi * surface.at(middle)[1][:, 0] * np.diff(self._edges)
         self._wound, self._fresh = np.zeros(_CELLS), np.zeros(_CELLS)
+        self._layers: FloatArray | None = None
+        self._line = np.empty((len(self._u) + 2, 2))
+        self._boxes = np.empty(((len(self._u) + LEAF) // LEAF, 4))
         self._seen = 0
         self._latest, self._compared = np.array([math.nan, 0.0]), -math.inf
         self._least = math.inf
@@ -109,7 +163,8 @@ class Clearance:
         table = surface.nodes, surface.x, surface.r
         free_fibre(np.array([u, angle]), eye, table, self._payout, 0, at, to)
         layers, hull = self._in_cells(), np.empty((3, MOST_PLACES))
-        return float(hollow_over(at, to, u, table, layers, self._looked(layers), 1, hull))
+        blocks, sizes = highest_in_blocks(layers), self._looked(layers)
+        return float(hollow_over(at, to, u, table, layers, blocks, sizes, 1, hull))
 
     def _looked(self, layers: FloatArray) -> FloatArray:
         """Return ``sizes`` of ``hollow_over``."""
@@ -120,26 +175,18 @@ class Clearance:
     @property
     def thickness_m(self) -> FloatArray:
         """(n,) mean thickness of the layers at the vertices of the outline, m."""
-        middle = 0.5 * (self._edges[:-1] + self._edges[1:])
-        return np.asarray(np.interp(self._u, middle, self._in_cells()))
+        return np.asarray(np.interp(self._u, self._middle, self._in_cells()))
 
     def _in_cells(self) -> FloatArray:
         """Return the (m,) mean thickness of the layers in the cells of the meridian, m."""
-        spread = np.convolve(self._wound, np.full(self._wide, 1.0 / self._wide), mode="same")
-        return spread / self._area
-
-    def _outline(self) -> tuple[FloatArray, FloatArray]:
-        """Return the closed outline, (n, 2), of the grown mandrel, and the boxes of its chords."""
-        points = np.column_stack([self._x, self._r])
-        if self._layer:
-            points = points + self.thickness_m[:, None] * self._normal
-        line = np.vstack([[points[0, 0], 0.0], points, [points[-1, 0], 0.0]])
-        starts = np.arange(0, len(line) - 1, LEAF)
-        ends = line[np.minimum(starts + LEAF, len(line) - 1)]
-        low = np.minimum(np.minimum.reduceat(line, starts), ends)
-        high = np.maximum(np.maximum.reduceat(line, starts), ends)
-        boxes = np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
-        return np.ascontiguousarray(line), boxes
+        if self._layers is None:
+            spread = np.convolve(self._wound, np.full(self._wide, 1.0 / self._wide), mode="same")
+            self._layers = spread / self._area
+            _grown(
+                self._bare, self._normal, self._u, self._piece, self._middle, self._layers,
+                self._line, self._boxes,
+            )  # fmt: skip
+        return self._layers
 
     def feed(self, eyes: FloatArray, fibre: Fibre | None = None) -> FloatArray:
         """Take the next (n, 6) coordinates of the eye and the fibre there.
@@ -157,13 +204,12 @@ class Clearance:
         surface, eyes = self._surface, np.ascontiguousarray(eyes)
         table = surface.nodes, surface.x, surface.r
         for part in self._parts(count):
-            line, boxes = self._outline()
+            layers = self._in_cells()
             self._least = walk(
-                eyes[part], laid[part], table, self._payout, self._sizes, line, boxes, self._rings,
-                self._least, found[part], self.pair[part],
+                eyes[part], laid[part], table, self._payout, self._sizes, self._line, self._boxes,
+                self._rings, self._least, found[part], self.pair[part],
             )  # fmt: skip
-            if self._layer and self._wound.any():
-                layers = self._in_cells()
+            if self._layer and layers.any():
                 thick, coarse = self._layer / self._width, max(self._wide // _PLACES, 1)
                 band = [_QUARTER * self._width, self._compared, thick, coarse]
                 sizes = np.array([*self._looked(layers), *band])
@@ -190,6 +236,7 @@ class Clearance:
             if self._layer:
                 if self._seen % _SAMPLES == 0:
                     self._wound, self._fresh = self._wound + self._fresh, np.zeros(_CELLS)
+                    self._layers = None
                 stop = min(count, first + _SAMPLES - self._seen % _SAMPLES)
             self._seen += stop - first
             yield slice(first, stop)

@@ -342,6 +342,35 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
 
 
 @njit(nogil=True)
+def leads(
+    eye: FloatArray, state: FloatArray, tables: Tables, work: FloatArray, found: FloatArray
+) -> None:
+    """Write the fibre that the eye gives out per change of each of its coordinates.
+
+    The laid point moves along the fibre alone, so this length changes as the pay-out point moves
+    along it, seen from the turning mandrel. A tension T pulls at coordinate k with ``-T found[k]``.
+
+    Parameters
+    ----------
+    eye
+        (6,) turn, along, across, up, yaw and roll.
+    state
+        (12,) as in ``lay``.
+    work
+        (2, 15) room.
+    found
+        (6,) m per m or rad.
+    """
+    unit = work[1, :6]
+    unit[:] = 0.0
+    for k in range(6):
+        unit[k] = 1.0
+        _rates(state[0], state[1], eye, unit, tables, int(state[5]), work[0])
+        unit[k] = 0.0
+        found[k] = work[0, 12]
+
+
+@njit(nogil=True)
 def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray) -> FloatArray:
     """Return, for places u and both sides, where the eye sees the mandrel edge-on.
 

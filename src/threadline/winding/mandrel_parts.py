@@ -10,6 +10,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.wording import nearest
+from threadline.errors import Place, placed
 from threadline.winding.meridians import shifted, stretches_of
 from threadline.winding.product_reader import KeyReader
 from threadline.winding.shapes import ellipse, isotensoid, nose, table
@@ -54,7 +55,8 @@ class MandrelReader(KeyReader):
                     )
             chain += made
         self.index = len(parts) - 1
-        return surface_of(chain, edge, self.file)
+        with placed(Place(self.file, self.line_of(""))):
+            return surface_of(chain, edge)
 
     def _part(self, kind: str, part: Mapping[str, Any], x: float) -> list[Stretch]:
         if kind == "table" and "section" in part:

@@ -1,8 +1,11 @@
 """Mandrels and bands from files of other planners: FiberPath's (``fiberpath.py``), and CADFIL's.
 
 CADFIL's help describes the fibre path ``.FIB`` and the payout path ``.PAY`` field by field; of a
-control file ``.CTL`` it says that it lists payout files. A path of CADFIL shows the mandrel only
-where its fibre lies.
+control file ``.CTL`` it says that it lists payout files. CADFIL 9 adds lines that the help does not
+describe: settings, ``$NAME=VALUE``, and notes, ``ANR...``. They are passed over. Its ``.FIB`` has
+the number of points behind NELE. A path of CADFIL shows the mandrel only where its fibre lies, and
+points that CADFIL puts between its own lie on chords below the mandrel. So the mandrel is read from
+the mandrel file ``.MND`` that every path names, where it stands beside the path.
 """
 
 from __future__ import annotations
@@ -19,15 +22,20 @@ from threadline.winding.fiberpath import FRICTION, NAMED, SUFFIX, Content, WindF
 
 ENDINGS = (SUFFIX, ".fib", ".pay", ".ctl")
 """Endings of the files that ``foreign_product`` reads, in lower case."""
-MERIDIANS = (".fib", ".pay")
+MERIDIANS = (".fib", ".pay", ".mnd")
 """Endings of the files that ``meridian_of`` reads."""
 _MAX_BYTES = 20_000_000
 _MOST_POINTS = 200_000
 _MOST_MM = 1e6
 _SAME_M = 1e-5  # two points of a meridian are one
 _FIB_LINES, _PAY_LINES = 4, 4  # before the points
+_WITH_COUNT = 2  # numbers of the line with NELE, if the number of points stands there
 _FIB_WIDTHS = (5, *(11,) * 6)
 _PAY_WIDTHS = (10,) * 9
+_BESIDE = ("$", "ANR")  # settings and notes of CADFIL 9
+_MANDREL = "XRDATA"  # begins a mandrel file that turns about an axis
+_MND_WIDTHS = (20, 20, 8, 12)
+_LEAST_MM = 1e-3  # a smaller radius is the axis
 _NAME = re.compile(r"[^\s,;\"']+")
 
 
@@ -44,32 +52,127 @@ def foreign_product(path: Path) -> Content:
         return WindFile(path).product()
     paths = [path] if ending != ".ctl" else list(_listed(path))
     widths = [_width_mm(each) for each in paths]
-    points = np.vstack([_cadfil_points(each) for each in paths])
     if max(widths) > min(widths):
         raise JobError(
             f"its payout files have bands of {min(widths):g} to {max(widths):g} mm",
             place=Place(str(path)),
             remedy="Replay them one by one.",
         )
-    meridian = _meridian(points, path)
+    parts = _mandrel_of(paths)
+    if parts is None:
+        parts = [_meridian(_seen([_cadfil_points(each) for each in paths]), path)]
     return {
         "name": f"{path.stem} ({NAMED})",
-        "mandrel": {"at": f"{1e3 * meridian[0][0]:.9g} mm"},
-        "part": [{"points": meridian}],
+        "mandrel": {"at": f"{1e3 * parts[0][0][0]:.9g} mm"},
+        "part": [{"points": part} for part in parts],
         "band": {"width": f"{widths[0]!r} mm"},
         "friction": {"value": FRICTION},
     }
 
 
 def meridian_of(path: Path) -> list[list[float]]:
-    """Return places along the axis and radii, m, of the mandrel under a path of CADFIL.
+    """Return places along the axis and radii, m, of a mandrel of CADFIL, or of that under a path.
 
     Raises
     ------
     JobError
         As ``foreign_product``.
     """
-    return _meridian(_cadfil_points(path), path)
+    if path.suffix.lower() != ".mnd":
+        return _meridian(_cadfil_points(path), path)
+    parts = _mandrel(path)
+    return [*parts[0], *(point for part in parts[1:] for point in part[1:])]
+
+
+def _mandrel_of(paths: Sequence[Path]) -> list[list[list[float]]] | None:
+    """Return the parts of the mandrel that paths name; None if its file is not beside them."""
+    files: set[Path] = set()
+    for path in paths:
+        rows = _rows(path)
+        name = re.split(r"[\\/]", rows[1][1].strip())[-1].lower() if len(rows) > 1 else ""
+        beside = [file for file in path.parent.iterdir() if file.name.lower() == name]
+        files.update(beside if name.endswith(".mnd") else ())
+    return _mandrel(min(files)) if len(files) == 1 else None
+
+
+def _mandrel(path: Path) -> list[list[list[float]]]:
+    """Return the parts of the mandrel in a mandrel file, each of points, m, from left to right.
+
+    After the head and the number of points each line has place, radius, number of extra points up
+    to the next point, and the radius of an arc up to it. Extra points divide a line: it is a part
+    of its own. Points on the axis are left out.
+    """
+    rows = _rows(path)
+    if not rows or not rows[0][1].strip().upper().startswith(_MANDREL):
+        raise JobError(
+            f"a mandrel file of CADFIL that turns about an axis begins with {_MANDREL}",
+            place=Place(str(path), rows[0][0] if rows else 1),
+            remedy="Save an axisymmetric mandrel from CADFIL.",
+        )
+    if len(rows) < 3:
+        raise JobError("it ends within its head", place=Place(str(path)), remedy="Save it again.")
+    (_, flag), (number, line) = rows[1:3]
+    if flag.split()[0] != "0":
+        raise JobError(
+            f"the mandrel is drawn by half: its symmetry flag is {flag.split()[0][:20]}",
+            place=Place(str(path), rows[1][0]),
+            remedy="Choose No Symmetry in CADFIL's mandrel editor, and draw both halves.",
+        )
+    count = _numbers(path, line.split("(")[0], number, (6,), 1)[0]
+    points = rows[3:]
+    if not 2 <= count <= _MOST_POINTS or len(points) < count:
+        raise JobError(
+            f"it states {count:g} points and has {len(points)}",
+            place=Place(str(path), number),
+            remedy="The file may be truncated: save it again.",
+        )
+    parts: list[list[list[float]]] = [[]]
+    divided = False
+    for number, line in points[: int(count)]:
+        place, radius, extra, arc = _numbers(path, line, number, _MND_WIDTHS, 4)[:4]
+        if arc != 0.0:
+            raise JobError(
+                f"an arc of {arc:g} mm follows the point at x = {place:g} mm: the sign of such a "
+                "radius is not described",
+                place=Place(str(path), number),
+                remedy="Expand the mandrel in CADFIL's mandrel editor (De-parameterise mandrel).",
+            )
+        if radius < _LEAST_MM:
+            continue
+        point = [1e-3 * place, 1e-3 * radius]
+        if parts[-1] and point[0] <= parts[-1][-1][0]:
+            raise JobError(
+                f"the mandrel doubles back: x = {place:g} mm follows {1e3 * parts[-1][-1][0]:g} mm",
+                place=Place(str(path), number),
+                remedy="Draw its points from left to right in CADFIL's mandrel editor.",
+            )
+        parts[-1].append(point)
+        if divided or extra > 0.0:
+            parts.append([point])
+        divided = extra > 0.0
+    found = [part for part in parts if len(part) > 1]
+    if not found:
+        raise JobError(
+            "the mandrel has fewer than two points off its axis",
+            place=Place(str(path), number),
+            remedy="Draw its meridian in CADFIL's mandrel editor.",
+        )
+    return found
+
+
+def _seen(paths: Sequence[np.ndarray]) -> np.ndarray:
+    """Return (n, 3) points of several paths, of each only those beyond the ends of finer ones.
+
+    A path with more points has nearly none on chords below the mandrel, up to some 0.2 mm in
+    CADFIL's joining paths: points of both would make a jagged mandrel.
+    """
+    finest, *others = sorted(paths, key=len, reverse=True)
+    found = finest
+    for points in others:
+        low, high = found[:, 0].min(), found[:, 0].max()
+        beyond = (points[:, 0] < low) | (points[:, 0] > high)
+        found = np.vstack([found, points[beyond]])
+    return found
 
 
 def _listed(path: Path) -> Iterator[Path]:
@@ -99,9 +202,14 @@ def _listed(path: Path) -> Iterator[Path]:
         )
 
 
-def _rows(path: Path) -> list[str]:
+def _rows(path: Path) -> list[tuple[int, str]]:
+    """Return the lines that hold something, with their numbers."""
     text = read_text(path, _MAX_BYTES, JobError, "file of CADFIL", "latin-1")
-    return [line for line in text.splitlines() if line.strip()]
+    return [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.startswith(_BESIDE)
+    ]
 
 
 def _numbers(path: Path, line: str, number: int, widths: Sequence[int], least: int) -> list[float]:
@@ -140,10 +248,11 @@ def _width_mm(path: Path) -> float:
     rows = _rows(path)
     if len(rows) < _PAY_LINES:
         raise JobError("it ends within its head", place=Place(str(path)), remedy="Save it again.")
-    width = _numbers(path, rows[2], 3, (6, 6, 14, 14, 14), 4)[3]
+    number, line = rows[2]
+    width = _numbers(path, line, number, (6, 6, 14, 14, 14), 4)[3]
     if not 1e-6 < width < 1e4:
         raise JobError(
-            f"the band is {width:g} mm wide", place=Place(str(path), 3), remedy="Correct BWID."
+            f"the band is {width:g} mm wide", place=Place(str(path), number), remedy="Correct BWID."
         )
     return width
 
@@ -154,18 +263,21 @@ def _cadfil_points(path: Path) -> np.ndarray:
     head, step = (_PAY_LINES, 2) if payout else (_FIB_LINES, 1)
     if len(rows) <= head:
         raise JobError("it ends within its head", place=Place(str(path)), remedy="Save it again.")
-    count = _numbers(path, rows[head - 1], head, (6,), 1)[0]
+    if not payout and len(rows[head - 2][1].split()) == _WITH_COUNT:
+        head -= 1
+    number, line = rows[head - 1]
+    count = _numbers(path, line, number, (6,), 1)[0 if head == _PAY_LINES else 1]
     points = rows[head::step]
     if not 2 <= count <= _MOST_POINTS or len(points) < count:
         raise JobError(
             f"it states {count:g} points and has {len(points)}",
-            place=Place(str(path), head),
+            place=Place(str(path), number),
             remedy="The file may be truncated: save it again.",
         )
     first, widths, least = (0, _PAY_WIDTHS, 6) if payout else (1, _FIB_WIDTHS, 7)
     found = [
-        _numbers(path, line, head + 1 + step * index, widths, least)[first : first + 3]
-        for index, line in enumerate(points[: int(count)])
+        _numbers(path, line, number, widths, least)[first : first + 3]
+        for number, line in points[: int(count)]
     ]
     return np.array(found)
 

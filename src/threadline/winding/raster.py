@@ -17,6 +17,7 @@ _PARTS = 20.0  # cells in the width of a band, at least
 _MOST_CELLS = 40_000_000
 _MARGIN = 2.0  # widths of the band beside the covered part
 _SAME = 3.0  # widths of laid fibre that count as one pass of the band
+_BARE = -2  # in place of an operation, where there is no fibre; -1 is a band of no operation
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,15 @@ class Gap:
     share: float
     operation: int
     words: str
+
+
+def in_percent(share: float) -> str:
+    """Return a share in per cent, to two digits.
+
+    >>> in_percent(0.0065), in_percent(0.951), in_percent(0.997)
+    ('0.65 %', '95 %', '100 %')
+    """
+    return f"{float(f'{1e2 * share:.2g}'):g} %"
 
 
 @njit(nogil=True)
@@ -52,9 +62,11 @@ def _draw(
 ) -> None:  # fmt: skip
     """Mark the cells whose centres are in a quadrangle; ``corners`` is (4, 2), in order.
 
-    A cell counts again only if the fibre was laid on by ``same`` since it was marked.
+    A cell counts again only if the fibre was laid on by ``same`` since it was marked. Where
+    ``count`` is empty, bands are not counted.
     """
-    rows, columns = count.shape
+    rows, columns = of.shape
+    counts = len(count) > 0
     low_u = min(corners[0, 0], corners[1, 0], corners[2, 0], corners[3, 0])
     high_u = max(corners[0, 0], corners[1, 0], corners[2, 0], corners[3, 0])
     begin = max(math.ceil((low_u - first) / cell[0] - 0.5), 0)
@@ -69,12 +81,14 @@ def _draw(
                 low, high = min(low, at), max(high, at)
         left = math.ceil(low / cell[1] - 0.5)
         right = math.ceil(high / cell[1] - 0.5)
-        for column in range(left, min(right, left + columns)):
-            at_column = column % columns
-            if count[row, at_column] == 0 or length - stamp[row, at_column] > same:
-                count[row, at_column] += 1
-            stamp[row, at_column] = length
+        at_column = left % columns
+        for _ in range(left, min(right, left + columns)):
+            if counts:
+                if count[row, at_column] == 0 or length - stamp[row, at_column] > same:
+                    count[row, at_column] += 1
+                stamp[row, at_column] = length
             of[row, at_column] = operation
+            at_column = at_column + 1 if at_column + 1 < columns else 0
 
 
 @njit(nogil=True)
@@ -100,6 +114,7 @@ def _bands(
     nodes, x, r = table
     count, stamp, of = raster
     corners, cell = np.empty((4, 2)), grid[1:3]
+    reach, end_u = 2.0 * grid[3], grid[0] + len(of) * grid[1]
     hint = 0
     for i in range(len(path)):
         u, angle, winding = path[i, 0], path[i, 1], path[i, 2]
@@ -112,6 +127,12 @@ def _bands(
         # Chords of a quarter of the band: on a cylinder the quadrangles are exact.
         steps = max(math.ceil(length / (0.5 * grid[3])), 1)
         turn = math.atan2(math.sin(winding - last[2]), math.cos(winding - last[2]))
+        # The length of the meridian per u is nearly 1: half the band is far less than reach.
+        if max(u, last[0]) + reach < grid[0] or min(u, last[0]) - reach > end_u:
+            for _ in range(steps):
+                last[3] += length / steps
+            last[0], last[1], last[2] = u, angle, winding
+            continue
         for step in range(steps):
             for end in range(2):
                 share = (step + end) / steps
@@ -138,6 +159,8 @@ class Raster:
         Width of the band.
     begin_m, end_m
         Places along the axis between which coverage counts.
+    counting
+        Whether bands are counted, for ``overlap``: it takes more than twice the memory.
 
     Raises
     ------
@@ -145,7 +168,15 @@ class Raster:
         If the raster would have too many cells.
     """
 
-    def __init__(self, surface: Surface, width_m: float, begin_m: float, end_m: float) -> None:
+    def __init__(
+        self,
+        surface: Surface,
+        width_m: float,
+        begin_m: float,
+        end_m: float,
+        *,
+        counting: bool = True,
+    ) -> None:
         self._surface = surface
         begin, end = surface.place_of(np.array([begin_m, end_m]))
         radius = float(surface.at(np.linspace(begin, end, 2001))[1][:, 0].max())
@@ -158,17 +189,23 @@ class Raster:
                 remedy="Cover a shorter part of the mandrel, or give the real width of the band.",
             )
         shape = rows, columns
-        self.count = np.zeros(shape, dtype=np.uint16)
-        self._stamp = np.zeros(shape, dtype=np.float32)
-        self._of = np.full(shape, -1, dtype=np.int32)
+        counted = shape if counting else (0, 0)
+        self.count = np.zeros(counted, dtype=np.uint16)
+        self._stamp = np.zeros(counted, dtype=np.float32)
+        self._of = np.full(shape, _BARE, dtype=np.int32)
         self._cell = np.array([(end - begin) / rows, 2.0 * math.pi / columns])
         self._grid = np.array([begin, *self._cell, 0.5 * width_m, _SAME * width_m])
         self._last = np.array([np.nan, np.nan, np.nan, 0.0])
 
     @property
+    def nbytes(self) -> int:
+        """Memory of the raster, bytes."""
+        return self.count.nbytes + self._stamp.nbytes + self._of.nbytes
+
+    @property
     def places(self) -> FloatArray:
         """(rows,) u of the middles of the cells, m."""
-        return np.asarray(self._grid[0] + (np.arange(len(self.count)) + 0.5) * self._cell[0])
+        return np.asarray(self._grid[0] + (np.arange(len(self._of)) + 0.5) * self._cell[0])
 
     def lay(
         self,
@@ -194,12 +231,12 @@ class Raster:
     def covered(self) -> float:
         """Return the share of the surface that is covered."""
         radius = self._surface.at(self.places)[1][:, 0]
-        return float(radius @ (self.count > 0).mean(axis=1) / radius.sum())
+        return float(radius @ (self._of != _BARE).mean(axis=1) / radius.sum())
 
     def overlap(self) -> float:
-        """Return the mean number of bands on the surface that is covered."""
+        """Return the mean number of bands on the surface that is covered, if they are counted."""
         radius = self._surface.at(self.places)[1][:, 0]
-        over = radius @ (self.count > 0).mean(axis=1)
+        over = radius @ (self._of != _BARE).mean(axis=1)
         return float(radius @ self.count.mean(axis=1) / over) if over else 0.0
 
     def gap(self) -> Gap:
@@ -208,7 +245,7 @@ class Raster:
         The width of a strip without fibre, of length g along the meridian and h round the mandrel,
         is g h / sqrt(g^2 + h^2).
         """
-        bare = self.count == 0
+        bare = self._of == _BARE
         share = 1.0 - self.covered()
         if not bare.any():
             return Gap(0.0, 0.0, -1, "")
@@ -221,7 +258,7 @@ class Raster:
         nearest = self._beside(int(row), int(column), x, r)
         words = (
             f"at {1e3 * x[row]:.4g} mm along the mandrel, "
-            f"{math.degrees(self._cell[1]) * column:.4g} deg round it; {1e2 * share:.2g} % is not "
+            f"{math.degrees(self._cell[1]) * column:.4g} deg round it; {in_percent(share)} is not "
             "covered"
         )
         return Gap(float(width[row, column]), share, nearest, words)

@@ -26,12 +26,16 @@ from threadline.winding.laying import (
     Tables,
     first_look,
     lay,
+    leads,
 )
 from threadline.winding.surface import Surface
 
-_GUESSES = 801  # places along the meridian where a start is looked for
-_STATE = 12
-_TURNED_M = 1e-4  # at the largest radius; until the mandrel turns, the fibre is only tied
+GUESSES = 801
+"""Places along the meridian where a start is looked for."""
+STATE = 12
+"""Numbers of a state of ``laying.lay``."""
+TURNED_M = 1e-4
+"""At the largest radius, m; until the mandrel has turned so far, the fibre is only tied."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,11 +130,11 @@ class Replay:
             friction=friction,
             convex=surface.convex,
         )
-        self._state = np.zeros(_STATE)
+        self._state = np.zeros(STATE)
         self._tied = None if tied is None else float(surface.place_of(np.array([tied]))[0])
-        self._places = np.linspace(0.0, surface.length_m, _GUESSES)
+        self._places = np.linspace(0.0, surface.length_m, GUESSES)
         self._begun = False
-        self._least_turn = _TURNED_M / float(surface.r[:, 0].max())
+        self._least_turn = TURNED_M / float(surface.r[:, 0].max())
         self._rest: float | None = None
         self._turns = False
         self._last: FloatArray | None = None
@@ -187,6 +191,21 @@ class Replay:
             most=steer[:, 2],
         )
 
+    def leads(self, eye: FloatArray, u: float, angle: float) -> FloatArray:
+        """Return the (6,) fibre per change of each coordinate of an eye, m per m or rad.
+
+        Parameters
+        ----------
+        eye
+            (6,) coordinates as in ``eye_columns``.
+        u, angle
+            Where the fibre leaves the mandrel.
+        """
+        state, found = np.zeros(STATE), np.empty(6)
+        state[0], state[1] = u, angle
+        leads(eye, state, self._tables, np.empty((2, 15)), found)
+        return found
+
     def _start(self, chain: FloatArray, at: int) -> int:
         """Find the fibre for the next block that lays any; return its number."""
         if self._rest is None:
@@ -199,7 +218,7 @@ class Replay:
         places = self._places if self._tied is None else np.array([self._tied])
         block, row, angle = first_look(chain, at, self._tables, places)
         if row >= 0:
-            state = np.zeros(_STATE)
+            state = np.zeros(STATE)
             state[0], state[1] = places[row], angle
             state[2], state[6] = self._state[2], self._state[6]
             state[3] = 0.0 if self._tied is None else KNOWN_AFTER

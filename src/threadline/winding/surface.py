@@ -172,6 +172,12 @@ class Surface:
         """Return (n, 3) places and radii, m, with their two derivatives by ``u``."""
         return _evaluated(self.x, self.nodes, u), _evaluated(self.r, self.nodes, u)
 
+    def points_at(self, u: FloatArray) -> FloatArray:
+        """Return (n, 2) places along the axis and radii, m: as ``at``, without derivatives."""
+        piece = np.clip(np.searchsorted(self.nodes, u, side="right") - 1, 0, len(self.x) - 1)
+        powers = (u - self.nodes[piece])[:, None] ** np.arange(self.x.shape[1])
+        return np.column_stack([(table[piece] * powers).sum(1) for table in (self.x, self.r)])
+
     def grown(self, by_m: float) -> Surface:
         """Return the surface with its radius larger by a length, m."""
         r = self.r.copy()

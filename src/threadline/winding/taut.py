@@ -18,6 +18,8 @@ PILE = 2
 _ROUNDS = 4  # most Newton steps to the foot of a normal
 _FOOT_M = 1e-7  # from the foot of a normal; the height is off by the square of it
 _TWICE = 2  # the layers above a line are searched along its normal, not the mandrel's
+BLOCK = 16
+"""Cells of the meridian that are looked at together for layers ahead."""
 
 
 @njit(nogil=True)
@@ -51,9 +53,34 @@ def _thickness(u: float, cell: float, layers: FloatArray) -> float:
 
 
 @njit(nogil=True)
+def highest_in_blocks(layers: FloatArray) -> FloatArray:
+    """Return the largest thickness in every ``BLOCK`` cells of the meridian, m."""
+    found = np.zeros((len(layers) + BLOCK - 1) // BLOCK)
+    for cell in range(len(layers)):
+        found[cell // BLOCK] = max(found[cell // BLOCK], layers[cell])
+    return found
+
+
+@njit(nogil=True)
+def _is_clear(height: float, rise: float, u: float, cell: float, blocks: FloatArray) -> bool:
+    """Return whether a line over a convex mandrel meets no layers beyond a place.
+
+    The place is ``height`` over the mandrel, above ``u``, and the line rises there by ``rise`` for
+    its length. The height over a convex body is convex along a line, so that it rises by as much
+    farther on; and the foot of its normal moves by no more than the place on the line.
+    """
+    for k in range(len(blocks)):
+        # The thickness of a cell reaches to the middles of those beside it.
+        away = max((k * BLOCK - 0.5) * cell - u, u - ((k + 1) * BLOCK + 0.5) * cell, 0.0)
+        if blocks[k] >= height + rise * away:
+            return False
+    return True
+
+
+@njit(nogil=True)
 def hollow_over(
     at: FloatArray, to: FloatArray, u: float, table: tuple[FloatArray, FloatArray, FloatArray],
-    layers: FloatArray, sizes: FloatArray, cells: int, hull: FloatArray,
+    layers: FloatArray, blocks: FloatArray, sizes: FloatArray, cells: int, hull: FloatArray,
 ) -> float:  # fmt: skip
     """Return the largest height of a taut fibre over the layers before it leaves them.
 
@@ -67,8 +94,11 @@ def hollow_over(
         Place of the laid point.
     layers
         (m,) thickness of the layers in the middles of the cells of the meridian.
+    blocks
+        Its ``highest_in_blocks``.
     sizes
-        Size of a cell, m, and the height above which no layer stands ahead.
+        Size of a cell, m, and the height above which no layer stands ahead; infinite where the
+        mandrel is not convex.
     cells
         Number of cells between two places along the fibre that are looked at.
     hull
@@ -80,14 +110,18 @@ def hollow_over(
     _, _, cb, sb, hint = _above(at[0], math.hypot(at[1], at[2]), u, hint, table)
     radius, highest = math.hypot(at[1], at[2]), 0.0
     n0, n1, n2 = -sb, cb * at[1] / radius, cb * at[2] / radius
+    line_m, before_m, line_u = 0.0, 0.0, u
     for k in range(count + 1):
         share, high = k / count, 0.0
-        for _ in range(_TWICE):
+        before_m = line_m
+        for step in range(_TWICE):
             x = at[0] + share * (to[0] - at[0]) + high * n0
             across = at[1] + share * (to[1] - at[1]) + high * n1
             up = at[2] + share * (to[2] - at[2]) + high * n2
             radius = math.hypot(across, up)
             height, u, cb, sb, hint = _above(x, radius, u, hint, table)
+            if step == 0:
+                line_m, line_u = height, u
             level = cb * (across * n1 + up * n2) / radius - sb * n0
             high += (_thickness(u, sizes[0], layers) - height) / max(level, 0.1)
             if not high > -length:
@@ -98,6 +132,12 @@ def hollow_over(
             break
         if k:
             highest = max(highest, high)
+        # Beyond the last layer that is met the hull leads straight to the eye.
+        if k and high < 0.0 and math.isfinite(sizes[1]):
+            rise = (line_m - before_m) * count / length
+            if _is_clear(line_m, rise, line_u, sizes[0], blocks):
+                count = k
+                break
     if highest <= 0.0:
         return 0.0
     hull[0, count], hull[1, count] = length, 0.0
@@ -146,6 +186,7 @@ def over_layers(
     """
     a, b = np.empty(3), np.empty(3)
     hull = np.empty((3, MOST_PLACES))
+    blocks = highest_in_blocks(layers)
     hint = 0
     for i in range(len(eyes)):
         if not math.isfinite(laid[i, 0]) or abs(laid[i, 2] - sizes[3]) < sizes[2]:
@@ -154,9 +195,9 @@ def over_layers(
         hint = free_fibre(laid[i], eyes[i], table, payout, hint, a, b)
         u = laid[i, 0]
         # Layers are means over a band: a few places in its width show half the height of a hollow.
-        if hollow_over(a, b, u, table, layers, sizes, int(sizes[5]), hull) < 0.5 * sizes[4]:
+        if hollow_over(a, b, u, table, layers, blocks, sizes, int(sizes[5]), hull) < 0.5 * sizes[4]:
             continue
-        room = sizes[4] - hollow_over(a, b, u, table, layers, sizes, 1, hull)
+        room = sizes[4] - hollow_over(a, b, u, table, layers, blocks, sizes, 1, hull)
         if room < min(least, 0.0):
             least = room
             found[i], pair[i] = -least, PILE

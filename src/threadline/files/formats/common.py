@@ -47,9 +47,11 @@ _UNITS = {
     ChannelKind.CURRENT: ("A",),
     ChannelKind.VELOCITY: ("m/s", "rad/s"),
     ChannelKind.SENSOR: ("V", "count", "m/s^2", "rad/s^2"),
+    ChannelKind.TENSION: ("N",),
 }
+_OF_NO_AXIS = (ChannelKind.SENSOR, ChannelKind.TENSION)
 _PER_AXIS = tuple(
-    k for k in ChannelKind if k in _POSITIONS or (k in _UNITS and k is not ChannelKind.SENSOR)
+    k for k in ChannelKind if k in _POSITIONS or (k in _UNITS and k not in _OF_NO_AXIS)
 )
 
 
@@ -73,8 +75,8 @@ def parse_column(text: str, place: Place) -> Column:
     """Return the channel that the heading of a column names.
 
     ``X [mm]`` is the measured position of axis X; ``X.load [mm]`` names another kind of channel.
-    ``operation`` has no unit, and neither have PLC outputs and inputs, such as ``valve.output`` and
-    ``switch.input``.
+    ``tension [N]`` is that of a winder's fibre. ``operation`` has no unit, and neither have PLC
+    outputs and inputs, such as ``valve.output`` and ``switch.input``.
 
     Raises
     ------
@@ -95,6 +97,8 @@ def parse_column(text: str, place: Place) -> Column:
         if unit:
             raise RecordingError(f"{name!r} has no unit, found [{unit[:20]}]", place=place)
         return Column(name, ChannelKind.OPERATION, "", "", 1.0)
+    if name == ChannelKind.TENSION:
+        return Column(name, ChannelKind.TENSION, "", "N", _factor(name, unit, ("N",), place))
     switched = _SWITCHED.fullmatch(name)
     if switched is not None:
         if unit:
@@ -108,7 +112,7 @@ def parse_column(text: str, place: Place) -> Column:
     axis, dot, kind_name = name.partition(".")
     known = [f"{axis}.{kind.value}" for kind in _PER_AXIS]
     if axis not in AXES or (dot and name not in known):
-        among = known if axis in AXES else [TIME, *AXES, str(ChannelKind.OPERATION)]
+        among = known if axis in AXES else [TIME, *AXES, "operation", "tension"]
         raise RecordingError(
             f"unknown column {name[:60]!r}",
             place=place,
@@ -357,10 +361,11 @@ def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
     Raises
     ------
     RecordingError
-        If there are fewer than two rows, the time does not increase, or the first instant is
-        negative or between two periods.
+        If there are fewer than two rows, the time does not increase, rows are missing, or the first
+        instant is negative or between two periods.
     """
     rows, start, last = 0, 0.0, 0.0
+    widest, begin, line = 0.0, 0.0, 0
     for number, time_s in times_s:
         if rows and time_s <= last:
             raise RecordingError(
@@ -370,12 +375,21 @@ def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
             )
         if not rows:
             start = time_s
+        elif time_s - last > widest:
+            widest, begin, line = time_s - last, last, number
         rows, last = rows + 1, time_s
     if rows < 2:
         raise RecordingError(
             f"the trace has {rows} row(s), at least 2 are needed", place=Place(path)
         )
     mean_s = (last - start) / (rows - 1)
+    if widest > 1.5 * mean_s:
+        raise RecordingError(
+            f"rows are missing from {begin:.9g} to {begin + widest:.9g} s, where rows are "
+            f"{mean_s:.3g} s apart on average",
+            place=Place(path, line),
+            remedy="Record again without gaps, or give the part before or after it.",
+        )
     # The grid may miss the last instant by a thousandth of the allowed jitter.
     slack = Fraction(JITTER * mean_s / 1000.0) / (rows - 1)
     period_s = simplest_between(Fraction(mean_s) - slack, Fraction(mean_s) + slack)

@@ -27,7 +27,6 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
-from mcap.writer import CompressionType, IndexType, Writer
 
 from threadline.base.reading import KnownFile
 from threadline.errors import Place, RecordingError
@@ -41,6 +40,7 @@ from threadline.files.formats.common import (
     reading,
     written,
 )
+from threadline.files.formats.mcap_chunks import MAGIC, ChunkedMessages
 from threadline.files.formats.recording_meta import (
     OPERATION_REMEDY,
     TITLE,
@@ -62,7 +62,6 @@ _CRC = struct.Struct("<I")
 _CHUNK_HEAD = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
 _SIZE = struct.Struct("<Q")
 _FOOTER = _RECORD.pack(Opcode.FOOTER, 8 + 8 + _CRC.size)
-_MAGIC = b"\x89MCAP0\r\n"
 _PROFILE = "threadline"
 _UNREAD: dict[int, Any] = {
     Opcode.HEADER: records.Header,
@@ -72,7 +71,8 @@ _UNREAD: dict[int, Any] = {
     Opcode.METADATA: records.Metadata,
 }
 """Kinds of records that are allowed in the data section and ignored."""
-_ENDING = len(_FOOTER) + 8 + 8 + _CRC.size + len(_MAGIC)  # bytes of a footer and the magic after it
+_encoded = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
+_ENDING = len(_FOOTER) + 8 + 8 + _CRC.size + len(MAGIC)  # bytes of a footer and the magic after it
 
 
 class TraceWriter:
@@ -87,47 +87,42 @@ class TraceWriter:
     """
 
     def __init__(self, file: IO[bytes], recording: Recording) -> None:
-        self._file, self._channels = file, recording.channels
-        self._writer = Writer(
-            file,
-            chunk_size=0,  # every block ends a chunk
-            compression=CompressionType.NONE,
-            index_types=IndexType.CHUNK,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
-        self._writer.start(profile=_PROFILE, library="threadline")
+        self._file = file
         meta = {"format": TITLE, **recording_meta(recording)}
         text = json.dumps(meta, ensure_ascii=False, sort_keys=True, allow_nan=False)
-        schema = self._writer.register_schema("threadline.recording", ENCODING, text.encode())
-        self._topic = self._writer.register_channel("recording", ENCODING, schema)
+        self._messages = ChunkedMessages(
+            file, _PROFILE, "threadline", "recording", "threadline.recording", ENCODING,
+            text.encode(),
+        )  # fmt: skip
+        self._names = [channel.name for channel in recording.channels]
         self._clock = recording.channels[0].clock
-        self._count = 0
+        period_ns = self._clock.period_s * 10**9
+        self._period_ns = int(period_ns) if period_ns.denominator == 1 else period_ns
 
     def write(self, block: RecordingBlock) -> None:
         """Write a block."""
-        parts = [np.ascontiguousarray(block.samples[c.name], "<f8") for c in self._channels]
+        samples = block.samples
+        parts = [np.ascontiguousarray(samples[name], "<f8") for name in self._names]
         head = {
             "first": dict(block.first_tick),
-            "lengths": [len(part) for part in parts],
+            "lengths": list(map(len, parts)),
             "events": [event_item(event) for event in block.events],
         }
-        text = json.dumps(head, ensure_ascii=False, allow_nan=False).encode()
-        data = _LENGTH.pack(len(text)) + text + b"".join(part.tobytes() for part in parts)
+        text = _encoded(head).encode()
+        data = b"".join([_LENGTH.pack(len(text)), text, *(part.data for part in parts)])
         if len(data) > _MOST_BLOCK_BYTES:
             raise RecordingError(
                 f"a block has {len(data)} bytes, limit {_MOST_BLOCK_BYTES}",
                 remedy="Record in smaller blocks.",
             )
         tick = block.first_tick[self._clock.name]
-        at_ns = max(round(self._clock.period_s * tick * 10**9), 0)
-        self._writer.add_message(self._topic, at_ns, data, at_ns, self._count)
+        at_ns = max(round(self._period_ns * tick), 0)
+        self._messages.write(at_ns, data)
         self._file.flush()
-        self._count += 1
 
     def finish(self) -> None:
         """Write the end of the file; a file without it counts as broken off."""
-        self._writer.finish()  # type: ignore[no-untyped-call]  # the library leaves out "-> None"
+        self._messages.finish()
         self._file.flush()
 
 
@@ -180,10 +175,10 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
     An incomplete record is the last one: the program that wrote the file ended there. Data that no
     checksum confirms is refused, at the latest after the last record.
     """
-    magic = file.read(len(_MAGIC))
-    if not _MAGIC.startswith(magic):
+    magic = file.read(len(MAGIC))
+    if not MAGIC.startswith(magic):
         raise RecordingError("the file is not an MCAP file", place=Place(str(path)))
-    crc, bare = zlib.crc32(_MAGIC), False
+    crc, bare = zlib.crc32(MAGIC), False
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         kind, length = _RECORD.unpack(head)
         _check_length(length, path)
@@ -209,8 +204,8 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
 def _begins_like_a_trace(file: IO[bytes]) -> bool:
     """Return whether a file begins like one of ``TraceWriter``, or is still empty."""
     file.seek(0)
-    head = file.read(len(_MAGIC) + _RECORD.size + _CRC.size + len(_PROFILE))
-    return _MAGIC.startswith(head) or head.endswith(_PROFILE.encode())
+    head = file.read(len(MAGIC) + _RECORD.size + _CRC.size + len(_PROFILE))
+    return MAGIC.startswith(head) or head.endswith(_PROFILE.encode())
 
 
 def _damaged(why: str, path: Path) -> RecordingError:
@@ -259,12 +254,12 @@ def _check_summary(rest: bytes, path: Path) -> None:
     No result depends on the index.
     """
     ending = rest[-_ENDING:]
-    whole = ending.startswith(_FOOTER), rest.endswith(_MAGIC)
+    whole = ending.startswith(_FOOTER), rest.endswith(MAGIC)
     if not any(whole):
         return
     if not all(whole):
         raise _damaged("its footer or its last bytes are missing", path)
-    body = rest[: -len(_MAGIC) - _CRC.size]
+    body = rest[: -len(MAGIC) - _CRC.size]
     (stored,) = _CRC.unpack_from(rest, len(body))
     _check_crc(stored, zlib.crc32(body), "its index", path)
 
@@ -284,8 +279,8 @@ def _check_cut(kind: int, length: int, content: bytes, path: Path) -> None:
 
 def _check_broken_off(file: IO[bytes], path: Path, *, bare: bool) -> None:
     """Refuse a file that has its last bytes although its records ended before them."""
-    file.seek(max(file.seek(0, 2) - len(_MAGIC), 0))
-    if file.read() == _MAGIC and file.tell() > len(_MAGIC):
+    file.seek(max(file.seek(0, 2) - len(MAGIC), 0))
+    if file.read() == MAGIC and file.tell() > len(MAGIC):
         raise _damaged("its records do not lead to its end", path)
     if bare:
         raise _unconfirmed(path)

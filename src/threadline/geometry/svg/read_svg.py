@@ -140,11 +140,7 @@ def _pixel_size(
     width, height = sizes
     if box is None:
         paged = height is not None
-        return (
-            _NO_PAGE if width is None else width,
-            _NO_PAGE if height is None else height,
-            paged,
-        )
+        return (_NO_PAGE if width is None else width, _NO_PAGE if height is None else height, paged)
     if height is None:
         height = box[3] if width is None else width * box[3] / box[2]
     return height * box[2] / box[3] if width is None else width, height, True

@@ -73,7 +73,7 @@ class Block(NamedTuple):
     feed
         Exact F, or None.
     p, passes
-        Exact P, or None; number of passes (L), 1 without L.
+        Exact P, or None; number of passes (L), 0 without L.
     curve
         Letter and exact number of each I, J, K, R and Q.
     dwell_s
@@ -142,14 +142,15 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
         If a word is unknown, doubled, out of range, or has no use in its block.
     """
     dialect, place = reading.dialect, Place(reading.file, line)
+    if text.strip().upper() in dialect.grammar.queries:
+        return ()
     if dialect.one_command:
         texts = commands_of(text, dialect.name, place)
     else:
         check_line(text, dialect.grammar, dialect.name, place)
         texts = [text]
-    raws = [
-        split_words(one, reading.file, line, one_block=not dialect.semicolon_ends) for one in texts
-    ]
+    free, inner = not dialect.semicolon_ends, dialect.grammar.inner
+    raws = [split_words(one, reading.file, line, one_block=free, inner=inner) for one in texts]
     blocks = tuple(block_of(raw, line, reading) for raw in raws if raw.words)
     said = text_of_stop(text) if dialect.one_command and len(blocks) == 1 else ""
     if said and blocks[0].ends == "stop" and blocks[0].acts:
@@ -302,7 +303,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
             remedy="H is the tool whose length G43 takes.",
         )
     length += tool
-    acts = (length, *acts) if length else acts
+    if length and length not in reading.lengths:
+        acts = (length, *acts)  # only the control knows this length, so its word is kept
     if curve and 640 in settings and not axes and motion not in (*_CURVED, *DRILLING):
         # G64 P Q sets how far LinuxCNC's planner may leave the path; the reader ignores it.
         curve = tuple(one for one in curve if one[0] != "Q")
@@ -330,7 +332,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
             reading,
         )
     return Block(
-        line, motion, action, settings, axes, feed, p, 1 if passes is None else passes, curve,
+        line, motion, action, settings, axes, feed, p, passes or 0, curve,
         dwell_s or 0.0, program, ends, spindle, waits, idle, label, tags,
         (*acts, f"P{p_number}") if output else acts, power, length,
         back,

@@ -135,7 +135,8 @@ class Cycles:
         }
         by = {i: given.get(i, 0) if frame.relative else 0 for i in sides}
         pecks = (r - bottom) // words["Q"] if motion in _PECKS else 0
-        if block.passes * (3 * pecks + 5) > MOST_STEPS:
+        times = block.passes or 1
+        if times * (3 * pecks + 5) > MOST_STEPS:
             raise _error(frame, f"G{motion} makes more than {MOST_STEPS} moves in one block")
         height = frame.exact[depth]
         if begun < r:
@@ -143,7 +144,7 @@ class Cycles:
             begun = height = r
         clear = r if self._to_r else begun
         height = height if height > r else clear
-        for _ in range(block.passes):
+        for _ in range(times):
             place = {i: at + by[i] for i, at in place.items()}
             yield Step("rapid", (*place.items(), (depth, height)))
             if height > r:

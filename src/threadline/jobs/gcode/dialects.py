@@ -94,6 +94,8 @@ class Flavour:
         instead of the programmed position.
     paths_configure
         Whether a name that begins with a slash names an item of the control's configuration.
+    queries
+        Lines that ask the control for a report and do nothing else.
     """
 
     rounded: Callable[[float], float]
@@ -107,6 +109,7 @@ class Flavour:
     loose_comments: bool
     at_motors: bool
     paths_configure: bool
+    queries: frozenset[str] = frozenset()
 
 
 LINUXCNC = Flavour(
@@ -117,7 +120,7 @@ LINUXCNC = Flavour(
 FLUIDNC = Flavour(
     rounded=single, alike=1e-5, alike_later=None, unset=None, readable=31, subroutines=False,
     labels_once=False, breaks_repeats=True, loose_comments=True, at_motors=True,
-    paths_configure=True,
+    paths_configure=True, queries=grammar.QUERIES,
 )  # fmt: skip
 
 
@@ -214,6 +217,8 @@ class Dialect:
         Blocks that the control's own parser takes.
     first_feed_m_s
         Feed before the first F, m/s; None if a move before it is refused.
+    asks_feed
+        Remedy in that refusal.
     """
 
     name: DialectName
@@ -235,6 +240,7 @@ class Dialect:
     flavour: Flavour | None = None
     grammar: Grammar = grammar.PLAIN
     first_feed_m_s: float | None = None
+    asks_feed: str = "Give F, in mm/min."
 
 
 _GRBL_G = {code: group for code, group in {**_CNC, **_SYSTEMS}.items() if code != 640}
@@ -244,13 +250,17 @@ _GRBL = Dialect(
     needs_end=False, streams=True, grammar=grammar.GRBL,
 )  # fmt: skip
 SILENT = frozenset(
-    (30, 31, 73, 75, 76, 77, 78, 105, 110, 111, 113, 114, 115, 117, 118, 119, 154, 155, 500, 503)
-)
+    (30, 31, 73, 75, 76, 77, 78, 92, 105, 110, 111, 113, 114, 115, 117, 118, 119, 154, 155, 201,
+     203, 205, 500, 503)
+)  # fmt: skip
 """M words that only show, report or store something: a program works the same without them.
+M92, M201, M203 and M205 are here for klipper alone, which passes them over.
 M30 deletes a file in Marlin, and ends a program elsewhere; in neither case does it drive a tool."""
 _MARLIN = Dialect(
     name="marlin",
     feed_rule="marlin",
+    # motion.cpp: 1500 mm/min in 1.0 to 2.0, DEFAULT_FEEDRATE_MM_M = 4000 in later releases.
+    asks_feed="Give F, in mm/min: without one Marlin takes 1500 or 4000, by its version.",
     g={
         **_MOTION, 20: "motion", 30: "motion", 170: "plane", 210: "units", 900: "distance",
         910: "distance", 920: "action", 929: "action", 940: "feed", 40: "action", 280: "action",
@@ -266,6 +276,11 @@ _MARLIN = Dialect(
     one_command=True,
     grammar=grammar.MARLIN,
 )  # fmt: skip
+_REPRAP_G: Mapping[int, str] = {
+    **_MOTION, 20: "motion", 30: "motion", 170: "plane", 180: "plane", 190: "plane",
+    210: "units", 900: "distance", 910: "distance", 920: "action", 940: "feed",
+    40: "action", 280: "action", 540: "system",
+}  # fmt: skip
 DIALECTS: Mapping[str, Dialect] = {
     "winder": Dialect(
         name="winder",
@@ -301,6 +316,8 @@ DIALECTS: Mapping[str, Dialect] = {
             **_MOTION, **_ARCS, 210: "units", 900: "distance", 910: "distance", 920: "action",
             940: "feed", 40: "action", 280: "action", 540: "system", 800: "motion",
         },
+        # gcode.py: a word that it does not know has no effect; slicers write these for Marlin.
+        m={**_MARLIN_M, **dict.fromkeys((92, 201, 203, 205), "idle")},
         dwell_s={"P": (1e-3, 1e-3)},
         grammar=grammar.KLIPPER,
         first_feed_m_s=0.025,
@@ -308,13 +325,18 @@ DIALECTS: Mapping[str, Dialect] = {
     "reprapfirmware": replace(
         _MARLIN,
         name="reprapfirmware",
-        g={
-            **_MOTION, 20: "motion", 30: "motion", 170: "plane", 180: "plane", 190: "plane",
-            210: "units", 900: "distance", 910: "distance", 920: "action", 940: "feed",
-            40: "action", 280: "action", 540: "system",
-        },
+        g=_REPRAP_G,
         m=_REPRAP_M,
         grammar=grammar.REPRAPFIRMWARE,
+        first_feed_m_s=0.05,
+    ),
+    "reprapfirmware-cnc": replace(
+        _MARLIN,
+        name="reprapfirmware-cnc",
+        g=_REPRAP_G,
+        m={**_REPRAP_M, 453: "idle"},
+        rapid_is_feed=False,
+        grammar=replace(grammar.REPRAPFIRMWARE, repeats=True),
         first_feed_m_s=0.05,
     ),
     "fanuc": Dialect(
@@ -358,6 +380,8 @@ class Reading:
         Letters whose words are read and left out.
     wrapped
         Axes whose absolute angles count within one turn, with the direction as their sign.
+    lengths
+        Exact length of each tool in the machine file, by the words that take it (``G43 H1``).
     """
 
     file: str
@@ -367,6 +391,7 @@ class Reading:
     dialect: Dialect
     dropped: frozenset[str] = frozenset()
     wrapped: frozenset[int] = frozenset()
+    lengths: Mapping[str, int] = field(default_factory=dict)
 
 
 def dialect_of(machine: Machine, name: str | None) -> str:

@@ -113,11 +113,12 @@ _WORDS: Mapping[str, str] = {
     "linuxcnc": r"^[^(;\n]*(?:\bo\s*<|#\s*<|\bo\d+\s+(?:sub|if|while|do|repeat|call)\b|G64\s*P"
     r"|G43(?![.\d])|G91\.1|M6[2-8]\b)",
     "klipper": r"^[ \t]*(?:SET_VELOCITY_LIMIT|SET_GCODE_OFFSET|SET_PRESSURE_ADVANCE)\b",
+    "reprapfirmware-cnc": r"^[ \t]*M453\b",
     "reprapfirmware": r"^[ \t]*M(?:566|568|572)\b",
     "marlin": r"^[ \t]*(?:T\d+[ \t]*$|(?:M(?:82|83|84|104|106|107|109|140|190|201|203|204|205|400)"
     r"|G29)\b|G0?[01][ \t][^(;\n]*\bE[-+.\d])",
     "fanuc": r"^[ \t]*O\d{4}\b",
-    "grbl": r"^[ \t]*(?:\$H|M3[ \t]*S\d|[^(;\n]*\bM0?4[ \t]+S\d)",
+    "grbl": r"^[ \t]*(?:\$H|\$[$#GIN]?[ \t]*$|M3[ \t]*S\d|[^(;\n]*\bM0?4[ \t]+S\d)",
 }
 """Words that few controls but these have, by dialect."""
 _PREAMBLE = re.compile(r"^[^(;\n]*\b(?:G17|G5[4-9]|M0?[34])\b", re.IGNORECASE | re.MULTILINE)

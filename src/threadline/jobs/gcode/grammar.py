@@ -53,6 +53,8 @@ class Grammar:
     of_sender
         M words that the control refuses with their whole line: the sender takes them out and stops
         there. Only N, S and T may stand beside them.
+    inner
+        Whether a comment in parentheses may hold further ( and ends with its line at the latest.
     split_comments
         Whether a semicolon inside parentheses ends the line.
     feed_first
@@ -82,6 +84,9 @@ class Grammar:
         direction then gives no turn at all.
     plain_arcs
         Whether an arc is refused with R, and after G91.
+    repeats
+        Whether axis words alone repeat the G0 to G3 of the command before; behind any other command
+        they are an error.
     whole_ms
         Whether P of G4 loses its fraction of a millisecond.
     tape
@@ -90,9 +95,13 @@ class Grammar:
     realtime
         Pattern of the bytes that act at once when they are sent, even in a comment; empty if no
         byte does.
+    queries
+        Lines that ask the control for a report and do nothing else: they are passed over.
     """
 
     longest: int = 0
+    inner: bool = False
+    repeats: bool = False
     packed: bool = False
     letters: str = ""
     most: Mapping[str, int] = field(default_factory=dict)
@@ -120,19 +129,22 @@ class Grammar:
     whole_ms: bool = False
     tape: Literal["", "first", "refused"] = ""
     realtime: str = ""
+    queries: frozenset[str] = frozenset()
 
 
 _NON_MODAL = frozenset({40, 100, 280, 281, 300, 301, 530, 920, 921, 922, 923})
 _MOTIONS = frozenset({0, 10, 20, 30})
 _COOLANT = dict.fromkeys((7, 8, 9), "coolant")
 _OUTPUTS = dict.fromkeys((62, 63, 64, 65), "outputs")
+QUERIES = frozenset({"$", "$$", "$#", "$G", "$I", "$N", "?"})
+"""Lines that ask grbl and its kin for a report."""
 PLAIN = Grammar()
 GRBL = Grammar(
-    longest=79, packed=True, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
-    alone=_NON_MODAL, m_kinds=_COOLANT, takes_axes=_MOTIONS | {280, 920, 490},
+    longest=79, packed=True, inner=True, letters="O", most={"N": 10_000_000, "T": 255},
+    unsigned="FNPST", alone=_NON_MODAL, m_kinds=_COOLANT, takes_axes=_MOTIONS | {280, 920, 490},
     loses_axes=frozenset({490}), feed_first=True, cancelled=True, reset_last=True, arc_ends=True,
     idle_centre=True, round_arcs=True, single=True, of_sender=frozenset({6}), tape="refused",
-    realtime=r"[!?~\x84\x85\x90-\x97\x99-\x9e\xa0\xa1]",
+    realtime=r"[!?~\x84\x85\x90-\x97\x99-\x9e\xa0\xa1]", queries=QUERIES,
 )  # fmt: skip
 FLUIDNC = Grammar(
     longest=127, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
@@ -140,7 +152,7 @@ FLUIDNC = Grammar(
     loses_axes=frozenset({490}), needs_p=frozenset(_OUTPUTS), split_comments=True,
     feed_first=True, cancelled=True, reset_last=True, turns=True, arc_ends=True, idle_centre=True,
     round_arcs=True, single=True, tape="first",
-    realtime=r"[!?~]|\xc2[\x84-\x8a\x90-\x9e\xa0\xa1\xb2-\xb4]",
+    queries=QUERIES, realtime=r"[!?~]|\xc2[\x84-\x8a\x90-\x9e\xa0\xa1\xb2-\xb4]",
 )  # fmt: skip
 LINUXCNC = Grammar(
     longest=252, unsigned="FST", alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS},

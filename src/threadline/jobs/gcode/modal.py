@@ -22,7 +22,7 @@ from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.feeds import FRule, KeptFeeds, travelling, value_of
 from threadline.jobs.gcode.textfile import SourceFile
 from threadline.jobs.gcode.words import ONE
-from threadline.jobs.gcode.zeros import FIRST, MACHINE, NO_LENGTH, SYSTEMS, Zeros
+from threadline.jobs.gcode.zeros import FIRST, MACHINE, NO_LENGTH, SYSTEMS, TURN, Zeros
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
@@ -39,7 +39,6 @@ from threadline.jobs.operations import (
 RAPID = Feed(FeedMode.RAPID, 0.0)
 MILLIMETRE = 10  # tenths of a millimetre
 _MM_PER_M = 1000 * ONE
-_TURN = 360 * ONE
 _CHANGE = 6  # M6
 _SPINDLE = frozenset({"M3", "M4", "M5"})
 _OFF = ("M5", "M9")
@@ -104,8 +103,9 @@ class Modal:
         self._letters = program.reading.names
         self._waiting: list[ToolEvent] = []  # for the next move
         self._length = ""  # G43 in force
+        self._known = program.reading.lengths
         self._wrapped = program.reading.wrapped
-        self._moved = self._acted = False
+        self._moved = self._acted = self._repeats = False
         self._one_system = not program.systems
         zeros = (c for c, zero in program.systems.items() if c != MACHINE and not any(zero))
         self._first_system = next(zeros, FIRST)
@@ -122,6 +122,9 @@ class Modal:
 
     def _step(self, block: Block) -> Iterator[Operation]:
         """Return the operations of one block, in the order of RS274/NGC."""
+        if self._dialect.grammar.repeats:
+            repeated = self._repeats and block.motion == block.action == -1 and block.goes
+            self._repeats = block.motion in (0, 1, 2, 3) or repeated
         if block.settings:
             self._set(block.settings)
         self._cycles.take(block.settings, block.motion)
@@ -133,9 +136,8 @@ class Modal:
             self._motion = -1 if block.motion == CANCEL else block.motion
             self._cancelled = block.motion == CANCEL
         self._check_modes(block)
-        if NO_LENGTH in block.settings and self._length:
-            yield from self._rest(ToolEvent("G49", 0.0, self._source(block), "G49"))
-        self._length = block.length or ("" if NO_LENGTH in block.settings else self._length)
+        if block.length or NO_LENGTH in block.settings:
+            yield from self._take_length(block)
         first, then = self._split(block) if block.acts else ((), ())
         yield from self._worked(block, first)
         if block.action == DWELL:
@@ -168,6 +170,15 @@ class Modal:
             yield from self._rest(ToolEvent(_ALL_OFF, 0.0, self._source(block), _ALL_OFF))
         elif block.ends == "end":
             yield from self._rest(Dwell(0.0, self._source(block)))
+
+    def _take_length(self, block: Block) -> Iterator[Operation]:
+        """Take or leave a tool length; one that the machine file gives moves the zero."""
+        source, before, self._length = self._source(block), self._length, block.length
+        if before in self._known or block.length in self._known:
+            yield from self._rest(Dwell(0.0, source))
+            self._zeros.lengthen(self._axes["Z"], self._known.get(block.length, 0))
+        elif before and not block.length:
+            yield from self._rest(ToolEvent("G49", 0.0, source, "G49"))
 
     def _split(self, block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return the acting words before the motion of a block, and the words after the motion."""
@@ -219,7 +230,7 @@ class Modal:
         """Refuse words that the modes in force forbid or leave without use."""
         grammar = self._dialect.grammar
         drills = self._motion in DRILLING and block.action not in (*TAKES_AXES, DWELL)
-        if block.passes > 1 and block.program != 98 and not drills:
+        if block.passes and block.program != 98 and not drills:
             raise self._error(
                 block.line, "L has no use in this block", "L belongs to M98 and to drilling cycles."
             )
@@ -305,7 +316,7 @@ class Modal:
                 if block.axes
                 else f"G{block.motion} before any feed F, which {self._dialect.name} refuses in a "
                 "block without axis words, too",
-                "Give F, in mm/min.",
+                self._dialect.asks_feed,
             )
 
     def _source(self, block: Block) -> Source:
@@ -350,11 +361,7 @@ class Modal:
                 self._put(index, base[index] + self._scaled(index, value))
 
     def _within_turn(self, block: Block, index: int, value: int) -> int:
-        """Return the position to which a wrapped axis turns for an absolute angle.
-
-        The sign is the direction, not a part of the angle. Source: ``unwrap_rotary`` of LinuxCNC
-        2.9, ``interp_find.cc``; ``rs274`` is compared with it.
-        """
+        """Return the position to which a wrapped axis turns for an absolute angle."""
         letter = self._letters[index]
         if MACHINE in block.settings:
             raise self._error(
@@ -362,22 +369,15 @@ class Modal:
                 f"G53 with the wrapped axis {letter}: its machine coordinates are not read",
                 f"Leave out {letter}, or give its angle in another block.",
             )
-        if not abs(value) < _TURN:
+        if not abs(value) < TURN:
             raise self._error(
                 block.line,
                 f"{letter}{value / ONE:g}: LinuxCNC takes angles of a wrapped axis between -360 "
                 "and 360",
                 "Write the angle within one turn; its sign says which way the axis turns.",
             )
-        zero = self._zeros.offset[index]
-        at = self._exact[index] - zero
-        to = abs(value) + at // _TURN * _TURN
         back = index in block.back
-        if not back and to < at:
-            to += _TURN
-        elif back and to > at:
-            to -= _TURN
-        return zero + to
+        return self._zeros.within_turn(index, abs(value), self._exact[index], back=back)
 
     def _move(self, block: Block) -> Iterator[Operation]:
         rapid = self._motion == 0 and not self._dialect.rapid_is_feed
@@ -390,7 +390,8 @@ class Modal:
                 "axis words without G0 or G1 behind G80, which ends the cycle and every motion",
                 "Write G0 (or G1 and a feed) in this block.",
             )
-        if self._motion == -1 or (self._dialect.each_g and block.motion == -1):
+        alone = self._dialect.each_g and block.motion == -1 and not self._repeats
+        if self._motion == -1 or alone:
             raise self._error(
                 block.line,
                 "axis words before any G0 or G1"
@@ -402,7 +403,7 @@ class Modal:
             feed = travelling(feed)
         if feed is None:
             raise self._error(
-                block.line, f"G{self._motion} moves before any feed F", "Give F, in mm/min."
+                block.line, f"G{self._motion} moves before any feed F", self._dialect.asks_feed
             )
         if feed.mode is FeedMode.INVERSE_TIME and block.feed is None:
             raise self._error(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,17 +14,18 @@ from threadline.base.arrays import FloatArray
 from threadline.errors import BudgetError, JobError, MachineError, OptionError, Place
 from threadline.files import Stream
 from threadline.jobs.gcode import plain_blocks as kernel
-from threadline.jobs.gcode.block import CHANGE, Block
-from threadline.jobs.gcode.dialects import DIALECTS, SILENT, Dialect, Reading, dialect_of
-from threadline.jobs.gcode.feeds import f_rule, normal_feed_m_s, travelling
-from threadline.jobs.gcode.foreign import FILAMENT, LETTERS, letters_of
+from threadline.jobs.gcode.block import Block
+from threadline.jobs.gcode.dialects import DIALECTS, Dialect, Reading, dialect_of
+from threadline.jobs.gcode.feeds import f_rule, travelling
+from threadline.jobs.gcode.foreign import letters_of
 from threadline.jobs.gcode.modal import MILLIMETRE, RAPID, Modal, ProgramText
 from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
-from threadline.jobs.gcode.scan import Findings, Scanner
+from threadline.jobs.gcode.program_warnings import capped_feeds, program_warnings
+from threadline.jobs.gcode.scan import Scanner
 from threadline.jobs.gcode.subprograms import Frame, KeptText, Structure
-from threadline.jobs.gcode.textfile import Lines, SourceFile, first_found, identify
+from threadline.jobs.gcode.textfile import Lines, SourceFile, identify
 from threadline.jobs.gcode.words import ONE, is_parametric
-from threadline.jobs.gcode.zeros import FIRST, zeros_of
+from threadline.jobs.gcode.zeros import FIRST, tool_lengths, zeros_of
 from threadline.jobs.operations import (
     Feed,
     FeedMode,
@@ -143,7 +144,7 @@ class Interpreter(Modal):
             if block.program == 98:
                 callee = structure.programs[(block.p or 0) // ONE]
                 # A subroutine without operations needs only one pass.
-                turns = block.passes if structure.totals[callee.label].operations else 1
+                turns = (block.passes or 1) if structure.totals[callee.label].operations else 1
                 line, text = frame.line or block.line, self._text.lines_of(callee)
                 frames.append(Frame(callee, text, 1, turns, frame.times, line))
                 self._passes = (*self._passes, 1)
@@ -242,7 +243,6 @@ class Interpreter(Modal):
 
 
 _RESERVED = "EFGLMNOP"
-_MAX_WARNINGS = 5
 
 
 def read_part_program(
@@ -301,7 +301,7 @@ def read_part_program(
     letters = letters_of(machine, axes)
     reading = Reading(
         str(path), machine.name, letters.axes, machine.axis_names, spoken, letters.dropped,
-        wrapped_axes(machine, spoken.name),
+        wrapped_axes(machine, spoken.name), tool_lengths(machine, letters.axes),
     )  # fmt: skip
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
     program: PartProgram | ParametricProgram
@@ -332,8 +332,8 @@ def read_part_program(
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
         operations=OperationStream(Stream(_runs, program), Stream(_folded, program)),
-        warnings=_warnings(findings, file, spoken),
-        capped=_capped(findings, moved, label, machine, file),
+        warnings=program_warnings(findings, file, spoken),
+        capped=capped_feeds(findings, moved, label, machine, file),
         feed_rule=rule.text,
         dialect=spoken.name,
     )
@@ -397,122 +397,4 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
         f"{budget} and each counts as a tick at least",
         place=file.place(line),
         remedy="Lower L, or raise tick_budget in the machine file.",
-    )
-
-
-def _capped(
-    findings: Findings, moved: list[int], label: int | None, machine: Machine, file: SourceFile
-) -> tuple[str, ...]:
-    used = moved or range(len(machine.axis_names))  # G28 without axis words names no axis
-    caps_m_s = normal_feed_m_s(machine)
-    if machine.operator is None or caps_m_s is None:
-        return ()
-    cap_m_s = min(caps_m_s[i] for i in used)
-    caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used)
-    speeds_m_s = [
-        (line, feed, feed * tenth_mm / (600_000 * ONE))
-        for (feed, tenth_mm), line in findings.feeds.speeds(label).items()
-    ]
-    return _first(
-        f"{file.place(line)}: F {feed / ONE:g} is {1e3 * speed_m_s:.1f} mm/s, above the "
-        f"normal feed of {machine.operator.normal_feed.si:g} count/tick ({caps} mm/s), "
-        "which caps it. Choose another feed with --feed, or raise operator.normal_feed."
-        for line, feed, speed_m_s in speeds_m_s
-        if speed_m_s > cap_m_s
-    )
-
-
-def _warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[str, ...]:
-    warnings = [
-        f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."
-        for line in findings.long_dwells
-    ]
-    warnings += [
-        f"{file.place(line)}: G64 is for other controllers; here the interpolation decides how "
-        "corners are rounded."
-        for line in findings.blends
-    ]
-    if findings.rapid_f and not dialect.rapid_is_feed:
-        warnings.append(
-            f"{file.place(findings.rapid_f)}: F of a G0 sets the feed of later moves; the G0 "
-            "itself goes as fast as the limits allow."
-        )
-    if findings.changes and CHANGE in dialect.grammar.of_sender:
-        warnings.append(
-            f"{file.place(findings.changes)}: {dialect.name} itself refuses M6; what sends the "
-            "program must take it out and stop there, as it is read here."
-        )
-    if findings.length:
-        warnings.append(
-            f"{file.place(findings.length)}: how long the tool of G43 is the control alone knows; "
-            "it holds for every move of Z, and the program's zero is at the start position."
-        )
-    if findings.tape:
-        warnings.append(
-            f"{file.place(findings.tape)}: {dialect.name} answers error:1 to a line with %, at "
-            "which many senders stop: take these lines out."
-        )
-    warnings += _realtime(file, dialect)
-    if findings.anew:
-        lines = ", ".join(map(str, findings.anew[:_MAX_WARNINGS]))
-        more = " ..." if len(findings.anew) > _MAX_WARNINGS else ""
-        warnings.append(
-            f"{file.place(findings.anew[0])}: M2 and M30 (lines {lines}{more}) set G1 G17 G54 G90 "
-            "G94 and end nothing: grbl goes on with what its sender sends. One that takes them out "
-            "leaves the modes as they are."
-        )
-    if findings.unset:
-        first = next(iter(findings.unset.items()))
-        names = " ".join(f"#{which}" for which in list(findings.unset)[:_MAX_WARNINGS])
-        more = " ..." if len(findings.unset) > _MAX_WARNINGS else ""
-        warnings.append(
-            f"{file.place(first[1])}: parameters that the program has not set are 0 here "
-            f"({names}{more}); the control may have kept another value from an earlier program."
-        )
-    if findings.doubtful:
-        warnings.append(
-            f"{file.place(findings.doubtful)}: the numbers compared differ by rounding: LinuxCNC "
-            "2.9 finds LE and GE untrue of them, and EQ true up to 0.0001; later versions find all "
-            "three true, up to 0.000001. Here it is done as in 2.9."
-        )
-    if findings.waits:
-        warnings.append(
-            f"{file.place(findings.waits)}: the program waits for a temperature; how long is not "
-            "known, and no part of any time here."
-        )
-    if findings.idle:
-        words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
-        silent = " ".join(w for w in findings.idle if w[1:].isdigit() and int(w[1:]) in SILENT)
-        left = f" compile leaves out what only shows or stores something: {silent}." * bool(silent)
-        dropped = " ".join(w for w in findings.idle if w in LETTERS + FILAMENT)
-        left += f" compile writes no {dropped}: --axes leaves it out." * bool(dropped)
-        warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.{left}")
-    return _first(warnings)
-
-
-_ACT_NOW = {"!": "holds the feed", "~": "goes on behind a hold", "?": "asks for a report"}
-
-
-def _realtime(file: SourceFile, dialect: Dialect) -> list[str]:
-    """Return a warning of characters that act at once if a sender sends comments, too."""
-    if not dialect.grammar.realtime:
-        return []
-    line, letter = first_found(file, dialect.grammar.realtime)
-    if not line:
-        return []
-    does = _ACT_NOW.get(letter, "holds the machine or changes an override")
-    return [
-        f"{file.place(line)}: {letter!r} {does} at the instant at which {dialect.name} is sent it, "
-        "in a comment, too: have a sender that leaves comments out, or take it out (and ! ~ ? and "
-        "letters that are not ASCII elsewhere)."
-    ]
-
-
-def _first(warnings: Iterable[str]) -> tuple[str, ...]:
-    found = tuple(warnings)
-    if len(found) <= _MAX_WARNINGS:
-        return found
-    return (
-        *found[:_MAX_WARNINGS],
-        f"{len(found) - _MAX_WARNINGS} more warnings of these kinds.",
     )

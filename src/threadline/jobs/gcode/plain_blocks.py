@@ -453,5 +453,6 @@ def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> Pl
     plain.state[FEED_FIRST] = grammar.feed_first
     plain.state[SPLIT_COMMENTS] = grammar.split_comments
     plain.state[ONE_COMMAND] = dialect.one_command
-    plain.usable = not dialect.points  # this reader does not require decimal points
+    # This reader does not require decimal points, and does not tell which command was the last.
+    plain.usable = not dialect.points and not grammar.repeats
     return plain

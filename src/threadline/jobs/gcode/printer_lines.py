@@ -17,13 +17,16 @@ from threadline.jobs.gcode.grammar import MARLIN, REPRAPFIRMWARE
 _NUMBER_OF_LINE = re.compile(r" *N *([0-9]+) *")
 _CHECKSUM = re.compile(r"\*[ \t]*([0-9]{1,3})[ \t]*$")
 _TEXT = re.compile(
-    r" *(?:N *[0-9]+ *)?M *"
+    r" *(?:N *[0-9]+ *)?M *0*"
     r"(?:(?:11[78]|23|28|30|32|928)(?![0-9.])|[01](?![0-9.])(?: *[PS] *[0-9]+(?:\.[0-9]*)?)*)"
 )
-_STOP = re.compile(r" *(?:N *[0-9]+ *)?M *[01](?![0-9.])(?: *[PS] *[0-9]+(?:\.[0-9]*)?)*", re.I)
+_STOP = re.compile(r" *(?:N *[0-9]+ *)?M *0*[01](?![0-9.])(?: *[PS] *[0-9]+(?:\.[0-9]*)?)*", re.I)
 _FLAGS = re.compile(r" *(?:N *[0-9]+ *)?(?:G *28|M *(?:1[78]|84))(?![0-9.])")
 _ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
 _COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
+_PARENTHESES = re.compile(r"\((?:[^()]|\([^()]*\))*(?:\)|$)")
+_STRAIGHT = re.compile(r" *(?:N *[0-9]+ *)?G *0*[01](?![0-9.])")
+_MOTORS = re.compile(r" *(?:N *[0-9]+ *)?M *(?:17|18|84)(?![0-9.])")
 _MACRO = re.compile(r" *([A-Z_][A-Z_]+[0-9]*(?:_[A-Z0-9_]*)?)(?![-+.])")
 _NOT_OF_KLIPPER = re.compile(r"[^A-Z0-9+\-. ]|[A-Z_]{2,}")
 _KLIPPER_DOES = {
@@ -43,6 +46,8 @@ _NUMBERED = re.compile(r"[ \t]*[Nn][0-9]*[ \t]*")
 _META = re.compile(
     r"[ \t]*(if|elif|else|while|break|continue|var|global|set|abort|echo|skip)(?=[ \t{\"(]|$)"
 )
+_BRACKETED = re.compile(r'"[^"]*"?|;.*|\([^)]*\)?')
+_AXIS_WORD = re.compile(r"[XYZUVWABC](?![A-Z])")
 _SAYS = re.compile(r'[ \t]*(?:skip(?:[ \t].*)?|echo[ \t]*"[^"]*"[ \t]*)')
 _BEGINS = re.compile(r"[GM](?:-?[0-9]+(?:\.[0-9])?)?|T-?[0-9]+")
 _TAKES_LINE = re.compile(r'[Mm](?:23|28|30|32|36|38|117)(?![0-9.])(?=[ \t]*[^" \t])')
@@ -63,8 +68,8 @@ def commands_of(text: str, name: str, place: Place) -> list[str]:
     JobError
         If the firmware would run other words than written.
     """
-    if name == "reprapfirmware":
-        return _for_reprapfirmware(text, place)
+    if name.startswith("reprapfirmware"):
+        return _for_reprapfirmware(text, place, cnc=name.endswith("-cnc"))
     return [one_command(text, name, place)]
 
 
@@ -110,13 +115,7 @@ def one_command(text: str, name: str, place: Place) -> str:
     said = _TEXT.match(code)
     if said is not None:
         return said[0]
-    if "(" in code or ")" in code:
-        raise JobError(
-            "marlin reads the letters in parentheses as words, unless it is built with "
-            "PAREN_COMMENTS",
-            place=place,
-            remedy="Write a comment behind a semicolon.",
-        )
+    code = _without_parentheses(code, place)
     if not code.isascii() or code != code.upper():
         raise JobError(
             "marlin knows capital letters alone, unless it is built with GCODE_CASE_INSENSITIVE",
@@ -147,11 +146,42 @@ def one_command(text: str, name: str, place: Place) -> str:
     return f"{code}{mark}{comment}"
 
 
+def _without_parentheses(code: str, place: Place) -> str:
+    """Return a line of Marlin without its parentheses, which Marlin passes over as they are.
+
+    A line of nothing else is no command (``parser.cpp``), and the words behind a command are
+    capital letters: of a text in small letters it takes nothing. G0 and G1 read no P, as in
+    ``G1 Z0 (Penetrate)``, and the letters behind M17, M18 and M84 move nothing.
+
+    Raises
+    ------
+    JobError
+        If Marlin would read a word in the parentheses.
+    """
+    bare = _PARENTHESES.sub("", code)
+    if bare == code and ")" not in code:
+        return code
+    inside = "".join(_PARENTHESES.findall(code))
+    read = "[A-OQ-Z]" if _STRAIGHT.match(bare) else "[A-Z]"
+    idle = not bare.strip() or _MOTORS.match(bare) is not None
+    if ")" in bare or not (idle or re.search(read, inside) is None):
+        raise JobError(
+            "marlin reads the capital letters in parentheses as words, unless it is built with "
+            "PAREN_COMMENTS",
+            place=place,
+            remedy="Write a comment behind a semicolon.",
+        )
+    return bare
+
+
 def _for_klipper(code: str, place: Place) -> str:
     """Return a line as words with numbers, as ``klippy/gcode.py`` splits it.
 
     Small letters count as capital ones, a line number is passed over, a checksum is not compared.
+    A line of parentheses alone is an unknown command, which klipper passes over.
     """
+    if code.lstrip().startswith("(") and not _PARENTHESES.sub("", code).strip():
+        return ""
     code = _CHECKSUM.sub("", code.upper().replace("\t", " ").strip())
     number = _NUMBER_OF_LINE.match(code)
     code = code if number is None else f" {code[number.end() :]}"
@@ -210,17 +240,21 @@ def _without_checksum(code: str, place: Place) -> str:
     return body if number is None else body[number.end() - 1 :]
 
 
-def _for_reprapfirmware(text: str, place: Place) -> list[str]:
+def _for_reprapfirmware(text: str, place: Place, *, cnc: bool = False) -> list[str]:
     """Return the commands of a line, as ``StringParser.cpp`` decodes them one after the other.
 
     A G or M outside quotes begins a command. Small letters count as capital ones; N needs no
     checksum, and a line with a wrong one is not run. The comment of a line belongs to each command.
+    With ``cnc`` (M453) parentheses are comments, and a line may begin with an axis word.
 
     >>> _for_reprapfirmware("n5 g21 G90G1 X5 ; (a", Place("a.g", 1))
     ['G21 ; (a', 'G90; (a', 'G1 X5; (a']
     >>> _for_reprapfirmware('M117 "G1 X9" M400', Place("a.g", 1))
     ['M117', 'M400']
+    >>> _for_reprapfirmware("(to the right) X5 F600", Place("a.g", 1), cnc=True)
+    ['X5 F600']
     """
+    text = _BRACKETED.sub(lambda part: "" if part[0][0] == "(" else part[0], text) if cnc else text
     found = _CODE.match(text)
     assert found is not None
     code, comment = found[0], text[found.end() :]
@@ -236,6 +270,9 @@ def _for_reprapfirmware(text: str, place: Place) -> list[str]:
     pieces = []
     for start, end in zip(starts, [*starts[1:], len(code)], strict=True):
         piece = code[start:end].upper()
+        if cnc and start == 0 and _AXIS_WORD.match(piece) and '"' not in piece:
+            pieces.append(piece)
+            continue
         begins = _BEGINS.match(piece)
         if begins is None or begins[0] in {"G", "M"}:
             raise JobError(

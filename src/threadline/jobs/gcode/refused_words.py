@@ -14,6 +14,7 @@ _SPINDLE_CYCLE = "a canned cycle that stops, turns or locks the spindle, which i
 _RADIUS = "compensation of the cutter's radius, by which the tool would leave the programmed path"
 _ANALOGUE = "an analogue output, which no machine here has"
 _BUILT = "what marlin knows only where it is built with"
+_PEN = "files for Marlin lift the pen of a plotter by it"
 WHY: Mapping[int, str] = {
     410: _RADIUS, 420: _RADIUS, 100: "setting what the control keeps (offsets, tool tables)",
     430: "compensation of the tool's length", 431: "compensation of the tool's length",
@@ -25,20 +26,17 @@ WHY: Mapping[int, str] = {
 WHY_IN: Mapping[str, Mapping[str, str]] = {
     "grbl": {
         "G64": "no word of grbl, which blends by its own settings",
+        "M300": f"no word of grbl, which stops at it with error:20: {_PEN}",
     },
     "fluidnc": {
         "G64": "no word of fluidnc, which blends by its own settings",
+        "M300": f"no word of fluidnc, which stops at it: {_PEN}",
         **dict.fromkeys(("M67", "M68"), _ANALOGUE),
     },
     "linuxcnc": dict.fromkeys(("M67", "M68"), _ANALOGUE),
     "klipper": {
         "G20": "the inch, which klipper refuses",
         "G92.1": "no word of klipper, which passes it over",
-        **dict.fromkeys(
-            ("M92", "M201", "M203", "M205"),
-            "what sets steps or limits in marlin; klipper has them in its printer.cfg, and passes "
-            "this word over",
-        ),
         "M204": "what sets the acceleration anew",
         "M220": "a share of every feed behind it",
         "S": "no word of klipper's G4, whose time is P in ms",
@@ -61,7 +59,8 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "M121": "what takes back the feed and modes that M120 kept",
         "M220": "a share of every feed behind it",
         "M290": "a shift of the zero (baby steps)",
-        **dict.fromkeys(("M451", "M452", "M453"), "another kind of machine, which moves G0 anew"),
+        "M453": "a CNC machine from there on: use --dialect reprapfirmware-cnc, and take it out",
+        **dict.fromkeys(("M451", "M452"), "another kind of machine, which moves G0 anew"),
         "H": "a move to an endstop, or of motors without the axes",
         "S": "a move to an endstop in old programs, or the power of a laser",
         "T": "no word of a machine with one tool, which is T0 on a line of its own",
@@ -173,12 +172,15 @@ def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading
             "planned, without extrusion and the time of moves of E alone.",
         )
     whole = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
-    why = WHY_IN.get(dialect.name, {}).get(f"{letter}{whole}")
+    why = WHY_IN.get(dialect.name.removesuffix("-cnc"), {}).get(f"{letter}{whole}")
     if why is not None:
         raise JobError(
             f"{letter}{_short(number)} is {why}",
             place=place,
-            remedy="Have the program written without it, or take it out if it changes nothing.",
+            remedy="Write M3 S... and M5 in its place, as the servo takes them, or read the file "
+            "for Marlin (--dialect marlin)."
+            if whole == "300"
+            else "Have the program written without it, or take it out if it changes nothing.",
         )
     known = {
         "G": f"Known G words are {_list('G', [c / 10 for c in dialect.g])}.",

@@ -95,7 +95,7 @@ class Scanner:
         self._programs = Collector(file)
         self._plain = plain_reader(reading, (True,) * len(reading.names), follow=False)
         self.systems = SystemsUsed()
-        self._lengths = ToolLengths(file)
+        self._lengths = ToolLengths(file, reading.lengths)
         self._ended: tuple[Block, int] | None = None  # ending block, next byte
         first_alone = reading.dialect.grammar.tape == "first"
         self._tapes = Tapes(file, reading.dialect.name if first_alone else "")
@@ -208,9 +208,9 @@ class Scanner:
         self._note(program.label, block)
         if block.program == 98:
             assert block.p is not None
-            self.findings.feeds.call(program.label, block.p // ONE, block.passes)
+            self.findings.feeds.call(program.label, block.p // ONE, block.passes or 1)
             call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
-            call.passes += block.passes
+            call.passes += block.passes or 1
         elif block.ends == "end" and program.label is None and self._reading.dialect.streams:
             self._ended = block, behind
         elif block.ends in {"end", "return"}:

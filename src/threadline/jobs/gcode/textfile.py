@@ -224,7 +224,9 @@ def decode_line(raw: bytes, file: str, number: int) -> str:
     JobError
         If the line is too long, holds a control character or a line separator, or is not UTF-8.
     """
-    raw = raw.rstrip(b"\r")  # two of them if a program was converted for Windows twice
+    # Two behind it if a program was converted for Windows twice, one in front of it if LF CR ends
+    # its lines.
+    raw = raw.strip(b"\r")
     if len(raw) > MAX_LINE_BYTES:
         raise JobError(
             f"the line has more than {MAX_LINE_BYTES} bytes",
@@ -236,7 +238,7 @@ def decode_line(raw: bytes, file: str, number: int) -> str:
         byte = control[0][0]
         kind = {
             0x00: "is the file binary or UTF-16?",
-            0x0D: "lines end with a line feed, with or without carriage returns before it.",
+            0x0D: "lines end with a line feed, with or without carriage returns beside it.",
         }.get(byte, "only tabs are allowed.")
         raise JobError(
             f"the line holds the control character 0x{byte:02X} in column {control.start() + 1}",

@@ -24,6 +24,7 @@ _NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)"
 _WORD = re.compile(rf"[ \t]*([A-Za-z])[ \t]*({_NUMBER})")
 _BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.eE]))*[ \t]*+")
 _PARENTHESES = re.compile(r"\([^()]*\)")
+_TO_THE_FIRST_END = re.compile(r"\([^)]*(?:\)|$)")
 _TAG = re.compile(rf"([A-Za-z_][A-Za-z0-9_-]*)=({_NUMBER})")
 _NAMED = re.compile(r"\s*+(?:[A-Za-z_][A-Za-z0-9_-]*+=[^\s,=]*+(?:[\s,]++|$))+")
 _POWERS: tuple[int, ...] = tuple(int(10**k) for k in range(DECIMALS + 1))
@@ -36,10 +37,12 @@ class RawBlock(NamedTuple):
     tags: tuple[tuple[str, float], ...]
 
 
-def split_words(text: str, file: str, line: int, *, one_block: bool = False) -> RawBlock:
+def split_words(
+    text: str, file: str, line: int, *, one_block: bool = False, inner: bool = False
+) -> RawBlock:
     """Return the words of one line.
 
-    With ``one_block`` anything may stand behind ``;``.
+    With ``one_block`` anything may stand behind ``;``, with ``inner`` also a ( in a comment.
 
     Raises
     ------
@@ -48,7 +51,7 @@ def split_words(text: str, file: str, line: int, *, one_block: bool = False) -> 
     """
     tags: tuple[tuple[str, float], ...] = ()
     if ";" in text or "(" in text or ")" in text:
-        text, comment = without_comments(text, file, line, one_block=one_block)
+        text, comment = without_comments(text, file, line, one_block=one_block, inner=inner)
         if "=" in comment:
             tags = tags_of(comment, file, line) if text.strip() else ()
     if _BLOCK.fullmatch(text) is None:
@@ -78,13 +81,14 @@ def _exact_unusual(whole: str, fraction: str) -> int | None:
 
 
 def without_comments(
-    text: str, file: str, line: int, *, one_block: bool = False
+    text: str, file: str, line: int, *, one_block: bool = False, inner: bool = False
 ) -> tuple[str, str]:
     """Return ``text`` without its comments, and the comment after the semicolon.
 
     In the printed winder program, and in prints of Fanuc programs, ``;`` ends a block. Text after
     ``;`` that reads as a block is refused there. For all other controls ``;`` begins a comment,
-    whatever it says (``one_block``): ``M0 ;T102``.
+    whatever it says (``one_block``): ``M0 ;T102``. With ``inner`` a comment ends at its first ), or
+    with its line, whatever ( stand in it.
 
     Raises
     ------
@@ -93,7 +97,7 @@ def without_comments(
     """
     code, _, comment = _cut_at_semicolon(text)
     if "(" in code or ")" in code:
-        code = _PARENTHESES.sub(" ", code)
+        code = (_TO_THE_FIRST_END if inner else _PARENTHESES).sub(" ", code)
         if "(" in code or ")" in code:
             wrong = "is opened and not closed" if "(" in code else "is closed and not opened"
             raise JobError(

@@ -2,7 +2,8 @@
 
 The control stores the zero of each coordinate system; the program does not have it. A program that
 uses only one system is read as if in G54, with its zero at the start position. A program that uses
-several systems, or G53, needs their zeros in machine coordinates (``[programs.offsets]``).
+several systems, or G53, needs their zeros in machine coordinates (``[programs.offsets]``). The same
+holds for tool lengths: a program that needs them in numbers has them from ``[programs.lengths]``.
 """
 
 from __future__ import annotations
@@ -22,10 +23,15 @@ from threadline.machine import Machine
 FIRST, MACHINE = 540, 530
 SYSTEMS = range(540, 600, 10)
 LENGTH, NO_LENGTH = 430, 490
+TURN = 360 * ONE
 _FINE = 10**7  # steps per millimetre or degree, as in plain blocks
 _OTHERS = (
     'Name the zero of each in the machine file, like [programs.offsets] G54 = { X = "0 mm exact, '
     'assumed" }, or give each a program of its own.'
+)
+_LENGTHS = (
+    "Or give the lengths of the tools in the machine file, like [programs.lengths] H1 = "
+    '"50 mm exact, assumed", and write G43 with its H.'
 )
 
 
@@ -67,26 +73,31 @@ def moves_length(block: Block, reading: Reading, *, calls: bool = False) -> bool
 class ToolLengths:
     """The tool lengths (G43) in force while a file is scanned or run.
 
-    Only the control knows the length of a tool. A tool length that holds for all moves of Z only
-    shifts the zero, and the zero is at the start position here, as for G54. Any other use is
-    refused. Moves of other axes may stand before: posts go over the place first, and then down.
+    A length that the machine file gives is read exactly. Only the control knows any other: one that
+    holds for all moves of Z only shifts the zero, and the zero is at the start position here, as
+    for G54. Any other use is refused. Moves of other axes may stand before: posts go over the place
+    first, and then down.
 
     Parameters
     ----------
     file
         The file, for errors.
+    known
+        Exact lengths in the machine file, by the words that take them.
 
     Attributes
     ----------
     line
-        First line with G43, 0 without one.
+        First line with a G43 of unknown length, 0 without one.
     """
 
     file: SourceFile
+    known: Mapping[str, int] = field(default_factory=dict)
     line: int = 0
     _now: str = ""
     _left: int = 0  # line of a G49 that ended a tool length
     _moved: int = 0  # line of the first move of Z
+    _machine: int = 0  # line of the first move of Z by G53
 
     def take(
         self, length: str, settings: Sequence[int], line: int, *, moves: bool, later: bool
@@ -98,21 +109,35 @@ class ToolLengths:
         Raises
         ------
         JobError
-            If a tool length begins or ends between moves of Z, or in a subroutine.
+            If an unknown tool length begins or ends between moves of Z, or in a subroutine, or
+            stands beside moves of Z by G53.
         """
-        if length and (length != self._now or later) and (self._moved or later):
+        if length in self.known:
+            if self.line:
+                self._refuse(f"{length} ends the one of line {self.line}", line)
+        elif length and (length != self._now or later) and (self._moved or later):
             self._refuse(f"{length} begins it", line)
         if length:
             self._now, self._left = length, 0
-            self.line = self.line or line
+            self.line = self.line or (0 if length in self.known else line)
+        elif NO_LENGTH in settings and self._now in self.known:
+            self._now = ""
         elif NO_LENGTH in settings and self._now:
             self._left = line
             if later:
                 self._refuse("G49 ends it", line)
         if moves:
             self._moved = self._moved or line
+            self._machine = self._machine or (line if MACHINE in settings else 0)
         if moves and self._left:
             self._refuse(f"G49 on line {self._left} ends it", line)
+        if self._machine and self.line:
+            raise JobError(
+                "G53 goes to a place of the machine, and how far the tool length of G43 "
+                f"(line {self.line}) shifts Z from there the control alone knows",
+                place=self.file.place(self._machine),
+                remedy=_LENGTHS,
+            )
 
     def _refuse(self, what: str, line: int) -> NoReturn:
         retract = "."
@@ -125,7 +150,8 @@ class ToolLengths:
             f"G43 is compensation of the tool's length: {what} between moves of Z, and how far it "
             "shifts them the control alone knows",
             place=self.file.place(line),
-            remedy=f"Write one G43 before the first move of Z, or a program for each tool{retract}",
+            remedy=f"Write one G43 before the first move of Z, or a program for each tool{retract} "
+            + _LENGTHS,
         )
 
 
@@ -170,6 +196,18 @@ def zeros_of(
     }
 
 
+def tool_lengths(machine: Machine, axes: Mapping[str, int]) -> Mapping[str, int]:
+    """Return the exact lengths of the machine file, mm, by the words that take them (``G43 H1``).
+
+    ``axes`` are the indices of the axes by their letters in the program; a program without a linear
+    Z has no lengths.
+    """
+    z = axes.get("Z")
+    if z is None or machine.axes[machine.axis_names[z]].kind != "linear":
+        return {}
+    return {f"G43 {tool}": _exact(1e3 * long.si) for tool, long in machine.programs.lengths.items()}
+
+
 def _exact(value: float) -> int:
     return round(value * _FINE) * (ONE // _FINE)
 
@@ -204,7 +242,9 @@ class Zeros:
         self.offset = [0] * axes
         self.machine = systems.get(MACHINE, (0,) * axes)
         self._systems = systems
-        self._system = (0,) * axes
+        self._system: tuple[int, ...] = (0,) * axes
+        self._length = (0,) * axes
+        self._base: Sequence[int] = self._system  # the system, shifted by the tool length
         self.home = [0] * axes
         self.kept = [0] * axes
         self.shifted: set[int] = set()
@@ -226,19 +266,42 @@ class Zeros:
                 at[index] - given[index] if index in given else offset
                 for index, offset in enumerate(self.offset)
             ]
-            self.kept = _moved(self.offset, self._system, -1)
+            self.kept = _moved(self.offset, self._base, -1)
         elif code == _RESTORE:
-            self.offset = _moved(self.kept, self._system, 1)
+            self.offset = _moved(self.kept, self._base, 1)
         else:
             if code != _SUSPEND:
                 self.kept = [0] * len(self.offset)
-            self.offset = list(self._system)
+            self.offset = list(self._base)
 
     def choose(self, code: int) -> None:
         """Select a work coordinate system (ten times its G number); the shift of G92 stays."""
-        system = self._systems.get(code, self._system)
-        self.offset = _moved(_moved(self.offset, self._system, -1), system, 1)
-        self._system = system
+        self._system = self._systems.get(code, self._system)
+        self._shift()
+
+    def within_turn(self, index: int, angle: int, at: int, *, back: bool) -> int:
+        """Return the position of an axis, now at ``at``, that turns to ``angle``, 0 to a turn.
+
+        The sign of the word is the direction (``back``), not a part of the angle. Source:
+        ``unwrap_rotary`` of LinuxCNC 2.9, ``interp_find.cc``; ``rs274`` is compared with it.
+        """
+        here = at - self.offset[index]
+        to = angle + here // TURN * TURN
+        if not back and to < here:
+            to += TURN
+        elif back and to > here:
+            to -= TURN
+        return self.offset[index] + to
+
+    def lengthen(self, index: int, length: int) -> None:
+        """Take the tool length ``length`` along an axis; the shift of G92 stays."""
+        self._length = tuple(length if k == index else 0 for k in range(len(self.offset)))
+        self._shift()
+
+    def _shift(self) -> None:
+        base = _moved(self._system, self._length, 1)
+        self.offset = _moved(_moved(self.offset, self._base, -1), base, 1)
+        self._base = base
 
 
 def _moved(values: Sequence[int], by: Sequence[int], times: int) -> list[int]:

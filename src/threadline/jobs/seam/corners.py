@@ -251,11 +251,7 @@ def seam_legs(table: ArcTable, closed: bool, settings: Stitching, place: Place) 
     ]
     first_m = _lock_length(settings.lock_start, "lock_start", legs[0], settings, place)
     last_m = _lock_length(settings.lock_end, "lock_end", legs[-1], settings, place)
-    return [
-        *_lock(begin_m, begin_m + first_m),
-        *legs,
-        *_lock(end_m, end_m - last_m),
-    ]
+    return [*_lock(begin_m, begin_m + first_m), *legs, *_lock(end_m, end_m - last_m)]
 
 
 def _range(length_m: float, closed: bool, settings: Stitching, place: Place) -> tuple[float, float]:
@@ -336,6 +332,5 @@ def with_journeys(
 def swinging_modes(machine: Machine, axes: tuple[str, ...]) -> tuple[Oscillation, ...]:
     """Return the modes of the axes while their motors hold still."""
     return _RECENT.of(
-        (machine, axes),
-        lambda: tuple(mode for axis in axes for mode in modes_held(machine, axis)),
+        (machine, axes), lambda: tuple(mode for axis in axes for mode in modes_held(machine, axis))
     )

@@ -193,10 +193,7 @@ class SewnContour:
     def _block(self, leg: Leg) -> StitchBlock:
         settings = self.settings
         discrete = settings.motion == "discrete"
-        halts = (
-            discrete or leg.begin_turn_rad is None,
-            discrete or leg.end_turn_rad is None,
-        )
+        halts = (discrete or leg.begin_turn_rad is None, discrete or leg.end_turn_rad is None)
         slowed = settings.needle != "constant"
         # A slowed needle waits for the head, so no ramp shortens a stitch.
         ramps = (False, False) if slowed else halts

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.errors import JobError, Place
+from threadline.errors import JobError, Place, placed
 from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.closing_patterns import Pattern, chosen, closed_circuit, patterns
 from threadline.jobs.winding.layers import Closing, Layer, Winding
@@ -132,13 +132,14 @@ def design(winding: Winding) -> tuple[Laid, ...]:
     found = []
     surface = winding.product.surface
     for layer in winding.layers:
-        wrap = wrap_of(winding, layer, surface)
-        table = patterns(wrap)
-        pattern, by = chosen(wrap, table)
-        circuit = closed_circuit(wrap, pattern, by)
-        one = Laid(wrap, tuple(table), pattern, by, circuit)
+        with placed(Place(str(winding.path), layer.line)):
+            wrap = wrap_of(winding, layer, surface)
+            table = patterns(wrap)
+            pattern, by = chosen(wrap, table)
+            circuit = closed_circuit(wrap, pattern, by)
+            one = Laid(wrap, tuple(table), pattern, by, circuit)
+            spread = one.spread()
         found.append(one)
-        spread = one.spread()
         if spread is not None and layer is not winding.layers[-1]:
             try:
                 surface = grown(surface, spread)

@@ -94,10 +94,18 @@ def patterns(wrap: Wrap) -> list[Pattern]:
         turns = round(base.advance * count / _TURN)
         return [Pattern(count, 0, float(count), 1, True, turns, 0.0, dwell=0.0)]
     around = _TURN * base.widest_m * math.cos(base.angle) / wrap.width_m
+    least = max(math.ceil(layer.cover * around - 1e-9), 1)
     if layer.circuits is not None:
+        if layer.circuits < least:
+            wrap.winding.refuse(
+                layer,
+                f"{layer.circuits} circuits cover {100.0 * layer.circuits / around:.1f} % of the "
+                f"largest radius, and cover asks for {100.0 * layer.cover:.4g} %",
+                f"The nearest number that covers it is circuits = {least}; or leave out cover.",
+            )
         counts = range(layer.circuits, layer.circuits + 1)
     else:
-        low = max(math.ceil(layer.cover * around - 1e-9), 1)
+        low = least
         counts = range(low, max(math.floor(_MORE * layer.cover * around), low) + 1)
         if low > _MOST_SHOWN:
             wrap.winding.refuse(

@@ -237,8 +237,3 @@ def kept_points(eye: FloatArray, tolerance_m: float) -> IntArray:
             keep[middle] = True
             waiting += [(low, middle), (middle, high)]
     return np.flatnonzero(keep)
-
-
-def turned_back(angle: float) -> float:
-    """Return an angle between -180 and 180 degrees, rad."""
-    return math.remainder(angle, 2.0 * math.pi)

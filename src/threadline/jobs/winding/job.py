@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,23 +15,17 @@ from threadline.base.reading import open_binary
 from threadline.errors import JobError, OptionError, Place
 from threadline.files import Stream
 from threadline.jobs.operations import (
-    Dwell,
-    Feed,
-    FeedMode,
     Job,
-    Move,
-    MoveRun,
-    Operation,
     OperationStream,
-    Source,
 )
 from threadline.jobs.winding.build_up import Laid, bridged, design
 from threadline.jobs.winding.circuit import Circuit
 from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, positions
+from threadline.jobs.winding.for_machine import other_tensions, turning_at_once
 from threadline.jobs.winding.joins import Join, join
+from threadline.jobs.winding.laps import Grid, Laps, moves_of, on_grid
 from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding, read_layers
 from threadline.machine import Machine
-from threadline.machine.motion_planner import MarlinPlanner
 from threadline.machine.tool import Tool
 from threadline.winding.product import product_of_text
 from threadline.winding.replay import Replay
@@ -48,39 +41,8 @@ _KEPT = 0.9  # of the tolerance
 _CHECKED = 2  # circuits that are replayed
 _CHORD_M = 5e-4  # of the replay's check
 _TIED_M = 1e-3  # a tied place within this of the turn is the turn
-_APPROACH_M_S = 0.02  # of eye to the first point
-_REST_S = 0.5
-_RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as what full speed draws in so many seconds
 _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
 _LEAST_S = 1e-4  # of a move
-_LINEAR = ("X", "Y", "Z")  # letters whose way is the length of a move
-_UNITS = 1e9  # parts of a mm or deg: in 1000 circuits rounding adds up to 5e-7 deg
-_COARSE = 10_000  # units between the points of a circuit, so that its words are short
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Laps:
-    """Equal circuits of one layer as positions of the axes.
-
-    Parameters
-    ----------
-    points
-        (m, axes) positions of the first circuit, its first point included.
-    further
-        (axes,) what every circuit adds to the positions of the one before it.
-    seconds
-        (m - 1,) duration of every move.
-    count
-        Number of circuits.
-    line
-        Line of the layer in the file.
-    """
-
-    points: FloatArray
-    further: FloatArray
-    seconds: FloatArray
-    count: int
-    line: int
 
 
 def is_winding(path: Path) -> bool:
@@ -144,7 +106,7 @@ def read_winding(path: str | Path, *, machine: Machine) -> Job:
     laid = design(winding)
     tied_place(winding, laid[0])
     laps: list[Laps] = []
-    said: list[str] = [*_turning_at_once(machine, tool, path)]
+    said: list[str] = [*turning_at_once(machine, tool, path), *other_tensions(machine, winding)]
     side = -1
     for before, one in zip((None, *laid), laid, strict=False):
         if before is not None:
@@ -155,8 +117,8 @@ def read_winding(path: str | Path, *, machine: Machine) -> Job:
         laps.append(made)
         said += words
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
-    laps = [_on_grid(one, _Grid(linear)) for one in laps]
-    stream = Stream(_runs, tuple(laps), str(path), machine.axis_names, (_approach(tool), linear))
+    laps = [on_grid(one, Grid(linear)) for one in laps]
+    stream = Stream(moves_of, tuple(laps), str(path), machine.axis_names, (_approach(tool), linear))
     return Job(
         capped=_capped(tuple(laps), machine, winding),
         name=winding.product.name,
@@ -187,27 +149,6 @@ def _capped(laps: tuple[Laps, ...], machine: Machine, winding: Winding) -> tuple
         f"{Place(str(winding.path))}: a fibre speed of {speed:g} mm/s is faster than the normal "
         f"feed of {normal:g} count/tick in {faster} of {moves} moves, which caps it. Choose "
         "another feed with --feed, or raise operator.normal_feed.",
-    )
-
-
-def _turning_at_once(machine: Machine, tool: Tool, path: Path) -> tuple[str, ...]:
-    """Return a warning if Marlin plans the mandrel as a rotary axis beside linear ones.
-
-    The length of a move is then that of its linear axes, and so are the speeds that two moves have
-    in common. Where the carriage turns back, its way vanishes, and with it the length: at the same
-    speed in mm/s one move turns the mandrel several times as fast as the next.
-    """
-    if not isinstance(machine.planner, MarlinPlanner):
-        return ()
-    assert tool.turn is not None
-    turn = tool.turn.axis
-    along = "" if tool.along is None else tool.along.axis
-    if turn in _LINEAR or along not in _LINEAR:
-        return ()
-    return (
-        f"{Place(str(path))}: Marlin counts the speed of a move along {along} alone, so the speed "
-        f"of {turn} jumps where {along} turns back. Wire the mandrel as X, Y or Z (overlay xyz of "
-        "stepper-winder).",
     )
 
 
@@ -281,7 +222,8 @@ def _timed(
     used = np.diff(path.used_m[kept])
     laid_m = np.diff(path.course[kept, 0])
     seconds = np.maximum(np.maximum(used, _LEAST_USED * laid_m) / speed, _LEAST_S)
-    return Laps(points, further, seconds, laid.pattern.circuits, laid.layer.line)
+    layer = laid.layer
+    return Laps(points, further, seconds, laid.pattern.circuits, layer.line, layer.tension_n)
 
 
 def _with_envelope(
@@ -418,92 +360,3 @@ def _approach(tool: Tool) -> tuple[str, ...]:
     """Return the axes in the order in which they move to the first point."""
     first = [part.axis for part in (tool.across, tool.along) if part is not None]
     return tuple(first)
-
-
-def _from_rest(seconds: FloatArray) -> tuple[tuple[int, Feed | None], ...]:
-    """Return the feeds of the first circuit.
-
-    Axes that start at full speed lag behind unequally at first, and the fibre would slip.
-    """
-    middle = np.cumsum(seconds) - 0.5 * seconds
-    feeds = (np.clip(middle / _RAMP_S, _RAMP_FROM, 1.0) / seconds).tolist()
-    return tuple((k, Feed(FeedMode.INVERSE_TIME, feed)) for k, feed in enumerate(feeds))
-
-
-class _Grid:
-    """Positions as whole parts of a mm or a degree, in which equal circuits are equal to the digit.
-
-    Parameters
-    ----------
-    linear
-        (axes,) whether each axis is linear.
-    """
-
-    def __init__(self, linear: Sequence[bool]) -> None:
-        self._linear = np.array(linear)
-
-    def units(self, places: FloatArray) -> IntArray:
-        """Return whole units of (..., axes) positions, m or rad."""
-        given = np.where(self._linear, 1e3 * places, np.degrees(places))
-        return np.rint(given * _UNITS).astype(np.int64)
-
-    def places(self, units: IntArray) -> FloatArray:
-        """Return positions, m or rad: those that a reader makes of the decimals."""
-        return np.where(self._linear, units / (1e3 * _UNITS), np.radians(units / _UNITS))
-
-
-def _on_grid(one: Laps, grid: _Grid) -> Laps:
-    """Return laps between whole units; the last point of a circuit begins the next one."""
-    points = grid.units(one.points)
-    points = _COARSE * np.rint(points / _COARSE).astype(np.int64)
-    further = grid.units(one.further)
-    if one.count > 1:
-        points[-1] = points[0] + further
-    return replace(one, points=grid.places(points), further=grid.places(further))
-
-
-def _runs(
-    laps: tuple[Laps, ...],
-    file: str,
-    axes: tuple[str, ...],
-    order: tuple[tuple[str, ...], tuple[bool, ...]],
-) -> Iterator[Operation | MoveRun]:
-    """Yield the moves: to the first point, axis by axis, then every circuit.
-
-    ``order`` has the axes that move to the first point one by one, and which axes are linear.
-    """
-    approach, grid = order[0], _Grid(order[1])
-    first = grid.units(laps[0].points[0])
-    at = np.zeros(len(axes), dtype=np.int64)
-    turn = [index for index, name in enumerate(axes) if name not in approach]
-    for name in approach:
-        column = axes.index(name)
-        if first[column]:
-            at[column] = first[column]
-            feed = Feed(
-                FeedMode.INVERSE_TIME, _APPROACH_M_S / abs(float(laps[0].points[0, column]))
-            )
-            yield Move(tuple(grid.places(at).tolist()), feed, Source(file, laps[0].line))
-            # A plan would round the corners, and the fibre would start beside its place.
-            yield Dwell(_REST_S, Source(file, laps[0].line))
-    number = 0
-    for one in laps:
-        feeds: list[tuple[int, Feed | None]] = []
-        for index, seconds in enumerate(one.seconds.tolist()):
-            feeds.append((index, Feed(FeedMode.INVERSE_TIME, 1.0 / seconds)))
-        lines = np.full(len(one.points) - 1, one.line, dtype=np.int64)
-        units, further = grid.units(one.points), grid.units(one.further)
-        # The mandrel goes on from where it is; between two surfaces the eye moves outwards alone.
-        units[:, turn] += at[turn] - units[0, turn]
-        if np.abs(units[0] - at).max() > _COARSE:
-            yield Move(tuple(grid.places(units[0]).tolist()), feeds[0][1], Source(file, one.line))
-        for lap in range(one.count):
-            number += 1
-            yield MoveRun(
-                targets=grid.places(units[1:] + lap * further),
-                line=lines,
-                feeds=_from_rest(one.seconds) if number == 1 else tuple(feeds),
-                file=file,
-                passes=(number,),
-            )
-        at = units[-1] + (one.count - 1) * further

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.errors import JobError, Place
+from threadline.errors import JobError, Place, placed
 from threadline.jobs.winding.build_up import Laid
 from threadline.jobs.winding.circuit import Site, Turn, traced, turn_of
 from threadline.jobs.winding.layers import MARGIN
@@ -61,7 +61,8 @@ def join(before: Laid, after: Laid, side: int) -> Join:
         If the angle cannot change enough on the mandrel.
     """
     friction = after.wrap.friction
-    found = _joined(before, after, side, friction)
+    with placed(Place(str(after.wrap.winding.path), after.layer.line)):
+        found = _joined(before, after, side, friction)
     if found is not None:
         return found
     low, high = friction, 2.0 * friction

@@ -60,7 +60,7 @@ class Layer:
     close
         What closes the pattern; None: chosen.
     cover
-        Least coverage at the largest radius, as a share.
+        Least coverage at the largest radius, as a share; 0 where only circuits are given.
     begin_m, end_m
         Places along the mandrel between which an open end has the full angle; None: of [coverage].
     """
@@ -164,6 +164,22 @@ def layers_of_text(path: Path, text: str) -> Winding:
     return _LayerReader(str(path), "").winding(path, text)
 
 
+def tensions_in(text: str) -> tuple[float, ...]:
+    """Return the tensions that the layers of a text of ``product_text`` ask for, N.
+
+    Raises
+    ------
+    JobError
+        If it has layers that cannot be read.
+    """
+    content = json.loads(text)
+    rows = content.get("layer")
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        return ()
+    found = _LayerReader("product", "").tensions(rows, content.get("fibre", {}))
+    return tuple(tension for tension in found if tension is not None)
+
+
 class _LayerReader(ProductReader):
     """Reads the layers with the messages of the product reader."""
 
@@ -190,7 +206,7 @@ class _LayerReader(ProductReader):
                 "Write one [[layer]] table for each layer, and wind more as a second job.",
             )
         fibre = content.get("fibre", {})
-        tensions = self._tensions(rows, fibre)
+        tensions = self.tensions(rows, fibre)
         known = read_materials(self, content)
         layers = []
         self.table = "layer"
@@ -243,7 +259,7 @@ class _LayerReader(ProductReader):
             )
         return rate
 
-    def _tensions(
+    def tensions(
         self, rows: Sequence[Mapping[str, Any]], fibre: Mapping[str, Any]
     ) -> list[float | None]:
         """Return the tension of every layer, N: its own, else the first one's less the taper.
@@ -339,8 +355,10 @@ class _LayerReader(ProductReader):
                 f"close = {str(close)[:40]!r}",
                 'Write close = "friction", "angle" or "dwell", or leave it out.',
             )
-        cover = self.number(row, "cover", "", "1").si
-        if not 0.0 < cover <= 20.0:
+        # Circuits that the file names may leave gaps, unless it asks for a coverage as well.
+        free = circuits is not None and "cover" not in row
+        cover = 0.0 if free else self.number(row, "cover", "", "1").si
+        if not free and not 0.0 < cover <= 20.0:
             self.refuse(
                 "cover",
                 f"cover = {cover:g}: above 0 and up to 20",

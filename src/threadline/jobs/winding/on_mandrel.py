@@ -198,9 +198,17 @@ def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
         )  # fmt: skip
     places = surface.place_of(np.array([begin, end]))
     sites = Site(-1, float(places[0]), False), Site(1, float(places[1]), False)
-    base = circuit_of(
-        surface, sites, most * math.sin(angle), (friction, friction), f"layer {layer.number}: "
-    )
+    constant = most * math.sin(angle)
+    radii = surface.at(np.linspace(float(places[0]), float(places[1]), _BETWEEN))[1][:, 0]
+    if float(radii.min()) <= constant:
+        winding.refuse(
+            layer,
+            f"hoops do not lie on the layers below: between {1e3 * begin:.4g} and "
+            f"{1e3 * end:.4g} mm these narrow from a radius of {1e3 * float(radii.max()):.4g} to "
+            f"{1e3 * float(radii.min()):.4g} mm, and hoops turn back at {1e3 * constant:.4g} mm",
+            "Give the hoops begin and end where the layers below have their full thickness.",
+        )
+    base = circuit_of(surface, sites, constant, (friction, friction), f"layer {layer.number}: ")
     # Straight in u and angle round: a row in every radian or so is enough.
     rows = base.middle
     base = replace(base, middle=np.vstack([rows[:-1:_HOOP_ROWS], rows[-1:]]))

@@ -20,18 +20,7 @@ from threadline.machine.firmware.machine_text import (
 from threadline.machine.firmware.read import read_settings
 
 __all__ = [
-    "DEFAULTS",
-    "Answers",
-    "AxisSettings",
-    "Missing",
-    "SettingValue",
-    "Settings",
-    "check_answers",
-    "machine_text",
-    "missing_answers",
-    "names_dynamics",
-    "number_or_nan",
-    "parse_answers",
-    "read_settings",
-    "turning_axes",
-]
+    "DEFAULTS", "Answers", "AxisSettings", "Missing", "SettingValue", "Settings", "check_answers",
+    "machine_text", "missing_answers", "names_dynamics", "number_or_nan", "parse_answers",
+    "read_settings", "turning_axes",
+]  # fmt: skip

@@ -78,6 +78,8 @@ class Settings:
         Path of the settings file.
     form
         Variant of the settings format; empty where there is only one.
+    dialect
+        Dialect of its part programs; empty for the dialect with the name of the firmware.
     axes
         Settings of the axes by letter, in the firmware's order.
     planner
@@ -97,6 +99,7 @@ class Settings:
     firmware: str
     file: str
     form: str = ""
+    dialect: str = ""
     axes: dict[str, AxisSettings] = field(default_factory=dict)
     planner: dict[str, SettingValue] = field(default_factory=dict)
     turning: dict[str, bool] = field(default_factory=dict)

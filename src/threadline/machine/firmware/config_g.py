@@ -1,21 +1,27 @@
 """Reader of a ``config.g`` of RepRapFirmware: settings of axes and planner in its M codes.
 
 Sources: docs.duet3d.com, "Gcode dictionary": M92, M201, M203, M204, M205, M208, M350, M425, M556,
-M566, M579, M584, M593, M595; RepRapFirmware, ``GCodes2.cpp``: M350 keeps the travel per full step,
+M566, M579, M584, M593, M595, M98 (files of the folder ``/sys``, where ``config.g`` stands, too);
+RepRapFirmware, ``GCodes2.cpp``: M350 keeps the travel per full step,
 and ``DDARing.cpp``: M595 enlarges the queue of moves but never shrinks it.
 """
 
 from __future__ import annotations
 
+import glob
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
+from threadline.base.reading import read_text
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times
+from threadline.machine.firmware.dump_lines import files_beside
 
 _OWN = re.compile(
-    r"\s*M(?:(?:550|552|563|566|574|584|595|669|950)\s|350\s.*\sI[01]\b)", re.IGNORECASE
+    r"\s*M(?:(?:550|552|563|566|574|584|595|669|950)\s|350\s.*\sI[01]\b|98\s+P\".+\.g\")",
+    re.IGNORECASE,
 )
 _LETTERS = "XYZABCUVW"
 _READ = {203: "rate", 201: "acceleration"}
@@ -25,6 +31,8 @@ _MICROSTEPS = 16.0  # default of a driver without M350
 _RING = 60  # smallest queue of moves; M595 P can only enlarge it
 _CODE = re.compile(r"M(\d{1,4})(?![\d.])(.*)$")
 _COMMANDS = re.compile(r"(?<=\s)(?=[GM]\d)")  # a line may hold several commands
+_RUNS = re.compile(r"\s*M98\s+P\"(?:0:)?(?:/sys/)?([^\"{}]+)\"\s*(?:;.*)?$", re.IGNORECASE)
+_MOST_BYTES = 1_000_000
 _CONDITION = re.compile(r"\s*(?:if|elif|else|while)\b", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*(-?[0-9.]+(?::-?[0-9.]+)*)(?=\s|[A-Z]|$)")
 
@@ -64,9 +72,25 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
     """
     settings = Settings("reprapfirmware", file)
     read = _Read(settings)
+    _read_lines(read, lines, (Path(file).resolve(),), file)
+    for letter, found in read.ends.items():
+        if letter in read.steps and len(found) == 2:
+            (low, _), (high, at) = found["low"], found["high"]
+            settings.say(letter, "travel", repr(high - low), at, f"M208 {letter}")
+    for letter, (value, typed, at) in read.steps.items():
+        settings.say(letter, "steps", repr(value), at, f"M92 {letter}", typed)
+    for letter, (_, typed, at) in read.micro.items():
+        if letter in read.steps:
+            settings.say(letter, "microsteps", typed, at, f"M350 {letter}")
+    return settings
+
+
+def _read_lines(read: _Read, lines: Sequence[str], within: tuple[Path, ...], name: str) -> None:
+    """Read the lines of a file, and those of the files that it runs (``M98 P"drives.g"``)."""
+    settings = read.settings
     under = -1  # indentation of the enclosing condition
     for number, line in enumerate(lines, start=1):
-        place = Place(file, number)
+        place = Place(name, number)
         plain = _plain(line)
         if not plain.strip():
             continue
@@ -74,6 +98,12 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
         under = under if indent > under else -1
         if _CONDITION.match(plain):
             under = indent if under < 0 else under
+            continue
+        runs = _RUNS.match(line)
+        if runs is not None and under < 0:
+            for path in _beside(runs[1], place, settings, within):
+                text = read_text(path, _MOST_BYTES, MachineError, "settings file")
+                _read_lines(read, text.splitlines(), (*within, path), str(path))
             continue
         obeyed = plain.strip() if "{" in plain else plain.strip().upper()
         for command in _COMMANDS.split(obeyed):
@@ -96,16 +126,26 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
                     remedy=f"Lines are like M{code} X80 Y80, with numbers only.",
                 )
             _take(read, code, words, place)
-    for letter, found in read.ends.items():
-        if letter in read.steps and len(found) == 2:
-            (low, _), (high, at) = found["low"], found["high"]
-            settings.say(letter, "travel", repr(high - low), at, f"M208 {letter}")
-    for letter, (value, typed, at) in read.steps.items():
-        settings.say(letter, "steps", repr(value), at, f"M92 {letter}", typed)
-    for letter, (_, typed, at) in read.micro.items():
-        if letter in read.steps:
-            settings.say(letter, "microsteps", typed, at, f"M350 {letter}")
-    return settings
+
+
+def _beside(
+    name: str, place: Place, settings: Settings, within: tuple[Path, ...]
+) -> Iterator[Path]:
+    """Yield the file that M98 runs, if it stands beside the first one; note it, if it does not."""
+    found = files_beside(glob.escape(name), within[0].parent)
+    if not found:
+        settings.unheeded.append(
+            f"{place}: the file run by M98 is not read: no such file beside this one "
+            f"({name[:60]}); put its settings of axes in its place"
+        )
+    for path in found:
+        if path in within:
+            raise MachineError(
+                f'M98 P"{name}" runs its own file',
+                place=place,
+                remedy="Remove it; RepRapFirmware would run it without end.",
+            )
+        yield path
 
 
 def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
@@ -149,6 +189,8 @@ def _micro(read: _Read, letter: str) -> float:
 
 def _heed(settings: Settings, plain: str, line: str, place: Place) -> None:
     """Refuse commands that change the meaning of numbers; record others that change the motion."""
+    if re.match(r"M453\b", plain):
+        settings.dialect = "reprapfirmware-cnc"
     if re.match(r"G20\b", plain):
         settings.refuse_inches(place)
     kinematics = re.match(r"M669\b.*?\bK\s*(\d+)", plain)

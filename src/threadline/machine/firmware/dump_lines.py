@@ -37,7 +37,9 @@ class DumpLine:
     Parameters
     ----------
     place
-        File and line. text The line without prefixes of terminals.
+        File and line.
+    text
+        The line without prefixes of terminals.
     """
 
     place: Place
@@ -66,9 +68,9 @@ class DumpSetting:
     place: Place
 
 
-def dump_lines(lines: Sequence[str], file: str) -> list[DumpLine]:
-    """Return the lines of a log without prompts, time stamps and echoes; numbered from 1."""
-    texts = [_without(_BEFORE, line.strip()) for line in lines]
+def dump_lines(lines: Sequence[tuple[int, str]], file: str) -> list[DumpLine]:
+    """Return the numbered lines of a log without prompts, time stamps and echoes."""
+    texts = [_without(_BEFORE, line.strip()) for _, line in lines]
     shared = Counter(
         re.sub(r"\d+", "0", text[: match.start()].rstrip())
         for text in texts
@@ -78,7 +80,9 @@ def dump_lines(lines: Sequence[str], file: str) -> list[DumpLine]:
         if count >= _ENOUGH and _NO_PREFIX.match(prefix) is None:
             form = re.compile("^" + re.escape(prefix).replace("0", r"\d+") + r"\s*")
             texts = [_without(_BEFORE, form.sub("", text, count=1)) for text in texts]
-    return [DumpLine(Place(file, number), text) for number, text in enumerate(texts, start=1)]
+    return [
+        DumpLine(Place(file, number), text) for (number, _), text in zip(lines, texts, strict=True)
+    ]
 
 
 def _without(before: re.Pattern[str], text: str) -> str:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import AxisSettings, Settings, number_or_nan, unknown
 from threadline.machine.firmware.dump_lines import DumpLine, DumpSetting, dump_lines, in_force
+from threadline.machine.firmware.pasted import pasted
 
 _LETTERS = "XYZABCUVW"
 _GRBL_AXES = "XYZABC"
@@ -36,7 +37,10 @@ _OF_TERMINAL = re.compile(r"(?:\[|<|>|\$|ok\b|\.\.\.$|---)")
 
 def is_grbl(lines: Sequence[str]) -> bool:
     """Return whether lines hold settings in grbl's form."""
-    return any(re.search(r"(?<![\w$])\$1[0-3]\d\s*=", line) or _OLD.search(line) for line in lines)
+    return any(
+        re.search(r"(?<![\w$])\$1[0-3]\d\s*=", line) or _OLD.search(line)
+        for _, line in pasted(lines).lines
+    )
 
 
 def read_grbl(lines: Sequence[str], file: str) -> Settings:
@@ -50,7 +54,9 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
     settings = Settings("grbl", file)
     letters = _GRBL_AXES
     sayings: list[DumpSetting] = []
-    for line in dump_lines(lines, file):
+    shown = pasted(lines)
+    settings.notes += [shown.note] if shown.note else []
+    for line in dump_lines(shown.lines, file):
         text = line.text
         if "FluidNC" in text and not text.startswith(";"):
             settings.firmware = "fluidnc"

@@ -44,8 +44,10 @@ Keys = dict[str, tuple[str, Place]]
 
 
 def is_linuxcnc(lines: Sequence[str]) -> bool:
-    """Return whether lines hold at least two sections of a LinuxCNC INI."""
-    return sum(_OWN.match(line) is not None for line in lines) > 1
+    """Return whether lines hold a LinuxCNC INI: two of its sections, or one beside an #INCLUDE."""
+    own = sum(_OWN.match(line) is not None for line in lines)
+    included = any(line.strip().upper().startswith("#INCLUDE") for line in lines)
+    return own > 1 or (own == 1 and included)
 
 
 def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:

@@ -220,7 +220,7 @@ def machine_text(
         'pulse = "1 ms exact, assumed: the segment within which pulses come evenly"',
         "",
         "[programs]",
-        f'dialect = "{settings.firmware}"',
+        f'dialect = "{settings.dialect or settings.firmware}"',
     ]
     parts += ["", *_planner(settings, turning)]
     if turning:

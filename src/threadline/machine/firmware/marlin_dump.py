@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times, unknown
 from threadline.machine.firmware.dump_lines import DumpSetting, dump_lines, in_force
+from threadline.machine.firmware.pasted import pasted
 
 FIRST = "Marlin 1.0"
 KIMBRA = "MarlinKimbra or MK4duo"
@@ -74,7 +75,7 @@ def is_marlin(lines: Sequence[str]) -> bool:
     """Return whether lines hold limits or steps in Marlin's form."""
     return any(
         (match := _CODE.match(line.text)) is not None and int(match[2]) in _LIMITS
-        for line in dump_lines(lines, "")
+        for line in dump_lines(pasted(lines).lines, "")
         if line.text[:1] in "MN"
     )
 
@@ -92,7 +93,9 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
     evidence = _Evidence()
     sayings: list[DumpSetting] = []
     besides: dict[tuple[int, str], Place] = {}
-    for line in dump_lines(lines, file):
+    shown = pasted(lines)
+    settings.notes += [shown.note] if shown.note else []
+    for line in dump_lines(shown.lines, file):
         match = _CODE.match(line.text)
         if match is None:
             _prose(line.text, line.place, evidence)

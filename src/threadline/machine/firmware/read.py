@@ -12,6 +12,7 @@ from threadline.machine.firmware.config_g import is_config_g, read_config_g
 from threadline.machine.firmware.grbl_dump import is_fluidnc, is_grbl, read_fluidnc, read_grbl
 from threadline.machine.firmware.linuxcnc_ini import is_linuxcnc, read_linuxcnc
 from threadline.machine.firmware.marlin_dump import is_marlin, read_marlin
+from threadline.machine.firmware.pasted import file_lines
 from threadline.machine.firmware.printer_cfg import is_printer_cfg, read_printer_cfg
 
 _MOST_BYTES = 4_000_000  # logs of senders are long
@@ -22,6 +23,8 @@ _DEFAULTS = {
     "klipper": {"square_corner_velocity": "5", "minimum_cruise_ratio": "0.5"},
     "reprapfirmware": {"policy": "0"},
 }
+_ABSENT = "is not read: no such file beside this one"
+_UTF8, _OLD = "utf-8-sig", "latin-1"
 _WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16, as some senders save logs
 
 
@@ -44,14 +47,20 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
         If it is none of these files, has a line that cannot be read, or has no axis.
     """
     path = Path(path)
-    text = read_text(path, _MOST_BYTES, MachineError, "settings file", _encoding(path))
-    lines = text.splitlines()
+    encoding = _encoding(path)
+    text = read_text(path, _MOST_BYTES, MachineError, "settings file", encoding)
+    of_terminal = text.splitlines()
+    of_file = file_lines(of_terminal)
     for belongs, read in _READERS:
+        lines = of_terminal if belongs in (is_grbl, is_marlin) else of_file
         if belongs(lines):
-            told = read is read_marlin and firmware == "reprapfirmware"
-            settings = (read_config_g if told else read)(lines, str(path))
+            if read is read_marlin and firmware == "reprapfirmware":
+                settings = read_config_g(of_file, str(path))
+            else:
+                settings = read(lines, str(path))
             if not settings.axes:
-                absent = "".join(f"; {note}" for note in settings.notes if "[include" in note)
+                notes = (*settings.notes, *settings.unheeded)
+                absent = "".join(f"; {note}" for note in notes if _ABSENT in note)
                 raise MachineError(
                     f"the settings contain no axis ({settings.firmware}){absent}",
                     place=Place(str(path)),
@@ -60,11 +69,13 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
                     else "Give the complete list of the firmware.",
                 )
             _assume(settings)
+            if encoding == _OLD:
+                settings.notes.append("the file is not UTF-8 text and is read as Latin-1")
             # An include may name Z first; people, tables and first examples begin with X.
             order = sorted(settings.axes, key=lambda axis: f"XYZ{axis}".index(axis))
             settings.axes = {axis: settings.axes[axis] for axis in order}
             return settings
-    eeprom = next((at for at, line in enumerate(lines, 1) if "EPR:" in line), 0)
+    eeprom = next((at for at, line in enumerate(of_terminal, 1) if "EPR:" in line), 0)
     if eeprom:
         raise MachineError(
             "EPR: lines belong to Repetier-Firmware, whose planner Threadline does not know",
@@ -89,14 +100,23 @@ def _assume(settings: Settings) -> None:
 
 
 def _encoding(path: Path) -> str:
-    """Return the encoding of the text: UTF-8, or UTF-16 if it has its byte order mark."""
+    """Return the encoding of the text: UTF-8, UTF-16 by its byte order mark, else Latin-1."""
     if not path.is_file():  # the reader refuses it
-        return "utf-8-sig"
+        return _UTF8
     try:
         with path.open("rb") as file:
-            return "utf-16" if file.read(2) in _WIDE else "utf-8-sig"
+            begin = file.read(_MOST_BYTES + 1)
     except OSError:
-        return "utf-8-sig"
+        return _UTF8
+    if begin[:2] in _WIDE:
+        return "utf-16"
+    if len(begin) > _MOST_BYTES or b"\0" in begin:  # the reader refuses it
+        return _UTF8
+    try:
+        begin.decode(_UTF8)
+    except UnicodeDecodeError:
+        return _OLD
+    return _UTF8
 
 
 _READERS: tuple[

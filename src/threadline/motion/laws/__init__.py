@@ -16,25 +16,8 @@ from threadline.motion.laws.law_table import law_of_velocity, law_through, read_
 from threadline.motion.laws.shortest import ShortestMove, shortest_move
 
 __all__ = [
-    "FAMILIES",
-    "LAWS",
-    "Form",
-    "Law",
-    "Pieces",
-    "ShortestMove",
-    "extremes",
-    "gauss",
-    "harmonic",
-    "jerk_limited",
-    "law",
-    "law_of_velocity",
-    "law_through",
-    "measured_law",
-    "modified_constant_velocity",
-    "read_law",
-    "refuse_descent",
-    "shortest_move",
-    "trapezoid",
-    "trapezoidal_acceleration",
-    "write_law",
-]
+    "FAMILIES", "LAWS", "Form", "Law", "Pieces", "ShortestMove", "extremes", "gauss", "harmonic",
+    "jerk_limited", "law", "law_of_velocity", "law_through", "measured_law",
+    "modified_constant_velocity", "read_law", "refuse_descent", "shortest_move", "trapezoid",
+    "trapezoidal_acceleration", "write_law",
+]  # fmt: skip

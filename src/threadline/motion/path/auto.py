@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.machine.mandrel import LocalRadii
 from threadline.motion.path.greville import AHEAD, CUT, REACH
 from threadline.motion.path.outside import EVEN, Corners, moved_outside
 from threadline.motion.path.polygon import (
@@ -32,6 +32,9 @@ from threadline.motion.path.polygon import (
 from threadline.motion.path.runs import COINCIDENT_M, Chunk, Vertices, join_vertices, runs
 from threadline.motion.path.thinned import thinned_runs
 from threadline.motion.path.types import PieceBlock, ProgrammedPath
+
+if TYPE_CHECKING:
+    from threadline.machine.mandrel import LocalRadii
 
 
 def auto_pieces(
@@ -162,14 +165,7 @@ class _Run:
         stop = len(controls) - 1 - (0 if ends else self._carried)
         # The first pieces of a run carry as many points as any others.
         if stop > first and (ends or stop >= self._carried):
-            yield pieces_of(
-                controls,
-                first,
-                stop,
-                ends=ends,
-                dwell_s=dwell_s,
-                degree=self.degree,
-            )
+            yield pieces_of(controls, first, stop, ends=ends, dwell_s=dwell_s, degree=self.degree)
             self.controls = controls.take(slice(stop - self._carried, None))
             self.begun = True
         if ends:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.machine import Machine
 from threadline.motion.path.durations import chord_time_s, longest_demand_s
 from threadline.motion.path.straight import velocity_limit_of, with_previous
 from threadline.motion.path.types import PieceBlock, ProgrammedPath
+
+if TYPE_CHECKING:
+    from threadline.machine import Machine
 
 MULTIPLICITY = 3  # the curve passes a point repeated three times, and rests there
 
@@ -354,8 +356,4 @@ def _on_chords(begin: ControlPoints, end: ControlPoints, fraction: float) -> Con
     )
 
 
-PULLS: dict[Pull, Refine] = {
-    "repeat": by_repetition,
-    "points": by_points,
-    "spacing": by_spacing,
-}
+PULLS: dict[Pull, Refine] = {"repeat": by_repetition, "points": by_points, "spacing": by_spacing}

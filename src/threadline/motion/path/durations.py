@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.machine import Machine
+
+if TYPE_CHECKING:
+    from threadline.machine import Machine
 
 STEPS_PER_WIDTH = 8  # samples in the width: more samples cut a curve less
 LEAST_STEP = 8  # most samples in a tick

@@ -20,7 +20,11 @@ from threadline.motion.path.deviation import path_deviation
 from threadline.motion.path.durations import polynomial_limits, smoothing_for, smoothing_share
 from threadline.motion.path.outside import EVEN, Corners
 from threadline.motion.path.polygon import CUBIC, QUARTIC
-from threadline.motion.path.runs import resting_at_reversals
+from threadline.motion.path.runs import (
+    ALONG_ITSELF,
+    resting_at_reversals,
+    resting_before_first_moves,
+)
 from threadline.motion.path.straight import blended_pieces, polynomial_pieces
 from threadline.motion.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 
@@ -154,10 +158,17 @@ def plan_path(
             f"unknown way {pull!r} to pull a spline", remedy=f"There are: {', '.join(PULLS)}."
         )
     options = PathOptions(tolerance_m=tolerance_m, pull=pull, corners=corners)
+    if interpolation == OPTIMAL and machine.path is not None and machine.path.asks_for_rests:
+        programmed = replace(programmed, blocks=Stream(resting_at_reversals, programmed))
+    elif machine.planner is not None and interpolation in _ROUNDED:
+        turned = Stream(resting_at_reversals, programmed, ALONG_ITSELF)
+        programmed = replace(programmed, blocks=turned)
+        kinds = [machine.axes[name].kind for name in programmed.axes]
+        linear = tuple(k for k, kind in enumerate(kinds) if kind == "linear")
+        first = Stream(resting_before_first_moves, programmed, linear)
+        programmed = replace(programmed, blocks=first)
     if interpolation != OPTIMAL:
         machine = within_path(machine, programmed.axes, programmed.radius_m)
-    elif machine.path is not None and machine.path.asks_for_rests:
-        programmed = replace(programmed, blocks=Stream(resting_at_reversals, programmed))
     return _PLANNERS[interpolation](programmed, machine, options)
 
 
@@ -343,6 +354,13 @@ def _polynomial(name: str) -> Planner:
     return planner
 
 
+_ROUNDED = ("auto", OPTIMAL, "parabolic")
+"""Interpolations that round corners within a tolerance.
+
+A machine with a planner of its own reaches a point at which the path goes back along itself, such
+as the bottom of a drilled hole, and moves no axis before the program does. So these interpolations
+rest there on such a machine.
+"""
 _PLANNERS: dict[str, Planner] = {
     "auto": _auto,
     OPTIMAL: _optimal,

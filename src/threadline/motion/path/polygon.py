@@ -10,15 +10,18 @@ quartic up to two knots. All lengths are measured at the tool, with rotary axes 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.machine.mandrel import LocalRadii
 from threadline.motion.path.greville import TOUCH, knots_between, quartic_spacing, quartic_spans
 from threadline.motion.path.runs import Vertices
 from threadline.motion.path.types import PieceBlock
+
+if TYPE_CHECKING:
+    from threadline.machine.mandrel import LocalRadii
 
 STRAIGHT = 1e-9  # rad: a smaller turn is a rounding of the job's numbers
 LEAST_SPACING_M = 1e-7  # a corner that would need closer points is met at rest
@@ -273,13 +276,7 @@ _TINY = float(np.finfo(np.float64).tiny)
 
 
 def pieces_of(
-    controls: Controls,
-    first: int,
-    stop: int,
-    *,
-    ends: bool,
-    dwell_s: float,
-    degree: int = CUBIC,
+    controls: Controls, first: int, stop: int, *, ends: bool, dwell_s: float, degree: int = CUBIC
 ) -> PieceBlock:
     """Return the pieces between points ``first`` and ``stop``.
 

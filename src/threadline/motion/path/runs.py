@@ -229,21 +229,30 @@ def _bites(programmed: ProgrammedPath) -> Iterator[tuple[Vertices, IntArray, Flo
 
 _BACK = -0.85  # cosine of a corner (148 degrees) at which the motion rests: the speed kinks there
 
+ALONG_ITSELF = float(np.cos(np.radians(179.0)))
+"""Cosine of a corner from which on a path goes back along itself, as from the bottom of a hole."""
 
-def reversals(places: FloatArray) -> IntArray:
-    """Return (n,) 1 for each of (n, axes) positions at which the path turns back, else 0."""
+
+def reversals(places: FloatArray, back: float = _BACK) -> IntArray:
+    """Return (n,) 1 for each of (n, axes) positions at which the path turns back, else 0.
+
+    ``back`` is the cosine of the corner from which on the path turns back.
+    """
     way = np.diff(places, axis=0)
     size = np.linalg.norm(way, axis=1)
     out = np.zeros(len(places), dtype=np.int64)
     moved = np.flatnonzero(size > 0.0)
     tangent = way[moved] / size[moved, None]
-    turned = (tangent[1:] * tangent[:-1]).sum(axis=1) < _BACK
+    turned = (tangent[1:] * tangent[:-1]).sum(axis=1) < back
     out[moved[1:][turned]] = 1
     return out
 
 
-def resting_at_reversals(programmed: ProgrammedPath) -> Iterator[VertexBlock]:
-    """Yield the vertices of ``programmed``, with a rest wherever the path turns back."""
+def resting_at_reversals(programmed: ProgrammedPath, back: float = _BACK) -> Iterator[VertexBlock]:
+    """Yield the vertices of ``programmed``, with a rest wherever the path turns back.
+
+    ``back`` is as in ``reversals``.
+    """
     radius_m = programmed.radius_m
     held: VertexBlock | None = None
     before = np.zeros((0, len(radius_m)))  # the vertex before the buffered ones
@@ -252,18 +261,54 @@ def resting_at_reversals(programmed: ProgrammedPath) -> Iterator[VertexBlock]:
             held = _joined(held, block)  # nothing moves: the next vertices decide
             continue
         if held is not None:
-            yield _rested(held, before, block.positions, radius_m)
+            yield _rested(held, before, block.positions, radius_m, back)
             before = _came_from(np.concatenate([before, held.positions]))
         held = block
     if held is not None:
-        yield _rested(held, before, held.positions[-1:], radius_m)
+        yield _rested(held, before, held.positions[-1:], radius_m, back)
+
+
+def resting_before_first_moves(
+    programmed: ProgrammedPath, axes: tuple[int, ...]
+) -> Iterator[VertexBlock]:
+    """Yield the vertices of ``programmed``, with a rest before the first move of each of ``axes``.
+
+    Until then the axis is where the operator has left it, and not at the zero of the program: a
+    rounded corner would move it from there while the others still go to their place.
+    """
+    still = set(axes)
+    held: VertexBlock | None = None
+    start = np.zeros(0)
+    for block in programmed:
+        if held is None:
+            start = block.positions[0]
+        else:
+            yield _before_first_moves(held, block.positions[:1], start, still)
+        held = block
+    if held is not None:
+        yield _before_first_moves(held, held.positions[-1:], start, still)
+
+
+def _before_first_moves(
+    block: VertexBlock, after: FloatArray, start: FloatArray, still: set[int]
+) -> VertexBlock:
+    """Return a block with its rests, and take the axes that move out of ``still``."""
+    moved = np.concatenate([block.positions, after]) != start
+    rest = block.rest
+    for axis in sorted(still):
+        rows = np.flatnonzero(moved[:, axis])
+        if len(rows):
+            still.discard(axis)
+            if rows[0] > 0 and moved[rows[0] - 1].any():
+                rest = np.where(np.arange(len(rest)) == rows[0] - 1, 1, rest)
+    return block if rest is block.rest else replace(block, rest=rest)
 
 
 def _rested(
-    block: VertexBlock, before: FloatArray, after: FloatArray, radius_m: FloatArray
+    block: VertexBlock, before: FloatArray, after: FloatArray, radius_m: FloatArray, back: float
 ) -> VertexBlock:
     places = np.concatenate([before, block.positions, after]) * radius_m
-    turned = reversals(places)[len(before) : len(before) + len(block)]
+    turned = reversals(places, back)[len(before) : len(before) + len(block)]
     return replace(block, rest=np.maximum(block.rest, turned))
 
 

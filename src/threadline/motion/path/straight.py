@@ -9,11 +9,11 @@ passes the points without acceleration.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.machine import Machine
 from threadline.motion.path.durations import (
     chord_time_s,
     polynomial_time_s,
@@ -23,6 +23,9 @@ from threadline.motion.path.durations import (
 from threadline.motion.path.polygon import LEAST_SPACING_M, turns
 from threadline.motion.path.runs import Chunk, Vertices, join_vertices, runs
 from threadline.motion.path.types import PieceBlock, ProgrammedPath, VertexBlock
+
+if TYPE_CHECKING:
+    from threadline.machine import Machine
 
 
 def velocity_limit_of(programmed: ProgrammedPath, machine: Machine) -> FloatArray:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from threadline.base.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
 from threadline.files import Stream
-from threadline.machine.mandrel import LocalRadii
+
+if TYPE_CHECKING:
+    from threadline.machine.mandrel import LocalRadii
 
 
 class Timing(StrEnum):

@@ -244,11 +244,7 @@ def _width(train: Shaper, band: Band) -> float:
     return insensitivity(train, band.mode, band.tolerance).value
 
 
-def _widest(
-    nearest: Shaper,
-    trains: Sequence[Shaper],
-    bands: Sequence[Band],
-) -> Shaper:
+def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) -> Shaper:
     """Return the train with the widest bands among those with about the least V over them.
 
     A train must not exceed the nearest ticks' V and its tolerance over a band. The band over which
@@ -319,11 +315,7 @@ def _over(train: Shaper, band: Band, duration_s: float) -> FloatArray:
 
 
 def _priced(
-    designed: Shaper,
-    nearest: Shaper,
-    made: Shaper,
-    bands: Sequence[Band],
-    limits: ControllerLimits,
+    designed: Shaper, nearest: Shaper, made: Shaper, bands: Sequence[Band], limits: ControllerLimits
 ) -> Realised:
     modes = [band.mode for band in bands]
 

@@ -23,8 +23,8 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import expm
 
+from threadline.base.arguments import checked
 from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError, UnitError
 from threadline.motion.shaping.closed import (
@@ -144,6 +144,8 @@ def simulated_vibration(shaper: Shaper, frequency_hz: float, damping_ratio: floa
     # State (x, x'/omega, u): with u included, a single exponential is enough.
     matrix = omega * np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * damping_ratio, 1.0], [0.0, 0.0, 0.0]])
     steps = np.diff(shaper.times_s)
+    from scipy.linalg import expm  # slow to import, and few shapers are checked so
+
     transitions = expm(matrix * steps[:, None, None]) if len(steps) else np.empty((0, 3, 3))
     state = np.zeros(3)
     state[2] = shaper.amplitudes[0]
@@ -476,3 +478,18 @@ def _number(text: str, what: str, whole: str) -> float:
         raise OptionError(
             f"shaper {whole!r}: {what} {text!r} is no number", remedy=_REMEDY
         ) from None
+
+
+@checked
+def shaper(text: str) -> Shaper | dict[str, Shaper]:
+    """Return the shaper that ``text`` describes, or one per axis where it names axes.
+
+    >>> shaper("zv:10Hz").times_s.tolist()
+    [0.0, 0.05]
+
+    Raises
+    ------
+    OptionError
+        If the text cannot be read, or no such shaper can be designed.
+    """
+    return parse_shaper(text)

@@ -388,9 +388,6 @@ class _Problem:
                             rows.flat(at, self._bands[i][3], slot)
                 rows.unit_sum()
                 stacks.append(rows.system())
-            return (
-                np.concatenate([r for r, _ in stacks]),
-                np.concatenate([j for _, j in stacks]),
-            )
+            return (np.concatenate([r for r, _ in stacks]), np.concatenate([j for _, j in stacks]))
 
         return newton(system, np.concatenate((x, moving)), "direct shaper")

@@ -86,11 +86,7 @@ def residual_m(law: Law, mode: FlexibleMode, move_m: float, window_s: FloatArray
 
 
 def lasting_windows_s(
-    law: Law,
-    mode: FlexibleMode,
-    moves_m: FloatArray,
-    residual: float,
-    longest_s: float = np.inf,
+    law: Law, mode: FlexibleMode, moves_m: FloatArray, residual: float, longest_s: float = np.inf
 ) -> FloatArray:
     """Return (n,) shortest windows from which on every longer one keeps the residual.
 

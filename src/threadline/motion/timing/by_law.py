@@ -274,9 +274,7 @@ def with_steps(planned: Trajectory) -> Trajectory:
     is an operation between two moves, or the motion is at rest.
     """
     return Trajectory(
-        axes=planned.axes,
-        historical=planned.historical,
-        blocks=Stream(_stepped, planned),
+        axes=planned.axes, historical=planned.historical, blocks=Stream(_stepped, planned)
     )
 
 

@@ -157,12 +157,7 @@ class _Run:
         self.pending, self.run_over = p.take(slice(kept, None)), over - kept
 
     def _sample(
-        self,
-        c: FloatArray,
-        straight: IntArray,
-        cap: FloatArray,
-        x: FloatArray,
-        operation: IntArray,
+        self, c: FloatArray, straight: IntArray, cap: FloatArray, x: FloatArray, operation: IntArray
     ) -> Iterator[TrajectoryBlock]:
         state = np.array([0.0, 0.0, self.time_s])
         out = np.empty((SAMPLES, c.shape[2]))
@@ -275,9 +270,7 @@ def plan_trajectory(
         return Trajectory(axes=path.axes, blocks=KeptStream(smoothed_blocks, path, machine))
     if path.timing is Timing.TIME:
         return Trajectory(
-            axes=path.axes,
-            historical=path.historical,
-            blocks=KeptStream(timed_blocks, path),
+            axes=path.axes, historical=path.historical, blocks=KeptStream(timed_blocks, path)
         )
     if path.timing is Timing.FIRMWARE and machine.planner is not None:
         from threadline.motion.timing.firmware import firmware_blocks

@@ -223,10 +223,7 @@ def retime(
     # Computed once and kept: the motion will be read many times.
     motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, within))))
     return Retimed(
-        axes=path.axes,
-        blocks=motion.blocks,
-        shares=limits_used(motion, limits),
-        start=places[0],
+        axes=path.axes, blocks=motion.blocks, shares=limits_used(motion, limits), start=places[0]
     )
 
 
@@ -366,8 +363,7 @@ def _checked_tolerance(tolerance: float) -> float:
     value = _one_number("the tolerance", tolerance, remedy)
     if not _LEAST <= value <= _LARGEST:
         raise PlanError(
-            f"the tolerance is {value!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
-            remedy=remedy,
+            f"the tolerance is {value!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}", remedy=remedy
         )
     return value
 

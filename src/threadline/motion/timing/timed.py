@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.machine import Machine
 from threadline.motion.path.durations import smoothing_for
 from threadline.motion.path.types import PieceBlock, PlannedPath
 from threadline.motion.timing.averaged import Smoother
 from threadline.motion.timing.types import TrajectoryBlock
+
+if TYPE_CHECKING:
+    from threadline.machine import Machine
 
 SAMPLES = 8192  # buffered at once: larger arrays are paged in anew each time
 

@@ -73,7 +73,7 @@ class Kind:
     days: Callable[[Commands, Machine, int, np.random.Generator], Sequence[Recording]]
     others: Callable[[Commands, Machine, FloatArray, np.random.Generator], Sequence[Recording]]
     together: Callable[[Machine], bool]
-    with_criteria: Callable[[Spec, Options], Spec]
+    with_criteria: Callable[[Spec, Machine, Options], Spec]
     release: Callable[[Plan], None]
     compared: Mapping[str, tuple[str, ...]]
     targets: Mapping[str, Target]

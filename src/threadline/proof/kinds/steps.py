@@ -96,7 +96,7 @@ def _days(
     return [_simulate(commands, one) for one in machines]
 
 
-def _with_criteria(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:  # noqa: ARG001
     """Return the specification unchanged: no option of this kind adds a criterion."""
     return spec
 

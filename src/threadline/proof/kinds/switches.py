@@ -34,10 +34,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         {}
         if options.shaper is None
         else shaping_of(
-            machine,
-            options.shaper,
-            mode=options.shaper_mode,
-            damping_ratio=options.shaper_damping,
+            machine, options.shaper, mode=options.shaper_mode, damping_ratio=options.shaper_damping
         )
     )
     job, scheduled = compile_cycles(job, machine, shaping)
@@ -63,7 +60,7 @@ def _with_scans(commands: Commands, machine: Machine, random: np.random.Generato
     return simulate_switching(switch_schedule(commands), machine, options)
 
 
-def _with_criteria(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:  # noqa: ARG001
     """Return the specification unchanged: there is no path that a shaper could change."""
     return spec
 

@@ -49,7 +49,6 @@ from threadline.proof.kinds.kind import Kind, check_loops
 from threadline.proof.options import Options, PathChoice, describe
 from threadline.twin import simulate, simulate_position_runs, simulate_runs
 from threadline.verdict import Criterion, Spec
-from threadline.verdict.fibre import criteria_of
 from threadline.verdict.needle import has_stitches, planned_stitches
 from threadline.verdict.replayed import product_at_random, with_products
 from threadline.winding.product import product_of_text
@@ -286,6 +285,7 @@ _RECORDED = (
     ChannelKind.VELOCITY,
     ChannelKind.VOLTAGE,
     ChannelKind.CURRENT,
+    ChannelKind.TENSION,
     ChannelKind.OPERATION,
 )
 """Channels of a simulated machine that the judge reads: loads, hence no encoders."""
@@ -300,8 +300,10 @@ def _days(
         return [simulate(table, machine)]
     days = drawn_days(count, len(table.axes), random)
     if machine.position_sources:
-        varied = zip(days.friction.tolist(), days.supply.tolist(), strict=True)
-        machines = [vary(machine, friction=f, supply=s) for f, s in varied]
+        varied = zip(
+            days.friction.tolist(), days.supply.tolist(), days.tension.tolist(), strict=True
+        )
+        machines = [vary(machine, friction=f, supply=s, tension=t) for f, s, t in varied]
         beside = simulate_position_runs(table, machines, encoder_phase=days.phases)
         if beside is not None:
             return [beside]
@@ -309,7 +311,7 @@ def _days(
             simulate(table, one, encoder_phase=phase)
             for one, phase in zip(machines, days.phases, strict=True)
         ]
-    numbers = Values.of(machine, varied_numbers(machine, days.friction, days.supply)).replaced
+    numbers = Values.of(machine, varied_numbers(machine, days)).replaced
     values = Values(machine, numbers, count)
     return [simulate_runs(table, values, encoder_phase=days.phases, kinds=_RECORDED)]
 
@@ -338,15 +340,19 @@ def _others(
     ]
 
 
-def _with_criteria(spec: Spec, options: Options) -> Spec:
+def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:
     """Add ``shaping_deviation`` to the specification if the motion is shaped or smoothed.
 
     The deviation caused by shaping is always reported, with or without a limit. A product adds the
     criteria of its fibre that the specification does not name.
     """
     if options.product is not None:
+        from threadline.jobs.winding.layers import tensions_in  # of windings alone
+        from threadline.verdict.wound_criteria import criteria_of
+
         given = {criterion.name for criterion in spec.criteria}
-        asked = criteria_of(product_of_text(options.product))
+        tensions_n = () if machine.spool is None else tensions_in(options.product)
+        asked = criteria_of(product_of_text(options.product), machine.spool, tensions_n)
         own = tuple(criterion for criterion in asked if criterion.name not in given)
         spec = replace(spec, criteria=(*spec.criteria, *own))
     shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None

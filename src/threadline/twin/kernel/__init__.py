@@ -9,7 +9,7 @@ Other rooms import only these names:
 
 Inside, data flows like this: ``piece`` (equations, instants and tables of one connected piece),
 ``shape`` (the structure that determines the code), ``layout`` (the place of each number), ``run``
-(the code, with ``tick``, ``controller_profile``, ``mode_changes``, ``exits``), ``state`` (the
+(the code, with ``tick``, ``sensing``, ``mode_changes``, ``exits``), ``state`` (the
 workspace and the calls). ``docs/twin-kernel.md`` explains it with an example.
 """
 

@@ -6,14 +6,17 @@ from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from itertools import pairwise
+from math import ceil, lcm
 from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.dynamics.network import loop_parts, piecewise_linear
+from threadline.dynamics.matrix_controller import loop_parts
+from threadline.dynamics.network import piecewise_linear
 from threadline.dynamics.values import Values
 from threadline.machine import Machine
 from threadline.twin.kernel.names import ClockEntry, Count, Field
@@ -36,6 +39,7 @@ class Signal(StrEnum):
     CURRENT_PEAK = "current peak"  # of largest magnitude since the preceding sample, A
     TRIPPED = "tripped"  # 1 after a limit switch has cut its drive
     OBSERVED = "observed"  # of an observing sensor, in its unit
+    TENSION = "tension"  # of the fibre at the eye, N; no run of the engine has it
 
 
 class Reading(NamedTuple):
@@ -101,7 +105,8 @@ class Engine:
     ) -> None:
         self.machine, self.variants = machine, values.count
         self._made_of = machine, values, start_si, least_rates
-        pieces = piecewise_linear(machine, values, start_si)
+        pulled = machine.spool is not None and machine.mounted is not None
+        pieces = piecewise_linear(machine, values, start_si, pulled=pulled)
         self._pieces = tuple(
             prepared(machine, equations, values, rate)
             for equations, rate in zip(pieces, least_rates or (0.0,) * len(pieces), strict=True)
@@ -172,6 +177,7 @@ class Run:
     ) -> None:
         self._engine, self._wired, self._threads = engine, wired, threads
         self._states = tuple(state for state, _ in wired)
+        self._tick_s = float(engine.machine.tick_clock.period_s)
         self._lying: dict[tuple[Reading, ...], list[list[Reading]]] = {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -232,6 +238,65 @@ class Run:
             records = np.array(places, dtype=np.int64)
             self._run(state, (references, every if records.any() else 0, window, records))
         return {reading: lanes[:, : self._engine.variants] for reading, lanes in found.items()}
+
+    def loads(self) -> tuple[FloatArray, FloatArray]:
+        """Return the present (variants, axes) loads from their start, m or rad, and velocities."""
+        variants = self._engine.variants
+        found = np.zeros((2, variants, len(self._engine.machine.axes)))
+        # In order, as the kernel adds them: the same bits for any number of runs.
+        for which, axis, weight, column in self._terms:
+            if column is None:
+                found[which, :, axis] += weight
+            else:
+                found[which, :, axis] += weight * column.reshape(-1)[:variants]
+        return found[0], found[1]
+
+    @cached_property
+    def _terms(self) -> list[tuple[int, int, FloatArray, FloatArray | None]]:
+        """Terms of ``loads``: 0 load or 1 velocity, axis, weight, rows of a column; None for 1."""
+        found = []
+        for state, wiring in self._wired:
+            equations, last = state.piece.equations, state.shape.columns - 1
+            for which, rows in enumerate((equations.load_rows, equations.rate_rows)):
+                for x, (axis, _) in enumerate(wiring.references):
+                    for j in np.flatnonzero(rows[:, x].any(axis=0)).tolist():
+                        column = None if j == last else state.column(j)
+                        found.append((which, axis, rows[:, x, j].copy(), column))
+        return found
+
+    def pull(self, forces: FloatArray) -> None:
+        """Set the (variants, axes) forces on the axes from outside, N or N m, from now on.
+
+        Only for a machine with a spool and a mandrel; see ``PiecewiseLinear.pulled``.
+        """
+        for axis, column in self._pulled:
+            # Lanes beyond the variants take the last one.
+            lanes, own = column.size, forces[:, axis]
+            whole = own if lanes == len(own) else np.pad(own, (0, lanes - len(own)), mode="edge")
+            column[:] = whole.reshape(column.shape)
+
+    @cached_property
+    def _pulled(self) -> list[tuple[int, FloatArray]]:
+        """Axis and rows of the column of each force from outside."""
+        return [
+            (axis, state.column(state.shape.states + len(state.shape.drives) + x))
+            for state, wiring in self._wired
+            for x, (axis, _) in enumerate(wiring.references[: state.shape.pulls])
+        ]
+
+    def settle(self, forces: FloatArray, time_s: float) -> None:
+        """Let the machine settle at its start under (variants, axes) forces, before the first tick.
+
+        Loops may deviate from the command then, as they do after somebody has tied the fibre.
+        """
+        self.pull(forces)
+        if not forces.any():
+            return
+        hyperperiod = lcm(*(state.ticks_of_hyperperiod for state in self._states))
+        ticks = hyperperiod * ceil(time_s / (self._tick_s * hyperperiod))
+        self.advance(np.zeros((ticks, len(self._engine.machine.axes)), dtype=np.int64), ())
+        for state in self._states:
+            state.begin_again()
 
     def _room(
         self, wanted: tuple[Reading, ...], samples: int

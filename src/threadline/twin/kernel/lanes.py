@@ -43,11 +43,7 @@ class Lanes:
     """
 
     def __init__(
-        self,
-        code: Code,
-        layout: Layout,
-        base: Value,
-        uniform: Mapping[Row, Value] | None = None,
+        self, code: Code, layout: Layout, base: Value, uniform: Mapping[Row, Value] | None = None
     ) -> None:
         self.code, self.layout, self.base = code, layout, base
         self.shape = layout.shape

@@ -274,9 +274,7 @@ class ModeTables:
         return rows, bounds, values, plan
 
 
-def _lying(
-    layout: Layout,
-) -> dict[tuple[Field, int | None], tuple[IntArray, tuple[IntArray, ...]]]:
+def _lying(layout: Layout) -> dict[tuple[Field, int | None], tuple[IntArray, tuple[IntArray, ...]]]:
     """Return the rows of each field in a mode's table, and their indices in the field.
 
     Currents are listed per drive, with indices within the drive.

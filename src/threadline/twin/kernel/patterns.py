@@ -19,13 +19,7 @@ from threadline.twin.kernel.shape import (
     SensorShape,
     Shape,
 )
-from threadline.twin.kernel.tables import (
-    NET_GUARD,
-    Bank,
-    ControlTables,
-    PlantTables,
-    SensorTables,
-)
+from threadline.twin.kernel.tables import NET_GUARD, Bank, ControlTables, PlantTables, SensorTables
 
 _SECTION_PER_RATE = 0.3
 _REMAINDER = 1e-17
@@ -93,6 +87,7 @@ def shape_of(
         observing=tuple(_sensor(sensors, s) for s in range(len(sensors.names))),
         terms=terms,
         sections=max(1, ceil(cell / _SECTION_PER_RATE)),
+        pulls=len(piece.group.axes) if piece.pulled else 0,
         **rest,
     )
 

@@ -8,7 +8,8 @@ from math import ceil
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.dynamics.network import PiecewiseLinear, loop_parts
+from threadline.dynamics.matrix_controller import loop_parts
+from threadline.dynamics.network import PiecewiseLinear
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine
@@ -129,13 +130,7 @@ class Piece:
         return known
 
     def shape(
-        self,
-        lanes: int,
-        width: int,
-        *,
-        peak: bool,
-        quantised: bool,
-        uniform: tuple[Row, ...] = (),
+        self, lanes: int, width: int, *, peak: bool, quantised: bool, uniform: tuple[Row, ...] = ()
     ) -> Shape:
         """Return the shape of the kernel that runs this piece."""
         return shape_of(

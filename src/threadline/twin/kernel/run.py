@@ -18,12 +18,12 @@ from llvmlite import ir
 
 from threadline.twin.kernel.code import INTEGER, POINTER, Code, Value
 from threadline.twin.kernel.compiler import Compiler
-from threadline.twin.kernel.controller_profile import write_goals
 from threadline.twin.kernel.exits import write_first_exit
 from threadline.twin.kernel.lanes import Context, Lanes
 from threadline.twin.kernel.layout import Layout
 from threadline.twin.kernel.mode_changes import write_change, write_events, write_gather
 from threadline.twin.kernel.names import Action, ClockEntry, Count, Do, Slot
+from threadline.twin.kernel.sensing import write_goals
 from threadline.twin.kernel.shape import Shape
 from threadline.twin.kernel.tick import (
     write_actions,

@@ -70,7 +70,7 @@ class GuardShape(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Fixed properties of a kernel; columns are states, drives' inputs and 1."""
+    """Fixed properties of a kernel; columns are states, inputs of drives and forces, and 1."""
 
     lanes: int  # of a block
     width: int  # of a vector
@@ -90,6 +90,7 @@ class Shape(NamedTuple):
     kinds: tuple[tuple[Action, ...], ...]  # the actions of each kind of step
     observing: tuple[SensorShape, ...]
     uniform: tuple[Row, ...]  # constant rows with equal numbers in all lanes
+    pulls: int = 0  # inputs behind those of the drives: forces on the axes from outside
 
     @property
     def states(self) -> int:
@@ -99,7 +100,7 @@ class Shape(NamedTuple):
     @property
     def columns(self) -> int:
         """States, inputs and the constant."""
-        return self.states + len(self.drives) + 1
+        return self.states + len(self.drives) + self.pulls + 1
 
     @property
     def sample(self) -> SampleLayout:

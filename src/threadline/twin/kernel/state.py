@@ -14,7 +14,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.machine import Machine
 from threadline.twin.kernel.layout import Layout, aligned
 from threadline.twin.kernel.mode_tables import ModeTables
-from threadline.twin.kernel.names import ClockEntry, Count, Field, Row, Slot
+from threadline.twin.kernel.names import ClockEntry, Count, Do, Field, Row, Slot
 from threadline.twin.kernel.piece import Piece
 from threadline.twin.kernel.run import kernel
 from threadline.twin.kernel.sensing import NOISE_PRIME
@@ -161,6 +161,26 @@ class State:
 
     def _rows(self, rows: list[int]) -> FloatArray:
         return self.work[:, rows].transpose(0, 2, 1).reshape(-1, len(rows)).copy()
+
+    def column(self, j: int) -> FloatArray:
+        """Return the (groups, width) rows of a column of ``[states, inputs]``, as a view."""
+        view: FloatArray = self.work[:, self.layout[Field.COLUMN, j]]
+        return view
+
+    @property
+    def ticks_of_hyperperiod(self) -> int:
+        """Number of ticks after which the steps repeat."""
+        steps = self.piece.steps
+        ticks = [any(action.do == Do.TICK for action in kind) for kind in steps.kinds]
+        return int(np.count_nonzero(np.array(ticks)[steps.kind]))
+
+    def begin_again(self) -> None:
+        """Count ticks and extremes from here on; the machine stays as it is."""
+        self.clock[:, ClockEntry.NOW] = 0
+        for x in range(len(self.shape.axes)):
+            self.work[:, self.layout[Field.WORST, x]] = 0.0
+        for d in range(len(self.shape.drives)):
+            self.work[:, self.layout[Field.PEAK, d]] = 0.0
 
     def snapshot(self) -> Snapshot:
         """Return a copy of the present state."""

@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.dynamics.network import Group, LoopPart, PiecewiseLinear, loop_parts
+from threadline.dynamics.groups import Group
+from threadline.dynamics.matrix_controller import LoopPart, loop_parts
+from threadline.dynamics.network import PiecewiseLinear
 from threadline.dynamics.sampled import difference_equation
 from threadline.dynamics.values import Values
 from threadline.machine import Machine

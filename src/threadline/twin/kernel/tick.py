@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from threadline.twin.kernel.code import INTEGER, POINTER, Value
-from threadline.twin.kernel.controller_profile import profiled
 from threadline.twin.kernel.lanes import Lanes
 from threadline.twin.kernel.names import Action, Do, Field, Row
-from threadline.twin.kernel.sensing import reading, write_bank, write_noise
+from threadline.twin.kernel.sensing import profiled, reading, write_bank, write_noise
 
 _ENCODER = {"nearest": "floor", "floor": "floor", "truncate": "trunc"}
 """Intrinsic that rounds position + phase to counts, by the encoder's rounding."""
@@ -28,10 +27,7 @@ def _keep(rows: Lanes, row: Row, value: Value) -> None:
 
 
 def write_actions(
-    rows: Lanes,
-    actions: tuple[Action, ...],
-    references: list[Value],
-    sent: dict[Action, Value],
+    rows: Lanes, actions: tuple[Action, ...], references: list[Value], sent: dict[Action, Value]
 ) -> None:
     """Write the actions of a step.
 

@@ -169,7 +169,7 @@ class ParametricInterpreter(Modal):
                 "Close it with M2 or M30.",
             )
         end = Block(
-            last, -1, -1, (), (), None, None, 1, (), 0.0, 30, "end", None, False, (), -1, ()
+            last, -1, -1, (), (), None, None, 0, (), 0.0, 30, "end", None, False, (), -1, ()
         )
         yield end, self._rest(Stop(True, Source(self._path, last)))
 
@@ -257,7 +257,7 @@ def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> 
     most = min(budget, MOST_OPERATIONS)
     operations, moves, motion = 0, False, -1
     interpreter = ParametricInterpreter(program)
-    lengths = ToolLengths(file)
+    lengths = ToolLengths(file, program.reading.lengths)
     for block, made in interpreter.blocks():
         motion = block.motion if block.motion >= 0 else motion
         if block.feed is not None and block.axes and motion == 0 and not findings.rapid_f:

@@ -73,6 +73,8 @@ def code_of(text: str, flavour: Flavour, file: str, line: int) -> Code:
         If the parentheses do not match.
     """
     comment = ""
+    if text.strip().upper() in flavour.queries:
+        return Code("", "")
     if flavour.loose_comments:
         text, _, comment = text.partition(";")
         text = _LOOSE.sub("", text)

@@ -1,11 +1,12 @@
-"""Search for the shortest command of flow controls that rings little enough all over a band.
+"""Search for the shortest command of flow controls with little vibration all over a band.
 
 A command is known by the scans at which each flow control opens and shuts. A search shifts these
 by one scan, singly and in pairs, as long as the worst ringing over the band falls. It starts from
 the best command with free levels, rounded to the flow controls with some noise, and from shifted
-copies of the best commands so far. Nothing is taken symmetric. An integer program over the same
-switchings finds longer commands in a hundred times the time: pairs of shifts keep the distance,
-which a branch of a tree meets late. What was not found may still exist.
+copies of the best commands so far. It does not assume a symmetric command. An integer program over
+the same switchings takes a hundred times as long and finds longer commands: a pair of shifts keeps
+the distance, while the branches of an integer program reach it late. A shorter command than the one
+found may exist.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ def _free_levels(move: FlowMove, scans: int) -> FloatArray:
 
 
 def _rounded(move: FlowMove, free: FloatArray, noise: float, rng: np.random.Generator) -> Edges:
-    """Return switchings whose distance follows the free levels', a dwell ahead of each scan."""
+    """Return switchings whose distance follows the free levels one dwell ahead of each scan."""
     flows, dwell, scans = np.asarray(move.valves.flows), move.dwell_scans, len(free)
     sets = np.array(list(product((0, 1), repeat=len(flows))))
     ahead = np.concatenate((np.cumsum(free), np.full(dwell, free.sum())))
@@ -124,7 +125,7 @@ def _rounded(move: FlowMove, free: FloatArray, noise: float, rng: np.random.Gene
 
 
 class _Search:
-    """The commands of one duration: their cost, and what a shift of switchings makes of them."""
+    """The commands of one duration: their cost, and the effect of shifting their switchings."""
 
     def __init__(self, move: FlowMove, scans: int) -> None:
         self._move, self._scans = move, scans

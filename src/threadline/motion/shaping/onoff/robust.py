@@ -26,7 +26,6 @@ from threadline.motion.shaping.onoff.body_and_modes import (
     worst_of_each,
     worst_ringing,
 )
-from threadline.motion.shaping.onoff.optimal import time_optimal
 from threadline.motion.shaping.solvers import InfeasibleError, minimise
 from threadline.motion.shaping.types import Shaper, ShaperError
 
@@ -189,12 +188,7 @@ def robust_optimum(
 
 
 def least_ringing(
-    move: RestToRest,
-    *,
-    relative: PerMode,
-    tick_s: float,
-    ticks: int,
-    tolerance: PerMode = 1.0,
+    move: RestToRest, *, relative: PerMode, tick_s: float, ticks: int, tolerance: PerMode = 1.0
 ) -> tuple[float, Command] | None:
     """Command on a controller's tick, free levels, that covers the distance and rings least.
 
@@ -260,18 +254,6 @@ class ShapedMove:
     over_robust: float
     worst_step: float
     worst_unshaped: float
-
-
-def compare_shapers(
-    move: RestToRest, shapers: list[Shaper], *, relative: PerMode, tolerance: PerMode
-) -> list[ShapedMove]:
-    """Return every shaped move's time over both optima, and its ringing.
-
-    Parameters are those of :func:`robust_optimum`; the shapers should be made for its modes.
-    """
-    optimal = time_optimal(move).command.duration_s
-    robust = robust_optimum(move, relative=relative, tolerance=tolerance).duration_s
-    return beside(move, shapers, relative=relative, optimal_s=optimal, robust_s=robust)
 
 
 def beside(

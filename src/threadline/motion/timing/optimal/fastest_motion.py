@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.dynamics.responses import answers_of
-from threadline.machine import Machine
 from threadline.motion.path.types import PieceBlock, PlannedPath
 from threadline.motion.timing.optimal.along_path import with_acceleration
 from threadline.motion.timing.optimal.elements import DENSE, PiecesAhead
@@ -23,6 +22,9 @@ from threadline.motion.timing.optimal.solve import fastest
 from threadline.motion.timing.optimal.windows import ADDED, SEEN, windowed
 from threadline.motion.timing.timed import held_block
 from threadline.motion.timing.types import TrajectoryBlock
+
+if TYPE_CHECKING:
+    from threadline.machine import Machine
 
 MOST_PIECES = ADDED + SEEN
 """Pieces of one run that are solved together; a longer run is planned in windows."""
@@ -60,6 +62,8 @@ def fastest_blocks(
 
 def follower_of(path: PlannedPath, machine: Machine, contour_m: float) -> Follower:
     """Return the loop models of a machine whose loads follow ``path``."""
+    from threadline.dynamics.responses import answers_of  # it brings the models of machines
+
     answers = answers_of(machine)
     return Follower(
         answers=tuple(answers.get(axis) for axis in path.axes),

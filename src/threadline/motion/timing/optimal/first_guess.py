@@ -31,7 +31,7 @@ def straight_run(
     c
         (order, axes) of the piece.
     nominal_s
-        Least time of the piece at an even speed, 0 for none.
+        Least time of the piece at constant speed, 0 for none.
     """
     way = np.abs(c[1])
     with np.errstate(divide="ignore", over="ignore"):
@@ -100,7 +100,7 @@ _DIGITS = float(np.finfo(np.float64).eps)
 def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
     """Return the (n,) largest constant x, in units of the common parameter, for each element.
 
-    At a constant rate of the parameter the motion keeps within every limit.
+    With such an x, the parameter advances at a constant rate and no limit is exceeded.
     """
     n, order, axes = c.shape
     out = np.empty(n)
@@ -166,7 +166,7 @@ def used(b, length, rows, tangent, out, anew):
 
 @njit()
 def roundings(b, length, rows):
-    """Return the (n,) shares of a limit by which the digits of y round the rows of an element."""
+    """Return the (n,) rounding of an element's rows by the digits of y, in shares of a limit."""
     acc, jerk, count = rows[0], rows[1], rows[3]
     out = np.empty(len(length))
     for i in range(len(length)):

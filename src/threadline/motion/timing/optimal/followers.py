@@ -5,14 +5,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.dynamics.responses import Answer
 from threadline.motion.timing.optimal.elements import Elements
 from threadline.motion.timing.types import TrajectoryBlock
+
+if TYPE_CHECKING:
+    from threadline.dynamics.responses import Answer
 
 
 @njit()

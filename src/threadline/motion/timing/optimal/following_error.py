@@ -181,9 +181,7 @@ def polished(
     begin_s = float(block.start_s[0])
     best, least_s, idle = block, np.inf, 0
     at = problem.elements
-    problem.regard(
-        replace(at, guard=at.guard[:, :, :0], guard_cap=np.full(len(at), np.inf)),
-    )
+    problem.regard(replace(at, guard=at.guard[:, :, :0], guard_cap=np.full(len(at), np.inf)))
     for _ in range(MOST_ROUNDS_OF_ROWS):
         solution = problem.solution()
         now = in_time(solution, limits, begin_s)

@@ -205,7 +205,5 @@ def slowed(block: TrajectoryBlock, by: float) -> TrajectoryBlock:
     """Return the motion of ``block`` slowed evenly, ``by`` times as long, with the same start."""
     begin_s = float(block.start_s[0])
     return replace(
-        block,
-        start_s=begin_s + by * (block.start_s - begin_s),
-        duration_s=by * block.duration_s,
+        block, start_s=begin_s + by * (block.start_s - begin_s), duration_s=by * block.duration_s
     )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.dynamics.eccentric import drive_limits, drive_needs
 from threadline.errors import PlanError
-from threadline.machine import Machine
 from threadline.motion.timing.optimal.along_path import AlongPath
+
+if TYPE_CHECKING:
+    from threadline.machine import Machine
 
 _LEAST_RAMP = 0.02  # of the time from rest to the velocity limit at the acceleration limit
 
@@ -216,6 +218,8 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
 
 def _needs(machine: Machine, axis: str, of_loads: bool) -> list[tuple[float, FloatArray]]:
     """Return limit and need, at rest, per m/s and per m/s^2, in the order of ``_UNITS``."""
+    from threadline.dynamics.eccentric import drive_limits, drive_needs  # brings the models
+
     current, winding = drive_needs(machine, axis)
     if of_loads and machine.drive_of(axis).amplifier.mode == "voltage":
         tick_s = float(machine.clock(machine.controller_of(axis).clock).period_s)

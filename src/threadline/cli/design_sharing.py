@@ -1,0 +1,139 @@
+"""``threadline design`` in parts: ``--part 3/16 -o FILE`` anywhere, then ``--merge FILE...``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from threadline.base.progress import Progress
+from threadline.cli.output import print_json, say
+from threadline.cli.yield_sharing import (
+    asked_in_part,
+    check_merge_options,
+    words_for_part,
+)
+from threadline.proof.asked import Words
+from threadline.search.design import DesignResult, redesign
+from threadline.search.design_asked import DesignAims, DesignQuestion
+from threadline.search.design_parts import (
+    DesignPart,
+    DesignRecord,
+    design_identity,
+    read_design_parts,
+    searches_of,
+    write_design_part,
+)
+from threadline.search.yield_parts import Part
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignAsked:
+    """Whose redesign is wanted: by the command line, or by the record of the parts.
+
+    Parameters
+    ----------
+    job, machine, words, aims
+        As typed, or as the parts say.
+    parts
+        All parts to merge; none for a redesign that is searched here.
+    """
+
+    job: Path
+    machine: str
+    words: Words
+    aims: DesignAims
+    parts: Sequence[DesignPart] = ()
+
+
+def design_of_parts(
+    files: Sequence[Path], machine: str | None, words: Words, aims: DesignAims
+) -> DesignAsked:
+    """Return the question that the record of the parts in ``files`` states.
+
+    Parameters
+    ----------
+    machine, words
+        As typed with ``--merge``: neither may be given.
+    aims
+        As typed: only the plotted parameters may be given.
+
+    Raises
+    ------
+    OptionError
+        If an option is given that the parts decide, or the parts are not one redesign.
+    RecordingError
+        If a file cannot be read as a part.
+    """
+    given = {
+        "--corners": aims.corners,
+        "--front": aims.front or None,
+        "--searches": None if aims.searches == 1 else aims.searches,
+    }
+    check_merge_options(machine, words, given)
+    parts = read_design_parts(files)
+    record = parts[0].record
+    job, named, own = asked_in_part("design", record.words, parts[0].path)
+    told = replace(aims, corners=record.corners, front=record.front, searches=record.searches)
+    return DesignAsked(job=job, machine=named, words=own, aims=told, parts=parts)
+
+
+def make_part(
+    output: Path,
+    part: Part,
+    asked: DesignAsked,
+    wanted: DesignQuestion,
+    progress: Progress,
+) -> DesignRecord:
+    """Make the searches of a part, and write them; return the record of the part."""
+    question = redesign(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)
+    record = DesignRecord(
+        identity=design_identity(question),
+        words={"job": str(asked.job), "machine": asked.machine, **words_for_part(asked.words)},
+        corners=asked.aims.corners,
+        front=asked.aims.front,
+        searches=asked.aims.searches,
+        part=part,
+    )
+    found = question.searched(searches_of(part, asked.aims.searches), progress)
+    write_design_part(output, record, found)
+    return record
+
+
+def tell_part(output: Path, record: DesignRecord, *, json: bool) -> None:
+    """Say what a part has."""
+    numbers = searches_of(record.part, record.searches)
+    if json:
+        print_json(
+            {
+                "part": str(record.part),
+                "first": numbers.start + 1,
+                "made": len(numbers),
+                "searches": record.searches,
+                "file": str(output),
+            }
+        )
+    else:
+        say(
+            f"Part {record.part}: {output}, searches {numbers.start + 1} to {numbers.stop} of "
+            f"{record.searches}"
+        )
+
+
+def merged_design(
+    parts: Sequence[DesignPart], wanted: DesignQuestion, progress: Progress
+) -> DesignResult:
+    """Return the answer of all parts, the same to the bit as of one run.
+
+    Raises
+    ------
+    OptionError
+        If job, machine, options or versions here are others, or the machine of the file comes to
+        something else here.
+    """
+    question = redesign(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)
+    identity = design_identity(question)
+    for one in parts:
+        here = replace(one.record, identity=identity)
+        one.record.check_same(one.path, here, "this Threadline and the files here")
+    return question.answer([search for one in parts for search in one.searches], progress)

@@ -1,0 +1,392 @@
+"""A schedule of turns made shorter, or brought within its tolerance, by linear programs.
+
+A search on a grid of speeds leaves time between its speeds, and on machines all over a wide band it
+misses passages that are narrower than its grid. Here the turns of a window of the schedule change
+together, by a little: the swings are linear in that change, the limit of the spindle is linear in
+the square of the speed. What is over the tolerance costs a price, so a start that is over it is
+mended. Windows overlap, and are solved one after the other until none gains any more. Swings bend:
+what a step leaves over the tolerance by the exact sum of swings is taken off what the program may
+use, and the program is solved again. A step that does not gain is not taken; the next is smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from threadline.base.arrays import ComplexArray, FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.base.linear_programs import solved
+from threadline.commands.stitch_priced import Asked, priced_turns
+from threadline.commands.stitch_swings import (
+    BEFORE,
+    Limits,
+    Sums,
+    Swung,
+    amplitudes,
+    swings_of,
+)
+
+_WINDOW, _APART = 40, 20  # turns that change together, and from one window to the next
+_AFTER = 12  # turns after a window that are watched
+_FIRST, _MOST, _LEAST = 0.05, 0.1, 1e-3  # relative change of the square of a speed per step
+_WIDER, _NARROWER = 1.6, 0.4
+_STEPS, _SWEEPS = 3, 12
+_CORRECTIONS = 2  # times that a program is solved again for what its step missed
+_ENOUGH = 2e-5  # of the time of a window: a smaller gain is none
+_PRICES = (17.0, 100.0, 1000.0)  # of 100 % over the tolerance at a needle, in turns at full speed
+_GRID = 0.01  # relative step of the turn times of a search of all turns
+_SEARCHES = ((1000.0, 0.985), (100.0, 1.0))  # price as above, share of the tolerance
+_REFUSED, _WIDTH, _CELLS = 0.1, 8, 3.0  # share over the tolerance, states at each time, cells
+_LOOSER = (1.1, 1.2)  # times the tolerance: searches whose schedules are then mended
+_MUCH = 0.97  # of the time of the found turns: schedules that are shorter need no looser search
+_KICKS, _MOST_KICKS = (100, 20), 500  # trials: in all, and for each turn over the tolerance
+_TAKEN = 0.4  # share of the trials that take turns within the tolerance
+_BUMPS, _BUMP = 2, 0.05  # bumps of a trial, relative size of one
+_NEAR, _WIDTHS = 3.0, (0.7, 4.0)  # turns: distance of a bump from the turn, width
+_EXCESS = 1.0 + 1e-6
+_LOW, _HIGH = 0.6, 0.7  # of the tolerance: swings that are watched, in one and in three directions
+_ASIDE = np.array([0.0, 0.45, -0.45])  # rad
+# Of the tolerance and of the change of speed: modes between the watched ones swing 0.2 % more.
+_INSIDE = 1.0 - 2.5e-3
+
+
+def shortest_turns(
+    found_s: FloatArray,
+    given: tuple[Limits, Swung],
+    most_m: Callable[[FloatArray], float],
+    looser: Callable[[float], FloatArray],
+) -> FloatArray:
+    """Return the shortest turns that come of several starts and keep the tolerance, s.
+
+    The starts are the found turns and two priced searches on a grid of speeds: one goes over the
+    tolerance where that saves much time, the other hardly anywhere. Where they gain little, two
+    searches with more tolerance follow. If no start leads to turns within the tolerance, the found
+    turns are returned.
+
+    Parameters
+    ----------
+    found_s
+        (n,) turns that a search found, s.
+    most_m
+        Returns the largest swing that turns leave when a needle enters, m.
+    looser
+        Returns the turns that a search finds with a multiple of the tolerance, s.
+    """
+    limits, swung = given
+    grid = np.arange(np.log(limits.shortest_s.min()), np.log(limits.slowest_s), _GRID)
+    starts: list[Callable[[], FloatArray | None]] = [lambda: found_s]
+    for price, share in _SEARCHES:
+        asked = Asked(
+            tolerance_m=limits.tolerance_m * _INSIDE * share,
+            price_s=price * float(limits.shortest_s.min()),
+            most=_REFUSED,
+            width=_WIDTH,
+            cells=_CELLS,
+        )
+        lists = [np.exp(grid)] * len(found_s)
+        starts.append(partial(priced_turns, lists, 0, found_s, given, asked))
+    starts += [partial(looser, factor) for factor in _LOOSER]
+    best, kept = found_s, most_m(found_s) <= limits.tolerance_m * _EXCESS
+    enough_s = _MUCH * total_s(found_s, limits.share)
+    for start in starts:
+        if kept and total_s(best, limits.share) < enough_s:
+            break
+        begin = start()
+        if begin is None:
+            continue
+        turns = shortened(begin, limits, swung, found_s)
+        shorter = total_s(turns, limits.share) < total_s(best, limits.share)
+        if (shorter or not kept) and most_m(turns) <= limits.tolerance_m * _EXCESS:
+            best, kept = turns, True
+    return best
+
+
+def shortened(turn_s: FloatArray, limits: Limits, swung: Swung, within_s: FloatArray) -> FloatArray:
+    """Return (n,) turns that are shorter than ``turn_s``, or less over the tolerance, s.
+
+    Where turns stay over the tolerance, the times around one of them are moved at random, or those
+    of ``within_s`` are taken, (n,) turns within the tolerance. The programs start from there; what
+    is worse then is given up.
+    """
+    given = limits, swung
+    turns = np.array(turn_s, dtype=np.float64)
+    for price in _PRICES[:-1]:
+        _swept(turns, given, price)
+    choose = np.random.default_rng(1)
+    over = int(np.count_nonzero(_over(turns, given) > 1.0 / _INSIDE))
+    for _ in range(min(_KICKS[0] + _KICKS[1] * over, _MOST_KICKS)):
+        beyond = np.flatnonzero(_over(turns, given) > 1.0 / _INSIDE)
+        if not len(beyond):
+            break
+        worst = int(choose.choice(beyond))
+        first = min(max(0, worst - _WINDOW // 2), max(0, len(turns) - _WINDOW))
+        moved = _bumped(turns, worst, limits, choose)
+        if choose.random() < _TAKEN:
+            moved = turns.copy()
+            low, high = worst - choose.integers(_APART), worst + 1 + choose.integers(_APART)
+            moved[max(0, low) : high] = within_s[max(0, low) : high]
+        tried = _turned(turns, moved, first, limits)
+        if tried is None:
+            continue
+        for _ in range(_STEPS):
+            gained, _step = _window(tried, first, _FIRST, given, _PRICES[-2])
+            if not gained:
+                break
+        if (
+            _worth(tried, first, given, _PRICES[-2])[0]
+            < _worth(turns, first, given, _PRICES[-2])[0]
+        ):
+            turns = tried
+    _swept(turns, given, _PRICES[-1])
+    return turns
+
+
+def _swept(turns: FloatArray, given: tuple[Limits, Swung], price: float) -> None:
+    """Solve window after window in place until none gains."""
+    starts = list(range(0, max(1, len(turns) - _WINDOW + _APART), _APART))
+    step = np.full(len(starts), _FIRST)
+    restless = np.ones(len(starts), dtype=bool)
+    for _ in range(_SWEEPS):
+        if not restless.any():
+            break
+        for number, first in enumerate(starts):
+            if not restless[number]:
+                continue
+            step[number] = max(float(step[number]), 2.0 * _LEAST)
+            gained, step[number] = _window(turns, first, float(step[number]), given, price)
+            restless[number] = gained
+            if gained:
+                restless[max(0, number - 1) : number + 2] = True
+
+
+def _over(turns: FloatArray, given: tuple[Limits, Swung]) -> FloatArray:
+    """Return (n,) the largest amplitude at each needle, in shares of what the programs ask for."""
+    limits, swung = given
+    swings_now = swings_of(0, len(turns), turns, limits, swung)
+    most = amplitudes(swings_now[0], turns, swung).max(axis=1) / (limits.tolerance_m * _INSIDE)
+    return np.where(limits.needle == 1, most, 0.0)
+
+
+def _bumped(
+    turns: FloatArray, around: int, limits: Limits, choose: np.random.Generator
+) -> FloatArray:
+    """Return turns that are moved at random around one."""
+    number = np.arange(len(turns), dtype=np.float64)
+    moved = np.zeros(len(turns))
+    for _ in range(_BUMPS):
+        centre, width = around + choose.normal(0.0, _NEAR), choose.uniform(*_WIDTHS)
+        moved += choose.normal(0.0, _BUMP) * np.exp(-0.5 * ((number - centre) / width) ** 2)
+    return np.clip(turns * np.exp(moved), limits.shortest_s, limits.slowest_s)
+
+
+def _turned(turns: FloatArray, moved: FloatArray, first: int, limits: Limits) -> FloatArray | None:
+    """Return turns with those of a window moved as far as the spindle can; None if it cannot."""
+    end = min(len(turns), first + _WINDOW)
+    square, most = turns**-2.0, limits.change * _INSIDE
+    square[first:end] = moved[first:end] ** -2.0
+    for k in range(max(1, first), end):
+        square[k] = min(max(square[k], square[k - 1] - most), square[k - 1] + most)
+    for k in range(min(end, len(turns) - 1) - 1, first - 1, -1):
+        square[k] = min(max(square[k], square[k + 1] - most), square[k + 1] + most)
+    tried = square**-0.5
+    changes = np.abs(np.diff(square[max(0, first - 1) : end + 1]))
+    if (changes > limits.change).any() or (tried < limits.shortest_s * (1.0 - 1e-9)).any():
+        return None
+    return np.asarray(tried)
+
+
+def total_s(turn_s: FloatArray, share: float) -> float:
+    """Return the time of all turns; the speed changes evenly over each rest, s."""
+    speed = 1.0 / turn_s
+    rest = 2.0 * (1.0 - share) / (speed + np.append(speed[1:], speed[-1]))
+    return float((share * turn_s + rest).sum())
+
+
+def _slope(turn_s: FloatArray, share: float) -> FloatArray:
+    """Return (n,) the derivative of the time of all turns with respect to each turn."""
+    speed = 1.0 / turn_s
+    pair = 2.0 * (1.0 - share) / (speed[:-1] + speed[1:]) ** 2
+    slope = np.full(len(turn_s), share)
+    slope[:-1] += pair * speed[:-1] ** 2
+    slope[1:] += pair * speed[1:] ** 2
+    slope[-1] += 1.0 - share
+    return slope
+
+
+def _worth(
+    turns: FloatArray, first: int, given: tuple[Limits, Swung], price: float
+) -> tuple[float, Sums]:
+    """Return the time around a window with the price of what is over the tolerance, and swings."""
+    limits, swung = given
+    count = len(turns)
+    end, watched = min(count, first + _WINDOW), min(count, first + _WINDOW + _AFTER)
+    before = max(0, first - BEFORE)
+    swings = swings_of(before, watched, turns, limits, swung)
+    price_s = price * float(limits.shortest_s.min())
+    time_s = total_s(turns[max(0, first - 1) : min(count, end + 1)], limits.share)
+    return time_s + price_s * float(_beyond(swings, turns, first, given).sum()), swings
+
+
+def _window(
+    turns: FloatArray, first: int, step: float, given: tuple[Limits, Swung], price: float
+) -> tuple[bool, float]:
+    """Change the turns of one window in place; return whether that gained, and the next step."""
+    count = len(turns)
+    end, watched = min(count, first + _WINDOW), min(count, first + _WINDOW + _AFTER)
+    price_s = price * float(given[0].shortest_s.min())
+    worth, swings = _worth(turns, first, given, price)
+    gained = False
+    for _ in range(_STEPS):
+        back = np.zeros(watched - first)
+        for _ in range(1 + (_CORRECTIONS if price == _PRICES[-1] else 0)):
+            changed = _program(turns, (first, end, watched), step, given, swings, (price_s, back))
+            if changed is None:
+                break
+            then = turns.copy()
+            then[first:end] = changed
+            worth_then, swings_then = _worth(then, first, given, price)
+            if worth - worth_then > _ENOUGH * worth:
+                break
+            # The swing bends: a needle gets as much less as its swing was too large.
+            over = _beyond(swings_then, then, first, given)
+            if not over.any():
+                break
+            back += over
+        if changed is not None and worth - worth_then > _ENOUGH * worth:
+            turns[:], worth, swings, gained = then, worth_then, swings_then, True
+            step = min(_MOST, step * _WIDER)
+        else:
+            step *= _NARROWER
+            if step < _LEAST:
+                break
+    return gained, step
+
+
+def _beyond(swings: Sums, turns: FloatArray, first: int, given: tuple[Limits, Swung]) -> FloatArray:
+    """Return by how much each watched needle of a window is over the tolerance, in shares."""
+    limits, swung = given
+    before = max(0, first - BEFORE)
+    watched = before + len(swings[0])
+    over = amplitudes(swings[0], turns[before:watched], swung)[first - before :].max(axis=1)
+    beyond = np.maximum(0.0, over / (limits.tolerance_m * _INSIDE) - 1.0)
+    return np.where(limits.needle[first:watched] == 1, beyond, 0.0)
+
+
+def _program(
+    turns: FloatArray, span: tuple[int, int, int], step: float, given: tuple[Limits, Swung],
+    swings: Sums, cost: tuple[float, FloatArray],
+) -> FloatArray | None:  # fmt: skip
+    """Return the turns of a window by one linear program; None if it has no answer.
+
+    The unknowns are the relative change of the square of each speed, and for each needle the
+    share by which it is over the tolerance.
+    """
+    limits, swung = given
+    price_s, back = cost
+    first, end, watched = span
+    before = max(0, first - BEFORE)
+    unknown, needles = end - first, watched - first
+    rows, room, of = _watched_rows(
+        np.array([first, end, watched, before]), turns, *swings, limits.needle,
+        swung.poles, swung.begin, swung.row, swung.late, limits.tolerance_m * _INSIDE,
+    )  # fmt: skip
+    square = turns**-2.0
+    near = np.arange(max(0, first - 1), min(len(turns), end + 1))
+    change = np.diff(square[near])
+    spindle = np.zeros((len(change), unknown + needles))
+    for k, turn in enumerate(near[:-1].tolist()):
+        if first <= turn < end:
+            spindle[k, turn - first] = -square[turn]
+        if first <= turn + 1 < end:
+            spindle[k, turn + 1 - first] = square[turn + 1]
+    slack = np.zeros((len(of), needles))
+    slack[np.arange(len(of)), of] = -1.0
+    most = limits.change * _INSIDE
+    scale = 1.0 / limits.change
+    below = np.concatenate((np.hstack((rows, slack)), spindle * scale, -spindle * scale))
+    values = np.concatenate(
+        (
+            room - back[of],
+            np.maximum(most - change, 0.0) * scale,
+            np.maximum(most + change, 0.0) * scale,
+        )
+    )
+    slope = _slope(turns[near], limits.share)[first - near[0] :][:unknown]
+    inside = square[first:end]
+    highest = np.clip(limits.shortest_s[first:end] ** -2.0 / inside - 1.0, 0.0, step)
+    lowest = np.clip(limits.slowest_s**-2.0 / inside - 1.0, -step, 0.0)
+    costs = np.concatenate((-0.5 * slope * turns[first:end], np.full(needles, price_s)))
+    ends = [*zip(lowest.tolist(), highest.tolist(), strict=True)] + [(0.0, None)] * needles
+    found = solved(costs, below=(below, values), bounds=ends, seconds=5.0)
+    if found.x is None:
+        return None
+    return np.asarray((inside * (1.0 + found.x[:unknown])) ** -0.5)
+
+
+def _rows_of(
+    span: IntArray, turns: FloatArray, swing: ComplexArray, kept: ComplexArray,
+    own: ComplexArray, last: ComplexArray, needle: IntArray, poles: ComplexArray,
+    begin: IntArray, row: IntArray, late: float, tolerance_m: float,
+) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
+    """Return (R, n) rows, (R,) room left and (R,) needle of each, in shares of the tolerance.
+
+    Of neighbours in frequency, the one with the largest swing has a row.
+    """
+    first, end, watched, before = span[0], span[1], span[2], span[3]
+    groups = len(row)
+    most = 3 * groups * (watched - first)
+    rows, room = np.zeros((most, end - first)), np.empty(most)
+    of = np.empty(most, np.int64)
+    size = np.empty(groups)
+    found = 0
+    for k in range(first, watched):
+        if needle[k] != 1:
+            continue
+        q = k - before
+        for g in range(groups):
+            size[g] = 0.0
+            for c in range(begin[g], begin[g + 1]):
+                left = np.exp(-poles[c].real * late * turns[k])
+                size[g] += np.abs(swing[q, c]) * left / tolerance_m
+        for g in range(groups):
+            if size[g] <= _LOW:
+                continue
+            if g > 0 and row[g - 1] == row[g] and size[g - 1] > size[g]:
+                continue
+            if g < groups - 1 and row[g + 1] == row[g] and size[g + 1] >= size[g]:
+                continue
+            for aside in _ASIDE:
+                if aside != 0.0 and size[g] < _HIGH:
+                    continue
+                value = 0.0
+                for c in range(begin[g], begin[g + 1]):
+                    amplitude = np.abs(swing[q, c])
+                    if amplitude == 0.0:
+                        continue
+                    left = np.exp(-poles[c].real * late * turns[k]) / tolerance_m
+                    way = np.conj(swing[q, c]) / amplitude * np.exp(-1j * aside) * left
+                    value += (way * swing[q, c]).real
+                    if k < end:
+                        rows[found, k - first] += (way * own[q, c]).real - (
+                            poles[c].real * late * amplitude * left
+                        )
+                    share = 1.0 + 0.0j
+                    for j in range(k - 1, first - 1, -1):
+                        p = j - before
+                        if j < end:
+                            part = share * (kept[p + 1, c] * own[p, c] + last[p + 1, c])
+                            rows[found, j - first] += (way * part).real
+                        share = share * kept[p + 1, c]
+                room[found] = 1.0 - value
+                of[found] = k - first
+                found += 1
+    for r in range(found):
+        for j in range(end - first):
+            rows[r, j] *= -0.5 * turns[first + j]
+    return rows[:found], room[:found], of[:found]
+
+
+_watched_rows = njit(nogil=True)(_rows_of)

@@ -1,0 +1,383 @@
+"""The face: every question of the command line as a function, and the answers.
+
+``import threadline as tl`` has all of it: ``tl.prove("x.prg", "lathe-winder").passed``. Options are
+the words of the command line, with the same defaults: ``option_table`` declares them,
+``__init__.pyi`` has their types, and ``docs/options.md`` lists them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from threadline.base.arguments import checked
+from threadline.base.option_defaults import DEFAULT_INTERPOLATION
+from threadline.errors import OptionError
+from threadline.face.answers import Answer, FastestResult, PathLike, Proved
+from threadline.face.loops import analyse, control, tune
+from threadline.face.many import design, yields
+from threadline.face.running import run
+from threadline.identify.commissioning import fit, measure, trim
+from threadline.machine import Machine
+from threadline.motion.shaping.designs import shaper
+from threadline.motion.timing.retime import retime
+from threadline.proof.asked import Words, check_target, chosen_machine, with_options, with_radii_of
+from threadline.proof.option_form import Door, Word
+from threadline.proof.option_table import options_for
+
+if TYPE_CHECKING:
+    from threadline.files.formats import Written
+    from threadline.jobs.winding.build_up import Laid
+    from threadline.readback.equal import Equality
+    from threadline.search import Comparison
+    from threadline.search.learned_job import LearnedJob, LearnedRuns
+
+
+__all__ = [
+    "analyse", "compare", "compile", "control", "design", "equal", "fastest", "fit", "judge",
+    "learn", "load_machine", "measure", "prove", "retime", "run", "shaper", "trim", "tune",
+    "wind", "yields",
+]  # fmt: skip
+
+
+@checked
+def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Machine:
+    """Return a machine of the library or of a file, with overlays after plus signs.
+
+    >>> load_machine("lathe-winder+physical").axis_names
+    ('A', 'X', 'Y')
+
+    Parameters
+    ----------
+    machine
+        ``"lathe-winder"``, ``"mine.toml+heavy"``, or a machine.
+    par
+        An FW-CNC.PAR whose settings replace the machine's.
+
+    Raises
+    ------
+    MachineError
+        If there is none of that name, or the file does not describe one.
+    """
+    return chosen_machine(machine, par)
+
+
+@with_options
+@checked
+def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
+    """Plan a job, simulate it on the machine, and judge it.
+
+    Parameters
+    ----------
+    job
+        Part program, seam, move list or embroidery design.
+    machine
+        As ``load_machine`` takes it.
+    **words
+        The options of ``threadline prove``; ``spec`` may be a specification, ``actual`` a machine.
+
+    Raises
+    ------
+    InputError
+        If anything that was given is wrong; the message is the one that the command line prints.
+    """
+    from threadline.proof.pipeline import prove as prove_job
+    from threadline.proof.pipeline import with_shaping
+
+    asked = Words.of("prove", Door.PYTHON, words)
+    trials, chosen, options = asked.trials(), asked.machine(machine), asked.options(job)
+    spec = with_shaping(asked.spec(chosen), chosen, options)
+    return Proved(prove_job(Path(job), chosen, spec, options, None, trials, asked.actual()))
+
+
+@with_options
+@checked
+def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> FastestResult:
+    """Find the fastest way to do a job in spec.
+
+    Of a part program the feed is searched, of a seam the needle speed, of a move list the commands
+    and waits, of an embroidery design the speed of the shaft.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    **words
+        The options of ``threadline fastest``. ``robust`` asks for one plan that holds on every
+        machine at the ends of that share of the tolerances of loads and springs.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.search.by_pace import answered
+    from threadline.search.question import question_of
+
+    asked = Words.of("fastest", Door.PYTHON, words)
+    with asked.judging():
+        found = answered(question_of(asked, Path(job), machine))
+    proving = {one.word for one in options_for("prove", Door.PYTHON)}
+    kept = {word: value for word, value in words.items() if word in proving}
+    return FastestResult(
+        found.best if found.over_band is None else found.over_band.cycle_s,
+        found.unit,
+        found.limited_by,
+        found.of if found.over_band is None else found.over_band,
+        found.again,
+        found.certainty,
+        found.mismatch,
+        partial(_prove_again, job, machine, kept),
+    )
+
+
+def _prove_again(
+    job: PathLike, machine: PathLike | Machine, kept: Mapping[str, Word], **words: Word
+) -> Proved:
+    return prove(job, machine, **{**kept, **words})
+
+
+@with_options
+@checked
+def compare(
+    job: PathLike,
+    machine: PathLike | Machine,
+    interpolations: Sequence[str] = (DEFAULT_INTERPOLATION,),
+    feeds: Sequence[str] = (),
+    *,
+    shapers: Sequence[str] = (),
+    with_fastest: bool = False,
+    **words: Word,
+) -> Comparison:
+    """Prove a job with several interpolations, feeds and shapers.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    interpolations, feeds
+        Each interpolation is proved at each feed; without feeds, at the job's own.
+    shapers
+        Each pair of them is proved with each of these shapers; ``"none"`` shapes nothing.
+    with_fastest
+        Also search the fastest feed of each interpolation.
+    **words
+        The other options of ``threadline compare``.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.proof.pipeline import open_job
+    from threadline.search import compare as compare_job
+
+    asked = Words.of("compare", Door.PYTHON, words)
+    trials, named = asked.trials(), asked.machine(machine)
+    planned = asked.each_options(job, interpolations, feeds, shapers)
+    chosen = with_radii_of(named, planned[0])
+    return compare_job(
+        open_job(Path(job), chosen, planned[0]),
+        chosen,
+        asked.spec(chosen),
+        planned,
+        with_fastest=with_fastest,
+        trials=trials,
+    )
+
+
+@with_options
+@checked
+def judge(
+    recordings: PathLike | Sequence[PathLike],
+    *,
+    job: PathLike | None = None,
+    machine: str | None = None,
+    **words: Word,
+) -> Answer:
+    """Judge what a machine did, from one recording or several of the same job.
+
+    Parameters
+    ----------
+    recordings
+        Files of any kind in ``docs/files.md``.
+    job, machine
+        The job and the machine. What is left out is read from the recording.
+    **words
+        How the plan was made, as on the command line. What is left out is read from the
+        recording; ``spec`` is the machine's own then.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.proof.recorded import judge_files
+
+    files = [recordings] if isinstance(recordings, str | Path) else list(recordings)
+    if not files:
+        raise OptionError("there is no recording to judge", remedy="Name one at least.")
+    asked = Words.of("judge", Door.PYTHON, words)
+    named = None if job is None else Path(job)
+    return Answer(judge_files([Path(file) for file in files], asked, job=named, machine=machine))
+
+
+@with_options
+@checked
+def compile(
+    job: PathLike,
+    machine: PathLike | Machine,
+    target: str,
+    out: PathLike,
+    *,
+    slower: bool = False,
+    **words: Word,
+) -> list[Written]:
+    """Plan a job and write it for a controller; return the files with their hashes.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    target
+        For a machine with axes ``csv``, ``npz``, ``ticks``, ``nc``, ``grbl``, ``fluidnc``,
+        ``marlin``, ``klipper``, ``reprapfirmware``, ``linuxcnc`` or ``fanuc``; for an on/off
+        machine ``st``, ``openplc``, ``plcopen`` or ``scl``; for an embroidery machine ``steps``,
+        ``t15``, ``dst`` or ``u01``.
+    out
+        The file.
+    slower
+        Whether to write a program that takes longer on its firmware than the job as it stands.
+    **words
+        The options of ``threadline compile``; ``interpolation`` is ``"auto"`` unless given, on
+        every machine.
+
+    Raises
+    ------
+    InputError
+        As on the command line; nothing is written then.
+    """
+    from threadline.proof.pipeline import open_job, plan_job, write
+
+    asked = Words.of("compile", Door.PYTHON, words)
+    chosen, options = asked.machine(machine), asked.options()
+    check_target(target, chosen, options)
+    plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
+    return write(plan, target, out, slower=slower)
+
+
+@with_options
+@checked
+def equal(
+    job: PathLike,
+    machine: PathLike | Machine,
+    targets: Sequence[str] = (),
+    *,
+    files: Sequence[str] = (),
+    slower: bool = False,
+    **words: Word,
+) -> Equality:
+    """Say whether the files of controllers are the plan of a job.
+
+    Each file is read by something that did not write it, and compared with the plan in place and
+    time.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    targets
+        Targets as ``compile`` takes them; without targets and files, all of the kind of machine.
+    files
+        ``"TARGET=FILE"`` each: a file on disk in place of one that is written for this.
+    slower
+        As for ``compile``.
+    **words
+        The options of ``threadline equal``, the same as for ``compile``.
+
+    Raises
+    ------
+    InputError
+        As on the command line: a file is of another job, machine or format, or no target could
+        be compared.
+    """
+    from threadline.proof.pipeline import open_job, plan_job
+    from threadline.readback.equal import asked_of, equal_targets
+
+    asked = Words.of("equal", Door.PYTHON, words)
+    chosen, options = asked.machine(machine), asked.options()
+    wanted = asked_of(chosen, options, targets, files, slower=slower)
+    plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
+    return equal_targets(plan, options, wanted)
+
+
+@with_options
+@checked
+def learn(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    repeats: int = 5,
+    gain: float | str = 0.9,
+    low_pass: str | None = None,
+    measured: str = "head",
+    runs: Sequence[PathLike] = (),
+    **words: Word,
+) -> LearnedJob | LearnedRuns:
+    """Repeat a job and correct its references by the error of every run.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    repeats
+        How often the simulated machine repeats the job, 1 to 100.
+    gain
+        Share of the error that is corrected after each run.
+    low_pass
+        Frequency above which errors are not learned, ``"20 Hz"``.
+    measured
+        Where the error is measured: at the ``"head"`` or at the encoder of the ``"motor"``.
+    runs
+        Recordings of runs to learn from instead, the first one first; the answer is the next table.
+    **words
+        The options of ``threadline learn``. ``table=`` of ``prove`` plays what ``.write`` wrote.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    """
+    from threadline.files.formats import read_recording
+    from threadline.search.learned_job import learned_from, learned_on_twins, rules_of
+
+    asked = Words.of("learn", Door.PYTHON, words)
+    if measured not in ("head", "motor"):
+        raise OptionError(f"unknown measured {measured!r}", remedy='Give "head" or "motor".')
+    rules = rules_of(gain, low_pass, "motor" if measured == "motor" else "head")
+    if not runs:
+        return learned_on_twins(asked, Path(job), machine, rules, repeats)
+    recorded = {str(file): read_recording(file) for file in runs}
+    return learned_from(asked, Path(job), machine, rules, recorded)
+
+
+@checked
+def wind(job: PathLike) -> tuple[Laid, ...]:
+    """Return the layers of a winding, each with its patterns, its circuit and its thickness.
+
+    Parameters
+    ----------
+    job
+        Product file with layers, ``NAME.wind.toml``, or FiberPath's ``NAME.wind``.
+
+    Raises
+    ------
+    JobError
+        If the file cannot be read, or a layer cannot be wound.
+    """
+    from threadline.jobs.winding.build_up import design
+    from threadline.jobs.winding.layers import read_layers
+
+    return design(read_layers(Path(job)))

@@ -1,0 +1,243 @@
+"""Answers of the face: verdicts, proofs, and the fastest way to do a job in specification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from threadline.base.arguments import checked
+from threadline.base.arrays import FloatArray
+from threadline.base.wording import plain
+from threadline.errors import OptionError
+from threadline.files.recording import columns_of
+from threadline.proof.option_form import Word
+from threadline.verdict import Result, Verdict, closing, verdict_json, verdict_rows
+
+if TYPE_CHECKING:
+    from threadline.commands.plan import Plan
+    from threadline.files import Recording
+    from threadline.files.formats import Written
+    from threadline.proof.pipeline import Proof
+    from threadline.proof.recorded import Judged
+    from threadline.search import Certainty, Mismatch
+
+
+PathLike = str | Path
+
+
+_MOST_ROWS = 7  # of the criteria that an answer prints: with the lines around them ten in all
+
+
+_URGENCY = {"failed": 0, "not-measured (required)": 1, "passed": 2}
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Answer:
+    """A verdict and its plan; prints itself in at most ten lines, in a notebook as a table.
+
+    Parameters
+    ----------
+    of
+        A proof; of recordings, the plan and the specification that they were judged by.
+    """
+
+    of: Proof | Judged
+
+    @property
+    def plan(self) -> Plan:
+        """What was intended."""
+        return self.of.plan
+
+    @property
+    def verdict(self) -> Verdict:
+        """Every criterion, with what was measured."""
+        return self.of.verdict
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing failed and all that is required was measured."""
+        return self.of.verdict.passed
+
+    @checked
+    def result(self, criterion: str, axis: str = "") -> Result:
+        """Return the result of a criterion, of the worst axis where none is named.
+
+        Raises
+        ------
+        KeyError
+            If it was not judged.
+        """
+        return self.of.verdict.result(criterion, axis)
+
+    def json(self) -> dict[str, Any]:
+        """Return what the command line prints with ``--json``."""
+        return verdict_json(self.of.verdict, self.of.plan)
+
+    def __repr__(self) -> str:
+        _, rows, more = self._summary()
+        parts = [row[:4] for row in rows]
+        widths = [max(map(len, column)) for column in zip(*parts, strict=True)]
+        lines = [f"{self._title()}: {closing(self.of.verdict)}"]
+        for (name, axis, measured, limit), row in zip(parts, rows, strict=True):
+            figures = f"{measured:>{widths[2]}}  limit {limit:<{widths[3]}}"
+            where = "" if row[6] == "-" else f", line {row[6]}"
+            lines.append(f"  {name:<{widths[0]}}  {axis:<{widths[1]}}  {figures}  {row[4]}{where}")
+        return "\n".join(plain(line) for line in [*lines, *([f"  {more}"] if more else [])])
+
+    def _repr_html_(self) -> str:
+        header, rows, more = self._summary()
+        lines = [f"<table><caption>{escape(plain(self._title()))}</caption>"]
+        for tag, row in [("th", header), *(("td", row) for row in rows)]:
+            cells = "".join(f"<{tag}>{escape(plain(cell))}</{tag}>" for cell in row)
+            lines.append(f"<tr>{cells}</tr>")
+        below = "; ".join(filter(None, (closing(self.of.verdict), more)))
+        return "\n".join([*lines, f"</table><p>{escape(plain(below))}</p>"])
+
+    def _title(self) -> str:
+        plan = self.of.plan
+        return f"{plan.job.name} on {plan.machine.name}, {plan.duration_s:.4g} s"
+
+    def _summary(self) -> tuple[list[str], list[list[str]], str]:
+        """Return header and rows of the most urgent criteria, and a line about the others."""
+        header, rows = verdict_rows(self.of.verdict)
+        rows.sort(key=lambda row: _URGENCY.get(row[4], len(_URGENCY)))
+        others = len(rows) - _MOST_ROWS
+        more = f"and {others} more; .verdict.results has all of them" if others > 0 else ""
+        return header, rows[:_MOST_ROWS], more
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Proved(Answer):
+    """A proof: a plan, what the simulated machine made of it, and the verdict."""
+
+    of: Proof
+
+    @property
+    def recording(self) -> Recording:
+        """What happened on the simulated machine."""
+        return self.of.recording
+
+    @checked
+    def columns(self, run: int = 1) -> dict[str, FloatArray]:
+        """Return the channels of a judged run as columns, for plots and data frames.
+
+        ``time [s]`` is the first one; all are of equal length. The others have the name and the
+        unit of their channel, such as ``X.load [m]``. A channel with fewer samples holds each value
+        until its next one, and is NaN before its first.
+
+        Raises
+        ------
+        OptionError
+            If there is no such run.
+        """
+        if not 1 <= run <= self.of.runs:
+            raise OptionError(
+                f"run={run} is none of the {self.of.runs} judged", remedy="Give run=1."
+            )
+        return columns_of(self.of.run(run))
+
+    @checked
+    def report(self, folder: PathLike) -> Path:
+        """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
+        from threadline.report.proof import write_report
+        from threadline.search.studied import studied
+
+        place = Path(folder)
+        if place.exists() and not place.is_dir():
+            raise OptionError(
+                f"cannot write {str(place)!r}: it is a file, not a folder",
+                remedy="Give the folder of the report.",
+            )
+        return write_report(studied(self.of), place)
+
+    @checked
+    def write(self, file: PathLike, sign: PathLike | None = None) -> Written:
+        """Write the proof as a file, see ``docs/files.md``; ``sign`` is the file of a key."""
+        from threadline.proof.proof_file import write_proof
+        from threadline.proof.proof_hash import read_key
+
+        return write_proof(self.of, file, None if sign is None else read_key(sign))
+
+    @checked
+    def record(self, file: PathLike) -> Written:
+        """Write the recording; the ending of the file says how."""
+        from threadline.files.formats import write_recording
+
+        return write_recording(self.of.recording, file)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FastestResult:
+    """The result of a search for the fastest way to do a job in spec.
+
+    Parameters
+    ----------
+    best
+        The highest feed (m/s of the fastest axis, or a share of the program's feeds where these
+        differ) or needle speed (stitch/s) in spec, the shortest cycle of a move list (s), or the
+        shortest duration of an embroidery design (s); None where nothing is in spec.
+    unit
+        ``"m/s"``, ``"stitch/s"`` or ``"s"``; empty for a share.
+    limited_by
+        The criterion that forbids more.
+    of
+        The result of the search in ``threadline.search``, with every try; its type depends on the
+        job (``docs/api.md``).
+    best_options
+        The options of planning with which ``prove`` plans the best: ``tl.prove(job, machine,
+        **best_options)``. None where nothing is in spec, or where only a move list can say it.
+    certainty
+        What it costs to hold on the machines of ``ends``, ``band`` or ``robust``; None without.
+    mismatch
+        The fastest on machines at the ends of the tolerances, with ``mismatch``.
+    """
+
+    best: float | None
+    unit: str
+    limited_by: str
+    of: Any
+    best_options: Mapping[str, Any] | None = None
+    certainty: Certainty | None = None
+    mismatch: tuple[Mismatch, ...] = ()
+    _asked: Callable[..., Proved] | None = None
+
+    def prove(self, **words: Word) -> Proved:
+        """Prove the best: the same job on the same machine, with ``best_options``.
+
+        Parameters
+        ----------
+        **words
+            Options of ``prove`` that replace those of the search, such as ``level="nominal"``.
+
+        Raises
+        ------
+        OptionError
+            If nothing was in spec, or where only a move list can say the best.
+        """
+        if self._asked is None or self.best_options is None:
+            raise OptionError(
+                "there is no best to prove: nothing was in spec"
+                if self.best is None
+                else "the best is commands that only a move list can say",
+                remedy="Prove with a lower feed, or with less asked."
+                if self.best is None
+                else "threadline fastest -o FILE writes the move list; prove that.",
+            )
+        return self._asked(**{**self.best_options, **words})
+
+    def __repr__(self) -> str:
+        """Return the answer in a few lines; ``of`` has every try."""
+        from threadline.search.fastest import RANGE
+
+        limit = "the end of the search" if self.limited_by == RANGE else self.limited_by
+        if self.best is None:
+            return f"nothing is in spec, limited by {limit}"
+        unit = self.unit or "times the feeds of the program"
+        options = ", ".join(
+            f"{name}={value!r}" for name, value in (self.best_options or {}).items()
+        )
+        lines = [f"fastest: {self.best:.6g} {unit}, limited by {limit}"]
+        return "\n".join([*lines, *([f"  .prove() proves it: {options}"] if options else [])])

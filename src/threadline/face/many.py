@@ -1,0 +1,111 @@
+"""Questions about many machines: the share that is in specification, and the smallest change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from threadline.base.arguments import checked
+from threadline.errors import OptionError
+from threadline.face.answers import PathLike
+from threadline.machine import Machine
+from threadline.proof.asked import Words, with_options
+from threadline.proof.option_form import Door, Word
+
+if TYPE_CHECKING:
+    from threadline.search.design import DesignResult
+    from threadline.search.machine_yield import Yield
+
+__all__ = ["design", "yields"]
+
+
+@with_options
+@checked
+def yields(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    variants: int = 10_000,
+    seed: int = 1,
+    **words: Word,
+) -> Yield:
+    """Draw machines within the tolerances of the machine file, and judge each in one run.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    variants, seed
+        How many machines are drawn, and the seed of their sequence.
+    **words
+        The options of ``threadline yield``. ``cluster`` names the scheduler whose workers judge
+        them.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    LinkFaultError
+        If the cluster fails.
+    """
+    from threadline.search.machine_yield import planned_yield
+    from threadline.search.yield_parts import MOST_VARIANTS
+
+    for name, value, least, most in (
+        ("variants", variants, 1, MOST_VARIANTS),
+        ("seed", seed, 0, 2**64 - 1),
+    ):
+        if not least <= value <= most:
+            raise OptionError(f"{name} must be from {least} to {most}")
+    asked = Words.of("yield", Door.PYTHON, words)
+    with asked.judging():
+        judged, _ = planned_yield(asked, Path(job), asked.machine(machine))
+        return judged.drawn(variants, seed)
+
+
+@with_options
+@checked
+def design(
+    job: PathLike,
+    machine: PathLike | Machine,
+    *,
+    corners: bool = False,
+    plot: str | None = None,
+    front: int = 0,
+    searches: int = 1,
+    **words: Word,
+) -> DesignResult:
+    """Find the smallest change to the machine with which a job is in specification.
+
+    Parameters
+    ----------
+    job, machine
+        As ``prove`` takes them.
+    corners
+        Whether the design must hold at every corner of the tolerances of ``[design]``, too.
+    plot
+        Two parameters for the region in specification, ``"belt,load"``.
+    front
+        Number of machines that are drawn of each candidate for the front of cost against yield; 0
+        for no front.
+    searches
+        Number of searches, each from other random numbers; the design is the best of all.
+    **words
+        The options of ``threadline design``. ``cluster`` names the scheduler whose workers judge
+        the candidates.
+
+    Raises
+    ------
+    InputError
+        As on the command line.
+    LinkFaultError
+        If the cluster fails.
+    """
+    from threadline.search.design import design as search
+    from threadline.search.design_asked import DesignAims, design_question
+
+    asked = Words.of("design", Door.PYTHON, words)
+    aims = DesignAims(corners=corners, plot=plot, front=front, searches=searches)
+    with asked.judging():
+        wanted = design_question(asked, Path(job), asked.machine(machine), aims)
+        return search(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)

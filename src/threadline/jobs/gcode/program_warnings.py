@@ -1,0 +1,147 @@
+"""Warnings of a part program: what its words do otherwise elsewhere, or do not do here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from threadline.jobs.gcode.block import CHANGE
+from threadline.jobs.gcode.dialects import SILENT, Dialect
+from threadline.jobs.gcode.feeds import normal_feed_m_s
+from threadline.jobs.gcode.foreign import FILAMENT, LETTERS
+from threadline.jobs.gcode.scan import Findings
+from threadline.jobs.gcode.textfile import SourceFile, first_found
+from threadline.jobs.gcode.words import ONE
+from threadline.machine import Machine
+
+_MAX_WARNINGS = 5
+
+
+def capped_feeds(
+    findings: Findings, moved: list[int], label: int | None, machine: Machine, file: SourceFile
+) -> tuple[str, ...]:
+    """Return warnings of feeds above the normal feed of the operator, which caps them.
+
+    Parameters
+    ----------
+    moved
+        Indices of the axes that the program moves; the normal feed of the slowest counts.
+    label
+        Number of the main program; None for a program with parameters.
+    """
+    used = moved or range(len(machine.axis_names))  # G28 without axis words names no axis
+    caps_m_s = normal_feed_m_s(machine)
+    if machine.operator is None or caps_m_s is None:
+        return ()
+    cap_m_s = min(caps_m_s[i] for i in used)
+    caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used)
+    speeds_m_s = [
+        (line, feed, feed * tenth_mm / (600_000 * ONE))
+        for (feed, tenth_mm), line in findings.feeds.speeds(label).items()
+    ]
+    return _first(
+        f"{file.place(line)}: F {feed / ONE:g} is {1e3 * speed_m_s:.1f} mm/s, above the "
+        f"normal feed of {machine.operator.normal_feed.si:g} count/tick ({caps} mm/s), "
+        "which caps it. Choose another feed with --feed, or raise operator.normal_feed."
+        for line, feed, speed_m_s in speeds_m_s
+        if speed_m_s > cap_m_s
+    )
+
+
+def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[str, ...]:
+    """Return warnings of what the scan found, each with file and line."""
+    warnings = [
+        f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."
+        for line in findings.long_dwells
+    ]
+    blends = (
+        "this G64 does not count: the interpolation decides how corners are rounded, and with "
+        "--interpolation firmware [planner] of the machine file (tolerance is P of G64, "
+        "cam_tolerance is Q)."
+        if dialect.name == "linuxcnc"
+        else "G64 is for other controllers; here the interpolation decides how corners are rounded."
+    )
+    warnings += [f"{file.place(line)}: {blends}" for line in findings.blends]
+    if findings.rapid_f and not dialect.rapid_is_feed:
+        warnings.append(
+            f"{file.place(findings.rapid_f)}: F of a G0 sets the feed of later moves; the G0 "
+            "itself goes as fast as the limits allow."
+        )
+    if findings.changes and CHANGE in dialect.grammar.of_sender:
+        warnings.append(
+            f"{file.place(findings.changes)}: {dialect.name} itself refuses M6; what sends the "
+            "program must take it out and stop there, as it is read here."
+        )
+    if findings.length:
+        warnings.append(
+            f"{file.place(findings.length)}: how long the tool of G43 is the control alone knows; "
+            "it holds for every move of Z, and the program's zero is at the start position."
+        )
+    if findings.tape:
+        warnings.append(
+            f"{file.place(findings.tape)}: {dialect.name} answers error:1 to a line with %, at "
+            "which many senders stop: take these lines out."
+        )
+    warnings += _realtime(file, dialect)
+    if findings.anew:
+        lines = ", ".join(map(str, findings.anew[:_MAX_WARNINGS]))
+        more = " ..." if len(findings.anew) > _MAX_WARNINGS else ""
+        warnings.append(
+            f"{file.place(findings.anew[0])}: M2 and M30 (lines {lines}{more}) set G1 G17 G54 G90 "
+            "G94 and end nothing: grbl goes on with what its sender sends. One that takes them out "
+            "leaves the modes as they are."
+        )
+    if findings.unset:
+        first = next(iter(findings.unset.items()))
+        names = " ".join(f"#{which}" for which in list(findings.unset)[:_MAX_WARNINGS])
+        more = " ..." if len(findings.unset) > _MAX_WARNINGS else ""
+        warnings.append(
+            f"{file.place(first[1])}: parameters that the program has not set are 0 here "
+            f"({names}{more}); the control may have kept another value from an earlier program."
+        )
+    if findings.doubtful:
+        warnings.append(
+            f"{file.place(findings.doubtful)}: the numbers compared differ by rounding: LinuxCNC "
+            "2.9 finds LE and GE untrue of them, and EQ true up to 0.0001; later versions find all "
+            "three true, up to 0.000001. Here it is done as in 2.9."
+        )
+    if findings.waits:
+        warnings.append(
+            f"{file.place(findings.waits)}: the program waits for a temperature; how long is not "
+            "known, and no part of any time here."
+        )
+    if findings.idle:
+        words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
+        silent = " ".join(w for w in findings.idle if w[1:].isdigit() and int(w[1:]) in SILENT)
+        left = f" compile leaves out what only shows or stores something: {silent}." * bool(silent)
+        dropped = " ".join(w for w in findings.idle if w in LETTERS + FILAMENT)
+        left += f" compile writes no {dropped}: --axes leaves it out." * bool(dropped)
+        warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.{left}")
+    return _first(warnings)
+
+
+_ACT_NOW = {"!": "holds the feed", "~": "goes on behind a hold", "?": "asks for a report"}
+
+
+def _realtime(file: SourceFile, dialect: Dialect) -> list[str]:
+    """Return a warning of characters that act at once if a sender sends comments, too."""
+    if not dialect.grammar.realtime:
+        return []
+    line, letter = first_found(file, dialect.grammar.realtime)
+    if not line:
+        return []
+    does = _ACT_NOW.get(letter, "holds the machine or changes an override")
+    return [
+        f"{file.place(line)}: {letter!r} {does} at the instant at which {dialect.name} is sent it, "
+        "in a comment, too: have a sender that leaves comments out, or take it out (and ! ~ ? and "
+        "letters that are not ASCII elsewhere)."
+    ]
+
+
+def _first(warnings: Iterable[str]) -> tuple[str, ...]:
+    found = tuple(warnings)
+    if len(found) <= _MAX_WARNINGS:
+        return found
+    return (
+        *found[:_MAX_WARNINGS],
+        f"{len(found) - _MAX_WARNINGS} more warnings of these kinds.",
+    )

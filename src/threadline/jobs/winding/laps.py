@@ -1,0 +1,215 @@
+"""Equal circuits of layers as positions of the axes, and the moves that they become.
+
+Positions are whole parts of a mm and a degree, so that every circuit has the same words.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Move, MoveRun, Operation, Source
+from threadline.jobs.tensions import TAG
+
+_APPROACH_M_S = 0.02  # of eye to the first point
+_REST_S = 0.5
+_RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as what full speed draws in so many seconds
+_STOP_S, _STEP_S = 0.5, 0.02  # from full speed to a rest, and the longest step of speed there
+_STOP_GRID = 10_001
+_UNITS = 1e9  # parts of a mm or deg: in 1000 circuits rounding adds up to 5e-7 deg
+_COARSE = 10_000  # units between the points of a circuit, so that its words are short
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laps:
+    """Equal circuits of one layer as positions of the axes.
+
+    Parameters
+    ----------
+    points
+        (m, axes) positions of the first circuit, its first point included.
+    further
+        (axes,) what every circuit adds to the positions of the one before it.
+    seconds
+        (m - 1,) duration of every move.
+    count
+        Number of circuits.
+    line
+        Line of the layer in the file.
+    tension_n
+        Tension of the fibre that the layer asks for; None: none.
+    """
+
+    points: FloatArray
+    further: FloatArray
+    seconds: FloatArray
+    count: int
+    line: int
+    tension_n: float | None = None
+
+
+def _from_rest(seconds: FloatArray) -> FloatArray:
+    """Return the durations of the moves of a circuit that begins at a rest, s.
+
+    Axes that start at full speed lag behind unequally at first, and the fibre would slip.
+    """
+    middle = np.cumsum(seconds) - 0.5 * seconds
+    return np.asarray(seconds / np.clip(middle / _RAMP_S, _RAMP_FROM, 1.0))
+
+
+def _nominal_s(left_s: FloatArray) -> FloatArray:
+    """Return the time at full speed for the way that is left at times before a rest.
+
+    Over the last ``_STOP_S`` the speed falls as half a cosine: its share of the full speed is
+    ``(1 - cos(pi t / T)) / 2`` at the time t before the rest.
+    """
+    slow = np.minimum(left_s, _STOP_S)
+    turn = math.pi / _STOP_S
+    return np.asarray(0.5 * (slow - np.sin(turn * slow) / turn) + (left_s - slow))
+
+
+def _left_s(nominal_s: FloatArray) -> FloatArray:
+    """Return the time to a rest: the inverse of ``_nominal_s``."""
+    grid = np.linspace(0.0, _STOP_S, _STOP_GRID)
+    own = _nominal_s(grid)
+    slow = np.interp(nominal_s, own, grid)
+    return np.asarray(slow + np.maximum(nominal_s - own[-1], 0.0))
+
+
+def _to_rest(units: IntArray, seconds: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the points of a circuit that ends at a rest, and the durations of its moves, s.
+
+    A mandrel that stops from full speed swings back on its drive and lifts the fibre. Moves are
+    divided so that the speed falls in small steps.
+    """
+    left = float(seconds.sum()) - np.concatenate([[0.0], np.cumsum(seconds)])
+    left[-1] = 0.0
+    between = _nominal_s(np.asarray(_STEP_S * np.arange(1.0, round(_STOP_S / _STEP_S))))
+    between = between[between < left[0]]
+    # A new point beside an old one would only make a short word.
+    near = np.abs(_left_s(between)[:, None] - _left_s(left)[None]).min(axis=1)
+    every = np.concatenate([left, between[near > 0.5 * _STEP_S]])
+    order = np.argsort(-every, kind="stable")
+    places = np.column_stack([np.interp(-every, -left, column) for column in units.T])
+    found = _COARSE * np.rint(places / _COARSE).astype(np.int64)
+    found[: len(left)] = units
+    return found[order], -np.diff(_left_s(every[order]))
+
+
+def _feeds(seconds: FloatArray) -> tuple[tuple[int, Feed | None], ...]:
+    """Return the feeds of moves from their durations."""
+    return tuple(
+        (k, Feed(FeedMode.INVERSE_TIME, feed)) for k, feed in enumerate((1.0 / seconds).tolist())
+    )
+
+
+class Grid:
+    """Positions as whole parts of a mm or a degree, in which equal circuits are equal to the digit.
+
+    Parameters
+    ----------
+    linear
+        (axes,) whether each axis is linear.
+    """
+
+    def __init__(self, linear: Sequence[bool]) -> None:
+        self._linear = np.array(linear)
+
+    def units(self, places: FloatArray) -> IntArray:
+        """Return whole units of (..., axes) positions, m or rad."""
+        given = np.where(self._linear, 1e3 * places, np.degrees(places))
+        return np.rint(given * _UNITS).astype(np.int64)
+
+    def places(self, units: IntArray) -> FloatArray:
+        """Return positions, m or rad: those that a reader makes of the decimals."""
+        return np.where(self._linear, units / (1e3 * _UNITS), np.radians(units / _UNITS))
+
+
+def on_grid(one: Laps, grid: Grid) -> Laps:
+    """Return laps between whole units; the last point of a circuit begins the next one."""
+    points = grid.units(one.points)
+    points = _COARSE * np.rint(points / _COARSE).astype(np.int64)
+    further = grid.units(one.further)
+    if one.count > 1:
+        points[-1] = points[0] + further
+    return replace(one, points=grid.places(points), further=grid.places(further))
+
+
+def moves_of(
+    laps: tuple[Laps, ...],
+    file: str,
+    axes: tuple[str, ...],
+    order: tuple[tuple[str, ...], tuple[bool, ...]],
+) -> Iterator[Operation | MoveRun]:
+    """Yield the moves: to the first point, axis by axis, then every circuit.
+
+    ``order`` has the axes that move to the first point one by one, and which axes are linear.
+    """
+    approach, grid = order[0], Grid(order[1])
+    first = grid.units(laps[0].points[0])
+    at = np.zeros(len(axes), dtype=np.int64)
+    turn = [index for index, name in enumerate(axes) if name not in approach]
+    for name in approach:
+        column = axes.index(name)
+        if first[column]:
+            at[column] = first[column]
+            feed = Feed(
+                FeedMode.INVERSE_TIME, _APPROACH_M_S / abs(float(laps[0].points[0, column]))
+            )
+            yield Move(tuple(grid.places(at).tolist()), feed, Source(file, laps[0].line))
+            # A plan would round the corners, and the fibre would start beside its place.
+            yield Dwell(_REST_S, Source(file, laps[0].line))
+    number = 0
+    placed, apart = _placed(laps, grid, turn, at)
+    for k, (one, units) in enumerate(zip(laps, placed, strict=True)):
+        further = grid.units(one.further)
+        if apart[k]:
+            feed = Feed(FeedMode.INVERSE_TIME, 1.0 / float(one.seconds[0]))
+            yield Move(tuple(grid.places(units[0]).tolist()), feed, Source(file, one.line))
+        for lap in range(one.count):
+            number += 1
+            points, seconds = units, one.seconds
+            if lap == 0 and (k == 0 or apart[k]):
+                seconds = _from_rest(seconds)
+            if lap == one.count - 1 and apart[k + 1]:
+                points, seconds = _to_rest(points, seconds)
+            count = len(seconds)
+            yield MoveRun(
+                targets=grid.places(points[1:] + lap * further),
+                line=np.full(count, one.line, dtype=np.int64),
+                feeds=_feeds(seconds),
+                file=file,
+                passes=(number,),
+                columns=_tagged(one.tension_n, count),
+            )
+
+
+def _tagged(tension_n: float | None, count: int) -> dict[str, FloatArray]:
+    """Return the tag of the tension at the first move of a circuit; the others keep it."""
+    if tension_n is None:
+        return {}
+    column = np.full(count, np.nan)
+    column[0] = tension_n
+    return {TAG: column}
+
+
+def _placed(
+    laps: tuple[Laps, ...], grid: Grid, turn: Sequence[int], at: IntArray
+) -> tuple[list[IntArray], list[bool]]:
+    """Return the points of every circuit in units, and where the mandrel rests before it.
+
+    The mandrel goes on from where it is; between two surfaces the eye moves outwards alone. One
+    more entry stands for the end.
+    """
+    placed, apart = [], []
+    for one in laps:
+        units = grid.units(one.points)
+        units[:, turn] += at[turn] - units[0, turn]
+        apart.append(bool(np.abs(units[0] - at).max() > _COARSE))
+        placed.append(units)
+        at = units[-1] + (one.count - 1) * grid.units(one.further)
+    return placed, [*apart, True]

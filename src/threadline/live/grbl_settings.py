@@ -1,0 +1,224 @@
+"""The settings of a controller with grbl in words, beside the values of the machine file.
+
+Source: "Grbl v1.1 Configuration" of gnea/grbl ($0 to $132); grblHAL and grbl-Mega-5X number the
+settings of further axes in the same way ($103, $113 ...).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.machine.motion_planner import GrblPlanner
+
+SAME = 1e-3
+"""Relative difference up to which a setting counts as equal to the machine file's value."""
+STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
+"""Numbers of the settings of the first axis; those of the others follow."""
+REPORTS, DEVIATION, INCHES = 10, 11, 13
+_LETTERS_MOST = 9
+_LINE = re.compile(r"\$(\d{1,5})=([^\s(]*)")
+_MASK = "mask"
+_ON = "on"
+_NAMES: Mapping[int, tuple[str, str]] = {
+    0: ("length of a step pulse", "µs"),
+    1: ("time until the motors are switched off", "ms"),
+    2: ("inverted step signals", _MASK),
+    3: ("inverted directions", _MASK),
+    4: ("enable signal of the motors inverted", _ON),
+    5: ("limit switches inverted", _ON),
+    6: ("probe inverted", _ON),
+    REPORTS: ("contents of a status report", ""),
+    DEVIATION: ("junction deviation", "mm"),
+    12: ("deviation of an arc from its chords", "mm"),
+    INCHES: ("reports in inches", _ON),
+    20: ("soft limits: a move beyond the travel is refused", _ON),
+    21: ("hard limits: a limit switch stops the machine", _ON),
+    22: ("homing to switches", _ON),
+    23: ("axes that home to the other side", _MASK),
+    24: ("slow speed of homing", "mm/min"),
+    25: ("fast speed of homing", "mm/min"),
+    26: ("time in which a switch bounces", "ms"),
+    27: ("distance from the switch after homing", "mm"),
+    30: ("highest speed of the spindle", "rpm"),
+    31: ("lowest speed of the spindle", "rpm"),
+    32: ("laser mode", _ON),
+}
+_OF_AXES: Mapping[int, tuple[str, str]] = {
+    STEPS: ("steps", "per {u}"),
+    RATE: ("highest speed", "{u}/min"),
+    ACCELERATION: ("acceleration", "{u}/s²"),
+    TRAVEL: ("travel", "{u}"),
+}
+_STAYS_ON = 255
+_REPORTED = ("machine positions", "buffer")
+
+
+class Mark(StrEnum):
+    """How a setting of the board compares with the machine file."""
+
+    NONE = ""  # the machine file has no such value
+    SAME = "same"
+    LOWER = "lower"  # allowed: the board moves slower than the file says
+    OTHER = "other"  # differs, and no run is refused for it
+    REFUSED = "refused"  # nothing moves until one of them is corrected
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSetting:
+    """One setting of the board.
+
+    Parameters
+    ----------
+    number
+        Its number: 110 for ``$110``.
+    name, unit
+        In words; the unit is empty for a code.
+    board, words
+        Value as the board tells it, and its meaning, if it is a code; else empty.
+    file
+        Value of the machine file in the same unit; empty if it has none.
+    mark
+        How they compare.
+    """
+
+    number: int
+    name: str
+    unit: str
+    board: str
+    words: str
+    file: str
+    mark: Mark
+
+
+def texts_of(lines: Iterable[str]) -> dict[int, str]:
+    """Return the settings that ``$$`` has listed, by number, as they are written.
+
+    >>> texts_of(["$10=1", "$110=5000.000 (x max rate, mm/min)", "ok"])
+    {10: '1', 110: '5000.000'}
+    """
+    found = (_LINE.match(line) for line in lines)
+    return {int(form[1]): form[2] for form in found if form is not None}
+
+
+def number_of(text: str) -> float:
+    """Return the number of a setting; NaN if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def units_of(machine: Machine) -> FloatArray:
+    """Return the (axes,) m or rad per unit of grbl: a millimetre, or a degree."""
+    return np.array(
+        [1e-3 if axis.kind == "linear" else np.pi / 180.0 for axis in machine.axes.values()]
+    )
+
+
+def wanted_of(machine: Machine, letters: Sequence[str]) -> dict[int, float]:
+    """Return the values of a machine file by the number of their settings, in grbl's units.
+
+    Parameters
+    ----------
+    machine
+        The machine: its axes, their travel, and the planner of its firmware.
+    letters
+        Axes of the controller, in the order of its reports.
+    """
+    found: dict[int, float] = {INCHES: 0.0}
+    units = units_of(machine)
+    per_unit = machine.counts_per_unit * units
+    fastest = 60.0 * machine.velocity_limit / units
+    quickest = machine.acceleration_limit / units
+    for k, (name, axis) in enumerate(machine.axes.items()):
+        if name not in letters:
+            continue
+        at = list(letters).index(name)
+        found[STEPS + at] = float(per_unit[k])
+        found[RATE + at] = float(fastest[k])
+        found[ACCELERATION + at] = float(quickest[k])
+        if axis.travel is not None:
+            found[TRAVEL + at] = float((axis.travel[1].si - axis.travel[0].si) / units[k])
+    if isinstance(machine.planner, GrblPlanner):
+        found[DEVIATION] = 1e3 * machine.planner.junction_deviation.si
+    return found
+
+
+def compared(
+    texts: Mapping[int, str], machine: Machine, letters: Sequence[str]
+) -> list[BoardSetting]:
+    """Return the settings of a board beside the values of a machine file, by their numbers.
+
+    What a run needs (steps, speed, acceleration) is listed even if the board does not tell it.
+    """
+    wanted = wanted_of(machine, letters)
+    rows = []
+    needed = {number for number in wanted if STEPS <= number < TRAVEL}
+    for number in sorted({*texts, *needed}):
+        name, unit = _named(number, machine, letters)
+        board = texts.get(number, "")
+        right = wanted.get(number)
+        rows.append(
+            BoardSetting(
+                number,
+                name,
+                "" if unit in (_MASK, _ON) else unit,
+                board or "not told",
+                _words(number, unit, board, letters),
+                "" if right is None else f"{right:.6g}",
+                _mark(number, number_of(board), right),
+            )
+        )
+    return rows
+
+
+def _named(number: int, machine: Machine, letters: Sequence[str]) -> tuple[str, str]:
+    """Return the name and the unit of a setting."""
+    group, at = number - number % 10, number % 10
+    if group in _OF_AXES and at < min(len(letters), _LETTERS_MOST):
+        letter = letters[at]
+        name, unit = _OF_AXES[group]
+        rotary = letter in machine.axes and machine.axes[letter].kind != "linear"
+        return f"{name} of {letter}", unit.format(u="°" if rotary else "mm")
+    return _NAMES.get(number, ("a setting of this firmware", ""))
+
+
+def _words(number: int, unit: str, board: str, letters: Sequence[str]) -> str:
+    """Return the meaning of a code; empty for a plain number."""
+    value = number_of(board)
+    if not np.isfinite(value) or value != int(value) or value < 0:
+        return ""
+    code = int(value)
+    if unit == _ON:
+        return "yes" if code else "no"
+    if unit == _MASK:
+        return ", ".join(a for k, a in enumerate(letters) if code >> k & 1) or "none"
+    if number == REPORTS:
+        told = [words for k, words in enumerate(_REPORTED) if code >> k & 1]
+        return ", ".join(told if code & 1 else ["work positions", *told])
+    if number == 1 and code == _STAYS_ON:
+        return "they stay on"
+    return ""
+
+
+def _mark(number: int, board: float, right: float | None) -> Mark:
+    """Return how a value compares; speeds and accelerations may be lower than the file's."""
+    if number == REPORTS:
+        return Mark.NONE if np.isfinite(board) and int(board) & 1 else Mark.REFUSED
+    if right is None:
+        return Mark.NONE
+    same = bool(abs(board - right) <= SAME * abs(right))
+    if same:
+        return Mark.SAME
+    if number == INCHES or STEPS <= number < RATE:
+        return Mark.REFUSED
+    if RATE <= number < TRAVEL:
+        return Mark.LOWER if 0.0 < board < right else Mark.REFUSED
+    return Mark.OTHER

@@ -1,0 +1,138 @@
+"""The way of a program for grbl: where it begins, and which lines a position has passed."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import CommandError
+from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_words import Program
+from threadline.live.pace import place_words
+from threadline.machine import Machine
+
+OFF_PATH_M = 1e-3
+"""Distance from the lines that were sent, m, beyond which a run has failed."""
+_AT_END_M = 0.1 * OFF_PATH_M
+_STOP = re.compile(rb"M0?0(?![0-9.])")
+
+
+class Way:
+    """The lines of a program from the position where it starts.
+
+    Parameters
+    ----------
+    program, machine
+        The program, and its machine.
+    starts
+        (axes,) starting position, m or rad.
+    """
+
+    def __init__(self, program: Program, machine: Machine, starts: FloatArray) -> None:
+        self._lines, self._radius = program.lines, machine.radius_m
+        self._ends, self._starts = program.ends * self._radius, starts * self._radius
+
+    def _begin(self, line: int) -> FloatArray:
+        begin: FloatArray = self._ends[line - 1] if line else self._starts
+        return begin
+
+    def end_away_m(self, at: FloatArray) -> float:
+        """Return the distance of a position from the end of the last line, m."""
+        return float(np.linalg.norm(self._begin(len(self._ends)) - at * self._radius))
+
+    def stands_at_stop(self, line: int, at: FloatArray) -> bool:
+        """Return whether a line is an M0, and a position the end of the line before.
+
+        grbl answers an M0 only after it is resumed, so that the M0 is the first line without an
+        answer; and it stands at the end of the line before. A hold by its button on the way there
+        is the operator's.
+        """
+        if line >= len(self._lines) or _STOP.search(self._lines[line]) is None:
+            return False
+        return float(np.linalg.norm(self._begin(line) - at * self._radius)) <= _AT_END_M
+
+    def passed(self, lines: range, at: FloatArray) -> tuple[int | None, float]:
+        """Return the number of lines that a position has passed, and its distance from them, m.
+
+        The number is None if the position is on none of ``lines``.
+        """
+        nearest = np.inf
+        for k in lines:
+            begin = self._begin(k)
+            way = self._ends[k] - begin
+            long = float(way @ way)
+            place = at * self._radius
+            share = 0.0 if long == 0.0 else float(np.clip((place - begin) @ way / long, 0.0, 1.0))
+            off = float(np.linalg.norm(begin + share * way - place))
+            nearest = min(nearest, off)
+            if off <= _AT_END_M and long:
+                return k + (share == 1.0), off
+        return None, nearest
+
+
+def refuse_program(
+    program: Program, controller: Controller, at: FloatArray, starts: FloatArray
+) -> None:
+    """Refuse a program that begins elsewhere, has too long a line, or leaves the travel.
+
+    Parameters
+    ----------
+    at, starts
+        (axes,) present position, and the one where the program begins, m or rad.
+
+    Raises
+    ------
+    CommandError
+        Says which of these it is.
+    """
+    machine = controller.machine
+    away = np.abs(at - starts) * machine.radius_m
+    if away.max() > OFF_PATH_M:
+        k = int(away.argmax())
+        name = machine.axis_names[k]
+        here, there = (place_words(machine, name, float(place[k])) for place in (at, starts))
+        raise CommandError(
+            f"axis {name} stands at {here}, the run begins at {there}",
+            remedy="Move it there first (run --approach, or Approach of the panel).",
+        )
+    longest = max(map(len, program.lines), default=0)
+    if longest > controller.room:
+        raise CommandError(
+            f"a line of the program has {longest} characters, the receive buffer of the "
+            f"controller {controller.room}",
+            remedy="Build its firmware with a larger one.",
+        )
+    for end in program.ends:
+        if name := controller.beyond(end):
+            raise CommandError(
+                f"axis {name}: the program leaves its travel", remedy="Move the job."
+            )
+
+
+def way_passed(
+    program: Program,
+    machine: Machine,
+    places: tuple[FloatArray, FloatArray],
+    executed: tuple[int, int],
+) -> tuple[FloatArray, IntArray]:
+    """Return where another line began between two reports, and the operations.
+
+    Parameters
+    ----------
+    program, machine
+        The program, and its machine.
+    places, executed
+        For the two reports: the (axes,) position, and the number of executed lines.
+
+    Returns
+    -------
+    tuple
+        (n,) shares of the motion at which another line began, and (n + 1,) operations.
+    """
+    was, now = executed
+    ways = np.vstack([places[0], *program.ends[was:now], places[1]]) * machine.radius_m
+    gone = np.cumsum(np.linalg.norm(np.diff(ways, axis=0), axis=1))
+    lines = np.minimum(np.arange(was, now + 1), len(program.operations) - 1)
+    return gone[:-1] / max(gone[-1], 1e-12), program.operations[lines]

@@ -1,0 +1,372 @@
+"""One plan beside the files of many controllers: whether each of them is that plan.
+
+A file is read by something that did not write it: tick tables by csv, json and numpy, programs for
+LinuxCNC by its own interpreter, step tables by a decoder of their documented format, programs of a
+PLC scan by scan, programs for other firmwares by the code of the firmware where it is at hand. A
+file on disk is besides compared, line by line, with the file that ``compile`` writes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from threadline.base.progress import Progress
+from threadline.commands.boards import BOARDS
+from threadline.commands.plan import Plan
+from threadline.commands.write import TABLES
+from threadline.errors import OptionError, PlanError
+from threadline.machine import Machine
+from threadline.proof.asked import check_target
+from threadline.proof.kinds import kind_of
+from threadline.proof.options import Options
+from threadline.proof.pipeline import write
+from threadline.readback.equal_found import UNITS, Curve, Found
+from threadline.readback.equal_text import check_version, other_text
+
+HEADER = ("target", "read by", "verdict", "place", "limit", "at the tool", "time", "limit", "worst")
+EQUAL, DIFFERS, READ_BACK, SKIPPED = "equal", "differs", "read back", "skipped"
+"""Verdicts. ``read back``: no difference, but only a reader of Threadline's has read the file."""
+_SCHEDULES = ("st", "openplc", "plcopen", "scl")
+_LEAST = 1e-4  # a smaller difference is a rounding error, and shown as 0
+_COARSE = 1000.0  # um or urad from which a difference is shown in mm or mrad
+_NO_READER = "no program here reads it but the one that writes it"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Equal:
+    """The file of one target beside the plan.
+
+    Parameters
+    ----------
+    target, file
+        Target, and the file that was read; empty for a file that ``equal`` wrote itself.
+    verdict
+        ``"equal"``, ``"differs"``, ``"read back"`` or ``"skipped"``.
+    reader
+        The reader of the file; empty if skipped.
+    place, place_limit
+        Largest difference in place and its limit, in ``unit``; None if skipped.
+    unit, axis
+        ``"count"``, ``"step"``, ``"m"`` or ``"rad"``, and the axis; empty for all together.
+    tool_m
+        The same difference at the tool, m; None where there is none.
+    time_s, time_limit_s
+        Largest difference in time and its limit; None where a firmware makes the time.
+    at
+        Line, block, row or step of the worst.
+    note
+        Further differences, times of a firmware, or why the target was skipped.
+    missing
+        The reader that could be installed, and how; empty if nothing is missing.
+    curve
+        The differences over time; None if skipped.
+    """
+
+    target: str
+    verdict: str
+    file: str = ""
+    reader: str = ""
+    place: float | None = None
+    place_limit: float | None = None
+    unit: str = ""
+    axis: str = ""
+    tool_m: float | None = None
+    time_s: float | None = None
+    time_limit_s: float | None = None
+    at: str = ""
+    note: str = ""
+    missing: str = ""
+    curve: Curve | None = None
+
+    def row(self) -> list[str]:
+        """Return the texts of a row, in the order of ``HEADER``."""
+        place, limit = (_place(value, self.unit) for value in (self.place, self.place_limit))
+        if self.axis and self.place:
+            place = f"{self.axis} {place}"
+        tool = "-" if self.tool_m is None else _place(self.tool_m, "m")
+        times = [_time(value) for value in (self.time_s, self.time_limit_s)]
+        cells = [self.target, self.reader or "-", self.verdict, place, limit, tool, *times]
+        return [*cells, self.at or "-"]
+
+    @property
+    def remark(self) -> str:
+        """Note and missing reader, each told once; empty if there is nothing to tell."""
+        told = self.note if self.missing in self.note else f"{self.note}; {self.missing}"
+        return told.removeprefix("; ")
+
+    def content(self) -> dict[str, Any]:
+        """Return the fields as JSON content, without the curve."""
+        names = (name for name in self.__dataclass_fields__ if name != "curve")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Equality:
+    """A plan beside the files of controllers.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    targets
+        A row for each target, in the order asked for.
+    """
+
+    plan: Plan
+    targets: tuple[Equal, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no file differs; skipped targets do not count."""
+        return all(one.verdict != DIFFERS for one in self.targets)
+
+    @property
+    def missing(self) -> dict[str, str]:
+        """Targets whose reader could be installed and is not, with the reason."""
+        return {one.target: one.missing for one in self.targets if one.missing}
+
+    def content(self) -> dict[str, Any]:
+        """Return the answer as JSON content."""
+        return {
+            "job": self.plan.job.name,
+            "machine": self.plan.machine.name,
+            "equal": self.passed,
+            "missing": self.missing,
+            "targets": [one.content() for one in self.targets],
+        }
+
+    def closing(self) -> str:
+        """Return the answer in one line."""
+        count = {word: 0 for word in (EQUAL, DIFFERS, READ_BACK, SKIPPED)}
+        for one in self.targets:
+            count[one.verdict] += 1
+        told = "equal" if self.passed else "NOT EQUAL"
+        parts = [f"{count[EQUAL] + count[DIFFERS] + count[READ_BACK]} compared"]
+        if count[READ_BACK]:
+            parts.append(f"{count[READ_BACK]} of them by Threadline's own reader alone")
+        return f"{told}: {', '.join([*parts, f'{count[SKIPPED]} skipped'])}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """The targets to compare, and files on disk for some of them.
+
+    Parameters
+    ----------
+    targets
+        Names; those that cannot be written or read are skipped.
+    files
+        File on disk by target.
+    slower
+        As for ``compile``.
+    """
+
+    targets: tuple[str, ...]
+    files: Mapping[str, Path]
+    slower: bool = False
+
+
+def asked_of(
+    machine: Machine,
+    options: Options,
+    targets: Sequence[str],
+    files: Sequence[str],
+    *,
+    slower: bool = False,
+) -> Asked:
+    """Return what to compare; without targets and files, all targets of the kind of machine.
+
+    Parameters
+    ----------
+    targets
+        Names of targets.
+    files
+        ``TARGET=FILE`` each.
+
+    Raises
+    ------
+    OptionError
+        If a target is unknown, belongs to another kind of machine, cannot hold the plan, or is
+        named twice; if a file is not given as TARGET=FILE or is not there.
+    """
+    own: dict[str, Path] = {}
+    for text in files:
+        name, equals, file = text.partition("=")
+        if not (equals and name and file):
+            raise OptionError(
+                f"--file {text[:80]!r} is not TARGET=FILE", remedy="Write grbl=part.nc."
+            )
+        if name in own:
+            raise OptionError(f"--file names {name} twice", remedy="Compare one file at a time.")
+        own[name] = Path(file)
+        if not own[name].is_file():
+            raise OptionError(
+                f"there is no file {file[:200]!r}", remedy="Give the file to compare."
+            )
+    named = list(dict.fromkeys([*targets, *own]))
+    for name in named:
+        check_target(name, machine, options)
+    return Asked(targets=tuple(named or kind_of(machine).targets), files=own, slower=slower)
+
+
+def equal_targets(
+    plan: Plan, options: Options, asked: Asked, progress: Progress | None = None
+) -> Equality:
+    """Write ``plan`` for each target, read the files back, and compare them with the plan.
+
+    Raises
+    ------
+    InputError
+        If a given file cannot be read, or belongs to another job or machine; if no target at all
+        could be compared.
+    """
+    found = []
+    with tempfile.TemporaryDirectory(prefix="threadline-equal-") as folder:
+        for number, target in enumerate(asked.targets):
+            if progress is not None:
+                progress(f"comparing {target}", number / len(asked.targets))
+            given = asked.files.get(target)
+            found.append(_one(plan, options, target, Path(folder), given, slower=asked.slower))
+    if all(one.verdict == "skipped" for one in found):
+        reasons = dict.fromkeys(f"{one.target}: {one.note}" for one in found)
+        raise OptionError(
+            f"no target was compared: {'; '.join(reasons)}",
+            remedy="Name a target that can be compared: "
+            f"{', '.join(name for name in kind_of(plan.machine).targets if _readable(name))}."
+            if any(map(_readable, kind_of(plan.machine).targets))
+            else "Compare a job of a machine with axes.",
+        )
+    return Equality(plan=plan, targets=tuple(found))
+
+
+def _readable(target: str) -> bool:
+    return target in _COMPARED or target in _TAPES
+
+
+def _missing(target: str) -> str:
+    """Return the reader of a target that is not installed here, and how to get it."""
+    if target in {"nc", "linuxcnc"}:
+        from threadline.readback.equal_programs import missing_rs274
+
+        return missing_rs274()
+    if target in BOARDS:
+        from threadline.readback.equal_firmware import missing_oracle
+
+        return missing_oracle(target)
+    return ""
+
+
+def _one(
+    plan: Plan, options: Options, target: str, folder: Path, given: Path | None, *, slower: bool
+) -> Equal:
+    """Return the row of one target; a target that cannot be compared is skipped with its reason."""
+    missing = _missing(target)
+    why = "" if _readable(target) else _NO_READER
+    if not why and target in {"nc", "linuxcnc"}:
+        why = missing
+    fresh = folder / f"plan{_SUFFIX.get(target, '')}.{_ENDING.get(target, target)}"
+    if given is not None and given.suffix:
+        fresh = folder / given.name
+    if not why:
+        try:
+            check_target(target, plan.machine, options)
+            write(plan, target, fresh, slower=slower)
+        except (OptionError, PlanError) as error:
+            if given is not None:
+                raise
+            why = f"not written: {' '.join(error.message.split())}"
+    if why:
+        own = str(given or "")
+        return Equal(target=target, verdict=SKIPPED, file=own, note=why, missing=missing)
+    other = ""
+    if given is not None:
+        check_version(target, given, plan)
+    if target in _TAPES:
+        from threadline.readback.equal_tapes import compare_tape
+
+        found = compare_tape(target, plan.stitched, given or fresh, fresh)
+    else:
+        found = _COMPARED[target](target, plan, given or fresh)
+        other = "" if given is None else other_text(target, fresh, given)
+    notes = [text for text in (other, found.wrong, found.note) if text]
+    differs = found.beyond or bool(other)
+    return Equal(
+        target=target,
+        verdict=DIFFERS if differs else READ_BACK if found.own else EQUAL,
+        file=str(given or ""),
+        reader=found.reader,
+        place=found.place,
+        place_limit=found.place_limit,
+        unit=found.unit,
+        axis=found.axis,
+        tool_m=found.tool_m,
+        time_s=found.time_s,
+        time_limit_s=found.time_limit_s,
+        at=found.at,
+        note="; ".join(notes),
+        missing=missing,
+        curve=found.curve,
+    )
+
+
+def _table(target: str, plan: Plan, path: Path) -> Found:
+    from threadline.readback.equal_tables import compare_table
+
+    return compare_table(target, plan, path)
+
+
+def _interpreted(target: str, plan: Plan, path: Path) -> Found:
+    from threadline.readback.equal_programs import compare_interpreted
+
+    return compare_interpreted(target, plan, path)
+
+
+def _firmware(target: str, plan: Plan, path: Path) -> Found:
+    from threadline.readback.equal_firmware import compare_firmware
+
+    return compare_firmware(target, plan, path)
+
+
+def _schedule(target: str, plan: Plan, path: Path) -> Found:
+    from threadline.readback.equal_schedule import compare_schedule
+
+    return compare_schedule(target, plan.scheduled, path)
+
+
+def _steps(target: str, plan: Plan, path: Path) -> Found:  # noqa: ARG001
+    from threadline.readback.equal_steps import compare_steps
+
+    return compare_steps(plan.stitched, path)
+
+
+_COMPARED: Mapping[str, Callable[[str, Plan, Path], Found]] = {
+    **dict.fromkeys(TABLES, _table),
+    **dict.fromkeys(BOARDS, _firmware),
+    **dict.fromkeys(("nc", "linuxcnc"), _interpreted),
+    **dict.fromkeys(_SCHEDULES, _schedule),
+    "steps": _steps,
+}
+"""Function that compares the file of each target that something else can read."""
+_TAPES = ("dst", "u01")
+_ENDING = {"steps": "json", "openplc": "st", "plcopen": "xml"}
+_SUFFIX = {"openplc": "-openplc"}
+
+
+def _place(value: float | None, unit: str) -> str:
+    if value is None:
+        return "-"
+    factor, name = UNITS[unit]
+    shown = factor * value
+    if unit in {"m", "rad"} and abs(shown) >= _COARSE:
+        shown, name = 1e-3 * shown, {"m": "mm", "rad": "mrad"}[unit]
+    return f"{shown if abs(shown) >= _LEAST else 0.0:.3g} {name}"
+
+
+def _time(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{1e3 * value:.3g} ms" if abs(value) >= 1e-6 or not value else f"{1e9 * value:.3g} ns"

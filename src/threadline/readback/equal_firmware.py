@@ -1,0 +1,199 @@
+"""Programs for firmwares that plan by themselves: the firmware's own code beside the plan.
+
+Where the code of the firmware is at hand (``klipper_host``, ``grbl_steps``), it runs the program,
+and every step that it makes is compared. With ``--interpolation firmware`` the plan itself is what
+the firmware makes of the job: steps and plan are compared at the same instants. Every other plan
+has times of its own. Then the program must follow the path of the plan, and its steps are compared
+with Threadline's model of the firmware, whose time the plan of a workshop rests on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS
+from threadline.commands.firmware_program import as_run_times_s
+from threadline.commands.plan import Plan
+from threadline.files.commands import tick_table
+from threadline.jobs.gcode.part_program import read_part_program
+from threadline.machine import Machine
+from threadline.machine.motion_planner import LinuxCncPlanner
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.path.interpolations import FIRMWARE
+from threadline.motion.timing import plan_trajectory
+from threadline.motion.timing.types import Trajectory
+from threadline.readback import grbl_steps, klipper_host
+from threadline.readback.equal_found import Found
+from threadline.readback.equal_path import PLACE_M, radius_m
+from threadline.readback.equal_programs import TIME_SHARE, compare_read_back, firmware_note
+from threadline.readback.stepped import Beside, Steps, beside
+
+SEGMENT_S = 0.01
+"""Stretch of time for which grbl works out one speed, s: ``ACCELERATION_TICKS_PER_SECOND``."""
+STEPS = 1.0
+"""Steps of a motor by which its place may differ from the plan's at the same instant."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Oracle:
+    """The code of a firmware.
+
+    Parameters
+    ----------
+    name
+        Its name, for people.
+    missing
+        Function that returns why it cannot be run here; empty if it can.
+    unfit
+        Function of a machine and its axes that returns why it cannot run a job of theirs.
+    run
+        Function of program, machine, axes and steps per mm or degree that returns the steps.
+    same_instant
+        Whether the place is compared at the same instant; if not, it is the distance from the path.
+    slack_s
+        Time by which a step may differ besides its share of the time, s.
+    """
+
+    name: str
+    missing: Callable[[], str]
+    unfit: Callable[[Machine, Sequence[str]], str]
+    run: Callable[[Path, Machine, Sequence[str], Mapping[str, float]], dict[str, Steps]]
+    same_instant: bool
+    slack_s: float = 0.0
+
+
+ORACLES: Mapping[str, Oracle] = {
+    "klipper": Oracle(
+        name="Klipper's host",
+        missing=klipper_host.missing,
+        unfit=klipper_host.unfit,
+        run=klipper_host.steps_on_klipper,
+        same_instant=True,
+    ),
+    "grbl": Oracle(
+        name="grbl's own code",
+        missing=grbl_steps.missing,
+        unfit=grbl_steps.unfit,
+        run=grbl_steps.steps_on_grbl,
+        same_instant=False,
+        slack_s=SEGMENT_S,
+    ),
+}
+"""By target. Firmwares without an entry are read back by Threadline alone."""
+
+
+def missing_oracle(target: str) -> str:
+    """Return why the code of a firmware cannot be run here; empty if it can, or none is known."""
+    return ORACLES[target].missing() if target in ORACLES else ""
+
+
+def compare_firmware(target: str, plan: Plan, path: Path) -> Found:
+    """Compare a program with ``plan`` by the firmware's own code, and along its path.
+
+    Raises
+    ------
+    JobError, RecordingError
+        If the program cannot be read, or the firmware refuses it.
+    OptionError
+        If the firmware's code is named and does not run.
+    """
+    read = compare_read_back(target, plan, path)
+    axes = plan.motion.trajectory.axes
+    why = f"only Threadline reads it: the code of {target} is not run"
+    if target in ORACLES:
+        why = ORACLES[target].missing() or ORACLES[target].unfit(plan.machine, axes)
+    reference = _reference(target, plan, path)
+    if not why and reference is None:
+        why = f"the machine file has no [planner] of {BOARDS[target].planner or target}"
+    if why or reference is None:
+        timed = replace(read, note="; ".join(filter(None, (read.note, why))))
+        return timed if reference is None else _by_model(target, plan, path, timed)
+    table = tick_table(plan.commands)
+    counts = dict(zip(table.axes, table.counts_per_unit.tolist(), strict=True))
+    shown = {
+        axis: counts[axis] / 1e3 if plan.machine.axes[axis].kind == "linear"
+        else float(np.radians(counts[axis]))
+        for axis in axes
+    }  # fmt: skip
+    steps = ORACLES[target].run(path, plan.machine, axes, shown)
+    per_si = np.array([counts[axis] for axis in axes])
+    start = reference(np.zeros(1))[0]
+    found = beside(steps, reference, per_si, start, radius_m(plan))
+    return _found(target, plan, path, read, found, reference)
+
+
+def _by_model(target: str, plan: Plan, path: Path, read: Found) -> Found:
+    """Return a program that was read back with its time by the model of the firmware's planner.
+
+    Only a plan that the firmware itself makes has the same time.
+    """
+    if plan.motion.path.interpolation != FIRMWARE:
+        return read
+    own = replace(plan.machine, operator=None)
+    again = read_part_program(path, machine=own, dialect=target)
+    run_s = as_run_times_s(target, plan.motion.programmed, again, plan.machine)
+    if run_s is None:
+        return read
+    limit_s = TIME_SHARE * plan.duration_s
+    return replace(read, time_s=run_s[1] - plan.duration_s, time_limit_s=limit_s)
+
+
+def _reference(target: str, plan: Plan, path: Path) -> Trajectory | None:
+    """Return the plan where the firmware itself made it, else the model of the firmware."""
+    planner = plan.machine.planner
+    if planner is None or planner.kind != BOARDS[target].planner:
+        return None
+    if plan.motion.path.interpolation == FIRMWARE:
+        return plan.motion.trajectory
+    own = replace(plan.machine, operator=None)
+    again = read_part_program(path, machine=own, dialect=target)
+    if isinstance(planner, LinuxCncPlanner):
+        own = replace(own, planner=LINUXCNC_BLENDS)
+    return plan_trajectory(plan_path(programmed_path(again, own), own, FIRMWARE), own)
+
+
+def _found(
+    target: str, plan: Plan, path: Path, read: Found, found: Beside, reference: Trajectory
+) -> Found:
+    oracle, of_plan = ORACLES[target], reference is plan.motion.trajectory
+    table = tick_table(plan.commands)
+    radii = dict(zip(plan.motion.trajectory.axes, radius_m(plan).tolist(), strict=True))
+    sizes_m = {
+        axis: radii[axis] / scale
+        for axis, scale in zip(table.axes, table.counts_per_unit.tolist(), strict=True)
+    }
+    wrong = ""
+    if read.place > PLACE_M:
+        wrong = f"it leaves the path of the plan by {1e6 * read.place:.3g} um at {read.at}"
+    compared = "with the plan" if of_plan else "with the model of its planner"
+    note = f"steps compared {compared}; ends of moves within {1e6 * read.place:.2g} um; "
+    one = Found(
+        reader=oracle.name,
+        place=found.off,
+        place_limit=STEPS,
+        unit="step",
+        axis=found.axis,
+        tool_m=found.off * sizes_m[found.axis] if found.axis else 0.0,
+        time_s=found.late_s,
+        time_limit_s=TIME_SHARE * reference.duration_s + oracle.slack_s,
+        at=f"{found.at_s:.4g} s" if found.axis else "",
+        note=note + firmware_note(target, plan, path),
+        wrong=wrong,
+        curve=found.curve,
+    )
+    if oracle.same_instant:
+        return one
+    return replace(
+        one,
+        place=found.path_m,
+        place_limit=PLACE_M + STEPS * max(sizes_m.values()),
+        unit="m",
+        axis="",
+        tool_m=found.path_m,
+        at=f"{found.path_at_s:.4g} s",
+        curve=found.path_curve,
+    )

@@ -1,0 +1,202 @@
+"""Part programs read for ``equal``: the path and the clock of a program beside its plan."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from threadline.commands.boards import BOARDS
+from threadline.commands.firmware_program import as_run_times_s
+from threadline.commands.plan import Plan
+from threadline.errors import OptionError, Place, RecordingError
+from threadline.jobs.gcode.part_program import read_part_program
+from threadline.jobs.operations import Job, Move
+from threadline.readback.equal_found import Found
+from threadline.readback.equal_path import PLACE_M, Followed, Points, followed, radius_m
+
+TIME_SHARE = 1e-3
+"""Share of the plan's time by which the clock of a program with times may differ."""
+_RS274 = "rs274"
+_TRIES = 5  # it dies of SIGBUS now and then while others share its memory
+_TIMEOUT_S = 300.0
+_CALL = re.compile(r"(?:N(\S*)\s+)?\b([A-Z_]+)\(([^()]*)\)")
+_TIMED = re.compile(r"^N(\d+)\b.*\bF(\d+\.?\d*)", re.MULTILINE)
+_LETTERS = "XYZABC"
+_COARSE = 0.01
+"""Length in mm or degrees below which the four decimals of rs274 are too coarse for a time."""
+
+
+def compare_interpreted(target: str, plan: Plan, path: Path) -> Found:
+    """Compare a program for LinuxCNC with ``plan`` by what its own ``rs274`` makes of it.
+
+    Raises
+    ------
+    RecordingError
+        If ``rs274`` does not come to its end.
+    OptionError
+        If ``rs274`` is not installed: see ``missing_rs274``.
+    """
+    timed = target == "nc"
+    found = followed(plan, _by_rs274(plan, path, timed=timed))
+    note = "" if timed else firmware_note(target, plan, path)
+    return of_path(f"{_RS274} of LinuxCNC", plan, found, note)
+
+
+def compare_read_back(target: str, plan: Plan, path: Path) -> Found:
+    """Compare a program with ``plan`` as Threadline's own reader of its dialect reads it.
+
+    Raises
+    ------
+    JobError
+        If the program cannot be read.
+    """
+    again = read_part_program(path, machine=replace(plan.machine, operator=None), dialect=target)
+    found = followed(plan, _of_job(plan, again))
+    one = of_path(f"Threadline, as {target}", plan, found, firmware_note(target, plan, path))
+    return replace(one, own=True)
+
+
+def of_path(reader: str, plan: Plan, found: Followed, note: str) -> Found:
+    """Return a followed program with its limits."""
+    return Found(
+        reader=reader,
+        place=found.place_m,
+        place_limit=PLACE_M,
+        unit="m",
+        tool_m=found.place_m,
+        time_s=found.time_s,
+        time_limit_s=None if found.time_s is None else TIME_SHARE * plan.duration_s,
+        at=found.at,
+        note=note,
+        curve=found.curve,
+    )
+
+
+def missing_rs274() -> str:
+    """Return why ``rs274`` cannot be run here, and how to get it; empty if it can."""
+    if shutil.which(_RS274) is None:
+        return f"{_RS274} of LinuxCNC is not installed: apt-get install linuxcnc-uspace"
+    return ""
+
+
+def firmware_note(target: str, plan: Plan, path: Path) -> str:
+    """Return the firmware's own time beside the plan's, where its planner is known."""
+    planned_s = f"planned {plan.duration_s:.4g} s"
+    own = replace(plan.machine, operator=None)
+    again = read_part_program(path, machine=own, dialect=target)
+    run_s = as_run_times_s(target, plan.motion.programmed, again, plan.machine)
+    if run_s is None:
+        kind = BOARDS[target].planner or target
+        return f"{planned_s}; the machine file has no [planner] of {kind}, so its time is unknown"
+    return f"{planned_s}; {run_s[1]:.4g} s by the planner of {BOARDS[target].planner}"
+
+
+def _of_job(plan: Plan, job: Job) -> Points:
+    trajectory = plan.motion.trajectory
+    order = [job.axes.index(axis) for axis in trajectory.axes]
+    moves = [item for item in job if isinstance(item, Move)]
+    ends = np.array([move.target for move in moves]).reshape(-1, len(job.axes))[:, order]
+    return Points(
+        ends=ends * radius_m(plan),
+        end_s=None,
+        where=[f"line {move.source.line}" for move in moves],
+    )
+
+
+def _by_rs274(plan: Plan, path: Path, *, timed: bool) -> Points:
+    """Return the ends and the clock of a program by the canonical calls of LinuxCNC."""
+    axes = plan.motion.trajectory.axes
+    columns = [_LETTERS.index(axis) for axis in axes]
+    output = _interpreted(path)
+    times_s = _BlockTimes(path)
+    scale, rate, now_s = 1.0, 0.0, 0.0
+    at = [0.0] * len(_LETTERS)
+    ends, clock, where = [], [], []
+    for number, (block, name, told) in enumerate(_CALL.findall(output), 1):
+        if name == "USE_LENGTH_UNITS":
+            scale = 25.4 if "INCHES" in told else 1.0
+        elif name == "SET_FEED_RATE":
+            rate = float(told) * scale
+        elif name == "DWELL":
+            now_s += float(told)
+        elif name == "ARC_FEED":
+            raise RecordingError(
+                "the program has an arc, which compile never writes",
+                place=Place(str(path)),
+                remedy="Give a file that compile wrote.",
+            )
+        elif name in {"STRAIGHT_FEED", "STRAIGHT_TRAVERSE"}:
+            before, numbers = at, [float(text) for text in told.split(",")]
+            at = [n * (scale if k < 3 else 1.0) for k, n in enumerate(numbers)]
+            step = [a - b for a, b in zip(at, before, strict=True)]
+            length = math.hypot(*step[:3]) or math.hypot(*step[3:])
+            stated_s = times_s.of(block)
+            if stated_s is not None and length < _COARSE:
+                now_s += stated_s
+            elif length and rate:
+                now_s += 60.0 * length / rate
+            ends.append([at[k] for k in columns])
+            clock.append(now_s)
+            where.append(f"N{block}" if block.strip(".") else f"call {number} of {_RS274}")
+    if "PROGRAM_END()" not in output:
+        last = (output.strip().splitlines() or ["nothing"])[-1]
+        raise RecordingError(
+            f"{_RS274} does not come to the end of the program: {' '.join(last.split())[:120]}",
+            place=Place(str(path)),
+            remedy="Compile it again.",
+        )
+    kinds = [plan.machine.axes[axis].kind for axis in axes]
+    to_si = np.array([1e-3 if kind == "linear" else math.pi / 180.0 for kind in kinds])
+    return Points(
+        ends=np.array(ends).reshape(-1, len(axes)) * to_si * radius_m(plan),
+        end_s=np.array(clock) if timed else None,
+        where=where,
+    )
+
+
+class _BlockTimes:
+    """Times of blocks with N and F of G93, s, asked for in the order of the program."""
+
+    def __init__(self, path: Path) -> None:
+        text = path.read_text(encoding="utf-8", errors="replace")
+        self._blocks = iter(_TIMED.findall(text) if "G93" in text and "G94" not in text else ())
+        self._last: tuple[str, float | None] = ("", None)
+
+    def of(self, number: str) -> float | None:
+        """Return the time of the block N ``number``; None if it has none."""
+        if number != self._last[0]:
+            found = (float(f) for n, f in self._blocks if n == number)
+            rate = next(found, 0.0)
+            self._last = (number, 60.0 / rate if rate else None)
+        return self._last[1]
+
+
+def _interpreted(path: Path) -> str:
+    program = shutil.which(_RS274)
+    if program is None:
+        raise OptionError(missing_rs274(), remedy="Install linuxcnc-uspace.")
+    for _ in range(_TRIES):
+        try:
+            done = subprocess.run(  # noqa: S603
+                [program, "-g", f"./{path.name}"],
+                cwd=path.resolve().parent,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=_TIMEOUT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise RecordingError(
+                f"{_RS274} takes longer than {_TIMEOUT_S:g} s over the program",
+                place=Place(str(path)),
+            ) from error
+        if done.returncode >= 0:
+            return done.stdout + done.stderr
+    raise OptionError(f"{_RS274} dies of signal {-done.returncode}", remedy="Try again.")

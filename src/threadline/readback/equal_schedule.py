@@ -1,0 +1,247 @@
+"""Programs of a PLC read for ``equal``: run scan by scan beside the schedule of the plan.
+
+``scan_language`` reads the program, and a controller of its own runs it: home, start, one cycle.
+Its end switches come from the simulated machine that plays the plan, and each input that nothing
+moves comes at the scan at which the plan waits for it. What the program then switches, scan after
+scan, is compared with what the plan switches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.arrays import IntArray
+from threadline.commands.intents import Scheduled
+from threadline.machine import Machine
+from threadline.readback.equal_found import Curve, Found, refusing
+from threadline.readback.scan_machine import Controller
+from threadline.readback.scan_units import ReadProgram, of_plcopen, of_scl, of_text
+from threadline.readback.scan_words import ScanError
+from threadline.twin.switching import SwitchOptions, simulate_switching
+
+SCANS = 1
+"""Scans by which a switching of the program may differ from the plan's."""
+_MOST_HOME = 60_000  # scans of a way home
+_BUTTONS = {"start": "start", "acknowledge": "acknowledge", "home": "home"}
+_HELD = ("light-grid", "enable")
+
+
+def compare_schedule(target: str, scheduled: Scheduled, path: Path) -> Found:
+    """Run the program in a file beside the schedule of a plan.
+
+    Parameters
+    ----------
+    target
+        ``st``, ``openplc``, ``plcopen`` or ``scl``.
+
+    Raises
+    ------
+    RecordingError
+        If the file holds no such program, or another version of Threadline wrote it, or it was
+        written for another job or machine.
+    """
+    one = scheduled.one_cycle
+    with refusing(f"program of target {target}", target, path):
+        read = _READERS[target](path)
+        controller = Controller(read.units, read.addresses)
+        _check_addresses(controller, one.machine)
+    period_us = round(1e6 * float(one.commands.clock.period_s))
+    played = _played(one, period_us)
+    notes = []
+    if read.interval_us not in (None, period_us):
+        told = (read.interval_us or 0) / 1e3
+        notes.append(f"its task runs every {told:g} ms, the plan has {period_us / 1e3:g} ms")
+    try:
+        found = _run(controller, one, played, read.interval_us or period_us)
+    except ScanError as error:
+        found, ended = np.zeros((0, len(one.commands.outputs)), dtype=np.int64), str(error)
+    else:
+        ended = ""
+    return _compared(one, played, found, "; ".join([*notes, *([ended] if ended else [])]))
+
+
+def _check_addresses(controller: Controller, machine: Machine) -> None:
+    located = {name: contact.address for name, contact in machine.contacts.items()}
+    located |= {name: output.address for name, output in machine.outputs.items()}
+    for name, address in located.items():
+        if address not in controller.addresses:
+            raise ScanError(f"nothing in it has the address {address} of {name}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Played:
+    """What the plan does on the simulated machine: n scans of outputs and contacts."""
+
+    outputs: IntArray
+    contacts: Mapping[str, IntArray]
+
+
+def _played(one: Scheduled, period_us: int) -> _Played:
+    """Play the schedule on the nominal machine, and look at it once a scan."""
+    machine, commands = one.machine, one.commands
+    recording = simulate_switching(commands, machine, SwitchOptions(after_s=0.0))
+    blocks = list(recording.blocks)
+    columns = {
+        channel.name: np.concatenate([block.samples[channel.name] for block in blocks])
+        for channel in recording.channels
+    }
+    ends = [event for block in blocks for event in block.events if event.kind == "wait"]
+    samples = len(columns[commands.outputs[0]])
+    at = np.arange(0, samples * 1000, period_us) // 1000
+    outputs = np.column_stack([columns[name][at] > 0.5 for name in commands.outputs])
+    contacts = {name: (columns[name][at] > 0.5).astype(np.int64) for name in machine.contacts}
+    scans = [int(event.tick) * 1000 // period_us for event in ends]
+    for name, contact in machine.contacts.items():
+        own = [
+            (scan, int(event.value)) for scan, event in zip(scans, ends, strict=True)
+            if event.name == name
+        ]  # fmt: skip
+        if contact.kind in _HELD:
+            contacts[name][:] = 1
+        elif contact.kind != "contact":
+            contacts[name][:] = 0
+        elif contact.cylinder is None:
+            contacts[name] = _free(
+                own, outputs[:, _vacuums(machine, commands.outputs)].astype(np.int64)
+            )
+    return _Played(outputs.astype(np.int64), contacts)
+
+
+def _vacuums(machine: Machine, outputs: tuple[str, ...]) -> list[int]:
+    return [k for k, name in enumerate(outputs) if machine.outputs[name].kind == "vacuum"]
+
+
+def _free(waits: list[tuple[int, int]], vacuums: IntArray) -> IntArray:
+    """Return a contact that no cylinder closes: it comes when it is waited for.
+
+    After a wait it stays until a vacuum is switched off, else until the middle before the next.
+    """
+    count = len(vacuums)
+    if not waits:
+        return np.ones(count, dtype=np.int64)
+    off = np.flatnonzero((np.diff(vacuums, axis=0) < 0).any(axis=1)) + 1
+    state = np.full(count, 1 - waits[0][1], dtype=np.int64)
+    for k, (scan, value) in enumerate(waits):
+        state[scan:] = value
+        follows = k + 1 < len(waits)
+        end, then = waits[k + 1] if follows else (count, value)
+        released = off[(off > scan) & (off < end)]
+        if len(released):
+            state[released[0] :] = 1 - then
+        elif follows:
+            state[(scan + end) // 2 :] = 1 - then
+    return state
+
+
+def _run(controller: Controller, one: Scheduled, played: _Played, scan_us: int) -> IntArray:
+    """Bring the program home, start a cycle, and return (n, outputs) what it switches.
+
+    The first row is of the scan in which the start button is down.
+    """
+    machine = one.machine
+    button = {
+        kind: next(name for name, c in machine.contacts.items() if c.kind == kind)
+        for kind in _BUTTONS
+    }
+    names = {name: controller.addresses[c.address] for name, c in machine.contacts.items()}
+    where = [machine.outputs[name].address for name in one.commands.outputs]
+    now_us = 0
+
+    def scan(contacts: Mapping[str, int]) -> list[bool]:
+        nonlocal now_us
+        now_us += scan_us
+        state = controller.scan({names[n]: bool(v) for n, v in contacts.items()}, now_us)
+        return [state(address) for address in where]
+
+    rest = {name: int(column[0]) for name, column in played.contacts.items()}
+    for pressed in ((), ("acknowledge",), ()):
+        scan({**rest, **{button[kind]: 1 for kind in pressed}})
+    on = scan({**rest, button["home"]: 1})
+    if not any(on):
+        raise ScanError("the program does not begin its way home")
+    for _ in range(_MOST_HOME):
+        if not any(on):
+            break
+        on = scan(rest)
+    else:
+        raise ScanError("the program never comes home")
+    scan(rest)
+    rows = []
+    for k in range(len(played.outputs)):
+        now = {name: int(column[k]) for name, column in played.contacts.items()}
+        rows.append(scan({**now, button["start"]: int(k == 0)}))
+    return np.array(rows, dtype=np.int64)
+
+
+def _compared(one: Scheduled, played: _Played, found: IntArray, note: str) -> Found:
+    period_s = float(one.commands.clock.period_s)
+    wanted, notes = played.outputs, [note] if note else []
+    if not len(found):
+        found = np.zeros_like(wanted)
+    times, apart, names = [], [], []
+    for k, name in enumerate(one.commands.outputs):
+        own, other = (_changes(rows[:, k]) for rows in (wanted, found))
+        if len(own) != len(other) and not note:
+            notes.append(f"{name}: {len(other)} switchings, the plan has {len(own)}")
+        count = min(len(own), len(other))
+        times += own[:count].tolist()
+        apart += (other[:count] - own[:count]).tolist()
+        names += [f"{name} at scan {scan}" for scan in own[:count].tolist()]
+    order = np.argsort(times, kind="stable")
+    scans = np.array(apart, dtype=np.int64)[order]
+    names = [names[k] for k in order.tolist()]
+    worst = int(np.argmax(np.abs(scans))) if len(scans) else 0
+    axis, off_m, limit_m = _stroke(one, wanted, found, period_s)
+    return Found(
+        reader="a PLC of IEC 61131-3, scan by scan",
+        place=off_m,
+        place_limit=limit_m,
+        unit="m" if one.machine.cylinders[axis].kind == "linear" else "rad",
+        axis=axis,
+        time_s=period_s * float(abs(scans[worst])) if len(scans) else 0.0,
+        time_limit_s=SCANS * period_s,
+        at=names[worst] if len(scans) and scans[worst] else "",
+        wrong="; ".join(notes),
+        curve=Curve(
+            time_s=period_s * np.array(times, dtype=np.float64)[order],
+            late_s=period_s * scans.astype(np.float64),
+        ),
+    )
+
+
+def _changes(column: IntArray) -> IntArray:
+    return np.flatnonzero(np.diff(column, prepend=0))
+
+
+def _stroke(
+    one: Scheduled, wanted: IntArray, found: IntArray, period_s: float
+) -> tuple[str, float, float]:
+    """Return the cylinder whose asked stroke differs most by its limit, by how much, and the limit.
+
+    A cylinder asks for speed times level as long as its valve and a flow are open.
+    """
+    worst = ("", 0.0, 0.0)
+    column = {name: k for k, name in enumerate(one.commands.outputs)}
+    for axis, cylinder in one.machine.cylinders.items():
+        level, most = np.zeros(len(wanted)), 0.0
+        for way, sign in ((cylinder.forward, 1.0), (cylinder.back, -1.0)):
+            for flow, size in way.flows.items():
+                on = [
+                    rows[:, column[way.valve]] * rows[:, column[flow]] for rows in (found, wanted)
+                ]
+                level += sign * size.si * (on[0] - on[1])
+            most = max(most, sum(size.si for size in way.flows.values()))
+        off = float(np.abs(np.cumsum(level)).max(initial=0.0)) * cylinder.speed.si * period_s
+        limit = SCANS * most * cylinder.speed.si * period_s
+        if not worst[0] or off * worst[2] > worst[1] * limit:
+            worst = (axis, off, limit)
+    return worst
+
+
+_READERS: Mapping[str, Callable[[Path], ReadProgram]] = {
+    "st": of_text, "openplc": of_text, "plcopen": of_plcopen, "scl": of_scl,
+}  # fmt: skip

@@ -1,0 +1,123 @@
+"""Designs on tapes (DST, U01) read for ``equal`` by pystitch, which did not write them.
+
+A tape has places and events and no times: the machine makes its own. The places of the needle are
+compared stitch by stitch, and thread changes and stops by the stitches before them.
+"""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.turns import Stitched
+from threadline.readback.equal_found import Curve, Found, no_file_of, refusing, thinned
+
+UNIT_M = 1e-4
+"""Unit of a tape, m."""
+PLACE_M = 0.5 * UNIT_M
+_READERS = {"dst": "DstReader", "u01": "U01Reader"}
+_STITCH, _STOP, _COLOUR, _NEEDLE = 0, 4, 5, 9  # acts of pystitch
+_ACT = 0xFF
+_CHANGES = ("colour", "stop")
+_BEYOND = 1e5  # units, 10 m: no frame is as large
+
+
+def compare_tape(target: str, stitched: Stitched, path: Path, fresh: Path) -> Found:
+    """Compare a design file with a plan, stitch by stitch.
+
+    Parameters
+    ----------
+    fresh
+        The file that ``compile`` writes for the plan; every byte counts, for the head of a tape
+        moves nothing.
+
+    Raises
+    ------
+    RecordingError
+        If pystitch cannot read the file.
+    """
+    what = f"design in {target.upper()}"
+    with refusing(what, target, path):
+        pattern = _read(target, path)
+        told = np.array([(x, y, int(act) & _ACT) for x, y, act in pattern.stitches], dtype=float)
+        if not len(told) or not (told[:, 2] == _STITCH).any():
+            raise no_file_of(what, target, path, "it has no stitches")
+        if not np.isfinite(told).all() or np.abs(told[:, :2]).max() > _BEYOND:
+            raise no_file_of(what, target, path, "its stitches lie more than 10 m apart")
+    sewn = told[:, 2] == _STITCH
+    found = told[sewn, :2] * np.array([1.0, -1.0])  # pystitch has Y downwards
+    before = np.cumsum(sewn)
+    changes = before[np.isin(told[:, 2], (_STOP, _COLOUR, _NEEDLE))]
+    planned = stitched.turns
+    order = [stitched.axes.index(axis) for axis in ("X", "Y")]
+    down = planned.moves.needle == 1
+    wanted = np.cumsum(planned.moves.units[:, order], axis=0)[down].astype(float)
+    return _compared(stitched, found, wanted, _wrong(found, wanted, changes, stitched, path, fresh))
+
+
+def _read(target: str, path: Path) -> Any:
+    from pystitch import EmbPattern
+
+    pattern = EmbPattern()
+    with path.open("rb") as file:
+        importlib.import_module(f"pystitch.{_READERS[target]}").read(file, pattern)
+    return pattern
+
+
+def _wrong(
+    found: FloatArray,
+    wanted: FloatArray,
+    changes: IntArray,
+    stitched: Stitched,
+    path: Path,
+    fresh: Path,
+) -> list[str]:
+    """Return differences that no limit covers."""
+    wrong = []
+    if len(found) != len(wanted):
+        wrong.append(f"{len(found)} stitches, the plan has {len(wanted)}")
+    turns = stitched.turns
+    sewn = np.cumsum(turns.moves.needle == 1)
+    ticks = [e.tick for e in turns.events if e.kind == "tool" and e.name in _CHANGES]
+    due = np.array([sewn[tick - 1] if tick else 0 for tick in ticks], dtype=np.int64)
+    # A tape may name its first needle, and end with a change that nothing follows.
+    own, due = (np.sort(some[(some > 0) & (some < len(wanted))]) for some in (changes, due))
+    if not np.array_equal(own, due):
+        first = next((k for k, (a, b) in enumerate(zip(own, due, strict=False)) if a != b), -1)
+        told = f"{len(own)} thread changes, the plan has {len(due)}"
+        if first >= 0:
+            told = f"thread change {first + 1} after stitch {own[first]}, the plan's {due[first]}"
+        wrong.append(told)
+    if path != fresh and not wrong:
+        content, written = path.read_bytes(), fresh.read_bytes()
+        if content != written:
+            at = next(
+                (k for k, (a, b) in enumerate(zip(content, written, strict=False)) if a != b),
+                min(len(content), len(written)),
+            )
+            wrong.append(f"byte {at} is not the one that compile writes")
+    return wrong
+
+
+def _compared(stitched: Stitched, found: FloatArray, wanted: FloatArray, wrong: list[str]) -> Found:
+    count = min(len(found), len(wanted))
+    apart = UNIT_M * np.linalg.norm(found[:count] - wanted[:count], axis=1)
+    worst = int(np.argmax(apart)) if count else 0
+    place = float(apart[worst]) if count else 0.0
+    ends_s = np.cumsum(stitched.turns.turn_s)[stitched.turns.moves.needle == 1][:count]
+    time_s, shown = thinned(ends_s, apart)
+    return Found(
+        reader="pystitch",
+        place=place,
+        place_limit=PLACE_M,
+        unit="m",
+        tool_m=place,
+        at=f"stitch {worst + 1}" if place else "",
+        note="a tape has no times: the machine makes its own",
+        wrong="; ".join(wrong),
+        curve=Curve(time_s=time_s, place=shown),
+    )

@@ -1,0 +1,344 @@
+"""A redesign in parts: each part makes some of its searches somewhere; merged, they are one answer.
+
+Part i of n has consecutive searches, by their numbers alone. A file holds one part: its record in
+the first line, then a line for each search with all its candidates. The record has the hashes of
+all that the results depend on, the result of the machine as its file says, and the words of the
+command, so that the merge needs the files alone. The merge proves the cheapest candidate of all.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+import math
+import os
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline import __version__
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.reading import refuse_special
+from threadline.base.writing import staged_file
+from threadline.errors import OptionError
+from threadline.proof.proof_hash import spec_sha256
+from threadline.search.design import Redesign
+from threadline.search.design_evaluate import Tried
+from threadline.search.design_front import CandidateYield
+from threadline.search.design_searches import MOST_SEARCHES, Search
+from threadline.search.yield_parts import Part, in_order
+from threadline.search.yield_state import MOST_LINE, Lines, line_of
+
+FORMAT = "threadline design part 1"
+_AGAIN = "Make that part again."
+_ENGINES = ("numpy", "scipy", "numba")
+_MOST_TRIED = 1 << 22  # candidates of one search
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignRecord:
+    """What a part is of.
+
+    Parameters
+    ----------
+    identity
+        Names and values of everything that the results depend on.
+    words
+        Job, machine and options as typed, by name.
+    corners, front, searches
+        As in ``Wanted``.
+    part
+        Which part.
+    """
+
+    identity: Mapping[str, str]
+    words: Mapping[str, str | int | float | bool]
+    corners: bool
+    front: int
+    searches: int
+    part: Part
+
+    def check_same(self, path: Path, other: DesignRecord, than: str) -> None:
+        """Refuse this part, in the file ``path``, if it is of another redesign than ``other``.
+
+        Raises
+        ------
+        OptionError
+            If they differ.
+        """
+        names = dict.fromkeys([*other.identity, *self.identity])
+        differ = [name for name in names if self.identity.get(name) != other.identity.get(name)]
+        counts = {
+            "number of searches": (self.searches, other.searches),
+            "number of parts": (self.part.count, other.part.count),
+            "number of machines of --front": (self.front, other.front),
+            "choice of --corners": (self.corners, other.corners),
+        }
+        differ += [name for name, (one, two) in counts.items() if one != two]
+        if differ:
+            raise OptionError(
+                f"{str(path)!r} belongs to another redesign than {than}: another "
+                f"{', '.join(differ)}",
+                remedy="Give parts of one redesign, made and merged with the same versions and "
+                "files.",
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DesignPart:
+    """A part that was read from its file."""
+
+    path: Path
+    record: DesignRecord
+    searches: tuple[Search, ...]
+
+
+def searches_of(part: Part, searches: int) -> range:
+    """Return the numbers of the searches of a part, from 0.
+
+    Raises
+    ------
+    OptionError
+        If there are fewer searches than parts.
+    """
+    return part.share(searches, "searches", "make more searches (--searches)")
+
+
+def design_identity(question: Redesign) -> dict[str, str]:
+    """Return everything that the results of a part depend on."""
+    wanted = question.wanted
+    asked = repr((question.options, wanted.trials, wanted.smoothing_s, question.evaluator.effort))
+    return {
+        "job": question.read.sha256,
+        "machine": question.machine.sha256,
+        "specification": spec_sha256(question.spec),
+        "set of options": hashlib.sha256(asked.encode()).hexdigest(),
+        "version of threadline": __version__,
+        **{f"version of {name}": version(name) for name in _ENGINES},
+        "result of the machine as its file says": _known(question),
+    }
+
+
+def _known(question: Redesign) -> str:
+    """Return a digest of the bits that the machine of the file comes to, at its least settings."""
+    space, evaluator = question.space, question.evaluator
+    point = np.clip(np.zeros((1, len(space.low))), space.low, space.high)
+    simulated = evaluator.simulated
+    found = evaluator.tried(point, np.zeros(1, dtype=np.int64), beyond=-1.0)
+    evaluator.simulated = simulated  # it is no candidate
+    bits = found.ratio.tobytes() + found.nominal.tobytes() + "".join(found.binding).encode()
+    return hashlib.sha256(bits).hexdigest()
+
+
+def write_design_part(path: Path, record: DesignRecord, searches: Sequence[Search]) -> None:
+    """Write a part; the file appears whole, and stands on the disk, or not at all.
+
+    Raises
+    ------
+    OptionError, OSError
+        If the file cannot be written.
+    """
+    head = {
+        "format": FORMAT,
+        "identity": dict(record.identity),
+        "words": dict(record.words),
+        "corners": record.corners,
+        "front": record.front,
+        "searches": record.searches,
+        "part": [record.part.number, record.part.count],
+    }
+    with staged_file(path) as file:
+        file.write(line_of(head))
+        for one in searches:
+            file.write(line_of(_content(one)))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_design_parts(paths: Sequence[Path]) -> list[DesignPart]:
+    """Return all parts of one redesign, in their order.
+
+    Raises
+    ------
+    OptionError
+        If a part is missing, is there twice, or belongs to another redesign.
+    RecordingError
+        If a file cannot be read as a part.
+    """
+    parts = [read_design_part(path) for path in paths]
+    for one in parts:
+        one.record.check_same(one.path, parts[0].record, f"{str(parts[0].path)!r}")
+    return in_order(parts)
+
+
+def read_design_part(path: Path) -> DesignPart:
+    """Return the part in a file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened.
+    RecordingError
+        If it is not a part of a redesign, was changed, or is cut short.
+    """
+    refuse_special(path)
+    lines = Lines(path, "a part of a redesign", _AGAIN)
+    found: list[Search] = []
+    with path.open("rb") as file:
+        record = _record(lines.content(file.readline(MOST_LINE), 1), lines)
+        numbers, line = searches_of(record.part, record.searches), 1
+        while text := file.readline(MOST_LINE):
+            line += 1
+            if not text.endswith(b"\n"):
+                lines.refuse("its last line is cut short", line)
+            if len(found) == len(numbers):
+                lines.refuse("it has more searches than its part", line)
+            content = lines.content(text, line)
+            found.append(_search(content, numbers[len(found)], record, lines, line))
+    if len(found) < len(numbers):
+        lines.refuse(f"it has {len(found)} of its {len(numbers)} searches: it is cut short", line)
+    return DesignPart(path=path, record=record, searches=tuple(found))
+
+
+def _record(content: Mapping[str, Any], lines: Lines) -> DesignRecord:
+    if content.get("format") != FORMAT:
+        lines.refuse("it is not a part of a redesign of this version", 1)
+    identity, words, part = (content.get(name) for name in ("identity", "words", "part"))
+    if not isinstance(identity, dict) or not all(isinstance(v, str) for v in identity.values()):
+        lines.refuse("it was changed", 1)
+    if not isinstance(words, dict) or not all(
+        isinstance(value, str | int | float | bool) for value in words.values()
+    ):
+        lines.refuse("it was changed", 1)
+    corners, front, searches = (content.get(name) for name in ("corners", "front", "searches"))
+    if type(corners) is not bool or type(front) is not int or front < 0:
+        lines.refuse("it was changed", 1)
+    if type(searches) is not int or not 1 <= searches <= MOST_SEARCHES:
+        lines.refuse(f"its number of searches is not from 1 to {MOST_SEARCHES}", 1)
+    if not isinstance(part, list) or len(part) != 2 or any(type(one) is not int for one in part):
+        lines.refuse("it was changed", 1)
+    number, count = part
+    if not 1 <= number <= count <= searches:
+        lines.refuse(f"there is no part {number}/{count} of {searches} searches", 1)
+    return DesignRecord(
+        identity=identity,
+        words=words,
+        corners=corners,
+        front=front,
+        searches=searches,
+        part=Part(number, count),
+    )
+
+
+def _content(one: Search) -> dict[str, Any]:
+    tried = one.tried
+    names = sorted(set(tried.binding))
+    which = np.array([names.index(name) for name in tried.binding], dtype=np.int64)
+    return {
+        "search": one.number,
+        "simulated": one.simulated,
+        "candidates": len(tried),
+        "dims": tried.points.shape[1],
+        "points": _text(tried.points),
+        "level": _text(tried.level),
+        "ratio": _text(tried.ratio),
+        "nominal": _text(tried.nominal),
+        "delay": _text(tried.delay),
+        "criteria": names,
+        "binding": _text(which),
+        "yields": [
+            {
+                "cost": each.cost,
+                "factors": dict(each.factors),
+                "passed": each.passed,
+                "machines": each.machines,
+            }
+            for each in one.yields
+        ],
+    }
+
+
+def _search(
+    content: Mapping[str, Any], number: int, record: DesignRecord, lines: Lines, line: int
+) -> Search:
+    try:
+        count, dims, simulated = (content[name] for name in ("candidates", "dims", "simulated"))
+        if any(type(one) is not int for one in (count, dims, simulated)) or simulated < 0:
+            raise ValueError("a number is no whole number")
+        if content["search"] != number:
+            raise ValueError(f"search {number} should stand here")
+        if not 1 <= count <= _MOST_TRIED or not 1 <= dims <= 1000:
+            raise ValueError(f"it has {count} candidates")
+        names = content["criteria"]
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ValueError("a criterion has no name")
+        which = _whole(content["binding"], count, len(names))
+        tried = Tried(
+            points=_floats(content["points"], count * dims).reshape(count, dims),
+            level=_whole(content["level"], count),
+            ratio=_floats(content["ratio"], count),
+            nominal=_floats(content["nominal"], count),
+            delay=_whole(content["delay"], count),
+            binding=tuple(names[k] for k in which.tolist()),
+        )
+        yields = tuple(_yield(one, record.front) for one in content["yields"])
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        OverflowError,
+        zlib.error,
+        binascii.Error,
+    ) as error:
+        told = f": {error}" if type(error) is ValueError else ""
+        lines.refuse(f"it was changed{told}", line)
+    return Search(number=number, tried=tried, yields=yields, simulated=simulated)
+
+
+def _yield(told: Mapping[str, Any], machines: int) -> CandidateYield:
+    cost, factors, passed = told["cost"], told["factors"], told["passed"]
+    numbers = [cost, *factors.values()]
+    if not all(type(one) in (int, float) and math.isfinite(one) for one in numbers):
+        raise ValueError("a yield has a cost or a factor that is no number")
+    if told["machines"] != machines or type(passed) is not int or not 0 <= passed <= machines:
+        raise ValueError("a yield is of another number of machines")
+    return CandidateYield(
+        cost=float(cost),
+        factors={str(name): float(value) for name, value in factors.items()},
+        passed=passed,
+        machines=machines,
+    )
+
+
+def _text(values: FloatArray | IntArray) -> str:
+    kind = "<f8" if values.dtype == np.float64 else "<i8"
+    content = np.ascontiguousarray(values, dtype=kind).tobytes()
+    return base64.b64encode(zlib.compress(content, 1)).decode()
+
+
+def _floats(text: str, count: int) -> FloatArray:
+    values = np.frombuffer(_bytes(text, 8 * count), dtype="<f8").astype(np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError("a number is not finite")
+    return values
+
+
+def _whole(text: str, count: int, most: int = 1 << 16) -> IntArray:
+    values = np.frombuffer(_bytes(text, 8 * count), dtype="<i8").astype(np.int64)
+    if ((values < 0) | (values >= most)).any():
+        raise ValueError("a number is out of range")
+    return values
+
+
+def _bytes(text: str, count: int) -> bytes:
+    content = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), count + 1)
+    if len(content) != count:
+        raise ValueError(f"a row has {len(content)} bytes, not {count}")
+    return content

@@ -1,0 +1,138 @@
+"""The searches of one redesign: each from random numbers of its own; the best of all counts.
+
+A search depends on its number alone, so that searches of one redesign may be made anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.progress import Progress
+from threadline.search.design_evaluate import Evaluator, Tried
+from threadline.search.design_front import MOST_TRIED, CandidateYield, spread, yield_of
+from threadline.search.design_proof import candidate_at, with_delay
+from threadline.search.design_search import SEED, TARGETS, first_sample, least_change, pareto
+from threadline.search.design_space import Space
+from threadline.verdict import Spec
+
+MOST_SEARCHES = 10_000
+_APART = 100  # seeds from one search to the next; a search takes one for each level
+_LEAST_TRIED = 2  # candidates of a search whose machines are drawn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Search:
+    """One search.
+
+    Parameters
+    ----------
+    number
+        From 0.
+    tried
+        All its candidates.
+    yields
+        Yields of candidates that trade cost for margin, where they are asked for.
+    simulated
+        Number of machines that it simulated.
+    """
+
+    number: int
+    tried: Tried
+    yields: tuple[CandidateYield, ...]
+    simulated: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Searching:
+    """What every search of a redesign does.
+
+    Parameters
+    ----------
+    space, evaluator, spec
+        Where candidates are, what judges them, and by what.
+    front
+        Number of machines that are drawn of each candidate for the front of cost against yield.
+    searches
+        Number of all searches.
+    """
+
+    space: Space
+    evaluator: Evaluator
+    spec: Spec
+    front: int
+    searches: int
+
+    def made(self, numbers: Sequence[int], progress: Progress | None = None) -> list[Search]:
+        """Return the searches with these numbers."""
+        found = []
+        for turn, number in enumerate(numbers):
+            low, high = turn / len(numbers), (turn + 1) / len(numbers)
+            found.append(self._one(number, within_progress(progress, low, high)))
+        return found
+
+    def _one(self, number: int, progress: Progress | None) -> Search:
+        space, evaluator, seed = self.space, self.evaluator, SEED + _APART * number
+        before, most = evaluator.simulated, 0.85 if self.front else 1.0
+
+        def report(what: str, low: float, high: float) -> Callable[[float], None]:
+            def at(fraction: float) -> None:
+                if progress is not None:
+                    progress(what, most * (low + (high - low) * fraction))
+
+            return at
+
+        tried = first_sample(space, evaluator, report("sampling", 0.0, 0.33), seed)
+        tried = least_change(space, evaluator, tried, report("narrowing", 0.33, 0.73), seed=seed)
+        for turn, target in enumerate(TARGETS):
+            at, step = 0.73 + 0.27 * turn / len(TARGETS), 0.27 / len(TARGETS)
+            told = report("trading cost for margin", at, at + step)
+            tried = least_change(space, evaluator, tried, told, target=target, seed=seed)
+        simulated = evaluator.simulated - before
+        told = report("drawing machines of each candidate", 1.0, 1.0 / most)
+        yields = self._yields(tried, told) if self.front else ()
+        return Search(number=number, tried=tried, yields=yields, simulated=simulated)
+
+    def _yields(self, tried: Tried, told: Callable[[float], None]) -> tuple[CandidateYield, ...]:
+        """Return the yields of candidates that trade cost for margin, and of the machine as is."""
+        space, evaluator = self.space, self.evaluator
+        front = pareto(space, tried, most_ratio(evaluator))
+        same = np.abs(tried.points[:, : space.parameters]).max(axis=1) < 1e-9
+        as_built = np.flatnonzero(same)
+        best = as_built[np.argsort(tried.ratio[as_built], kind="stable")][:1]
+        most = max(MOST_TRIED // self.searches, _LEAST_TRIED)
+        some = front[spread(len(front), most)] if len(front) else front
+        chosen = np.unique(np.concatenate([best, some]))
+        found = []
+        for turn, index in enumerate(chosen.tolist()):
+            candidate = candidate_at(space, evaluator, tried, index)
+            asked = with_delay(self.spec, candidate.delay_s)
+            share = candidate.acceleration
+            found.append(yield_of(space, evaluator, tried.points[index], share, asked, self.front))
+            told((turn + 1) / len(chosen))
+        return tuple(one for one in found if one is not None)
+
+
+def most_ratio(evaluator: Evaluator) -> float:
+    """Return the largest ratio of candidates that trade cost for margin.
+
+    Candidates beyond the limit were not tried in other runs.
+    """
+    return 1.0 + 1e-9 if evaluator.others.asked else 1.5
+
+
+def pooled(searches: Sequence[Search]) -> Tried:
+    """Return the candidates of all searches, in their order."""
+    found = searches[0].tried
+    for one in searches[1:]:
+        found = found.join(one.tried)
+    return found
+
+
+def within_progress(progress: Progress | None, low: float, high: float) -> Progress | None:
+    """Return a progress whose shares count between two shares of ``progress``."""
+    if progress is None:
+        return None
+    return lambda what, share: progress(what, low + (high - low) * share)

@@ -1,0 +1,203 @@
+"""Repeats of a job: what each run showed, and which run is followed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.dynamics.learning import LearningFilter
+from threadline.machine import Machine
+from threadline.proof.pipeline import Proof
+from threadline.search.forbidden import used
+from threadline.verdict import Verdict
+
+Sensed = Literal["head", "motor"]
+
+
+GAIN = 0.9
+
+
+_WORSE = 1.1  # times the least error: a larger error is undone
+
+
+GIVEN_UP = 1.0 / 16.0  # of the first gain: from there on the best table is kept
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rules:
+    """How a job is learned.
+
+    Parameters
+    ----------
+    gain
+        Share of the error that is corrected after a run, in (0, 1].
+    low_pass_hz
+        Frequency at which the low-pass halves, Hz; None: chosen by ``learning_filter``.
+    sensed
+        Where the error is measured: at the head (the load) or at the motor's encoder.
+    """
+
+    gain: float = GAIN
+    low_pass_hz: float | None = None
+    sensed: Sensed = "head"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Repeat:
+    """One run of the job.
+
+    Parameters
+    ----------
+    number
+        0 for the run of the plan's table.
+    verdict
+        Verdict on this run.
+    error_si
+        (axes,) root mean square of the error, m or rad.
+    error_m
+        Root mean square of the error over all axes at the tool, m.
+    peak_si
+        (axes,) largest error, m or rad.
+    current
+        Largest current / limit over all drives; None if no current was recorded.
+    gain
+        Gain of the change before this run; 0 for the table of an earlier run.
+    followed
+        Whether learning went on from this run; if not, it was undone.
+    note
+        Limit that shortened or stopped the change before this run; empty if there is none.
+    """
+
+    number: int
+    verdict: Verdict
+    error_si: FloatArray
+    error_m: float
+    peak_si: FloatArray
+    current: float | None
+    gain: float
+    followed: bool
+    note: str = ""
+
+    @property
+    def share(self) -> float:
+        """Used share of the tightest limit."""
+        return used(self.verdict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tried:
+    """A run, the references that it played, and its error.
+
+    Parameters
+    ----------
+    offset
+        (n + 1, axes) change of the planned references, counts, not rounded.
+    error
+        (n + 1, axes) error at the beginning of each tick, m or rad, faded out after the motion.
+    passed
+        Whether the run was in specification.
+    error_m
+        Root mean square of the error over all axes at the tool, m.
+    """
+
+    offset: FloatArray
+    error: FloatArray
+    passed: bool
+    error_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Learned:
+    """The result of repeats.
+
+    Parameters
+    ----------
+    plan
+        The plan with the best table.
+    actual
+        The machine that ran.
+    repeats
+        Every run, in order.
+    best
+        Number of the run with the best table.
+    filters
+        The learning filter of each axis.
+    rules
+        Gain, low-pass and sensor of the learning.
+    proof
+        Proof of the best table, at the given level.
+    """
+
+    plan: Plan
+    actual: Machine
+    repeats: tuple[Repeat, ...]
+    best: int
+    filters: tuple[LearningFilter, ...]
+    rules: Rules
+    proof: Proof
+
+    @property
+    def passed(self) -> bool:
+        """Whether the best table is in specification."""
+        return self.proof.verdict.passed
+
+    @property
+    def within(self) -> int | None:
+        """Number of the first run from which on every followed run is in specification."""
+        kept = [one for one in self.repeats if one.followed]
+        found = None
+        for one in reversed(kept):
+            if not one.verdict.passed:
+                break
+            found = one.number
+        return found
+
+
+def best_of(runs: Sequence[tuple[bool, float]], gain: float) -> tuple[int, float]:
+    """Return the number of the run to go on from, and the gain after runs that got worse.
+
+    Parameters
+    ----------
+    runs
+        For each run whether it was in specification, and its error.
+    gain
+        The first gain; each run that is undone halves it.
+
+    Examples
+    --------
+    >>> best_of([(False, 1.0), (False, 0.3), (False, 0.5)], 0.8)
+    (1, 0.4)
+    """
+    at, least = 0, runs[0][1]
+    for number, (passed, error) in enumerate(runs[1:], start=1):
+        if follows(runs[at][0], least, passed, error):
+            least = error if passed and not runs[at][0] else min(least, error)
+            at = number
+        else:
+            gain *= 0.5
+    return at, gain
+
+
+def follows(best_passed: bool, least: float, passed: bool, error: float) -> bool:
+    """Return whether a run is followed: in spec where no run was, or not worse than the best."""
+    if passed != best_passed:
+        return passed
+    return error <= _WORSE * least
+
+
+def best_table(told: Sequence[Repeat]) -> int:
+    """Return the number of the followed run that is best in specification."""
+    followed = (one for one in told if one.followed)
+    return min(followed, key=lambda one: (not one.verdict.passed, one.share)).number
+
+
+def with_followed(told: Sequence[Repeat]) -> list[Repeat]:
+    """Mark the runs that were undone."""
+    found, runs = [], [(one.verdict.passed, one.error_m) for one in told]
+    for number, one in enumerate(told):
+        at, _ = best_of(runs[: number + 1], 1.0)
+        found.append(replace(one, followed=at == number))
+    return found

@@ -1,0 +1,354 @@
+"""A yield on the workers of a cluster: the bits of one computer, or one line that says why not."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from tests.search.dying import Deadly
+from tests.search.fleet import Fleet
+
+from threadline.base import cluster as of_cluster
+from threadline.base.cluster import Cluster
+from threadline.base.cluster_address import parse_cluster
+from threadline.cli.main import main
+from threadline.errors import LinkFaultError, OptionError
+from threadline.machine import load_machine
+from threadline.proof.judge_runs import RunsJudge
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
+from threadline.search.machine_yield import MachineYield
+from threadline.search.yield_state import YieldState
+from threadline.verdict import load_spec
+
+TURN = "G91\nG1 X5 F1000\nG1 X-5\nM30\n"
+Said = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+    """Two workers that no test ends."""
+    found = Fleet(tmp_path_factory.mktemp("fleet"), 2)
+    yield found
+    found.end()
+
+
+@pytest.fixture
+def fleets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[int], Fleet]]:
+    """Start fleets whose workers and schedulers may end."""
+    begun: list[Fleet] = []
+
+    def begin(workers: int) -> Fleet:
+        begun.append(Fleet(tmp_path_factory.mktemp("fleet"), workers))
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        one.end()
+
+
+@pytest.fixture
+def said(capsys: pytest.CaptureFixture[str]) -> Said:
+    """Run ``threadline``; return its exit status, answer, and errors but for what it tells."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main([*map(str, words)])
+        told = capsys.readouterr()
+        err = [line for line in told.err.splitlines(keepends=True) if line.startswith("error")]
+        return int(ended.value.code or 0), told.out, "".join(err)
+
+    return run
+
+
+@pytest.fixture
+def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A short job, in a folder that no worker has."""
+    monkeypatch.chdir(tmp_path)
+    Path("turn.prg").write_text(TURN, encoding="utf-8")
+    return Path("turn.prg")
+
+
+def judged(job: Path) -> MachineYield:
+    machine, options = load_machine("lathe-winder"), Options(interpolation="linear")
+    plan = plan_job(open_job(job, machine, options), machine, options)
+    return MachineYield(plan, load_spec(None, machine))
+
+
+def bits(found: MachineYield, variants: int) -> list[bytes]:
+    return [row.values.tobytes() for row in found.drawn(variants, 5).found.rows]
+
+
+@pytest.mark.parametrize(("machine", "variants"), [("lathe-winder", 70), ("stepper-winder", 5)])
+def test_an_answer_is_that_of_one_computer_to_the_bit(
+    machine: str, variants: int, said: Said, job: Path, fleet: Fleet
+) -> None:
+    """Many at once and one by one; count, interval, worst machine, and the file of a part."""
+    words = ["yield", job, "-m", machine, "--variants", variants, "--seed", 5, "--json"]
+    words += ["--interpolation", "linear"]
+    here = said(*words)
+    assert json.loads(here[1])["variants"] == variants
+    assert said(*words, "--cluster", fleet.address) == here
+    part = [*words, "--part", "2/2", "-o"]
+    said(*part, "here.yield")
+    said(*part, "there.yield", "--cluster", fleet.address)
+    assert Path("here.yield").read_bytes() == Path("there.yield").read_bytes()
+
+
+def test_bits_do_not_depend_on_the_size_of_a_task_or_on_who_is_quick(
+    job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = judged(job)
+    here = bits(own, 40)
+    with of_cluster.on_cluster(fleet.address, print):
+        for size, ahead in (1, 1), (7, 16), (64, 2):
+            monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", size)
+            monkeypatch.setattr("threadline.search.machine_yield._TURNS", 1)
+            monkeypatch.setattr(of_cluster, "_LEAST_AHEAD", ahead)
+            assert bits(own, 40) == here
+
+
+def test_a_plan_is_sent_once(job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is sent for more machines afterwards is their numbers alone."""
+    own, sent = judged(job), []
+    reduce = RunsJudge.__reduce__
+
+    def counted(self: RunsJudge) -> object:
+        sent.append(self)
+        return reduce(self)
+
+    monkeypatch.setattr(RunsJudge, "__reduce__", counted)
+    with of_cluster.on_cluster(fleet.address, print):
+        own.drawn(4, 5)
+        own.drawn(9, 5)
+    assert len(sent) == 1
+
+
+@pytest.mark.long(shown_by="test_what_was_judged_is_kept_when_the_cluster_dies")
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_a_worker_that_ends_in_the_middle_changes_nothing(
+    how: signal.Signals, job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGKILL is a computer that is gone; SIGTERM comes from a batch system at its wall time."""
+    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 4)
+    own, fleet = judged(job), fleets(2)
+    here = bits(own, 60)
+    with of_cluster.on_cluster(fleet.address, print):
+        told: list[float] = []
+
+        def done(count: float) -> None:
+            told.append(count)
+            if len(told) == 2:
+                fleet.workers[0].send_signal(how)
+
+        found = own.drawn(60, 5, done)
+    assert [row.values.tobytes() for row in found.found.rows] == here
+    assert sum(told) == 60 and fleet.workers[0].wait(120) is not None
+
+
+@pytest.mark.long(but="scheduler")
+@pytest.mark.parametrize("which", ["scheduler", "workers"])
+def test_what_was_judged_is_kept_when_the_cluster_dies(
+    which: str, job: Path, said: Said, fleets: Callable[[int], Fleet],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Exit 3 and one line; the same command without the cluster goes on to the same bits."""
+    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 4)
+    words = ["yield", job, "-m", "lathe-winder", "--variants", 60, "--interpolation", "linear"]
+    words += ["--seed", 5, "--json"]
+    here, fleet = said(*words), fleets(1)
+    add = YieldState.add
+
+    def kill(self: YieldState, found: object) -> None:
+        add(self, found)  # type: ignore[arg-type]
+        if self.known is not None and self.known.runs == 8:
+            dying = [fleet.scheduler] if which == "scheduler" else fleet.workers
+            for one in dying:
+                one.send_signal(signal.SIGKILL)
+            monkeypatch.setattr(of_cluster, "WORKER_S", 1.0)
+            monkeypatch.setattr(of_cluster, "CONNECT_S", 1.0)
+
+    monkeypatch.setattr(YieldState, "add", kill)
+    code, out, err = said(*words, "--resume", "kept", "--cluster", fleet.address)
+    assert (code, out, err.count("\n")) == (3, "", 1), err
+    assert fleet.address in err and "--resume" in err
+    assert ("went away" if which == "scheduler" else "no worker for 1 s") in err
+    lines = Path("kept").read_bytes().count(b"\n")
+    assert lines >= 3  # the head, and two batches of four
+    monkeypatch.setattr(YieldState, "add", add)
+    assert said(*words, "--resume", "kept") == here
+
+
+@pytest.mark.long(shown_by="test_what_was_judged_is_kept_when_the_cluster_dies")
+def test_a_scheduler_that_comes_back_gets_what_it_lost(
+    job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 4)
+    monkeypatch.setattr(of_cluster, "CONNECT_S", 60.0)
+    own, fleet = judged(job), fleets(1)
+    here, told = bits(own, 60), []
+
+    def done(count: float) -> None:
+        told.append(count)
+        if len(told) == 2:
+            fleet.begin_again()
+
+    with of_cluster.on_cluster(fleet.address, print):
+        found = own.drawn(60, 5, done)
+    assert [row.values.tobytes() for row in found.found.rows] == here
+    assert sum(told) == 60
+
+
+def test_machines_that_end_every_worker_are_not_tried_for_ever(
+    fleets: Callable[[int], Fleet],
+) -> None:
+    fleet = fleets(2)
+    cluster = Cluster(fleet.address)
+    try:
+        with pytest.raises(LinkFaultError, match="ended 2 times while they judged the same"):
+            list(cluster.answers(Deadly(), [1], None))
+    finally:
+        cluster.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("Threadline", "0.0.0, source 0"), ("numpy", "1.0"), ("numba", "none")]
+)
+@pytest.mark.parametrize("late", [False, True])
+def test_a_worker_of_another_version_is_refused_by_name(
+    late: bool, name: str, told: str, job: Path, said: Said, fleet: Fleet,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """At the beginning, and a worker that joins later."""
+    own = of_cluster.versions()
+    real = of_cluster.versions
+    calls: list[int] = []
+
+    def wanted() -> dict[str, str]:
+        calls.append(1)
+        return {**own, name: told} if len(calls) == 1 else real()
+
+    monkeypatch.setattr(of_cluster, "versions", wanted)
+    if late:
+        monkeypatch.setattr(Cluster, "_check_versions", lambda _: None)
+    else:
+        # Workers take the function by its name, which is that of the real one for them.
+        monkeypatch.setattr(Cluster, "_versions_there", staticmethod(real))
+    words = ["yield", job, "-m", "lathe-winder", "--variants", 9, "--interpolation", "linear"]
+    code, out, err = said(*words, "--cluster", fleet.address)
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert re.search(rf"worker tcp://127\.0\.0\.1:\d+ of .* has {name} .* instead of {told}", err)
+    assert "requirements/cluster.txt" in err
+
+
+def test_a_worker_that_rounds_otherwise_is_refused(
+    job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("threadline.proof.judge_runs.bits_of", lambda _: b"other")
+    with (
+        of_cluster.on_cluster(fleet.address, print),
+        pytest.raises(LinkFaultError, match=r"worker tcp://127.* comes to other bits"),
+    ):
+        judged(job).drawn(9, 5)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "8786", "lab:8786", "tcp://lab.example:8786", "tcp://192.168.1.2:8786", "inproc://a:1",
+        "ws://localhost:8786", "localhost", "localhost:0", "localhost:99999", "localhost:²",
+        "tcp://0.0.0.0:8786", "127.0.0.1.lab:8786", "localhost.lab:8786", "tls://:8786",
+    ],
+)  # fmt: skip
+def test_an_address_without_tls_is_of_this_computer(text: str, said: Said, job: Path) -> None:
+    with pytest.raises(OptionError):
+        parse_cluster(text)
+    code, out, err = said("yield", job, "-m", "lathe-winder", f"--cluster={text}")
+    assert (code, out, err.count("\n")) == (2, "", 1) and "--cluster" in err
+
+
+def test_an_address_of_this_computer_is_taken() -> None:
+    for text in "localhost:8786", "127.0.0.1:8786", "tcp://127.3.2.1:8786", "tcp://[::1]:8786":
+        assert parse_cluster(text) == f"tcp://{text.removeprefix('tcp://')}"
+    assert parse_cluster("tls://lab.example:8786") == "tls://lab.example:8786"
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(
+    said: Said, job: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_cluster, "CONNECT_S", 0.5)
+    code, out, err = said("yield", job, "-m", "lathe-winder", "--cluster", "localhost:9")
+    assert (code, out, err.count("\n")) == (3, "", 1)
+    assert "tcp://localhost:9 cannot be reached" in err and "dask scheduler" in err
+
+
+def test_a_scheduler_without_workers_is_one_line(
+    job: Path, said: Said, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A batch system may begin the first worker late; then there is always one."""
+    monkeypatch.setattr(of_cluster, "FIRST_S", 1.0)
+    address = fleets(0).address
+    code, out, err = said("yield", job, "-m", "lathe-winder", "--cluster", address)
+    assert (code, out, err.count("\n")) == (3, "", 1)
+    assert f"{address} has had no worker for 1 s" in err and "dask worker" in err
+
+
+def test_without_the_package_the_extra_is_named(
+    said: Said, job: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    code, _, err = said("yield", job, "-m", "lathe-winder", "--cluster", "localhost:9")
+    assert (code, err.count("\n")) == (2, 1) and 'pip install "threadline[cluster]"' in err
+
+
+def test_tls_without_certificates_is_refused(
+    said: Said, job: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [one for one in os.environ if one.startswith("DASK_")]:
+        monkeypatch.delenv(name)
+    code, _, err = said("yield", job, "-m", "lathe-winder", "--cluster", "tls://localhost:9")
+    assert (code, err.count("\n")) == (2, 1) and "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" in err
+
+
+@pytest.mark.long(shown_by="test_an_answer_is_that_of_one_computer_to_the_bit")
+def test_a_cluster_by_tls_gives_the_same(job: Path, said: Said, tmp_path: Path) -> None:
+    """The commands are those of docs/cluster.md."""
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("needs openssl to make certificates")
+    keys = tmp_path / "keys"
+    keys.mkdir()
+    page = (Path(__file__).parents[2] / "docs" / "cluster.md").read_text("utf-8")
+    for line in re.findall(r"^openssl .*$", page, re.M):
+        subprocess.run(line.split(), cwd=keys, check=True, capture_output=True)
+    tls = {
+        f"DASK_DISTRIBUTED__COMM__TLS__{name}": str(keys / "cluster.pem")
+        for name in (
+            "CA_FILE", "CLIENT__CERT", "SCHEDULER__CERT", "WORKER__CERT",
+            "CLIENT__KEY", "SCHEDULER__KEY", "WORKER__KEY",
+        )
+    }  # fmt: skip
+    fleet = Fleet(keys, 1, tls)
+    try:
+        words = ["yield", job, "-m", "lathe-winder", "--variants", 9, "--interpolation", "linear"]
+        assert fleet.address.startswith("tls://")
+        code = "import sys; from threadline.cli.main import main; main(sys.argv[1:])"
+        asked = [sys.executable, "-c", code, *map(str, words), "--cluster", fleet.address]
+        env = {**os.environ, **tls}
+        there = subprocess.run(asked, env=env, capture_output=True, text=True, check=False)
+        assert (there.returncode, there.stdout) == said(*words)[:2], there.stderr
+        # A scheduler by TLS takes nobody without its certificate.
+        plain = fleet.address.replace("tls://", "tcp://")
+        asked[-1] = plain
+        refused = subprocess.run(asked, env=env, capture_output=True, text=True, check=False)
+        assert refused.returncode == 3 and "cannot be reached" in refused.stderr
+    finally:
+        fleet.end()

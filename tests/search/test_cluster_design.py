@@ -1,0 +1,122 @@
+"""Candidates of a redesign on the workers of a cluster: the bits of one computer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.search.fleet import ROOT, Fleet
+
+import threadline as tl
+from threadline.base.cluster import Cluster, on_cluster
+from threadline.errors import JobError, OptionError
+from threadline.machine import load_machine
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Trials
+from threadline.search.design_alone import JobReader
+from threadline.search.design_evaluate import Effort, Evaluator, Tried
+from threadline.search.design_judge import OtherRuns
+from threadline.search.design_space import design_space
+from threadline.verdict import load_spec
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+    found = Fleet(tmp_path_factory.mktemp("fleet"), 2)
+    yield found
+    found.end()
+
+
+def bits(found: Tried) -> list[bytes]:
+    return [found.ratio.tobytes(), found.nominal.tobytes(), *(b.encode() for b in found.binding)]
+
+
+@pytest.mark.long(
+    shown_by="tests/search/test_cluster.py::test_an_answer_is_that_of_one_computer_to_the_bit"
+)
+@pytest.mark.parametrize(
+    ("job", "machine", "widths_s", "count"),
+    [
+        ("letter-cycle.toml", "letter-placer", (), 3),  # proved one by one
+        ("x-180.prg", "lathe-winder", (), 6),  # side by side
+        ("x-180.prg", "lathe-winder", (0.02, 0.05), 2),  # each through its own inverse
+    ],
+)
+def test_candidates_are_those_of_one_computer(
+    job: str, machine: str, widths_s: tuple[float, ...], count: int, fleet: Fleet
+) -> None:
+    named = load_machine(machine)
+    space = design_space(named, widths_s)
+    options = Options(interpolation="linear") if machine == "lathe-winder" else Options()
+    evaluator = Evaluator(
+        space,
+        JobReader.of(ROOT / "examples" / job, options),
+        load_spec(None, named),
+        options,
+        OtherRuns.of(space, Trials(repeats=2) if not widths_s else NOMINAL),
+        Effort(sample_log2=2),
+    )
+    random = np.random.default_rng(1)
+    points = space.low + (space.high - space.low) * random.random((count, len(space.low)))
+    points[0] = np.clip(np.zeros(len(space.low)), space.low, space.high)
+    levels = np.zeros(count, dtype=np.int64)
+    here = evaluator.tried(points, levels, beyond=np.inf)
+    simulated = evaluator.simulated
+    with on_cluster(fleet.address, print):
+        there = evaluator.tried(points, levels, beyond=np.inf)
+    assert bits(there) == bits(here)
+    assert simulated > 0 and evaluator.simulated == 2 * simulated
+    assert len(set(here.ratio.tolist())) > 1
+
+
+def test_python_has_the_cluster_too(
+    coarse_search: None, fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A yield, and a whole search for the fastest over tolerances: the bits of one computer."""
+    job = tmp_path / "turn.prg"
+    job.write_text("G91\nG1 X5 F1000\nG1 X-5\nM30\n")
+    words = {"interpolation": "linear"}
+    here = tl.yields(job, "lathe-winder", variants=12, **words)
+    there = tl.yields(job, "lathe-winder", variants=12, cluster=fleet.address, **words)
+    assert [row.values.tobytes() for row in there.found.rows] == [
+        row.values.tobytes() for row in here.found.rows
+    ]
+    words |= {"level": "over tolerances", "low": "0.01 m/s", "high": "0.012 m/s"}
+    sent: list[object] = []
+    real = Cluster.answers
+
+    def counted(self: Cluster, work: object, items: object, done: object) -> object:
+        sent.append(work)
+        return real(self, work, items, done)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Cluster, "answers", counted)
+    alone = tl.fastest(job, "lathe-winder", **words)
+    assert not sent
+    shared = tl.fastest(job, "lathe-winder", cluster=fleet.address, **words)
+    assert alone.best is not None and sent
+    assert (shared.best, shared.limited_by) == (alone.best, alone.limited_by)
+    assert [r.measured for r in shared.of.best.found.verdict.results] == [
+        r.measured for r in alone.of.best.found.verdict.results
+    ]
+
+
+def test_a_cluster_that_would_judge_nothing_is_refused_before_it_is_asked(tmp_path: Path) -> None:
+    """Port 9 is no scheduler: reaching for it would take ten seconds, and say another thing."""
+    job = tmp_path / "turn.prg"
+    job.write_text("G91\nG1 X5 F1000\nM30\n")
+    for words, told in ({}, "this search judges none"), ({"yield_": "90 %"}, "those of yield_="):
+        with pytest.raises(OptionError, match=rf"{told}.*leave cluster= out"):
+            tl.fastest(job, "lathe-winder", cluster="localhost:9", **words)
+
+
+def test_a_job_that_changed_since_is_refused(tmp_path: Path) -> None:
+    """A worker reads the file that lies at the same place there."""
+    file = tmp_path / "turn.prg"
+    file.write_text("G91\nG1 X5 F1000\nM30\n")
+    read, machine = JobReader.of(file, Options()), load_machine("lathe-winder")
+    assert read(machine).name
+    file.write_text("G91\nG1 X6 F1000\nM30\n")
+    with pytest.raises(JobError, match="is not the job that the search began with"):
+        read(machine)

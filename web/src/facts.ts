@@ -1,0 +1,74 @@
+/** What an operator of each kind of machine wants to know beside the picture, in short sentences. */
+
+import { by, made, put } from "./dom";
+import type { Figures, State } from "./messages";
+import { amount, before, clock, isOf } from "./wording";
+
+const NAMES: Record<string, string> = { tension: "tension of the fibre" };
+
+/** A reading with the name of its quantity: "tension of the fibre 12.5 N". */
+export function reading(name: string, value: number, unit: string): string {
+  const known = NAMES[name] ?? name.replaceAll("_", " ");
+  return `${known} ${amount(value, unit)}`;
+}
+
+/** When and where the carriage turns round next, after an instant of the plan; null for never. */
+export function nextTurn(figures: Figures, time_s: number): { in_s: number; at: number } | null {
+  const turns = figures.turn_rounds;
+  if (!turns) return null;
+  const k = before(turns.times_s, time_s) + 1;
+  return k < turns.times_s.length ? { in_s: turns.times_s[k]! - time_s, at: turns.at[k]! } : null;
+}
+
+/** Where a hold stands that is asked for now. */
+export function holdInWords(state: State, figures: Figures | null): string {
+  const run = state.progress!;
+  const { stitches } = figures ?? {};
+  const stitch = (time_s: number) => stitches!.number[before(stitches!.times_s, time_s)] ?? 0;
+  if (run.hold === "at the end") return "a hold would stand only at the end of the program";
+  if (run.hold === "at a rest") {
+    const at = run.hold_at_s!;
+    const left = ((at - run.time_s) * 100) / state.feed_percent;
+    const after = stitches?.times_s.length && stitch(at) ? `, after stitch ${stitch(at)}` : "";
+    return `a hold stands at the next rest${after}: in ${Math.max(left, 0).toFixed(1)} s`;
+  }
+  if (stitches?.threads.length) return "a hold stands at the end of the stitch";
+  return stitches ? "a hold stands at once, on the seam" : "";
+}
+
+/** The facts of a state, one to a line. */
+export function facts(state: State, figures: Figures | null): string[] {
+  const run = state.progress;
+  const own = run && figures && isOf(figures.program, run.program) ? figures : null;
+  const found: string[] = [];
+  if (run && run.ended === null) {
+    const turn = own && nextTurn(own, run.time_s);
+    if (turn)
+      found.push(
+        `next turn-round in ${clock((turn.in_s * 100) / state.feed_percent)}, at ${own!.turn_rounds!.axis} ${(1000 * turn.at).toFixed(1)} mm`,
+      );
+    const hold = state.state === "running" ? holdInWords(state, own) : "";
+    if (hold) found.push(hold);
+  }
+  if (own?.steps.length) found.push(`cycles completed since the machine was connected: ${run!.completed}`);
+  for (const [name, one] of Object.entries(state.readings)) found.push(reading(name, one.value, one.unit));
+  return found;
+}
+
+let told = "";
+
+/** Show the facts below the title of the view. */
+export function tellFacts(state: State, figures: Figures | null): void {
+  const found = facts(state, figures);
+  const text = found.join("\n");
+  if (text === told) return;
+  told = text;
+  const list = by("facts");
+  const rows = [...list.children];
+  found.forEach((one, k) => {
+    const row = rows[k] ?? list.appendChild(made("li"));
+    put(row, "textContent", one);
+  });
+  for (const row of rows.slice(found.length)) row.remove();
+  put(list, "hidden", found.length === 0);
+}

@@ -1,0 +1,148 @@
+import { describe, expect, it } from "vitest";
+import { brokenOff, howToGoOn, lastRun } from "../src/continuing";
+import { facts, nextTurn, reading } from "../src/facts";
+import { lineAt, Stretches } from "../src/live_error";
+import type { Figures, Progress, State } from "../src/messages";
+import { extend } from "../src/steps";
+
+const run = (more: Partial<Progress> = {}): Progress => ({
+  run: "1",
+  program: "a",
+  time_s: 2,
+  duration_s: 10,
+  ended: null,
+  why: "",
+  verdict: "",
+  completed: 3,
+  hold: "at once",
+  hold_at_s: null,
+  contour: null,
+  ...more,
+});
+const state = (progress: Progress | null, more: object = {}) =>
+  ({
+    progress,
+    readings: {},
+    feed_percent: 100,
+    state: "running",
+    rest: null,
+    proven: null,
+    ...more,
+  }) as unknown as State;
+const figures = (more: object) =>
+  ({ program: "a", steps: [], turn_rounds: null, stitches: null, ...more }) as unknown as Figures;
+const sewn = { stitches: { times_s: [1, 4, 7], number: [1, 2, 3], threads: [] } };
+
+describe("the next turn-round", () => {
+  const winding = figures({ turn_rounds: { axis: "X", times_s: [1, 5], at: [0.06, 0] } });
+  it("is the first one after now, and none after the last", () => {
+    expect(nextTurn(winding, 2)).toEqual({ in_s: 3, at: 0 });
+    expect(nextTurn(winding, 5)).toBeNull();
+    expect(nextTurn(figures({}), 0)).toBeNull();
+  });
+  it("comes later at a slower feed", () => {
+    expect(facts(state(run(), { feed_percent: 50 }), winding)).toEqual([
+      "next turn-round in 0:06, at X 0.0 mm",
+    ]);
+  });
+});
+
+describe("where a hold stands", () => {
+  it("is at once on a seam, at the end of a stitch of a design", () => {
+    expect(facts(state(run()), figures(sewn))).toEqual(["a hold stands at once, on the seam"]);
+    const design = { stitches: { ...sewn.stitches, threads: [null] } };
+    expect(facts(state(run()), figures(design))).toEqual(["a hold stands at the end of the stitch"]);
+  });
+  it("is at a rest where it leaves the path elsewhere, told with its stitch", () => {
+    const waits = run({ hold: "at a rest", hold_at_s: 4.5 });
+    expect(facts(state(waits), figures(sewn))).toEqual([
+      "a hold stands at the next rest, after stitch 2: in 2.5 s",
+    ]);
+    expect(facts(state(run({ hold: "at the end" })), figures(sewn))).toEqual([
+      "a hold would stand only at the end of the program",
+    ]);
+  });
+  it("is not told in a hold, nor at rest", () => {
+    expect(facts(state(run(), { state: "holding" }), figures(sewn))).toEqual([]);
+    expect(facts(state(run({ ended: "completed" })), figures(sewn))).toEqual([]);
+  });
+});
+
+describe("what is there is told, and nothing else", () => {
+  it("counts the cycles of a cycle", () => {
+    const cycle = figures({ steps: [{ name: "pick", line: 1, begin_s: 0 }] });
+    expect(facts(state(run({ ended: "completed" })), cycle)).toEqual([
+      "cycles completed since the machine was connected: 3",
+    ]);
+  });
+  it("has readings in words, with their units", () => {
+    expect(reading("tension", 12.5, "N")).toBe("tension of the fibre 12.5 N");
+    expect(reading("spool_speed", 1.25, "rad/s")).toBe("spool speed 71.6 °/s");
+    expect(facts(state(null, { readings: { tension: { value: 8, unit: "N" } } }), null)).toEqual([
+      "tension of the fibre 8.00 N",
+    ]);
+  });
+});
+
+describe("the last run", () => {
+  it("has its end, and its verdict as soon as it is there", () => {
+    expect(lastRun(state(run()))).toBeNull();
+    expect(lastRun(state(run({ ended: "completed" })))!.text).toContain("Its verdict is being worked out.");
+    const judged = lastRun(state(run({ ended: "completed", verdict: "IN SPEC (nominal)" })));
+    expect(judged).toEqual({ text: "a: completed. IN SPEC (nominal)", wrong: false });
+    expect(lastRun(state(run({ ended: "stopped", verdict: "NOT PROVEN" })))!.wrong).toBe(true);
+  });
+});
+
+describe("a run that was broken off", () => {
+  const stopped = (more: object = {}) =>
+    state(run({ ended: "stopped" }), { proven: { program: "a" }, state: "idle", ...more });
+  const known = { stitches: true, byHand: false, atStart: true };
+  it("can be gone on with while its program is the calculated one", () => {
+    expect(brokenOff(stopped())).toBe(true);
+    expect(brokenOff(stopped({ proven: { program: "a.seam.toml" } }))).toBe(true);
+    expect(brokenOff(stopped({ proven: { program: "ab.prg" } }))).toBe(false);
+    expect(brokenOff(state(run({ ended: "completed" }), { proven: { program: "a" } }))).toBe(false);
+    expect(brokenOff(state(null))).toBe(false);
+  });
+  it("leads by sentences: idle, home, back", () => {
+    expect(howToGoOn(stopped({ state: "fault" }), known)).toContain("bring the machine to idle");
+    expect(howToGoOn(stopped(), { ...known, atStart: false })).toContain("home the machine first");
+    expect(howToGoOn(stopped(), known)).toContain("After a thread break, go some stitches back.");
+    expect(howToGoOn(stopped({ rest: { run: "1", told: ["line 4"] } }), known)).toContain(
+      "line 4. Start the rest confirms",
+    );
+  });
+});
+
+describe("the error along a program", () => {
+  it("keeps the largest value of each stretch", () => {
+    const found = new Stretches(10, 5);
+    found.add(0, 1, 3);
+    found.add(1, 4.5, 2);
+    found.add(10, 10, 7);
+    expect([...found.largest]).toEqual([3, 2, 2, -1, 7]);
+  });
+  it("leads to the line that is under way", () => {
+    const lines = figures({ lines: { times_s: [0, 3], line: [4, 9], circuit: [0, 0] } });
+    expect([lineAt(lines, 2.9), lineAt(lines, 3), lineAt(lines, -1), lineAt(null, 1)]).toEqual([4, 9, 0, 0]);
+  });
+});
+
+describe("an actual lane", () => {
+  it("has a span from each switching on to the switching off", () => {
+    const spans: [number, number][] = [];
+    for (const [time, on] of [
+      [0, false],
+      [1, true],
+      [2, true],
+      [3, false],
+      [4, true],
+    ] as [number, boolean][])
+      extend(spans, time, on);
+    expect(spans).toEqual([
+      [1, 3],
+      [4, Number.POSITIVE_INFINITY],
+    ]);
+  });
+});
