@@ -76,6 +76,17 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
             f"{file.place(findings.length)}: how long the tool of G43 is the control alone knows; "
             "it holds for every move of Z, and the program's zero is at the start position."
         )
+    if findings.limits:
+        warnings.append(
+            f"{file.place(findings.limits)}: limits that the program sets hold with "
+            "--interpolation firmware, as klipper plans; other interpolations keep to the machine "
+            "file's."
+        )
+    if findings.decel:
+        warnings.append(
+            f"{file.place(findings.decel)}: ACCEL_TO_DECEL is read as a minimum cruise ratio of "
+            "1 - ACCEL_TO_DECEL / ACCEL; klipper passes over it from August 2025 on."
+        )
     if findings.tape:
         warnings.append(
             f"{file.place(findings.tape)}: {dialect.name} answers error:1 to a line with %, at "
