@@ -69,6 +69,7 @@ def test_damping_that_is_30_percent_off_is_found(capsys, tmp_path, monkeypatch):
     assert found == pytest.approx(3330.0, rel=0.03)
 
 
+@pytest.mark.long(shown_by="test_damping_that_is_30_percent_off_is_found")
 @pytest.mark.usefixtures("forked_machine")
 def test_friction_is_found(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
