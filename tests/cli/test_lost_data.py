@@ -90,9 +90,7 @@ def test_a_folder_in_the_way_of_a_report_is_told_before_the_work(
     assert bytes_of(folder) == before
 
 
-def test_standard_output_is_written_to(
-    folder: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_standard_output_is_written_to(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The table alone; the hash goes to standard error."""
     with pytest.raises(SystemExit):
         main(f"{COMPILE} table.csv".split())

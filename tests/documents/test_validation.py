@@ -40,8 +40,8 @@ def at_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
         LAW % "20Hz" + LIMITS % "0.1",
         "threadline analyse stitcher --experiments",
         "threadline analyse stitcher+slack-belt --experiments",
-        "threadline prove examples/stitcher-75.seam.toml -m examples/stitcher-75.toml --feed-forward"
-        ' --smoothing "24 ms"',
+        "threadline prove examples/stitcher-75.seam.toml -m examples/stitcher-75.toml"
+        ' --feed-forward --smoothing "24 ms"',
     )
 )
 @pytest.mark.parametrize("command", dict.fromkeys(row.command for row in QUICK), ids=str)
