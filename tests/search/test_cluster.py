@@ -132,7 +132,7 @@ def test_a_plan_is_sent_once(job: Path, fleet: Fleet, monkeypatch: pytest.Monkey
     assert len(sent) == 1
 
 
-@pytest.mark.long(shown_by="test_what_was_judged_is_kept_when_the_cluster_dies")
+@pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_a_worker_that_ends_in_the_middle_changes_nothing(
     how: signal.Signals, job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
@@ -154,7 +154,7 @@ def test_a_worker_that_ends_in_the_middle_changes_nothing(
     assert sum(told) == 60 and fleet.workers[0].wait(120) is not None
 
 
-@pytest.mark.long(but="scheduler")
+@pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 @pytest.mark.parametrize("which", ["scheduler", "workers"])
 def test_what_was_judged_is_kept_when_the_cluster_dies(
     which: str, job: Path, said: Said, fleets: Callable[[int], Fleet],
@@ -187,7 +187,7 @@ def test_what_was_judged_is_kept_when_the_cluster_dies(
     assert said(*words, "--resume", "kept") == here
 
 
-@pytest.mark.long(shown_by="test_what_was_judged_is_kept_when_the_cluster_dies")
+@pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 def test_a_scheduler_that_comes_back_gets_what_it_lost(
     job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
