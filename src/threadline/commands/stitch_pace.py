@@ -33,7 +33,7 @@ Modes = dict[str, tuple[FlexibleMode, ...]]
 _SLOWER = 1.03  # factor on one turn for all, per trial
 _ROUNDS = 4  # searches, each with a smaller tolerance
 _LESS = 0.997  # of the tolerance that the forecast of a round asks for
-_SEARCHED, _CHECKED = 0.01, 0.004  # distance of modes over a band, of their frequency
+_SEARCHED, _CHECKED, _CLOSELY = 0.01, 0.004, 0.001  # distances of modes over a band
 _AS_FAR = 1.3  # times the turn that the slowest move needs alone: the fine grid of speeds
 _STEPS = (0.0053, 0.01)  # relative, of turn times: for exact modes, where phases help; for a band
 _HOPELESS = 0.05  # share of turns beyond the tolerance at which no wider search helps
@@ -42,7 +42,7 @@ _MODES = 4  # modes of an axis: faster ones hardly swing
 _BELOW = 1.0 - 1e-9
 _EVEN_TURNS, _AT_FIRST = 97, 4096  # number of turn times to try, and of moves to check first
 _ASIDE = (0.95, 1.0, 1.05)
-_WIDE = (0.03, 0.1)  # share of a mode: bands in which programs shorten the found turns
+_WIDE = (0.015, 0.1)  # share of a mode: bands in which programs shorten the found turns
 _SLOWEST = 1.2  # of the found turns: how long a turn may become when they are shortened
 _FINE = 1e-3  # relative step of the turn times between which the swing of a move is interpolated
 
@@ -165,10 +165,15 @@ class Pace:
             found = np.maximum(found, self.swings_m(moves, turns_s, modes))
         return found
 
-    def robust_swings_m(self, moves: Moves, turns_s: FloatArray) -> FloatArray:
-        """Return (n,) the largest swing over the dampings of days and the band of the modes."""
+    def robust_swings_m(
+        self, moves: Moves, turns_s: FloatArray, apart: float = _CHECKED
+    ) -> FloatArray:
+        """Return (n,) the largest swing over the dampings of days and the band of the modes, m.
+
+        Neighbouring modes are at most ``apart`` apart, as a share of the frequency.
+        """
         found = self.most_swings_m(moves, turns_s)
-        for modes in self._over_band(_CHECKED, (DAMPING_OF_DAYS[0], 1.0, DAMPING_OF_DAYS[1])):
+        for modes in self._over_band(apart, (DAMPING_OF_DAYS[0], 1.0, DAMPING_OF_DAYS[1])):
             found = np.maximum(found, self.swings_m(moves, turns_s, modes))
         return found
 
@@ -273,22 +278,19 @@ class Pace:
             self.robust_swings_m(moves, slowest).max() < most_m
         ):
             return Schedule(turn_s=slowest, bound_s=bound_s)
-        turn_s = self._shortened((speeds, swings), asked, moves, found.turn_s)
+        turn_s = self._shortened(asked, moves, found.turn_s)
         even = self._even_turn_s(moves, float(turn_s.mean()))
         if even is not None:
             count = len(moves.needle)
             return Schedule(turn_s=np.full(count, even), bound_s=min(bound_s, even * count))
         return Schedule(turn_s=turn_s, bound_s=bound_s)
 
-    def _shortened(
-        self, grid: tuple[Speeds, Swings], asked: Asked, moves: Moves, found_s: FloatArray
-    ) -> FloatArray:
+    def _shortened(self, asked: Asked, moves: Moves, found_s: FloatArray) -> FloatArray:
         """Return the shortest turns in spec, s; within a narrow band the found turns stay."""
         widest = max((max(1.0 - low, high - 1.0) for low, high in self.bands.values()), default=0.0)
         if not _WIDE[0] <= widest <= _WIDE[1]:
             return found_s
         assert self.shaft.acceleration is not None
-        speeds, swings = grid
         ways_m, needle, shortest_s = asked
         limits = Limits(
             ways_m=ways_m,
@@ -301,13 +303,10 @@ class Pace:
         )
         swung = self._swung((float(shortest_s.min()), limits.slowest_s))
 
-        def looser(more: float) -> FloatArray:
-            return fastest_turns(speeds, swings, asked, more * self.tolerance_m, self.share).turn_s
-
         def most_m(turn_s: FloatArray) -> float:
-            return float(self.robust_swings_m(moves, turn_s).max())
+            return float(self.robust_swings_m(moves, turn_s, _CLOSELY).max())
 
-        return shortest_turns(found_s, (limits, swung), most_m, looser)
+        return shortest_turns(found_s, (limits, swung), most_m)
 
     def _swung(self, ends_s: tuple[float, float]) -> Swung:
         """Return what swings on machines all over the band, for turn times between ``ends_s``."""

@@ -12,6 +12,7 @@ use, and the program is solved again. A step that does not gain is not taken; th
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -38,33 +39,27 @@ _CORRECTIONS = 2  # times that a program is solved again for what its step misse
 _ENOUGH = 2e-5  # of the time of a window: a smaller gain is none
 _PRICES = (17.0, 100.0, 1000.0)  # of 100 % over the tolerance at a needle, in turns at full speed
 _GRID = 0.01  # relative step of the turn times of a search of all turns
-_SEARCHES = ((1000.0, 0.985), (100.0, 1.0))  # price as above, share of the tolerance
+# Price as above, share of the tolerance. With the lower price a search passes where a needle is
+# over the tolerance; which share leads to turns that the programs can mend differs by design.
+_SEARCHES = ((1000.0, 0.985), (100.0, 1.0), (100.0, 0.99), (100.0, 0.98))
+_MUCH = 0.97  # of the time of the found turns: schedules that are shorter need no more searches
 _REFUSED, _WIDTH, _CELLS = 0.1, 8, 3.0  # share over the tolerance, states at each time, cells
-_LOOSER = (1.1, 1.2)  # times the tolerance: searches whose schedules are then mended
-_MUCH = 0.97  # of the time of the found turns: schedules that are shorter need no looser search
-_KICKS, _MOST_KICKS = (100, 20), 500  # trials: in all, and for each turn over the tolerance
-_TAKEN = 0.4  # share of the trials that take turns within the tolerance
-_BUMPS, _BUMP = 2, 0.05  # bumps of a trial, relative size of one
-_NEAR, _WIDTHS = 3.0, (0.7, 4.0)  # turns: distance of a bump from the turn, width
 _EXCESS = 1.0 + 1e-6
 _LOW, _HIGH = 0.6, 0.7  # of the tolerance: swings that are watched, in one and in three directions
 _ASIDE = np.array([0.0, 0.45, -0.45])  # rad
-# Of the tolerance and of the change of speed: modes between the watched ones swing 0.2 % more.
+# Of the tolerance and of the change of speed: a swing bends within a step.
 _INSIDE = 1.0 - 2.5e-3
+_BETWEEN = 1.0 - 3.5e-3  # of the tolerance at last: modes between the watched ones swing more
 
 
 def shortest_turns(
-    found_s: FloatArray,
-    given: tuple[Limits, Swung],
-    most_m: Callable[[FloatArray], float],
-    looser: Callable[[float], FloatArray],
+    found_s: FloatArray, given: tuple[Limits, Swung], most_m: Callable[[FloatArray], float]
 ) -> FloatArray:
     """Return the shortest turns that come of several starts and keep the tolerance, s.
 
-    The starts are the found turns and two priced searches on a grid of speeds: one goes over the
-    tolerance where that saves much time, the other hardly anywhere. Where they gain little, two
-    searches with more tolerance follow. If no start leads to turns within the tolerance, the found
-    turns are returned.
+    The starts are the found turns and priced searches on a grid of speeds: some go over the
+    tolerance where that saves much time, one hardly anywhere. They end with the first that gains
+    much. If no start leads to turns within the tolerance, the found turns are returned.
 
     Parameters
     ----------
@@ -72,8 +67,6 @@ def shortest_turns(
         (n,) turns that a search found, s.
     most_m
         Returns the largest swing that turns leave when a needle enters, m.
-    looser
-        Returns the turns that a search finds with a multiple of the tolerance, s.
     """
     limits, swung = given
     grid = np.arange(np.log(limits.shortest_s.min()), np.log(limits.slowest_s), _GRID)
@@ -88,7 +81,6 @@ def shortest_turns(
         )
         lists = [np.exp(grid)] * len(found_s)
         starts.append(partial(priced_turns, lists, 0, found_s, given, asked))
-    starts += [partial(looser, factor) for factor in _LOOSER]
     best, kept = found_s, most_m(found_s) <= limits.tolerance_m * _EXCESS
     enough_s = _MUCH * total_s(found_s, limits.share)
     for start in starts:
@@ -97,50 +89,21 @@ def shortest_turns(
         begin = start()
         if begin is None:
             continue
-        turns = shortened(begin, limits, swung, found_s)
+        turns = shortened(begin, limits, swung)
         shorter = total_s(turns, limits.share) < total_s(best, limits.share)
         if (shorter or not kept) and most_m(turns) <= limits.tolerance_m * _EXCESS:
             best, kept = turns, True
     return best
 
 
-def shortened(turn_s: FloatArray, limits: Limits, swung: Swung, within_s: FloatArray) -> FloatArray:
-    """Return (n,) turns that are shorter than ``turn_s``, or less over the tolerance, s.
-
-    Where turns stay over the tolerance, the times around one of them are moved at random, or those
-    of ``within_s`` are taken, (n,) turns within the tolerance. The programs start from there; what
-    is worse then is given up.
-    """
-    given = limits, swung
+def shortened(turn_s: FloatArray, limits: Limits, swung: Swung) -> FloatArray:
+    """Return (n,) turns that are shorter than ``turn_s``, or less over the tolerance, s."""
     turns = np.array(turn_s, dtype=np.float64)
-    for price in _PRICES[:-1]:
-        _swept(turns, given, price)
-    choose = np.random.default_rng(1)
-    over = int(np.count_nonzero(_over(turns, given) > 1.0 / _INSIDE))
-    for _ in range(min(_KICKS[0] + _KICKS[1] * over, _MOST_KICKS)):
-        beyond = np.flatnonzero(_over(turns, given) > 1.0 / _INSIDE)
-        if not len(beyond):
-            break
-        worst = int(choose.choice(beyond))
-        first = min(max(0, worst - _WINDOW // 2), max(0, len(turns) - _WINDOW))
-        moved = _bumped(turns, worst, limits, choose)
-        if choose.random() < _TAKEN:
-            moved = turns.copy()
-            low, high = worst - choose.integers(_APART), worst + 1 + choose.integers(_APART)
-            moved[max(0, low) : high] = within_s[max(0, low) : high]
-        tried = _turned(turns, moved, first, limits)
-        if tried is None:
-            continue
-        for _ in range(_STEPS):
-            gained, _step = _window(tried, first, _FIRST, given, _PRICES[-2])
-            if not gained:
-                break
-        if (
-            _worth(tried, first, given, _PRICES[-2])[0]
-            < _worth(turns, first, given, _PRICES[-2])[0]
-        ):
-            turns = tried
-    _swept(turns, given, _PRICES[-1])
+    for price in _PRICES:
+        _swept(turns, (limits, swung), price)
+    # Not before: from a start that is farther over a tolerance fewer programs find a way within.
+    tighter = replace(limits, tolerance_m=limits.tolerance_m * _BETWEEN)
+    _swept(turns, (tighter, swung), _PRICES[-1])
     return turns
 
 
@@ -160,42 +123,6 @@ def _swept(turns: FloatArray, given: tuple[Limits, Swung], price: float) -> None
             restless[number] = gained
             if gained:
                 restless[max(0, number - 1) : number + 2] = True
-
-
-def _over(turns: FloatArray, given: tuple[Limits, Swung]) -> FloatArray:
-    """Return (n,) the largest amplitude at each needle, in shares of what the programs ask for."""
-    limits, swung = given
-    swings_now = swings_of(0, len(turns), turns, limits, swung)
-    most = amplitudes(swings_now[0], turns, swung).max(axis=1) / (limits.tolerance_m * _INSIDE)
-    return np.where(limits.needle == 1, most, 0.0)
-
-
-def _bumped(
-    turns: FloatArray, around: int, limits: Limits, choose: np.random.Generator
-) -> FloatArray:
-    """Return turns that are moved at random around one."""
-    number = np.arange(len(turns), dtype=np.float64)
-    moved = np.zeros(len(turns))
-    for _ in range(_BUMPS):
-        centre, width = around + choose.normal(0.0, _NEAR), choose.uniform(*_WIDTHS)
-        moved += choose.normal(0.0, _BUMP) * np.exp(-0.5 * ((number - centre) / width) ** 2)
-    return np.clip(turns * np.exp(moved), limits.shortest_s, limits.slowest_s)
-
-
-def _turned(turns: FloatArray, moved: FloatArray, first: int, limits: Limits) -> FloatArray | None:
-    """Return turns with those of a window moved as far as the spindle can; None if it cannot."""
-    end = min(len(turns), first + _WINDOW)
-    square, most = turns**-2.0, limits.change * _INSIDE
-    square[first:end] = moved[first:end] ** -2.0
-    for k in range(max(1, first), end):
-        square[k] = min(max(square[k], square[k - 1] - most), square[k - 1] + most)
-    for k in range(min(end, len(turns) - 1) - 1, first - 1, -1):
-        square[k] = min(max(square[k], square[k + 1] - most), square[k + 1] + most)
-    tried = square**-0.5
-    changes = np.abs(np.diff(square[max(0, first - 1) : end + 1]))
-    if (changes > limits.change).any() or (tried < limits.shortest_s * (1.0 - 1e-9)).any():
-        return None
-    return np.asarray(tried)
 
 
 def total_s(turn_s: FloatArray, share: float) -> float:
