@@ -212,9 +212,15 @@ class YieldState:
             ) from error
 
     def _append(self, content: Mapping[str, Any]) -> None:
-        with naming(self._path, self._path):
+        try:
             self._file.write(line_of(content))
             self._file.flush()
+        except OSError as error:  # a disk is full: what the file holds already is not lost
+            raise OptionError(
+                f"cannot write {str(self._path)!r}: {error.strerror}",
+                remedy="Make room on its disk, and repeat the command: it goes on with the "
+                "machines that the file holds.",
+            ) from error
 
     def _read(self, identity: Mapping[str, str]) -> None:
         found: list[EachRun] = []
