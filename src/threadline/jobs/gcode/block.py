@@ -10,6 +10,7 @@ from threadline.jobs.gcode.dialects import (
     SILENT,
     Reading,
 )
+from threadline.jobs.gcode.foreign import MACROS
 from threadline.jobs.gcode.grammar import (
     PLAIN,
     check_first_alone,
@@ -105,6 +106,8 @@ class Block(NamedTuple):
         Wrapped axes (``Reading.wrapped``) whose words have a minus sign, that of 0 as well.
     limits
         Limits that the block sets for all moves behind it.
+    macro
+        Name of the macro that the block runs, whose moves are left out.
     """
 
     line: int
@@ -129,6 +132,7 @@ class Block(NamedTuple):
     length: str = ""
     back: tuple[int, ...] = ()
     limits: LimitChange | None = None
+    macro: str = ""
 
     @property
     def goes(self) -> bool:
@@ -150,7 +154,7 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
     if text.strip().upper() in dialect.grammar.queries:
         return ()
     if dialect.name == "klipper":
-        named = named_command(text, place)
+        named = named_command(text, place, without_macros=MACROS in reading.dropped)
         if named is not None:
             return (_named_block(named, line),)
     if dialect.one_command:
@@ -168,10 +172,11 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
 
 
 def _named_block(named: Named, line: int) -> Block:
-    """Return the block of a command with a name, which moves nothing."""
+    """Return the block of a command with a name, which moves nothing; a macro is a rest."""
     return Block(
-        line, -1, -1, (), (), None, None, 0, (), 0.0, -1, "", None, False,
+        line, -1, -1, (), (), None, None, 0, (), 0.0, -1, "", None, bool(named.macro),
         (named.idle,) if named.idle else (), -1, (), (named.text,), limits=named.limits,
+        macro=named.macro,
     )  # fmt: skip
 
 
