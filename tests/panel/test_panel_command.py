@@ -214,6 +214,7 @@ def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []  # no run, no folder of runs
 
 
+@pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
 def test_no_python_file_of_a_project_is_run(tmp_path: Path) -> None:
     """Owner, machine and readers import the library's modules, also where a file has their name."""
     (tmp_path / "there.prg").write_text(PROGRAM, "utf-8")
