@@ -60,6 +60,7 @@ class AloneJudge:
     """
 
     def __init__(self, plan: Plan, spec: Spec, judge: Judge | None = None) -> None:
+        keep_freed_memory()
         self._plan, self._spec = plan, spec
         self._judge = Judge(plan, spec) if judge is None else judge
 
