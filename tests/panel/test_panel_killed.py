@@ -41,7 +41,7 @@ class Spoken:
         self._socket.send(text)
 
     def receive_text(self) -> str:
-        found = self._socket.recv(30.0)
+        found = self._socket.recv(100.0)
         assert isinstance(found, str)
         return found
 
