@@ -141,6 +141,25 @@ def test_a_plan_is_sent_once(job: Path, fleet: Fleet, monkeypatch: pytest.Monkey
     assert len(sent) == 1
 
 
+def test_short_items_share_a_task(job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A task costs the same for one item as for many; the last are few, so that nobody waits."""
+    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 1)
+    own, sent = judged(job), []
+    begun = Cluster._begun
+
+    def counted(self: Cluster, content: object, digest: str, items: list[object]) -> object:
+        sent.append(len(items))
+        return begun(self, content, digest, items)
+
+    monkeypatch.setattr(Cluster, "_begun", counted)
+    here = bits(own, 150)
+    with of_cluster.on_cluster(fleet.address, print):
+        bits(own, 30)  # so that it is known what an item takes
+        sent.clear()
+        assert bits(own, 150) == here
+    assert sum(sent) == 150 and len(sent) < 50 and max(sent) >= 5 and sent[-1] == 1
+
+
 @pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_a_worker_that_ends_in_the_middle_changes_nothing(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import Place
 from threadline.files import Stream
+from threadline.jobs.program_limits import LimitChange
 
 if TYPE_CHECKING:
     from threadline.geometry.contours import DrawnLine
@@ -96,7 +97,8 @@ class ToolEvent:
     """An action of the tool, ``name``, with its ``value`` (trim, thread, tension, power).
 
     ``words`` are the words of a part program that request the action, empty for other jobs.
-    ``beside`` says that these words stand in the same block as their move.
+    ``beside`` says that these words stand in the same block as their move. ``limits`` are those
+    that the words set for all moves behind them.
     """
 
     name: str
@@ -104,6 +106,7 @@ class ToolEvent:
     source: Source
     words: str = ""
     beside: bool = False
+    limits: LimitChange | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,6 +379,8 @@ class Job:
     threads
         Thread of each block of a design, block 1 first; None where the file does not say its
         colour.
+    sets_limits
+        Whether the program sets limits of velocity or acceleration (``ToolEvent.limits``).
     """
 
     name: str
@@ -395,6 +400,7 @@ class Job:
     along_m_s2: float = math.inf
     once: int = 0
     threads: tuple[Thread | None, ...] = ()
+    sets_limits: bool = False
 
     def __iter__(self) -> Iterator[Operation]:
         return iter(self.operations)

@@ -379,7 +379,7 @@ class RunsJudge:
         elsewhere = workers()
         if whole and elsewhere is not None and self._rates:
             at_once = min(at_once, max(-(-variants.count // elsewhere.cores), 1))
-        for _, places in Values.of(self._machine, variants.numbers).by_delay():
+        for places in Values.of(self._machine, variants.numbers).places_by_delay():
             for at in range(0, len(places), at_once):
                 yield places[at : at + at_once]
 

@@ -336,6 +336,7 @@ def read_part_program(
         capped=capped_feeds(findings, moved, label, machine, file),
         feed_rule=rule.text,
         dialect=spoken.name,
+        sets_limits=bool(findings.limits),
     )
 
 
