@@ -298,7 +298,7 @@ def test_a_drawing_that_takes_too_long_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(drawn_apart, "LONGEST_S", 0.5)
-    monkeypatch.setattr(drawn_apart, "CHILD", "import time; time.sleep(60)")
+    monkeypatch.setattr(drawn_apart, "CHILD", "import time; time.sleep(600)")
     with served(tmp_path) as client:
         since_s = time.monotonic()
         answer = post(client, "shapes?name=a.svg", svg())
@@ -306,7 +306,7 @@ def test_a_drawing_that_takes_too_long_is_given_up(
         assert answer.text == "'a.svg' takes longer than 0.5 s. Split it, or simplify it.\n"
         monkeypatch.setattr(drawn_apart, "CHILD", "import os; os._exit(1)")
         assert "has ended" in post(client, "shapes?name=a.svg", svg()).text
-    assert time.monotonic() < since_s + 20.0
+    assert time.monotonic() < since_s + 300.0
 
 
 def test_a_process_ends_with_who_waits_for_it(tmp_path: Path) -> None:

@@ -35,10 +35,18 @@ Said = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
-    """Two workers that no test ends."""
-    found = Fleet(tmp_path_factory.mktemp("fleet"), 2)
+    """A worker that no test ends."""
+    found = Fleet(tmp_path_factory.mktemp("fleet"), 1)
     yield found
     found.end()
+
+
+@pytest.fixture
+def two_workers(fleet: Fleet) -> Fleet:
+    """Have another one besides, for as long as the first."""
+    if len(fleet.workers) < 2:
+        fleet.workers.append(fleet.with_worker())
+    return fleet
 
 
 @pytest.fixture
@@ -103,12 +111,13 @@ def test_an_answer_is_that_of_one_computer_to_the_bit(
     assert Path("here.yield").read_bytes() == Path("there.yield").read_bytes()
 
 
+@pytest.mark.long(shown_by="test_an_answer_is_that_of_one_computer_to_the_bit")
 def test_bits_do_not_depend_on_the_size_of_a_task_or_on_who_is_quick(
-    job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+    job: Path, two_workers: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = judged(job)
     here = bits(own, 40)
-    with of_cluster.on_cluster(fleet.address, print):
+    with of_cluster.on_cluster(two_workers.address, print):
         for size, ahead in (1, 1), (7, 16), (64, 2):
             monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", size)
             monkeypatch.setattr("threadline.search.machine_yield._TURNS", 1)
