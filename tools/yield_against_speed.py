@@ -216,7 +216,10 @@ class Tables:
 
     def _own(self, count: int) -> Iterator[int]:
         """Yield the numbers of the speeds of the part."""
-        yield from range(count) if self._part is None else self._part.machines(count)
+        if self._part is None:
+            yield from range(count)
+        else:
+            yield from self._part.share(count, "speeds of a table", "run it whole")
 
     def draw(self, name: str, label: str, curves: dict[str, list[Row]]) -> None:
         """Draw the whole; a part has no picture."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import shutil
@@ -233,6 +234,14 @@ def test_a_scheduler_that_comes_back_gets_what_it_lost(
         found = own.drawn(60, 5, done)
     assert [row.values.tobytes() for row in found.found.rows] == here
     assert sum(told) == 60
+
+
+def test_what_fails_is_told_in_one_line_of_this_program(fleet: Fleet) -> None:
+    """``distributed`` has loggers with handlers and levels of their own, for example of clients."""
+    Cluster(fleet.address).close()
+    names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    assert "distributed.client" in names
+    assert not [name for name in names if logging.getLogger(name).isEnabledFor(logging.ERROR)]
 
 
 def test_machines_that_end_every_worker_are_not_tried_for_ever(

@@ -322,7 +322,9 @@ def _connected(address: str) -> Any:
             "--cluster needs the package distributed, and it is not installed",
             remedy='Install it: pip install "threadline[cluster]".',
         ) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in [*logging.root.manager.loggerDict]:  # several have a level of their own
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     of: Any = distributed  # its constructors have no types
     security = None
     if address.startswith("tls://"):
