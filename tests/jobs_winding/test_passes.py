@@ -53,7 +53,7 @@ def _said(job: Job) -> tuple[list[tuple[float, ...]], list[object]]:
     return targets, [o.duration_s for o in job if isinstance(o, Dwell)]
 
 
-@pytest.mark.long(but="winder")
+@pytest.mark.long(shown_by="test_both_programs_of_one_winding_move_alike")
 @pytest.mark.parametrize("dialect", ["winder", "linuxcnc", "fanuc"])
 def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect: str) -> None:
     """Each layer is one body; circuits that begin or end at a rest have bodies of their own."""
@@ -97,6 +97,17 @@ def test_both_programs_of_one_winding_move_alike(tmp_path: Path, examples: Path)
     assert [o.feed for o in again] == [o.feed for o in moves]
     assert [o.target for o in again] == [o.target for o in moves]
     assert program.stat().st_size < 20 * len(moves) / 4
+
+
+def test_the_layers_are_designed_once(
+    tmp_path: Path, examples: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def again(_: object) -> None:
+        raise AssertionError("designed again for the program")
+
+    monkeypatch.setattr("threadline.jobs.winding.job.design", again)
+    program = tmp_path / "vessel.prg"
+    assert run("wind", examples / "vessel.wind.toml", "-m", "lathe-winder", "-o", program) == 0
 
 
 @pytest.mark.parametrize(
