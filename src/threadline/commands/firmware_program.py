@@ -147,8 +147,9 @@ def refuse_slower(
     raise PlanError(
         f"the program for {target} would be slower: the planner of the firmware takes "
         f"{as_run_s[1]:.5g} s over it, and {as_run_s[0]:.5g} s over {_as_fed(job, override)}",
-        remedy=f"Run {job.name} itself, or give another --interpolation, a wider --tolerance or a "
-        "higher --feed; --slower writes it all the same.",
+        remedy=f"Run {job.name} itself, or give another --interpolation (firmware writes its moves "
+        "as they are, at this feed), a wider --tolerance or a higher --feed; --slower writes it "
+        "all the same.",
     )
 
 

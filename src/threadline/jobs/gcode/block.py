@@ -16,6 +16,7 @@ from threadline.jobs.gcode.grammar import (
     check_first_alone,
     check_line,
     check_words,
+    only_asks,
 )
 from threadline.jobs.gcode.klipper_commands import Named, named_command
 from threadline.jobs.gcode.printer_lines import commands_of, text_of_stop
@@ -151,7 +152,7 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
         If a word is unknown, doubled, out of range, or has no use in its block.
     """
     dialect, place = reading.dialect, Place(reading.file, line)
-    if text.strip().upper() in dialect.grammar.queries:
+    if only_asks(text, dialect.grammar):
         return ()
     if dialect.name == "klipper":
         named = named_command(text, place, without_macros=MACROS in reading.dropped)
