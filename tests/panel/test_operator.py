@@ -126,11 +126,11 @@ def test_the_feed_is_overridden_by_who_has_control_within_what_was_proven(projec
         assert "not in control" in ben.act("override-feed", percent=50)
         assert anna.state["feed_percent"] == 100
         assert anna.act("override-feed", percent=50) == ""
-        while anna.until("state")["feed_percent"] != 50:
-            pass
+        anna.wait(lambda state: state["feed_percent"] == 50)
         assert anna.state["why"] == ""  # it is shown by itself
         while anna.state["state"] == "running" and anna.state["progress"]["time_s"] < 2.0:
             anna.until("state")
+            anna.say(type="alive", lease=anna.lease)
         done, at = anna.state["progress"]["time_s"], anna.state["time_s"]
         assert done < at  # of the plan, and by the clock
         anna.see("idle")

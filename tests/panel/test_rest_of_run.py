@@ -38,8 +38,7 @@ def broken_off(anna: Operator) -> str:
 def ready_to_go_on(anna: Operator, run: str, proof: str) -> None:
     anna.allows("continue")
     assert anna.act("continue", run=run, proof=proof) == ""
-    while anna.until("state")["rest"] is None:
-        pass
+    anna.wait(lambda state: state["rest"] is not None)
 
 
 @pytest.mark.long(
@@ -71,8 +70,7 @@ def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> No
         assert all(at["commanded"] == 0.0 for at in anna.until("state")["axes"].values())
 
         anna.say(type="stop")  # which drops it
-        while anna.until("state")["rest"] is not None:
-            pass
+        anna.wait(lambda state: state["rest"] is None)
         assert "is not possible now" in anna.act("start-rest")
 
         ready_to_go_on(anna, run, proof)
