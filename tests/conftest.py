@@ -240,6 +240,19 @@ def coarse_search(coarse_scan: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def forked_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have simulated machines as forks of the test's process, which has imported all they need.
+
+    For what such a machine does; ``tests/live/test_checked.py`` and ``test_rehearsed.py`` start one
+    anew.
+    """
+    from tests.live.kill_bench import forked_link
+    from threadline.live import sim_process
+
+    monkeypatch.setattr(sim_process, "process_link", forked_link)
+
+
+@pytest.fixture
 def examples() -> Path:
     """The folder of jobs that come with the project."""
     return ROOT / "examples"

@@ -15,6 +15,7 @@ from threadline.errors import InputError
 from threadline.live.store.run_store import opened
 
 JOB = "G91\nG1 X5 F600\nG1 X-5\nM30\n"
+pytestmark = pytest.mark.usefixtures("forked_machine")
 MACHINE = "stepper-winder"
 
 

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from threadline.base.cluster import on_cluster, versions
+from threadline.base.cluster import on_cluster
+from threadline.base.cluster_worker import versions
 from threadline.base.writing import staged_file
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, ThreadlineError

@@ -140,6 +140,7 @@ def few_plans(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 2)
 
 
+@pytest.mark.long(but="extra1")
 @pytest.mark.parametrize("extra", [["--contour", "0.4 mm"], ["--feed-forward"]])
 def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
     examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

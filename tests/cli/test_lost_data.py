@@ -90,6 +90,20 @@ def test_a_folder_in_the_way_of_a_report_is_told_before_the_work(
     assert bytes_of(folder) == before
 
 
+def test_standard_output_is_written_to(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The table alone; the hash goes to standard error."""
+    with pytest.raises(SystemExit):
+        main(f"{COMPILE} table.csv".split())
+    capfd.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        main(f"{COMPILE} /dev/stdout".split())
+    told = capfd.readouterr()
+    assert not ended.value.code
+    assert told.out == (folder / "table.csv").read_text("utf-8")
+    assert "  /dev/stdout\n" in told.err
+
+
+@pytest.mark.long(shown_by="test_standard_output_is_written_to")
 def test_standard_output_is_written_to_and_not_replaced(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

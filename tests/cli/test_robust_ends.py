@@ -103,13 +103,18 @@ def test_what_has_no_ends_is_refused_in_a_line(
     assert code == 2 and "have no tolerances" in err
 
 
-def test_every_kind_with_axes_or_a_shaft_is_judged_at_its_ends() -> None:
-    for name, file in (("schiffli-frame", "rosette.dst"), ("lathe-winder+springy", "x-180.prg")):
-        machine = load_machine(name)
-        job = read_job(EXAMPLES / file, machine)
-        plan = plan_job(job, machine, Options())
-        verdict = prove_plan(plan, load_spec(None, machine), None, Trials(ends=1.0)).verdict
-        assert verdict.ends == len(ends_of(machine, 1.0)) > 0, name
+@pytest.mark.long(but="x-180.prg")
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("schiffli-frame", "rosette.dst"), ("lathe-winder+springy", "x-180.prg")],
+    ids=["rosette.dst", "x-180.prg"],
+)
+def test_every_kind_with_axes_or_a_shaft_is_judged_at_its_ends(name: str, file: str) -> None:
+    machine = load_machine(name)
+    job = read_job(EXAMPLES / file, machine)
+    plan = plan_job(job, machine, Options())
+    verdict = prove_plan(plan, load_spec(None, machine), None, Trials(ends=1.0)).verdict
+    assert verdict.ends == len(ends_of(machine, 1.0)) > 0
 
 
 def test_the_worst_of_each_criterion_counts() -> None:

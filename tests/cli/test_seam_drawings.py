@@ -50,6 +50,7 @@ def seam(folder: Path, layer: str) -> str:
     return str(file)
 
 
+@pytest.mark.long(but="BLOCK")
 @pytest.mark.parametrize("layer", ["SPLINE", "BLOCK"])
 def test_splines_and_blocks_are_sewn(
     layer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

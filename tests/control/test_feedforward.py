@@ -70,6 +70,7 @@ def test_smooth_motion_is_the_moving_average():
         smooth_motion(*trapezoid(), np.array([0.01, 0.0]))
 
 
+@pytest.mark.long(but="X")
 @pytest.mark.parametrize("axis", ["X", "Y"])
 def test_volts_of_the_inverse_drive_the_plant_along_the_motion(axis):
     """The plant's equations integrated by DOP853 under the inverse's volts, dead time apart."""

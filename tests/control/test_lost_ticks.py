@@ -97,6 +97,7 @@ def test_other_dacs_are_told_the_volts() -> None:
     np.testing.assert_array_equal(told, volts[:-AHEAD])
 
 
+@pytest.mark.long(but="lathe-winder-8.5")
 @pytest.mark.parametrize(("machine", "least_s"), [("lathe-winder", 8.5), ("lathe-winder+8A", 7.2)])
 def test_the_winders_job_repeats_at_all_that_its_drives_have(
     examples: Path, machine: str, least_s: float

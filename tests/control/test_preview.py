@@ -12,6 +12,7 @@ from threadline.errors import MachineError
 from threadline.machine import load_machine
 
 
+@pytest.mark.long(only=("37-Y",))
 @pytest.mark.parametrize("axis", ["X", "Y"])
 @pytest.mark.parametrize("run", [37, 4096])
 def test_runs_give_what_the_whole_gives(axis, run):

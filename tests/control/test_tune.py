@@ -121,6 +121,7 @@ def test_a_loop_that_is_unstable_on_some_machines_says_so():
     assert not found.stable and found.phase_margin_deg < 0.0
 
 
+@pytest.mark.long(but="lathe-winder")
 @pytest.mark.parametrize("name", ["stitcher", "stitcher+unloaded", "lathe-winder"])
 def test_the_ultimate_gain_of_the_twin_is_the_gain_margin_of_analyse(name):
     """Within 1 %. The twin's motion finds it; the linear model says only where to look."""

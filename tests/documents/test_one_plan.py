@@ -45,7 +45,7 @@ def plan_of(asked: Asked) -> Plan:
     return MADE(*asked.all)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def planned_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Make a plan once for all who ask for the same."""
     monkeypatch.chdir(ROOT)
@@ -54,19 +54,42 @@ def planned_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     assert plan_of.cache_info().currsize == 1  # they did ask for the same
 
 
+def says_in_spec(said: str) -> None:
+    first, second, *_ = said.splitlines()
+    assert first == "in spec (repeated)"
+    assert 0.0 < float(second.split()[2]) <= 0.5  # mm, the limit of the winder's specification
+
+
+def code_of_the_readme() -> str:
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert code.count("cone-dome-cylinder") == 1
+    return code
+
+
+def test_the_python_of_the_readme_runs(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a shorter job."""
+    monkeypatch.chdir(ROOT)
+    code = code_of_the_readme().replace("cone-dome-cylinder", "x-180")
+    exec(compile(code, "README.md", "exec"), {})
+    says_in_spec(capsys.readouterr().out)
+
+
+@pytest.mark.long(shown_by="test_the_python_of_the_readme_runs")
+@pytest.mark.usefixtures("planned_once")
 def test_the_python_of_the_readme_runs_and_says_that_the_job_is_in_spec(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """One question, one function; it says the level of its answer."""
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    names: dict[str, object] = {}
-    exec(compile(code, "README.md", "exec"), names)
-
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == "in spec (repeated)"
-    assert 0.0 < float(said[1].split()[2]) <= 0.5  # mm, the limit of the winder's specification
+    exec(compile(code_of_the_readme(), "README.md", "exec"), {})
+    says_in_spec(capsys.readouterr().out)
 
 
+@pytest.mark.long(
+    shown_by="tests/documents/test_validation.py::test_rows_have_the_figures_that_their_command_answers"
+)
+@pytest.mark.usefixtures("planned_once")
 def test_the_validation_has_the_figures_that_the_command_answers() -> None:
     command = "threadline prove examples/cone-dome-cylinder.prg -m lathe-winder "
     page = ROOT / "docs" / "validation-winder.md"
@@ -78,6 +101,10 @@ def test_the_validation_has_the_figures_that_the_command_answers() -> None:
     assert not validation.differences(row)
 
 
+@pytest.mark.long(
+    shown_by="tests/path/test_interpolations_document.py::test_a_row_says_what_the_planner_does"
+)
+@pytest.mark.usefixtures("planned_once")
 def test_the_row_of_optimal_says_what_the_planner_does() -> None:
     machine = load_machine("lathe-winder")
     job = read_job(Path("examples/cone-dome-cylinder.prg"), machine)

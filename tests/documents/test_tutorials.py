@@ -56,7 +56,7 @@ def same(wanted: str, found: str) -> bool:
     return wanted.rstrip(",;") == found.rstrip(",;")
 
 
-@pytest.mark.long(but=("winder", "stitcher"))
+@pytest.mark.long(but="winder")
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_tutorial_runs_and_shows_what_its_commands_answer(
     page: Path,

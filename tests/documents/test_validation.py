@@ -16,7 +16,9 @@ ROWS = [row for page in validation.pages() for row in validation.rows_of(page)]
 QUICK = [row for row in ROWS if row.compared and not row.takes]
 MACHINES = ("winder", "stitcher", "placer", "embroidery")
 STEP = next(row for row in QUICK if row.command.endswith("winder-step 0.45"))
-PROVED = next(row for row in QUICK if row.command.endswith("-m lathe-winder"))
+PROVED = next(row for row in QUICK if row.command.endswith("rosette.dst -m schiffli-frame"))
+LAW = 'threadline law --mode %s --damping 0.02 --move "16.5 mm" --time "120 ms" '
+LIMITS = '--limit "6.33 m/s^2" --residual "0.05 mm" --band %s'
 
 
 @pytest.fixture(autouse=True)
@@ -34,9 +36,15 @@ def at_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
         "python -m tools.second_search letter-placer X 0",
         "python -m tools.second_search letter-placer Z 0",
         "threadline equal examples/rosette.dst -m schiffli-frame --targets steps",
+        LAW % "12Hz" + LIMITS % "0.2",
+        LAW % "20Hz" + LIMITS % "0.1",
+        "threadline analyse stitcher --experiments",
+        "threadline analyse stitcher+slack-belt --experiments",
+        "threadline prove examples/stitcher-75.seam.toml -m examples/stitcher-75.toml"
+        ' --feed-forward --smoothing "24 ms"',
     )
 )
-@pytest.mark.parametrize("command", list(dict.fromkeys(row.command for row in QUICK)))
+@pytest.mark.parametrize("command", dict.fromkeys(row.command for row in QUICK), ids=str)
 def test_rows_have_the_figures_that_their_command_answers(command: str) -> None:
     """To the digits that are printed; the verdict and the level are those of the answer."""
     wrong = [

@@ -33,6 +33,7 @@ def off(request, tmp_path_factory):
     return request.param, file
 
 
+@pytest.mark.usefixtures("forked_machine")
 @pytest.mark.long(only="lathe-winder+stiction")
 def test_gains_that_are_off_are_found_within_half_a_percent(off, capsys, tmp_path):
     """+8, -5 and +3 %, as factors for the potentiometers; friction does not matter."""
@@ -50,6 +51,7 @@ def test_gains_that_are_off_are_found_within_half_a_percent(off, capsys, tmp_pat
         assert found.provenance.value == "measured"
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_the_same_from_python_and_for_people(capsys):
     (one,) = tl.trim("lathe-winder", "X")
     assert one.factor == pytest.approx(1.0, abs=2e-3)

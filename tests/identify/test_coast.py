@@ -36,6 +36,7 @@ def damped(tmp_path):
     return load_machine(str(tmp_path / "damped.toml"))
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_it_slows_down_as_its_damping_and_its_inertia_alone_make_it(damped):
     """v = v0 exp(-c t / J) from the cut on, within 1e-9: the motor neither drives nor brakes."""
     planned = experiment(damped, "X", "coast")
@@ -55,6 +56,7 @@ def test_it_slows_down_as_its_damping_and_its_inertia_alone_make_it(damped):
     assert rows["X.commanded"][-1] == rows["X.commanded"][-20] > rows["X.load"][-1]
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_damping_that_is_30_percent_off_is_found(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "off.toml").write_text(OFF)
@@ -67,6 +69,8 @@ def test_damping_that_is_30_percent_off_is_found(capsys, tmp_path, monkeypatch):
     assert found == pytest.approx(3330.0, rel=0.03)
 
 
+@pytest.mark.long(shown_by="test_damping_that_is_30_percent_off_is_found")
+@pytest.mark.usefixtures("forked_machine")
 def test_friction_is_found(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sticks.toml").write_text(STICKS)
@@ -108,6 +112,7 @@ def test_a_link_that_keeps_its_drives_on_is_refused(damped):
         measure(damped, experiment(damped, "X", "coast"), link="hal:plant")
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_a_coast_without_its_place_is_refused_by_the_fit(damped, tmp_path):
     recording = measure(damped, experiment(damped, "X", "coast")).recording
     kept = {key: text for key, text in recording.origin.items() if key != "cut_at_si"}

@@ -44,6 +44,7 @@ def winder_plant(hertz):
     return 4000 / (2 * np.pi) * 0.45 * Kt / (R * J) / (s * (s + Kt * Ke / (R * J)))
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path, monkeypatch):
     """Measure over the link, fit, and analyse: the whole chain as a workshop runs it."""
     monkeypatch.chdir(tmp_path)
@@ -79,6 +80,7 @@ def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path,
     assert margins[2] != pytest.approx(margins[1], rel=0.1)
 
 
+@pytest.mark.usefixtures("forked_machine")
 @pytest.mark.long(shown_by="test_from_a_file_that_is_30_percent_off_to_one_that_agrees")
 def test_friction_and_stiction_are_found_from_slow_reversals(capsys, tmp_path, monkeypatch):
     """Within 10 %; from fast moves stiction is not known, since a body breaks away at once."""
@@ -96,6 +98,7 @@ def test_friction_and_stiction_are_found_from_slow_reversals(capsys, tmp_path, m
         assert json.loads(out)["numbers"][name]["value"] == pytest.approx(true, rel=0.1)
 
 
+@pytest.mark.long(shown_by="test_from_a_file_that_is_30_percent_off_to_one_that_agrees")
 def test_the_same_from_python(tmp_path):
     (tmp_path / "off.toml").write_text(OFF)
     file, out = tmp_path / "x.npz", tmp_path / "fitted.toml"
@@ -111,6 +114,7 @@ def test_the_same_from_python(tmp_path):
         tl.fit(file, "lathe-winder", ["bodies.q.inertia"])
 
 
+@pytest.mark.usefixtures("forked_machine")
 @pytest.mark.parametrize("kind", ["steps", "constant"])
 def test_moves_stay_within_a_share_of_the_limits_and_end_where_they_began(capsys, tmp_path, kind):
     file = tmp_path / "x.npz"
@@ -144,6 +148,7 @@ def test_without_running_it_says_what_would_move(capsys, tmp_path):
     assert code == 0 and json.loads(out)["predicted"]["current_a"] < 27.0
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_a_link_that_drops_leaves_what_was_recorded(capsys, tmp_path):
     file = tmp_path / "x.npz"
     words = ("measure", "lathe-winder", "--axis", "X", "--band", "1 Hz, 20 Hz", "-o", file)
@@ -190,6 +195,7 @@ def test_wrong_input_is_one_line_and_writes_nothing(capsys, tmp_path, words, mes
     assert code == 2 and message in err and err.count("\n") == 1 and not file.exists()
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_a_response_that_was_not_measured_is_refused(capsys, tmp_path):
     file = tmp_path / "x.npz"
     words = ("measure", "lathe-winder", "--axis", "X", "--experiment", "steps", "-o", file)
@@ -238,6 +244,7 @@ delay = "3.9 ms +- 30 %, assumed"
 """
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_a_controller_that_is_faster_than_its_references_is_measured_by_its_error(
     capsys, tmp_path, monkeypatch
 ):

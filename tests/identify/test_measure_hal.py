@@ -18,6 +18,7 @@ def alone(monkeypatch):
         yield
 
 
+@pytest.mark.long(but="hal:plant")
 @pytest.mark.parametrize("link", ["hal:plant", "hal:loopback"])
 @awake
 def test_a_sweep_is_recorded_whole_without_volts_and_without_a_response(tmp_path, link):

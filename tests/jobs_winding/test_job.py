@@ -98,6 +98,7 @@ def test_the_speed_of_the_fibre_is_even(tmp_path: Path) -> None:
     assert product.tied == pytest.approx(3.66e-3, abs=2e-5)
 
 
+@pytest.mark.long(but="stepper-winder")
 @pytest.mark.parametrize("name", ["stepper-winder", "stepper-winder+xab", "stepper-winder+azxb"])
 def test_other_eyes_lay_the_same_fibre(name: str) -> None:
     machine = load_machine(name)
@@ -436,6 +437,7 @@ def test_hoops_that_do_not_fit_name_file_and_line(
     assert "\n" not in message
 
 
+@pytest.mark.long(shown_by="test_a_tension_at_which_the_arm_lies_at_its_stop_is_told")
 def test_layers_with_another_tension_than_the_brake_gives_are_named(tmp_path: Path) -> None:
     """A taper of 10 % a layer: 8.6, 7.74 and 6.97 N against 7.88 N of the machine."""
     file = tmp_path / "p.wind.toml"

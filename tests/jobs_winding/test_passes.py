@@ -53,7 +53,7 @@ def _said(job: Job) -> tuple[list[tuple[float, ...]], list[object]]:
     return targets, [o.duration_s for o in job if isinstance(o, Dwell)]
 
 
-@pytest.mark.long(but="winder")
+@pytest.mark.long(shown_by="test_both_programs_of_one_winding_move_alike")
 @pytest.mark.parametrize("dialect", ["winder", "linuxcnc", "fanuc"])
 def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect: str) -> None:
     """Each layer is one body; circuits that begin or end at a rest have bodies of their own."""

@@ -151,7 +151,15 @@ home = ["Z", "X"]
 """
 
 
-def test_a_homing_list_brings_pistons_home_from_wherever_they_stand(tmp_path: Path) -> None:
+@pytest.mark.long(but="lift down")
+@pytest.mark.parametrize(
+    "places",
+    [[(111.0, 5.0), (194.5, 55.0)], [(0.0, 0.0), (200.0, 100.0), (3.0, 97.0)]],
+    ids=["lift down", "others"],
+)
+def test_a_homing_list_brings_pistons_home_from_wherever_they_stand(
+    tmp_path: Path, places: list[tuple[float, float]]
+) -> None:
     """The program of a list that only brings home, scan by scan on pistons that start anywhere.
 
     In its cycle and in its way home: the lift first, X only with the lift truly up, both slowly.
@@ -160,7 +168,7 @@ def test_a_homing_list_brings_pistons_home_from_wherever_they_stand(tmp_path: Pa
     file, out = tmp_path / "home.toml", tmp_path / "home.st"
     file.write_text(HOMING, encoding="utf-8")
     write(plan_job(read_job(file, machine), machine, Options()), "st", out)
-    for x, z in ((0.0, 0.0), (200.0, 100.0), (3.0, 97.0), (111.0, 5.0), (194.5, 55.0)):
+    for x, z in places:
         bench = Bench(Plc(read_in_parts(out.read_text(encoding="ascii"))), 10_000, 0.2, 5)
         bench.cell = Cell(x, z)
         for button in ("home_button", "start_button"):

@@ -103,6 +103,7 @@ def test_a_stopped_placer_has_to_be_homed(project: Path) -> None:
         verdict(anna)
 
 
+@pytest.mark.long(shown_by="test_the_placers_cycle_with_a_hold")
 def test_an_embroidery_frame_sews_stops_and_begins_again_at_home(project: Path) -> None:
     name = "schiffli-frame"
     with served(project, SEWING, machine=machine(name)) as client, operator(client) as anna:
@@ -123,6 +124,7 @@ def test_an_embroidery_frame_sews_stops_and_begins_again_at_home(project: Path) 
         assert (found["ended"], found["verdict"][:7]) == ("completed", "IN SPEC")
 
 
+@pytest.mark.long(shown_by="test_the_placers_cycle_with_a_hold")
 def test_a_seam_is_sewn_with_a_hold(project: Path) -> None:
     """Its loads follow, so that it holds at the next rest of the seam."""
     name = "stitcher"

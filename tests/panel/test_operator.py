@@ -113,6 +113,9 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         assert "the run begins at 0" in anna.act("start", proof=proof)
 
 
+@pytest.mark.long(
+    shown_by="tests/live/test_override.py::test_a_slower_run_takes_longer_and_tells_it_in_a_few_events"
+)
 def test_the_feed_is_overridden_by_who_has_control_within_what_was_proven(project: Path) -> None:
     with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
         anna.ready()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.panel.bench import Operator, operator, proven, served
 from threadline.files.formats import read_recording
 from threadline.live.store.run_store import opened
@@ -40,6 +42,9 @@ def ready_to_go_on(anna: Operator, run: str, proof: str) -> None:
         pass
 
 
+@pytest.mark.long(
+    shown_by="tests/live/test_continued.py::test_axes_are_moved_there_and_do_the_rest_row_by_row"
+)
 def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> None:
     proven(tmp_path)
     with served(tmp_path, 4.0) as client, operator(client) as anna:

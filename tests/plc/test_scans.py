@@ -98,15 +98,17 @@ def test_a_break_at_every_scan_switches_all_off_and_start_alone_begins_nothing(
     assert checked * period > 7_000_000
 
 
-@pytest.mark.long(only="um-2ei")
-@pytest.mark.parametrize("shaper", ["zv", "um-2ei"])
-def test_after_every_break_acknowledge_home_and_start_bring_a_whole_cycle(shaper: str) -> None:
-    """Every 13th scan of the cycle, with jitter: pistons stand anywhere then."""
+@pytest.mark.long(but="zv-65")
+@pytest.mark.parametrize(("shaper", "apart"), [("zv", 65), ("zv", 13), ("um-2ei", 13)])
+def test_after_every_break_acknowledge_home_and_start_bring_a_whole_cycle(
+    shaper: str, apart: int
+) -> None:
+    """At every 65th or 13th scan of the cycle, with jitter: pistons stand anywhere then."""
     bench = homed(plc(shaper=shaper), 10_000, 0.2, seed=5)
     bench.press("start_button")
     checked = 0
     while bench.block["busy"]:
-        if checked % 13 == 0:
+        if checked % apart == 0:
             trial = bench.fork()
             trial.scan(light_grid=False)
             for _ in range(60):

@@ -35,10 +35,18 @@ Said = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
-    """Two workers that no test ends."""
-    found = Fleet(tmp_path_factory.mktemp("fleet"), 2)
+    """A worker that no test ends."""
+    found = Fleet(tmp_path_factory.mktemp("fleet"), 1)
     yield found
     found.end()
+
+
+@pytest.fixture
+def two_workers(fleet: Fleet) -> Fleet:
+    """Have another one besides, for as long as the first."""
+    if len(fleet.workers) < 2:
+        fleet.workers.append(fleet.with_worker())
+    return fleet
 
 
 @pytest.fixture
@@ -103,12 +111,13 @@ def test_an_answer_is_that_of_one_computer_to_the_bit(
     assert Path("here.yield").read_bytes() == Path("there.yield").read_bytes()
 
 
+@pytest.mark.long(shown_by="test_an_answer_is_that_of_one_computer_to_the_bit")
 def test_bits_do_not_depend_on_the_size_of_a_task_or_on_who_is_quick(
-    job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+    job: Path, two_workers: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = judged(job)
     here = bits(own, 40)
-    with of_cluster.on_cluster(fleet.address, print):
+    with of_cluster.on_cluster(two_workers.address, print):
         for size, ahead in (1, 1), (7, 16), (64, 2):
             monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", size)
             monkeypatch.setattr("threadline.search.machine_yield._TURNS", 1)
@@ -132,7 +141,26 @@ def test_a_plan_is_sent_once(job: Path, fleet: Fleet, monkeypatch: pytest.Monkey
     assert len(sent) == 1
 
 
-@pytest.mark.long(shown_by="test_what_was_judged_is_kept_when_the_cluster_dies")
+def test_short_items_share_a_task(job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A task costs the same for one item as for many; the last are few, so that nobody waits."""
+    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 1)
+    own, sent = judged(job), []
+    begun = Cluster._begun
+
+    def counted(self: Cluster, content: object, digest: str, items: list[object]) -> object:
+        sent.append(len(items))
+        return begun(self, content, digest, items)
+
+    monkeypatch.setattr(Cluster, "_begun", counted)
+    here = bits(own, 150)
+    with of_cluster.on_cluster(fleet.address, print):
+        bits(own, 30)  # so that it is known what an item takes
+        sent.clear()
+        assert bits(own, 150) == here
+    assert sum(sent) == 150 and len(sent) < 50 and max(sent) >= 5 and sent[-1] == 1
+
+
+@pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_a_worker_that_ends_in_the_middle_changes_nothing(
     how: signal.Signals, job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
@@ -154,7 +182,7 @@ def test_a_worker_that_ends_in_the_middle_changes_nothing(
     assert sum(told) == 60 and fleet.workers[0].wait(120) is not None
 
 
-@pytest.mark.long(but="scheduler")
+@pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 @pytest.mark.parametrize("which", ["scheduler", "workers"])
 def test_what_was_judged_is_kept_when_the_cluster_dies(
     which: str, job: Path, said: Said, fleets: Callable[[int], Fleet],
@@ -187,7 +215,7 @@ def test_what_was_judged_is_kept_when_the_cluster_dies(
     assert said(*words, "--resume", "kept") == here
 
 
-@pytest.mark.long(shown_by="test_what_was_judged_is_kept_when_the_cluster_dies")
+@pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 def test_a_scheduler_that_comes_back_gets_what_it_lost(
     job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,6 +71,9 @@ def test_candidates_are_those_of_one_computer(
     assert len(set(here.ratio.tolist())) > 1
 
 
+@pytest.mark.long(
+    shown_by="tests/search/test_cluster.py::test_an_answer_is_that_of_one_computer_to_the_bit"
+)
 def test_python_has_the_cluster_too(
     coarse_search: None, fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

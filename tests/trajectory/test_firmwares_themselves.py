@@ -90,8 +90,39 @@ TUNED = replace(
 JOBS = {"circuit": circuit(), "short": short_moves(), "circuits": circuits()}
 
 
+def with_limits() -> list[str]:
+    """Moves of which each has other limits, below and above those of the configuration."""
+    rng, lines, x, a = random.Random(7), ["G1 F9000"], 0.0, 0.0
+    for k in range(30):
+        told = {
+            "VELOCITY": rng.choice([20, 60, 150]),
+            "ACCEL": rng.choice([100, 250, 900]),
+            "SQUARE_CORNER_VELOCITY": rng.choice([0, 2, 9]),
+            "MINIMUM_CRUISE_RATIO": rng.choice([0, 0.3, 0.8]),
+        }
+        some = rng.sample(sorted(told), rng.randint(1, 4))
+        lines.append("SET_VELOCITY_LIMIT " + " ".join(f"{name}={told[name]}" for name in some))
+        if k % 7 == 3:
+            lines[-1] = f"M204 S{told['ACCEL']}"
+        elif k % 7 == 5:
+            lines[-1] = f"m204 P{told['ACCEL']} T800"
+        for _ in range(rng.randint(1, 3)):
+            x = max(0.0, min(200.0, x + rng.uniform(-9, 14)))
+            a += rng.choice([0.0, 0.0, rng.uniform(1, 20)])
+            lines.append(f"G1 X{x:.3f} A{a:.3f}")
+    return lines
+
+
+KLIPPER_JOBS = JOBS | {"limits": with_limits()}
+
+
 def planned(
-    folder: Path, planner: FirmwarePlanner, lines: list[str], rotary: str, dialect: str
+    folder: Path,
+    planner: FirmwarePlanner,
+    lines: list[str],
+    rotary: str,
+    dialect: str,
+    axes: str = "",
 ) -> Trajectory:
     """Return our plan on axes X and the other, which turns or counts in mm."""
     linear, other = ("X", "A") if rotary else ("XY", "Y")
@@ -108,13 +139,14 @@ def planned(
     machine = replace(load_machine(file), planner=planner)
     program = folder / "job.nc"
     program.write_text("\n".join(["G21", "G90", *lines]) + "\n")
-    job = read_job(program, machine)
+    job = read_job(program, machine, **({"axes": axes} if axes else {}))
     return plan_trajectory(plan_path(programmed_path(job, machine), machine, "firmware"), machine)
 
 
 @pytest.mark.parametrize(
     ("name", "planner", "more"),
-    [(name, KLIPPER, {}) for name in JOBS] + [(name, TUNED, OF_ITS_OWN) for name in JOBS],
+    [(name, KLIPPER, {}) for name in KLIPPER_JOBS]
+    + [(name, TUNED, OF_ITS_OWN) for name in KLIPPER_JOBS],
 )
 def test_klippers_host_makes_every_step_where_ours_is(
     tmp_path: Path, name: str, planner: KlipperPlanner, more: dict[str, float]
@@ -122,8 +154,8 @@ def test_klippers_host_makes_every_step_where_ours_is(
     klipper = klipper_host.installed()
     if klipper is None:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_KLIPPER names a checkout of Klipper")
-    ours = planned(tmp_path, planner, JOBS[name], "A", "marlin")
-    moves = "".join(f"{line}\n" for line in JOBS[name])
+    ours = planned(tmp_path, planner, KLIPPER_JOBS[name], "A", "klipper")
+    moves = "".join(f"{line}\n" for line in KLIPPER_JOBS[name])
     theirs = klipper_host.steps_on_klipper(moves, tmp_path, LIMITS | more, klipper)
     begin_s = 1.25  # a quarter of a second behind its start, and the pause
     sizes = {"X": klipper_host.STEP_MM / 1e3, "A": np.radians(klipper_host.STEP_DEG)}
@@ -172,9 +204,17 @@ def test_grblhals_simulator_is_where_ours_is(tmp_path: Path, name: str) -> None:
 
 def compiled(folder: Path, lines: list[str], rotary: str, target: str) -> list[str]:
     """Return the blocks that ``compile`` writes for a firmware, on the machine of ``planned``."""
-    planned(folder, GRBL, lines, rotary, "marlin")
+    return compiled_with(folder, lines, rotary, target, "marlin")
+
+
+def compiled_with(
+    folder: Path, lines: list[str], rotary: str, target: str, dialect: str, axes: str = ""
+) -> list[str]:
+    """Return what ``compiled`` returns, of a program in any dialect."""
+    planned(folder, GRBL, lines, rotary, dialect, axes)
     out = folder / "out.gcode"
     words = ["compile", str(folder / "job.nc"), "-m", str(folder / "measured.toml")]
+    words += ["--axes", axes] if axes else []
     with pytest.raises(SystemExit) as left:
         main([*words, "--target", target, "-o", str(out)])
     assert left.value.code == 0

@@ -7,14 +7,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import repeat
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import Place
-from threadline.files import Stream
+from threadline.files import KeptStream, Stream
+from threadline.jobs.program_limits import LimitChange
 
 if TYPE_CHECKING:
     from threadline.geometry.contours import DrawnLine
@@ -96,7 +97,8 @@ class ToolEvent:
     """An action of the tool, ``name``, with its ``value`` (trim, thread, tension, power).
 
     ``words`` are the words of a part program that request the action, empty for other jobs.
-    ``beside`` says that these words stand in the same block as their move.
+    ``beside`` says that these words stand in the same block as their move. ``limits`` are those
+    that the words set for all moves behind them.
     """
 
     name: str
@@ -104,6 +106,7 @@ class ToolEvent:
     source: Source
     words: str = ""
     beside: bool = False
+    limits: LimitChange | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,6 +292,22 @@ Pace: TypeAlias = Literal["feed", "needle", "switchings", "shaft"]
 Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Home | Stop | ToolEvent
 
 
+class KeptOperations(KeptStream[Any]):
+    """Operations and runs that are read many times: those of a short job are read once and kept."""
+
+    MOST_KEPT = 1 << 15
+
+    __slots__ = ()
+
+    @staticmethod
+    def _rows_of(item: Any) -> int:
+        if not isinstance(item, MoveRun):
+            return 1
+        for column in (item.targets, item.line, *item.columns.values()):
+            column.setflags(write=False)  # all readers share it
+        return len(item)
+
+
 class OperationStream(Stream[Operation]):
     """A stream of operations that can also be read as runs of moves.
 
@@ -376,6 +395,8 @@ class Job:
     threads
         Thread of each block of a design, block 1 first; None where the file does not say its
         colour.
+    sets_limits
+        Whether the program sets limits of velocity or acceleration (``ToolEvent.limits``).
     """
 
     name: str
@@ -395,6 +416,7 @@ class Job:
     along_m_s2: float = math.inf
     once: int = 0
     threads: tuple[Thread | None, ...] = ()
+    sets_limits: bool = False
 
     def __iter__(self) -> Iterator[Operation]:
         return iter(self.operations)

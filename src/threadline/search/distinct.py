@@ -74,8 +74,8 @@ class LongMoves:
         """Return the job with its long moves cut short, and the machine that it is judged on.
 
         Targets behind a cut are shifted back by the travel left out, so that the motion stays
-        continuous. If a shifted target leaves the travel, the machine is returned without ends of
-        travel.
+        continuous. If a shifted target leaves the travel, or the shifted targets need more than a
+        stroke, the machine is returned without ends of travel.
 
         Parameters
         ----------
@@ -103,7 +103,9 @@ class LongMoves:
         column = [self.machine.axis_names.index(axis) for axis in job.axes]
         low, high = self.machine.travel[column].T
         places = np.concatenate(ends)
-        if ((low <= places) & (places <= high)).all():
+        strokes = [self.machine.axes[axis].stroke for axis in job.axes]
+        most = np.array([np.inf if stroke is None else stroke.si for stroke in strokes])
+        if ((low <= places) & (places <= high)).all() and (np.ptp(places, axis=0) <= most).all():
             return job, self.machine
         return whole if self.machine.inputs else (job, _without_ends(self.machine))
 

@@ -202,7 +202,7 @@ def fastest_job(asked: Question) -> FastestJob:
         part = asked if parts == (job,) else of_a_part(asked)
         with_share = replace(part.options, limit_share=share)
         question = replace(part, options=with_share, progress=telling)
-        closely = replace(grid, every=by_feed or not shares.long)
+        closely = replace(grid, every=by_feed or not shares.long, between=_only_limits(asked))
         return fastest_feed(question, closely, parts, seen.setdefault(share, {}))
 
     def planned_s(share: float, feed: float) -> float:

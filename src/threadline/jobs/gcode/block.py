@@ -10,12 +10,14 @@ from threadline.jobs.gcode.dialects import (
     SILENT,
     Reading,
 )
+from threadline.jobs.gcode.foreign import MACROS
 from threadline.jobs.gcode.grammar import (
     PLAIN,
     check_first_alone,
     check_line,
     check_words,
 )
+from threadline.jobs.gcode.klipper_commands import Named, named_command
 from threadline.jobs.gcode.printer_lines import commands_of, text_of_stop
 from threadline.jobs.gcode.refused_words import (
     refuse_number,
@@ -24,6 +26,7 @@ from threadline.jobs.gcode.refused_words import (
     whole,
 )
 from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, RawBlock, exact, split_words
+from threadline.jobs.program_limits import LimitChange
 
 MAX_PASSES = 10**12
 _MAX_LABEL = 10**9
@@ -101,6 +104,10 @@ class Block(NamedTuple):
         G43 with its H as written, empty without G43; ``acts`` contains it, too.
     back
         Wrapped axes (``Reading.wrapped``) whose words have a minus sign, that of 0 as well.
+    limits
+        Limits that the block sets for all moves behind it.
+    macro
+        Name of the macro that the block runs, whose moves are left out.
     """
 
     line: int
@@ -124,6 +131,8 @@ class Block(NamedTuple):
     power: float = 0.0
     length: str = ""
     back: tuple[int, ...] = ()
+    limits: LimitChange | None = None
+    macro: str = ""
 
     @property
     def goes(self) -> bool:
@@ -144,6 +153,10 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
     dialect, place = reading.dialect, Place(reading.file, line)
     if text.strip().upper() in dialect.grammar.queries:
         return ()
+    if dialect.name == "klipper":
+        named = named_command(text, place, without_macros=MACROS in reading.dropped)
+        if named is not None:
+            return (_named_block(named, line),)
     if dialect.one_command:
         texts = commands_of(text, dialect.name, place)
     else:
@@ -156,6 +169,15 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
     if said and blocks[0].ends == "stop" and blocks[0].acts:
         return (blocks[0]._replace(acts=(*blocks[0].acts, said)),)
     return blocks
+
+
+def _named_block(named: Named, line: int) -> Block:
+    """Return the block of a command with a name, which moves nothing; a macro is a rest."""
+    return Block(
+        line, -1, -1, (), (), None, None, 0, (), 0.0, -1, "", None, bool(named.macro),
+        (named.idle,) if named.idle else (), -1, (), (named.text,), limits=named.limits,
+        macro=named.macro,
+    )  # fmt: skip
 
 
 def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the reader

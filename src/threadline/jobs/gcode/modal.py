@@ -204,7 +204,8 @@ class Modal:
             yield from self._rest(ToolEvent(text, block.power, source, text))
         else:
             beside = bool(block.axes) and block.action not in (*TAKES_AXES, DWELL)
-            self._waiting.append(ToolEvent(text, block.power, source, text, beside))
+            event = ToolEvent(text, block.power, source, text, beside, block.limits)
+            self._waiting.append(event)
 
     def _rest(self, item: Operation) -> Iterator[Operation]:
         """Yield the waiting tool events, then an operation for which the motion rests."""

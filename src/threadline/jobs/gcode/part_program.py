@@ -30,6 +30,7 @@ from threadline.jobs.operations import (
     Feed,
     FeedMode,
     Job,
+    KeptOperations,
     Move,
     MoveRun,
     Operation,
@@ -331,11 +332,12 @@ def read_part_program(
         sha256=file.sha256,
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
-        operations=OperationStream(Stream(_runs, program), Stream(_folded, program)),
+        operations=OperationStream(KeptOperations(_runs, program), Stream(_folded, program)),
         warnings=program_warnings(findings, file, spoken),
         capped=capped_feeds(findings, moved, label, machine, file),
         feed_rule=rule.text,
         dialect=spoken.name,
+        sets_limits=bool(findings.limits),
     )
 
 

@@ -27,19 +27,7 @@ _COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
 _PARENTHESES = re.compile(r"\((?:[^()]|\([^()]*\))*(?:\)|$)")
 _STRAIGHT = re.compile(r" *(?:N *[0-9]+ *)?G *0*[01](?![0-9.])")
 _MOTORS = re.compile(r" *(?:N *[0-9]+ *)?M *(?:17|18|84)(?![0-9.])")
-_MACRO = re.compile(r" *([A-Z_][A-Z_]+[0-9]*(?:_[A-Z0-9_]*)?)(?![-+.])")
 _NOT_OF_KLIPPER = re.compile(r"[^A-Z0-9+\-. ]|[A-Z_]{2,}")
-_KLIPPER_DOES = {
-    "SET_VELOCITY_LIMIT": "sets the limits of velocity and acceleration anew",
-    "SET_INPUT_SHAPER": "sets the input shaper anew",
-    "SET_GCODE_OFFSET": "moves the zero",
-    "SAVE_GCODE_STATE": "keeps the zero and the feed for later",
-    "RESTORE_GCODE_STATE": "takes back the zero and the feed of before",
-    "MANUAL_STEPPER": "moves or renames a motor beside the axes",
-    "FORCE_MOVE": "moves a motor beside the axes",
-    "SET_KINEMATIC_POSITION": "moves the zero",
-}
-"""What commands of klipper with a name do that changes time or motion."""
 _CODE = re.compile(r'(?:[^;"]|"[^"]*"?)*')
 _QUOTED = re.compile(r'"[^"]*"?')
 _NUMBERED = re.compile(r"[ \t]*[Nn][0-9]*[ \t]*")
@@ -190,18 +178,6 @@ def _for_klipper(code: str, place: Place) -> str:
         return said[0]
     if not code.strip(" %"):
         return code
-    macro = _MACRO.match(code)
-    if macro is not None:
-        name = macro[1]
-        does = _KLIPPER_DOES.get(name)
-        what = f"{name} runs a macro, whose moves are not in the program"
-        raise JobError(
-            what if does is None else f"{name} {does}",
-            place=place,
-            remedy="Take the line out, or write the moves of the macro in its place."
-            if does is None
-            else "Have the program written without it, or take it out if it changes nothing.",
-        )
     odd = _NOT_OF_KLIPPER.search(code)
     if odd is not None or _COMMAND.match(code) is None:
         raise JobError(

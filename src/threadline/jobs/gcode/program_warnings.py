@@ -76,6 +76,23 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
             f"{file.place(findings.length)}: how long the tool of G43 is the control alone knows; "
             "it holds for every move of Z, and the program's zero is at the start position."
         )
+    if findings.macros:
+        named = ", ".join(f"{name} (line {line})" for name, line in findings.macros.items())
+        warnings.append(
+            f"{file.place()}: macros, first seen: {named}: the motion rests there, and their moves "
+            "and their time are no part of any plan here."
+        )
+    if findings.limits:
+        warnings.append(
+            f"{file.place(findings.limits)}: limits that the program sets hold with "
+            "--interpolation firmware, as klipper plans; other interpolations keep to the machine "
+            "file's."
+        )
+    if findings.decel:
+        warnings.append(
+            f"{file.place(findings.decel)}: ACCEL_TO_DECEL is read as a minimum cruise ratio of "
+            "1 - ACCEL_TO_DECEL / ACCEL; klipper passes over it from August 2025 on."
+        )
     if findings.tape:
         warnings.append(
             f"{file.place(findings.tape)}: {dialect.name} answers error:1 to a line with %, at "

@@ -37,7 +37,6 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
     "klipper": {
         "G20": "the inch, which klipper refuses",
         "G92.1": "no word of klipper, which passes it over",
-        "M204": "what sets the acceleration anew",
         "M220": "a share of every feed behind it",
         "S": "no word of klipper's G4, whose time is P in ms",
     },

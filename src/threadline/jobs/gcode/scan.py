@@ -50,6 +50,11 @@ class Findings:
         First line with a % that the control refuses; 0 without one.
     length
         First line with G43; 0 without one.
+    limits, decel
+        First line that sets limits of velocity or acceleration, and the first with
+        ACCEL_TO_DECEL; 0 without one.
+    macros
+        First line of each macro that is left out.
     """
 
     feeds: FeedNotes = field(default_factory=FeedNotes)
@@ -64,6 +69,9 @@ class Findings:
     doubtful: int = 0
     tape: int = 0
     length: int = 0
+    limits: int = 0
+    decel: int = 0
+    macros: dict[str, int] = field(default_factory=dict)
 
     def note(self, program: int | None, block: Block) -> None:
         """Note the parts of a block that may need a warning."""
@@ -81,6 +89,12 @@ class Findings:
                 self.idle.setdefault(word, block.line)
         if block.program == CHANGE and not self.changes:
             self.changes = block.line
+        if block.limits is not None and not self.limits:
+            self.limits = block.line
+        if block.limits is not None and "ACCEL_TO_DECEL" in block.acts[0].upper():
+            self.decel = self.decel or block.line
+        if block.macro and len(self.macros) < MAX_REMEMBERED:
+            self.macros.setdefault(block.macro, block.line)
         if block.waits and block.idle and not self.waits:
             self.waits = block.line
 

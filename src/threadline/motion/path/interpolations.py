@@ -311,6 +311,7 @@ def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions
         timing=Timing.FIRMWARE,
         historical=True,
         blocks=KeptStream(straight.chords, programmed),
+        limits=programmed.limits,
     )
 
 

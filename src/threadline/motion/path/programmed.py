@@ -11,7 +11,16 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import LimitError, Place, PlanError
 from threadline.files import KeptStream
 from threadline.jobs.feed_times import check_feed, nominal_time_s, wanted_feed
-from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, MoveRun, move_runs
+from threadline.jobs.operations import (
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    MoveRun,
+    ToolEvent,
+    move_runs,
+)
+from threadline.jobs.program_limits import GrowingLimits, ProgramLimits
 from threadline.machine import Machine
 from threadline.motion.path.types import ProgrammedPath, VertexBlock
 
@@ -63,7 +72,24 @@ def programmed_path(
         radius_m=machine.radius_m[column],
         blocks=KeptStream(_blocks, job, machine, feed, at_limits),
         local=machine.local_radii(job.axes),
+        limits=_limits_of(job) if job.sets_limits else None,
     )
+
+
+def _limits_of(job: Job) -> ProgramLimits:
+    """Return the limits that the program sets, by the operation from which they hold."""
+    found, index = GrowingLimits(), 0
+    for item in move_runs(job):
+        if isinstance(item, MoveRun):
+            acting = [(at, act) for at, acts in item.acts for act in acts]
+            index, begin = index + len(item), index
+        else:
+            acting = [(0, item)] if isinstance(item, ToolEvent) else []
+            index, begin = index + 1, index
+        for at, act in acting:
+            if act.limits is not None:
+                found.take(act.limits, begin + at)
+    return found.table()
 
 
 @dataclass(slots=True)

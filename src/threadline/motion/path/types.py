@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from threadline.base.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
 from threadline.files import Stream
+from threadline.jobs.program_limits import ProgramLimits
 
 if TYPE_CHECKING:
     from threadline.machine.mandrel import LocalRadii
@@ -88,12 +89,15 @@ class ProgrammedPath:
         and are found by the index of their operation.
     local
         Reduction of the radii from place to place, for a mandrel with a profile.
+    limits
+        Limits that the program sets for the firmware's own planner; None if it sets none.
     """
 
     axes: tuple[str, ...]
     radius_m: FloatArray
     blocks: Stream[VertexBlock]
     local: LocalRadii | None = None
+    limits: ProgramLimits | None = None
 
     def __iter__(self) -> Iterator[VertexBlock]:
         return iter(self.blocks)
@@ -162,6 +166,8 @@ class PlannedPath:
         Numbers that the planner reports, such as points added and largest deviation.
     smoothing_m
         Part of the tolerance, at the tool, that is left for smoothing a geometric path in time.
+    limits
+        As in ``ProgrammedPath``, of a path that the firmware plans; else None.
     """
 
     axes: tuple[str, ...]
@@ -172,6 +178,7 @@ class PlannedPath:
     blocks: Stream[PieceBlock]
     summary: Mapping[str, float] = field(default_factory=dict)
     smoothing_m: float = 0.0
+    limits: ProgramLimits | None = None
 
     def __iter__(self) -> Iterator[PieceBlock]:
         return iter(self.blocks)

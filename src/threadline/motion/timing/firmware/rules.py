@@ -13,12 +13,13 @@ needs the available acceleration a: v^2 = a r.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.jobs.program_limits import ProgramLimits
 from threadline.machine import Machine
 from threadline.machine.motion_planner import (
     FirmwarePlanner,
@@ -45,6 +46,10 @@ def standing(
     )
 
 
+def _none() -> FloatArray:
+    return np.empty(0)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Moves:
     """Moves in mm and degrees, as firmwares count.
@@ -60,14 +65,18 @@ class Moves:
     acceleration
         (n,) acceleration limit of the axes.
     most_acceleration
-        The largest acceleration of any move; Klipper's ``max_accel``.
+        (n,) Klipper's ``max_accel`` in force at each move; empty in other firmwares.
+    corner_speed, cruise_ratio
+        (n,) Klipper's square corner velocity and minimum cruise ratio there, or empty.
     """
 
     length: FloatArray
     direction: FloatArray
     speed: FloatArray
     acceleration: FloatArray
-    most_acceleration: float = np.inf
+    most_acceleration: FloatArray = field(default_factory=_none)
+    corner_speed: FloatArray = field(default_factory=_none)
+    cruise_ratio: FloatArray = field(default_factory=_none)
 
     def __len__(self) -> int:
         return len(self.length)
@@ -79,7 +88,9 @@ class Moves:
             self.direction[rows],
             self.speed[rows],
             self.acceleration[rows],
-            self.most_acceleration,
+            self.most_acceleration[rows],
+            self.corner_speed[rows],
+            self.cruise_ratio[rows],
         )
 
 
@@ -175,11 +186,11 @@ def by_shared_speed(moves: Moves, jumps: FloatArray) -> FloatArray:
     return along_axes(jumps, np.diff(moves.direction, axis=0)) ** 2
 
 
-def by_square_corner(moves: Moves, plane: FloatArray, corner_speed: float) -> FloatArray:
+def by_square_corner(moves: Moves, plane: FloatArray) -> FloatArray:
     """Return the (n - 1,) largest v^2 between the moves, as in Klipper.
 
-    A corner of 90 degrees is passed at ``corner_speed``; no corner circle reaches beyond the middle
-    of its moves.
+    A corner of 90 degrees is passed at ``Moves.corner_speed``, the lower one of its two moves; no
+    corner circle reaches beyond the middle of its moves.
 
     Parameters
     ----------
@@ -187,8 +198,6 @@ def by_square_corner(moves: Moves, plane: FloatArray, corner_speed: float) -> Fl
         n moves.
     plane
         (axes,) 1 for X, Y, Z, whose angle counts, 0 for others.
-    corner_speed
-        The square corner velocity.
     """
     before, after = moves.direction[:-1] * plane, moves.direction[1:] * plane
     cosine = -(before * after).sum(axis=1)
@@ -198,9 +207,9 @@ def by_square_corner(moves: Moves, plane: FloatArray, corner_speed: float) -> Fl
     safe_half, safe_other = np.where(bends, half, 0.0), np.where(bends, other, 1.0)
     # The deviation of a circle that passes 90 degrees at that speed is v^2 (sqrt 2 - 1) / a: the
     # acceleration cancels if it is the same for all moves, and counts if it is less.
-    radius = safe_half / (1.0 - safe_half) * (np.sqrt(2.0) - 1.0) * corner_speed**2
-    ratio = moves.acceleration / moves.most_acceleration
-    square = radius * np.minimum(ratio[1:], ratio[:-1])
+    radius = safe_half / (1.0 - safe_half) * (np.sqrt(2.0) - 1.0)
+    own = moves.acceleration / moves.most_acceleration * moves.corner_speed**2
+    square = radius * np.minimum(own[1:], own[:-1])
     gain = 2.0 * moves.acceleration * moves.length
     square = np.minimum(square, 0.25 * safe_half / safe_other * np.minimum(gain[1:], gain[:-1]))
     return np.asarray(np.where(bends, square, np.inf))
@@ -228,6 +237,8 @@ class Rules:
         (axes,) limits in mm and degrees.
     steps
         (axes,) steps per mm or degree; None if steps are too fine to matter.
+    limits
+        Limits that the program sets, which Klipper alone takes; None without any.
     """
 
     planner: FirmwarePlanner
@@ -236,6 +247,7 @@ class Rules:
     velocity: FloatArray
     acceleration: FloatArray
     steps: FloatArray | None = None
+    limits: ProgramLimits | None = None
 
     @classmethod
     def of(cls, planner: FirmwarePlanner, machine: Machine, axes: tuple[str, ...]) -> Rules:
@@ -252,38 +264,88 @@ class Rules:
             machine.counts_per_unit[column] / scale,
         )
 
-    def moves(self, way: FloatArray, nominal_s: FloatArray) -> Moves:
+    def moves(
+        self, way: FloatArray, nominal_s: FloatArray, operation: IntArray | None = None
+    ) -> Moves:
         """Return (n, axes) displacements, m and rad, as the firmware's moves.
 
-        ``nominal_s`` is the time at the programmed feed, 0 for a rapid move.
+        ``nominal_s`` is the time at the programmed feed, 0 for a rapid move; ``operation`` says
+        which of the program's own limits hold.
         """
         length = self.length(way)
         way = way * self.scale
         direction = way / length[:, None]
-        fastest = along_axes(self.velocity, direction)
-        acceleration = along_axes(self.acceleration, direction)
-        most = self.most_acceleration
         planner = self.planner
         if isinstance(planner, KlipperPlanner):
-            plain = (direction * self._plane != 0.0).any(axis=1)
-            fastest = np.where(plain, np.minimum(fastest, planner.velocity.si * MM), fastest)
-            alone = along_axes(self._of_axes(planner.alone), direction)
-            acceleration = np.minimum(acceleration, np.where(plain, most, alone))
-        elif isinstance(planner, MarlinPlanner):
-            acceleration = np.minimum(acceleration, most)
+            return self._klipper_moves(length, direction, nominal_s, operation)
+        fastest = along_axes(self.velocity, direction)
+        acceleration = along_axes(self.acceleration, direction)
+        if isinstance(planner, MarlinPlanner):
+            acceleration = np.minimum(acceleration, self.most_acceleration)
         elif isinstance(planner, RepRapPlanner) and planner.acceleration is not None:
             travel = np.where(self._across(direction), planner.acceleration.si * MM, np.inf)
             acceleration = np.minimum(acceleration, travel)
         with np.errstate(divide="ignore"):
             asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
         asked = np.maximum(asked, self.least_speed)
-        return Moves(length, direction, np.minimum(asked, fastest), acceleration, most)
+        return Moves(length, direction, np.minimum(asked, fastest), acceleration)
+
+    def _klipper_moves(
+        self,
+        length: FloatArray,
+        direction: FloatArray,
+        nominal_s: FloatArray,
+        operation: IntArray | None,
+    ) -> Moves:
+        """Return the moves as Klipper plans them, under the limits that the program sets.
+
+        Klipper, ``klippy/toolhead.py``: a move keeps the limits in force when it is queued. X and Y
+        have none of their own there, so that one of the machine file that is not below Klipper's
+        own gives way to the program's.
+        """
+        planner = self.planner
+        assert isinstance(planner, KlipperPlanner)
+        own = np.array(
+            [
+                planner.velocity.si, planner.acceleration.si, planner.square_corner_velocity.si,
+                planner.cruise_ratio,
+            ]
+        )  # fmt: skip
+        told = np.full((len(length), len(own)), np.nan)
+        if self.limits is not None and operation is not None:
+            told = self.limits.at(operation)
+        top, most, corner, ratio = np.where(np.isnan(told), own, told).T
+        top, most, corner = top * MM, most * MM, corner * MM
+        fastest = self._beyond(self.velocity, own[0] * MM, direction, told[:, 0])
+        acceleration = self._beyond(self.acceleration, own[1] * MM, direction, told[:, 1])
+        plain = (direction * self._plane != 0.0).any(axis=1)
+        fastest = np.where(plain, np.minimum(fastest, top), fastest)
+        alone = along_axes(self._of_axes(planner.alone), direction)
+        acceleration = np.minimum(acceleration, np.where(plain, most, alone))
+        with np.errstate(divide="ignore"):
+            asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
+        return Moves(
+            length, direction, np.minimum(asked, fastest), acceleration, most, corner, ratio
+        )
+
+    def _beyond(
+        self, limits: FloatArray, own: float, direction: FloatArray, told: FloatArray
+    ) -> FloatArray:
+        """Return (n,) limits of the axes, where the program tells one without those of X and Y.
+
+        ``own`` is the limit that Klipper's configuration gives every move, which those of X and Y
+        in the machine file repeat.
+        """
+        all_axes = along_axes(limits, direction)
+        repeats = np.array([axis in "XY" for axis in self.axes]) & (limits >= own * (1.0 - 1e-9))
+        others = along_axes(np.where(repeats, np.inf, limits), direction)
+        return np.asarray(np.where(np.isnan(told), all_axes, others))
 
     @property
     def most_acceleration(self) -> float:
-        """Acceleration that Klipper's and Marlin's settings give every move, infinite for none."""
+        """Acceleration that Marlin's settings give every move, infinite for none."""
         planner = self.planner
-        if isinstance(planner, KlipperPlanner | MarlinPlanner) and planner.acceleration is not None:
+        if isinstance(planner, MarlinPlanner) and planner.acceleration is not None:
             return planner.acceleration.si * MM
         return np.inf
 
@@ -309,7 +371,7 @@ class Rules:
         if isinstance(planner, MarlinPlanner) and planner.jump:
             return by_jumps(moves, self._of_axes(planner.jump))
         if isinstance(planner, KlipperPlanner):
-            between = by_square_corner(moves, self._plane, planner.square_corner_velocity.si * MM)
+            between = by_square_corner(moves, self._plane)
             plain = (moves.direction * self._plane != 0.0).any(axis=1)
             between = np.minimum(between, self._beside(moves))
             between = np.where(plain[1:] & plain[:-1], between, 0.0)

@@ -47,7 +47,7 @@ def firmware_blocks(
 
     The firmware's buffer is assumed to be always full: its link keeps up.
     """
-    under_way = moves_of(Rules.of(planner, machine, path.axes))
+    under_way = moves_of(replace(Rules.of(planner, machine, path.axes), limits=path.limits))
     for block in path:
         edges = [0, *(np.flatnonzero(block.rest_after) + 1).tolist()]
         for first, stop in zip(edges, [*edges[1:], len(block)], strict=True):
@@ -82,7 +82,7 @@ class _Run(MovesInHand):
         gain = 2.0 * moves.acceleration * moves.length
         planner = self.rules.planner
         if isinstance(planner, KlipperPlanner):
-            slow = (1.0 - planner.cruise_ratio) * moves.most_acceleration
+            slow = (1.0 - moves.cruise_ratio) * moves.most_acceleration
             smooth = np.minimum(2.0 * slow * moves.length, gain)
             enter, leave, peak, fixed, first, second = speeds_with_cruise(
                 most, moves.speed**2, gain, smooth, self.speed, self.smooth, self.cruise
@@ -116,7 +116,7 @@ class _Run(MovesInHand):
 
     def _counted(self) -> tuple[Moves, FloatArray]:
         """Return the buffered moves as the firmware counts them, and the (n,) least v^2 of each."""
-        moves = self.rules.moves(self.way[0], self.nominal_s[0])
+        moves = self.rules.moves(self.way[0], self.nominal_s[0], self.operation[0])
         return moves, np.zeros(len(moves))
 
     def _trapezoids(

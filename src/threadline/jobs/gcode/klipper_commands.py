@@ -1,0 +1,164 @@
+"""Klipper's commands with a name, and its M204: limits, words without effect, macros.
+
+A name that Klipper does not have is that of a macro of ``printer.cfg``, whose moves no program
+shows. What the commands do: Klipper, ``docs/G-Codes.md``, ``klippy/toolhead.py``
+(``SET_VELOCITY_LIMIT``, M204) and ``klippy/gcode.py`` for the form of a line.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import NamedTuple
+
+from threadline.errors import JobError, Place
+from threadline.jobs.program_limits import LimitChange
+
+_NAMED = re.compile(r" *(?:N *[0-9]+ *)?([A-Z_][A-Z_]+[0-9]*(?:_[A-Z0-9_]*)?)(?![-+.])", re.I)
+_M204 = re.compile(r" *(?:N *[0-9]+ *)?M *0*204(?![0-9.])(.*)", re.I)
+_LETTERED = re.compile(r"([A-Z]) *([-+0-9.]*)")
+_DOES = {
+    "SET_INPUT_SHAPER": "sets the input shaper anew",
+    "SET_GCODE_OFFSET": "moves the zero",
+    "SAVE_GCODE_STATE": "keeps the zero and the feed for later",
+    "RESTORE_GCODE_STATE": "takes back the zero and the feed of before",
+    "MANUAL_STEPPER": "moves or renames a motor beside the axes",
+    "FORCE_MOVE": "moves a motor beside the axes",
+    "SET_KINEMATIC_POSITION": "moves the zero",
+    "EXCLUDE_OBJECT": "leaves out the moves of an object",
+    "TUNING_TOWER": "changes a setting with the height",
+    "SET_SKEW": "changes the path by a skew",
+    "SKEW_PROFILE": "changes the path by a skew",
+    "SET_DUAL_CARRIAGE": "moves another carriage",
+    **dict.fromkeys(("PAUSE", "RESUME", "CANCEL_PRINT"), "stops the program or goes on with it"),
+    **dict.fromkeys(("BED_MESH_PROFILE", "BED_MESH_CLEAR"), "changes the mesh that bends the path"),
+}
+"""What commands of klipper with a name do that changes time or motion."""
+_IDLE = frozenset(
+    {
+        "EXCLUDE_OBJECT_DEFINE", "EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END",
+        "SET_PRESSURE_ADVANCE", "SET_RETRACTION", "SET_FAN_SPEED", "SET_TEMPERATURE_FAN_TARGET",
+        "SET_HEATER_TEMPERATURE", "TURN_OFF_HEATERS", "SET_PIN", "SET_SERVO", "SET_LED",
+        "SET_LED_TEMPLATE", "SET_FILAMENT_SENSOR", "SET_IDLE_TIMEOUT", "SET_PRINT_STATS_INFO",
+        "SET_DISPLAY_TEXT", "RESPOND", "SET_GCODE_VARIABLE", "SAVE_VARIABLE",
+        "TIMELAPSE_TAKE_FRAME",
+    }
+)  # fmt: skip
+"""Commands that neither move an axis nor end the look-ahead."""
+_LIMITS = {
+    "VELOCITY": "velocity_m_s",
+    "ACCEL": "acceleration_m_s2",
+    "SQUARE_CORNER_VELOCITY": "corner_m_s",
+    "MINIMUM_CRUISE_RATIO": "cruise_ratio",
+}
+
+
+class Named(NamedTuple):
+    """A command with a name: its text, the limits that it sets, and its name if it moves nothing.
+
+    ``macro`` is the name of a macro that is left out.
+    """
+
+    text: str
+    limits: LimitChange | None = None
+    idle: str = ""
+    macro: str = ""
+
+
+def named_command(text: str, place: Place, *, without_macros: bool = False) -> Named | None:
+    """Return Klipper's command of a line if it has a name or is M204; None for other lines.
+
+    ``without_macros`` leaves the moves of macros out.
+
+    Raises
+    ------
+    JobError
+        If the command changes the motion otherwise than by limits, or runs a macro.
+    """
+    code = text.partition(";")[0].replace("\t", " ").strip()
+    number = _M204.fullmatch(code)
+    if number is not None:
+        return _m204(code, number[1].upper(), place)
+    found = _NAMED.match(code)
+    if found is None:
+        return None
+    name = found[1].upper()
+    if name == "SET_VELOCITY_LIMIT":
+        bare = code.partition("#")[0].rstrip()
+        return Named(bare, _velocity_limit(bare[found.end() :], place))
+    if name in _IDLE:
+        return Named(code, idle=name)
+    does = _DOES.get(name)
+    if does is not None:
+        raise JobError(
+            f"{name} {does}",
+            place=place,
+            remedy="Have the program written without it, or take it out if it changes nothing.",
+        )
+    if without_macros:
+        return Named(code, macro=name)
+    raise JobError(
+        f"{name} runs a macro, whose moves are not in the program",
+        place=place,
+        remedy="Leave macros out (--axes macros=none): the rest is then planned, without their "
+        "moves and time; or write the moves of the macro in its place.",
+    )
+
+
+def _velocity_limit(arguments: str, place: Place) -> LimitChange:
+    told: dict[str, float] = {}
+    for part in arguments.split():
+        name, sign, value = part.upper().partition("=")
+        if not sign:
+            raise JobError(
+                f"klipper cannot read {part[:40]!r} of SET_VELOCITY_LIMIT",
+                place=place,
+                remedy="Write it like SET_VELOCITY_LIMIT ACCEL=3000.",
+            )
+        if name in _LIMITS or name == "ACCEL_TO_DECEL":
+            told[name] = _number(name, value.strip("\"'"), place)
+    decel = told.pop("ACCEL_TO_DECEL", None)
+    if decel is not None and "MINIMUM_CRUISE_RATIO" not in told:
+        if "ACCEL" not in told:
+            raise JobError(
+                "ACCEL_TO_DECEL without ACCEL, which klipper's releases read differently",
+                place=place,
+                remedy="Write MINIMUM_CRUISE_RATIO=... in its place.",
+            )
+        told["MINIMUM_CRUISE_RATIO"] = 1.0 - min(1.0, decel / told["ACCEL"])
+    scaled = {
+        _LIMITS[name]: value if name == "MINIMUM_CRUISE_RATIO" else value / 1e3
+        for name, value in told.items()
+    }
+    return LimitChange(**scaled)
+
+
+def _m204(code: str, arguments: str, place: Place) -> Named:
+    """Return M204: S, or the lower one of P and T; klipper passes over one without them."""
+    told = dict(_LETTERED.findall(arguments))
+    letters = ["S"] if "S" in told else ["P", "T"]
+    if not all(letter in told for letter in letters):
+        return Named(code, idle="M204")
+    least = min(_number(letter, told[letter], place) for letter in letters)
+    return Named(code, LimitChange(acceleration_m_s2=least / 1e3))
+
+
+def _number(name: str, text: str, place: Place) -> float:
+    """Return the value of a limit in Klipper's unit."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    least = name in {"SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO"}
+    good = (value >= 0.0 if least else value > 0.0) and value < 1e9
+    if name == "MINIMUM_CRUISE_RATIO":
+        good = good and value < 1.0
+    if not good:
+        wanted = "from 0, and below 1" if name == "MINIMUM_CRUISE_RATIO" else "above 0"
+        raise JobError(
+            f"{name} {text[:24] or '(nothing)'} must be a number "
+            + ("from 0 on" if name == "SQUARE_CORNER_VELOCITY" else wanted),
+            place=place,
+            remedy="Correct it; klipper refuses it, too.",
+        )
+    return value
