@@ -194,7 +194,7 @@ def fastest_job(asked: Question) -> FastestJob:
     if until is not None:
         until.check()  # checked before any file is open
     with nullcontext() if until is None else until.interrupting():
-        parts = distinct_parts(job, machine)
+        parts = distinct_parts(job, machine, joined=options.product is not None)
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
 
