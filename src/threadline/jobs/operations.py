@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import Place
 from threadline.files import KeptStream, Stream
-from threadline.jobs.program_limits import LimitChange
 
 if TYPE_CHECKING:
     from threadline.geometry.contours import DrawnLine
+    from threadline.jobs.program_limits import LimitChange
 
 Tags: TypeAlias = Mapping[str, float | str]
 Column: TypeAlias = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.str_] | NDArray[np.object_]

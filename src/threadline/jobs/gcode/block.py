@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.dialects import (
@@ -18,7 +18,6 @@ from threadline.jobs.gcode.grammar import (
     check_words,
     only_asks,
 )
-from threadline.jobs.gcode.klipper_commands import Named, named_command
 from threadline.jobs.gcode.printer_lines import commands_of, text_of_stop
 from threadline.jobs.gcode.refused_words import (
     refuse_number,
@@ -27,7 +26,10 @@ from threadline.jobs.gcode.refused_words import (
     whole,
 )
 from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, RawBlock, exact, split_words
-from threadline.jobs.program_limits import LimitChange
+
+if TYPE_CHECKING:
+    from threadline.jobs.gcode.klipper_commands import Named
+    from threadline.jobs.program_limits import LimitChange
 
 MAX_PASSES = 10**12
 _MAX_LABEL = 10**9
@@ -155,6 +157,8 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
     if only_asks(text, dialect.grammar):
         return ()
     if dialect.name == "klipper":
+        from threadline.jobs.gcode.klipper_commands import named_command
+
         named = named_command(text, place, without_macros=MACROS in reading.dropped)
         if named is not None:
             return (_named_block(named, line),)
