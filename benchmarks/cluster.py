@@ -5,8 +5,11 @@ Efficiency is the time of one run over twice the time of two workers (by the clo
 processor time of scheduler, workers and this process together. The clock of a shared computer says
 little: its load is noted.
 
+A yield of this size ends in seconds: what is sent, and workers that wait for the last task, weigh
+more than in a yield of 100 000 machines, of which ``docs/cluster.md`` has the figures.
+
 The figures for 8 to 64 workers are simulated, not measured: a list of tasks is dealt to workers
-that are free, with the measured time of a task, of the first answer of a fresh worker (it loads
+that are free, with the measured time of a machine, of the first answer of a fresh worker (it loads
 Threadline, its machine code and the plan), and of sending a task and its answer.
 """
 
@@ -23,10 +26,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
-from threadline.base.cluster import Cluster
+from threadline.base.cluster import Cluster, items_at_once
 from threadline.base.workers import working_on
 from threadline.machine import load_machine
 from threadline.machine.pneumatics import TIMES
@@ -37,19 +41,24 @@ from threadline.proof.pipeline import open_job, plan_job
 from threadline.search.machine_yield import (
     _AT_ONCE_AWAY,
     _AT_ONCE_LATE,
-    _TURNS,
     MachineYield,
 )
 from threadline.verdict import load_spec
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 CASES = (
-    ("x-180", "x-180.prg", "lathe-winder", Options(interpolation="linear"), 4096),
-    ("the stitcher's test path", "stitcher-test-path.seam.toml", "stitcher", Options(), 512),
+    ("x-180", "x-180.prg", "lathe-winder", Options(interpolation="linear"), 32_768),
+    ("the stitcher's test path", "stitcher-test-path.seam.toml", "stitcher", Options(), 8192),
+    ("the placer's letter cycle", "letter-cycle.toml", "letter-placer", Options(), 512),
 )
 WORKERS = (8, 16, 32, 64)
 SIMULATED = 100_000
-_ROUNDS, _SENT = 3, 100
+_ROUNDS, _SENT = 2, 100
+QUIET = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
+}
+"""What ``docs/cluster.md`` sets: without it scheduler and workers take 7 % of a core themselves."""
 _TICK = os.sysconf("SC_CLK_TCK")
 
 
@@ -83,14 +92,14 @@ def _beside_one(
             found = judged.drawn(machines, 1).found
             return b"".join(row.values.tobytes() for row in found.rows)
 
-        for turn in range(_ROUNDS + 1):
-            one = _timed(lambda: bits.add(bits_of()), processes)
+        judged.drawn(machines // 8, 2)  # memory is there, and what an item takes is known
+        with working_on(cluster):
+            judged.drawn(machines // 8, 2)
+        for _ in range(_ROUNDS):
+            alone.append(_timed(lambda: bits.add(bits_of()), processes))
             with working_on(cluster):
-                two = _timed(lambda: bits.add(bits_of()), processes)
-            if turn:
-                alone.append(one)
-                shared.append(two)
-        sent_s = _sent_s(cluster, judged, _AT_ONCE_AWAY)
+                shared.append(_timed(lambda: bits.add(bits_of()), processes))
+        sent_s = _sent_s(cluster, judged)
     finally:
         cluster.close()
     if len(bits) != 1:
@@ -114,13 +123,11 @@ def _beside_one(
     late = [
         k for k, one in enumerate(judged.numbers) if all(n.endswith(TIMES) for n in one.numbers)
     ]
+    size = _AT_ONCE_AWAY if judged.together else 1
+    if judged.together and late:  # an item for each choice of dead times
+        size = _AT_ONCE_LATE // len(np.unique(drawn(machine, 1, np.arange(2000))[:, late], axis=0))
     for workers in WORKERS:
-        size = min(_AT_ONCE_AWAY, SIMULATED // (_TURNS * workers))
-        if late:  # a task for each choice of dead times
-            size = _AT_ONCE_LATE // len(
-                np.unique(drawn(machine, 1, np.arange(2000))[:, late], axis=0)
-            )
-        whole_s = simulated_s(workers, SIMULATED, size, each_s * size, first_s, sent_s)
+        whole_s = simulated_s(workers, SIMULATED // size, each_s * size, first_s, sent_s)
         share = SIMULATED * each_s / (workers * whole_s)
         yield {
             "name": f"{workers} workers, SIMULATED, {name}",
@@ -129,31 +136,30 @@ def _beside_one(
             "peer_value": 1.0,
             "ratio": share,
             "unit": "efficiency",
-            "note": f"a simulation from measured times, no measurement: {SIMULATED} machines in "
-            f"tasks of {size}, {1e3 * each_s:.3g} ms a machine, {first_s:.3g} s until a worker is "
-            f"ready, {1e3 * sent_s:.2g} ms to send a task and fetch its answer: {whole_s:.3g} s",
+            "note": f"a simulation from measured times, no measurement: {SIMULATED} machines, "
+            f"{1e3 * each_s:.3g} ms a machine, {first_s:.3g} s until a worker is ready, "
+            f"{1e3 * sent_s:.2g} ms to send a task and fetch its answer: {whole_s:.3g} s",
         }
 
 
-def simulated_s(
-    workers: int, machines: int, size: int, task_s: float, first_s: float, sent_s: float
-) -> float:
+def simulated_s(workers: int, items: int, item_s: float, first_s: float, sent_s: float) -> float:
     """Return the time of a yield on ``workers``, by dealing tasks to those that are free, s.
 
-    The command sends tasks and takes answers one after the other, ``sent_s`` each; every worker
-    begins after ``first_s``. The last task is smaller.
+    A task has as many items of ``item_s`` each as ``Cluster`` gives it. The command sends tasks and
+    takes answers one after the other, ``sent_s`` each; every worker begins after ``first_s``.
 
-    >>> simulated_s(2, 4, 1, 1.0, 0.5, 0.0)
+    >>> simulated_s(2, 4, 1.0, 0.5, 0.0)
     2.5
     """
-    sizes = [size] * (machines // size) + ([machines % size] if machines % size else [])
     free = [first_s] * workers
     heapq.heapify(free)
     command_s, last_s = 0.0, 0.0
-    for count in sizes:
+    while items:
+        count = min(items_at_once(item_s, items, workers), items)
+        items -= count
         command_s += sent_s
         begun = max(heapq.heappop(free), command_s)
-        ended = begun + task_s * count / size
+        ended = begun + item_s * count
         heapq.heappush(free, ended)
         last_s = max(last_s, ended)
     return last_s
@@ -175,17 +181,26 @@ class Nothing:
         return b""
 
 
-def _sent_s(cluster: Cluster, judged: MachineYield, size: int) -> float:
-    """Return the time by the clock for a task of ``size`` machines that takes no time itself, s."""
+def _sent_s(cluster: Cluster, judged: MachineYield) -> float:
+    """Return the time by the clock for a task of one item that takes no time itself, s."""
     machine = judged.plan.machine
     items = [
-        Variants(numbers=numbers_at(machine, drawn(machine, 1, size * turn + np.arange(size))))
+        Variants(numbers=numbers_at(machine, drawn(machine, 1, 8 * turn + np.arange(8))))
         for turn in range(_SENT)
     ]
-    list(cluster.answers(Nothing(), items, None))
-    begun = time.monotonic()
-    list(cluster.answers(Nothing(), items, None))
-    return (time.monotonic() - begun) / _SENT
+    sent = []
+    begun = cluster._begun
+
+    def counted(content: Any, digest: str, some: list[Any]) -> Any:
+        sent.append(len(some))
+        return begun(content, digest, some)
+
+    work = Nothing()
+    list(cluster.answers(work, items, None))
+    with patch.object(cluster, "_begun", counted):
+        begun_s = time.monotonic()
+        list(cluster.answers(work, items, None))
+        return (time.monotonic() - begun_s) / len(sent)
 
 
 def _timed(work: Callable[[], object], processes: list[int]) -> _Times:
@@ -228,5 +243,7 @@ def _begun(which: str, *words: str, folder: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [sys.executable, "-m", f"distributed.cli.dask_{which}", *words],
         cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(EXAMPLES.parent)},
+        env={
+            **os.environ, **QUIET, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(EXAMPLES.parent)
+        },
     )  # fmt: skip

@@ -261,6 +261,7 @@ print(twice(1.5))
 """
 
 
+@pytest.mark.long(but="2")
 @pytest.mark.parametrize("before", [0, 2])  # as numba begins; as a function is compiled
 def test_an_interrupt_while_llvm_takes_a_module_is_no_crash(tmp_path: Path, before: int) -> None:
     """llvmlite notes only afterwards that LLVM has the module: it would free it once more."""

@@ -192,7 +192,7 @@ def test_every_planning_option_is_walked() -> None:
     assert set(GIVEN) == {one.name for one in PLANNING}
 
 
-@pytest.mark.long(only=("seam", "loops"))
+@pytest.mark.long(but="ticks")
 @pytest.mark.parametrize("work", WORK)
 def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str) -> None:
     """Verb by option by kind: the same job, read alike, with the same options, or one refusal."""

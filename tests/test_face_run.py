@@ -15,6 +15,7 @@ from threadline.errors import InputError
 from threadline.live.store.run_store import opened
 
 JOB = "G91\nG1 X5 F600\nG1 X-5\nM30\n"
+pytestmark = pytest.mark.usefixtures("forked_machine")
 MACHINE = "stepper-winder"
 
 
@@ -49,7 +50,6 @@ def test_a_run_does_what_its_proof_says_and_is_kept(job: Path, tmp_path: Path) -
     assert [one.ended for one in kept.index.runs()] == ["completed", "completed"]
 
 
-@pytest.mark.usefixtures("forked_machine")
 @pytest.mark.waits
 def test_an_interrupt_stops_it_on_the_path(job: Path, tmp_path: Path) -> None:
     job.write_text("G91\n" + "G1 X5 F600\nG1 X-5\n" * 20 + "M30\n")

@@ -410,6 +410,7 @@ def test_the_feed_is_named_above_which_the_job_gets_no_faster(
     assert peak < 0.5 * axis.velocity.si  # the limit of velocity is out of reach
     found = tl.fastest(job, machine, interpolation="auto", level="nominal").of
     assert found.enough is not None and found.best.found.best is not None
+    assert found.best.found.tried == 2
     assert 0.95 * peak < found.enough < 1.0 * peak < found.best.found.best
     code, out, _ = run(capsys, "fastest", job, "-m", machine, "--interpolation", "auto")
     assert code == 0 and "takes the same time within 0.1 %: above it acceleration" in out

@@ -26,6 +26,7 @@ def test_each_long_test_has_a_shorter_one(request: pytest.FixtureRequest) -> Non
         pytest.fail("\n".join(alone))
 
 
+@pytest.mark.long(only="workers")
 @pytest.mark.parametrize("words", [("-n", "1"), ()], ids=["workers", "alone"])
 def test_long_tests_are_left_out_and_counted(tmp_path: Path, words: tuple[str, ...]) -> None:
     (tmp_path / "test_all.py").write_text(SUITE)

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from threadline.base.cluster import on_cluster, versions
+from threadline.base.cluster import on_cluster
+from threadline.base.cluster_worker import versions
 from threadline.base.writing import staged_file
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, ThreadlineError
@@ -215,7 +216,10 @@ class Tables:
 
     def _own(self, count: int) -> Iterator[int]:
         """Yield the numbers of the speeds of the part."""
-        yield from range(count) if self._part is None else self._part.machines(count)
+        if self._part is None:
+            yield from range(count)
+        else:
+            yield from self._part.share(count, "speeds of a table", "run it whole")
 
     def draw(self, name: str, label: str, curves: dict[str, list[Row]]) -> None:
         """Draw the whole; a part has no picture."""

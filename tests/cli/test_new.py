@@ -314,6 +314,7 @@ def test_a_machine_by_its_work_is_sent_to_its_firmware(
     assert "named after the firmware of its controller. There are: grbl" in " ".join(said.split())
 
 
+@pytest.mark.long(shown_by="test_a_dump_of_settings_becomes_a_project_in_spec")
 def test_from_a_dump_and_a_plotter_file_to_a_faster_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -91,6 +91,7 @@ def test_compile_and_compare_say_it_too(tmp_path: Path, capsys: pytest.CaptureFi
     assert [name for name, _ in SAYS.findall(err)] == ["b-spline"]
 
 
+@pytest.mark.long(shown_by="test_compile_and_compare_say_it_too")
 def test_fastest_says_it_of_the_plan_that_it_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -98,6 +98,7 @@ def test_friction_and_stiction_are_found_from_slow_reversals(capsys, tmp_path, m
         assert json.loads(out)["numbers"][name]["value"] == pytest.approx(true, rel=0.1)
 
 
+@pytest.mark.long(shown_by="test_from_a_file_that_is_30_percent_off_to_one_that_agrees")
 def test_the_same_from_python(tmp_path):
     (tmp_path / "off.toml").write_text(OFF)
     file, out = tmp_path / "x.npz", tmp_path / "fitted.toml"

@@ -42,6 +42,38 @@ def moves(job: Job) -> list[tuple[object, ...]]:
     return [(one.target, one.feed, one.tags) for one in job if isinstance(one, Move)]
 
 
+def test_comments_beside_what_grbl_is_asked_are_taken_out_as_grbl_does(
+    tmp_path: Path, axy: Machine
+) -> None:
+    """Fluidnc reads such a line with its comment, and knows no setting of that name."""
+    program = "$I  ; build info\n(state) $G (modes)\n? ; where\nG21 G90\nG1 X5 F600\n"
+    assert len(moves(made(tmp_path, program, axy, dialect="grbl"))) == 1
+    with pytest.raises(JobError, match=r"a\.nc:1: '\$I'"):
+        made(tmp_path, program, axy, dialect="fluidnc")
+
+
+@pytest.mark.parametrize(
+    ("dialect", "line", "said"),
+    [
+        ("grbl", "# 4mm square", "'# 4mm square': # begins no comment"),
+        ("grbl", "# Offset X: 33.34", "# begins no comment"),
+        ("grbl", "#5=1", "parameters and expressions are not read"),
+        ("marlin", "G29", "G29 is probing"),
+        ("marlin", "G26", "G26 is a test print"),
+    ],
+)
+def test_what_a_file_of_another_tool_has_is_refused_by_its_meaning(
+    tmp_path: Path, axy: Machine, dialect: str, line: str, said: str
+) -> None:
+    with pytest.raises(JobError, match=said):
+        list(made(tmp_path, f"G21\n{line}\nG1 X5 F600\n", axy, dialect=dialect))
+
+
+def test_the_diameter_of_a_filament_moves_nothing(tmp_path: Path, axy: Machine) -> None:
+    job = made(tmp_path, "M200 D1.75\nG1 X5 F600\n", axy, dialect="marlin")
+    assert len(moves(job)) == 1 and "M200 (line 1)" in job.warnings[0]
+
+
 @pytest.mark.parametrize("long", [False, True])
 def test_lines_that_ask_grbl_for_a_report_move_nothing(
     tmp_path: Path, axy: Machine, long: bool

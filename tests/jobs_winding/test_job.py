@@ -98,6 +98,7 @@ def test_the_speed_of_the_fibre_is_even(tmp_path: Path) -> None:
     assert product.tied == pytest.approx(3.66e-3, abs=2e-5)
 
 
+@pytest.mark.long(but="stepper-winder")
 @pytest.mark.parametrize("name", ["stepper-winder", "stepper-winder+xab", "stepper-winder+azxb"])
 def test_other_eyes_lay_the_same_fibre(name: str) -> None:
     machine = load_machine(name)

@@ -99,6 +99,17 @@ def test_both_programs_of_one_winding_move_alike(tmp_path: Path, examples: Path)
     assert program.stat().st_size < 20 * len(moves) / 4
 
 
+def test_the_layers_are_designed_once(
+    tmp_path: Path, examples: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def again(_: object) -> None:
+        raise AssertionError("designed again for the program")
+
+    monkeypatch.setattr("threadline.jobs.winding.job.design", again)
+    program = tmp_path / "vessel.prg"
+    assert run("wind", examples / "vessel.wind.toml", "-m", "lathe-winder", "-o", program) == 0
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -241,6 +241,7 @@ def test_wind_prints_the_sheet_and_writes_it(
     assert len(content["laminate"]["A"]) == 3 and content["laminate"]["burst_pa"] > 0.0
 
 
+@pytest.mark.long(shown_by="test_mass_time_and_cost_of_every_layer")
 def test_the_report_of_a_proof_has_the_times_of_its_plan(tmp_path: Path) -> None:
     """Two layers: the first with the approach, the second with the join, together the whole job."""
     layers = "".join(

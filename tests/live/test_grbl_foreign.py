@@ -142,6 +142,7 @@ def test_a_number_of_thousands_of_digits_is_no_report() -> None:
     assert status_of("<Hold:0|MPos:0,0,0,0>") is not None
 
 
+@pytest.mark.long(but="content0")
 @pytest.mark.parametrize(
     "content", [b"x" * 4096, b"[MSG:x]\n" * 512, b"<Idle|MPos:0,0,0,0>\n" * 256]
 )

@@ -38,6 +38,7 @@ def fastest_row(plan: Plan) -> float:
     return max(float(np.abs(block.counts).max()) for block in tick_table(plan.commands))
 
 
+@pytest.mark.long(shown_by="tests/live/test_checked.py::test_the_command_runs_what_it_proves")
 @pytest.mark.usefixtures("forked_machine")
 def test_a_seam_at_67_stitches_a_second_runs_as_it_was_proved() -> None:
     """Its rows ask for twice what the loads may do; they do it, to the bit, and are judged so."""

@@ -92,6 +92,7 @@ def test_a_change_of_rate_keeps_every_limit(
     assert (asked <= limits.acceleration + ROUNDING).all()
 
 
+@pytest.mark.long(only="10")
 @pytest.mark.parametrize("percent", [10, 37, 50, 99])
 def test_a_slower_run_takes_longer_and_tells_it_in_a_few_events(percent: int) -> None:
     """From its second row on; an event for each tick would be hundreds to thousands."""

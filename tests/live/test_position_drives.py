@@ -99,6 +99,7 @@ def test_a_stepper_has_no_encoder_to_fail() -> None:
         parse_fault("stuck-encoder:X@1 s", load_machine("stepper-winder"))
 
 
+@pytest.mark.long(shown_by="test_undisturbed_it_is_the_simulation_to_the_bit")
 @pytest.mark.usefixtures("forked_machine")
 def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from threadline.machine import load_machine
 
@@ -89,6 +90,7 @@ def test_a_process_that_knows_nothing_else_serves_each_kind() -> None:
     assert done.stdout.decode().splitlines() == [one.sha256 for one in machines], done.stderr
 
 
+@pytest.mark.long(shown_by="test_a_process_that_knows_nothing_else_serves_each_kind")
 def test_nothing_is_loaded_once_time_counts() -> None:
     """To load its machine code takes a third of a second, and a tick 10 ms at most."""
     told = [f"{name}={EXAMPLES / job}" for name, job in JOBS.items()]

@@ -67,6 +67,7 @@ def as_a_fork(number: int, words: list[str], folder: Path) -> tuple[int, str]:
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), out.read_text("utf-8")
 
 
+@pytest.mark.long(only="2-as_a_program")
 @pytest.mark.parametrize(
     ("number", "command"),
     [(signal.SIGINT, as_a_program), (signal.SIGTERM, as_a_fork), (signal.SIGHUP, as_a_fork)],

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from threadline.dynamics.prescribed import prescribed
+from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
-from threadline.machine import Machine, library_names, load_machine
+from threadline.machine import Machine, library_names, load_machine, variants
 from threadline.machine.numbers import number_at
 from threadline.machine.variants import (
     corners,
@@ -110,6 +111,25 @@ def test_drawn_dead_times_are_shared_and_spread_evenly() -> None:
 def with_one_at_end(machine: Machine, name: str) -> Machine:
     """Return the machine with one of its uncertain numbers at the upper end of its tolerance."""
     return variant(machine, np.array([float(one.name == name) for one in uncertain(machine)]))
+
+
+def test_a_drawn_dead_time_is_made_once_for_all_machines_that_have_it(monkeypatch) -> None:
+    """The command draws for all workers; the groups are the same as those of their simulations."""
+    machine, made = load_machine("stitcher"), []
+    own = variants._delay
+    monkeypatch.setattr(variants, "_delay", lambda *words: made.append(words) or own(*words))
+    parts = drawn(machine, 3, np.arange(500))
+    numbers = numbers_at(machine, parts)
+    late = [path for path in numbers if path.endswith(".delay")]
+    assert late and len(made) <= 11 * len(late)
+    values = Values.of(machine, numbers)
+    groups, places = values.by_delay(), values.places_by_delay()
+    assert len(groups) == len(places) > 50
+    for (group, theirs), mine in zip(groups, places, strict=True):
+        assert theirs.tolist() == mine.tolist() and group.count == len(mine)
+        for path in late:
+            assert len(set(numbers[path][mine].tolist())) == 1
+    assert sorted(np.concatenate(places).tolist()) == list(range(500))
 
 
 def test_corners_and_one_at_a_time(tmp_path) -> None:

@@ -242,7 +242,7 @@ def test_a_command_for_a_band_knows_when_its_flows_come(scans: int) -> None:
 
 
 @pytest.mark.long(
-    shown_by="tests/search/test_robust_cycle.py::test_it_is_near_the_bound_of_all_valves"
+    shown_by="tests/search/test_within.py::test_a_cycle_for_a_band_ends_with_the_one_that_is_tried"
 )
 def test_the_robust_cycle_of_such_a_machine_is_in_spec_all_over_the_band(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -238,6 +238,11 @@ class Operator:
             assert self.state.get("state") not in {"fault", "gone"}, str(self.state)
         return self.state
 
+    def wait(self, until: Callable[[dict[str, Any]], bool]) -> None:
+        """Wait for what is seen in a state, and keep control meanwhile."""
+        while self.until("state") and not until(self.state):
+            self.say(type="alive", lease=self.lease)
+
     def catch_up(self, client: TestClient) -> Operator:
         """Read what was sent meanwhile, up to a state that is later than now."""
         seq = client.get("/api/state").json()["seq"]

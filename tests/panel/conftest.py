@@ -14,7 +14,7 @@ from tests.panel.bench import proven, simulated_of
 from tests.panel.test_panel_killed import Plant
 from threadline.live.supervised import interventions
 from threadline.machine import load_machine
-from threadline.panel import kept_runs
+from threadline.panel import calculation, drawn, kept_runs
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -39,6 +39,16 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
     ``test_run_work`` tries the process.
     """
     monkeypatch.setattr(kept_runs, "interventions_apart", interventions)
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give processes that read for the panel minutes: on a busy computer to begin takes seconds.
+
+    Tests of what takes too long set limits of their own.
+    """
+    monkeypatch.setattr(drawn, "LONGEST_S", 300.0)
+    monkeypatch.setattr(calculation, "PREVIEW_S", 300.0)
 
 
 @pytest.fixture(scope="module")

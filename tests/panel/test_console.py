@@ -203,6 +203,7 @@ def test_a_board_for_another_machine_is_a_fault_that_the_console_mends(tmp_path:
         anna.take()
         wait(anna, lambda: anna.until("state")["state"] == "fault")
         assert "$123=1e+06 of the controller: the acceleration of A" in anna.state["why"]
+        wait(anna, lambda: bool(boards(anna)))
         refused = [row["number"] for row in boards(anna)[0].values() if row["mark"] == "refused"]
         assert refused == [100, 123]
         assert "not possible now" in anna.act("home")

@@ -30,6 +30,7 @@ from threadline.live.store.run_store import opened
 from threadline.machine import load_machine
 
 STEPPER = load_machine("stepper-winder")
+RUN_ON_GRBL = "tests/live/test_grbl.py::test_a_hold_stands_on_the_path_and_goes_on_from_there"
 PATIENCE_S = 60.0  # on a busy computer
 MANUAL_MM_S = 40.0
 """A tenth of the limit of X, for the machine has no manual feed of its own."""
@@ -87,6 +88,7 @@ def moved_by(anna: Operator, there: Callable[[], bool], what: str, **words: str)
             anna.ask("renew")
 
 
+@pytest.mark.long(shown_by=RUN_ON_GRBL)
 def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
     """Held and resumed where it stands; what is kept says what was sent, and proves no more."""
     model = GrblModel(settings(), faster=0.5)
@@ -120,7 +122,7 @@ def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
     assert list((project / "runs").glob("*/sent/program.nc"))
 
 
-@pytest.mark.long(shown_by="test_a_program_is_run_on_grbl_twice_with_a_hold")
+@pytest.mark.long(shown_by=RUN_ON_GRBL)
 def test_a_run_on_grbl_is_stopped_and_its_rest_done(project: Path) -> None:
     """After homing and a confirmation, from the line on that was under way."""
     model = GrblModel(settings(), faster=0.5)

@@ -75,8 +75,7 @@ def test_the_placers_cycle_with_a_hold(project: Path) -> None:
     name = "letter-placer"
     with served(project, SPEED, machine=machine(name)) as client, operator(client) as anna:
         started(anna, name, project)
-        while (anna.until("state")["axes"]["X"]["load"] or 0.0) < 0.05:
-            pass
+        anna.wait(lambda state: (state["axes"]["X"]["load"] or 0.0) >= 0.05)
         assert anna.act("hold") == ""
         seen = anna.see("holding")
         assert set(seen["axes"]) == {"X", "Z"}
@@ -103,12 +102,12 @@ def test_a_stopped_placer_has_to_be_homed(project: Path) -> None:
         verdict(anna)
 
 
+@pytest.mark.long(shown_by="test_the_placers_cycle_with_a_hold")
 def test_an_embroidery_frame_sews_stops_and_begins_again_at_home(project: Path) -> None:
     name = "schiffli-frame"
     with served(project, SEWING, machine=machine(name)) as client, operator(client) as anna:
         started(anna, name, project)
-        while abs(anna.until("state")["axes"]["X"]["commanded"] or 0.0) < 1e-3:
-            pass
+        anna.wait(lambda state: abs(state["axes"]["X"]["commanded"] or 0.0) >= 1e-3)
         anna.say(type="stop")
         assert verdict(anna)["ended"] == "stopped"
         proof = anna.state["proven"]["proof"]
@@ -123,13 +122,13 @@ def test_an_embroidery_frame_sews_stops_and_begins_again_at_home(project: Path) 
         assert (found["ended"], found["verdict"][:7]) == ("completed", "IN SPEC")
 
 
+@pytest.mark.long(shown_by="test_the_placers_cycle_with_a_hold")
 def test_a_seam_is_sewn_with_a_hold(project: Path) -> None:
     """Its loads follow, so that it holds at the next rest of the seam."""
     name = "stitcher"
     with served(project, SPEED, machine=machine(name)) as client, operator(client) as anna:
         started(anna, name, project)
-        while (anna.until("state")["axes"]["X"]["commanded"] or 0.0) < 0.01:
-            pass
+        anna.wait(lambda state: (state["axes"]["X"]["commanded"] or 0.0) >= 0.01)
         assert anna.act("hold") == ""
         assert anna.see("holding", "idle")["axes"]["X"]["load"] is not None
         if anna.state["state"] == "holding":

@@ -113,6 +113,9 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         assert "the run begins at 0" in anna.act("start", proof=proof)
 
 
+@pytest.mark.long(
+    shown_by="tests/live/test_override.py::test_a_slower_run_takes_longer_and_tells_it_in_a_few_events"
+)
 def test_the_feed_is_overridden_by_who_has_control_within_what_was_proven(project: Path) -> None:
     with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
         anna.ready()
@@ -123,11 +126,11 @@ def test_the_feed_is_overridden_by_who_has_control_within_what_was_proven(projec
         assert "not in control" in ben.act("override-feed", percent=50)
         assert anna.state["feed_percent"] == 100
         assert anna.act("override-feed", percent=50) == ""
-        while anna.until("state")["feed_percent"] != 50:
-            pass
+        anna.wait(lambda state: state["feed_percent"] == 50)
         assert anna.state["why"] == ""  # it is shown by itself
         while anna.state["state"] == "running" and anna.state["progress"]["time_s"] < 2.0:
             anna.until("state")
+            anna.say(type="alive", lease=anna.lease)
         done, at = anna.state["progress"]["time_s"], anna.state["time_s"]
         assert done < at  # of the plan, and by the clock
         anna.see("idle")

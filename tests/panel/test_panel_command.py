@@ -154,7 +154,7 @@ def test_an_address_of_ipv6_stands_in_brackets(
 
 
 def _state(port: int) -> str:
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/state", timeout=10) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/state", timeout=100) as answer:
         return str(json.load(answer)["state"])
 
 
@@ -214,6 +214,7 @@ def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []  # no run, no folder of runs
 
 
+@pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
 def test_no_python_file_of_a_project_is_run(tmp_path: Path) -> None:
     """Owner, machine and readers import the library's modules, also where a file has their name."""
     (tmp_path / "there.prg").write_text(PROGRAM, "utf-8")
@@ -266,7 +267,7 @@ def test_neither_bad_text_nor_a_request_under_way_is_told_at_its_end(tmp_path: P
         ) as live:
             live.send(b"\xff", text=True)
             with pytest.raises(ConnectionClosed) as closed:
-                live.recv(10.0)
+                live.recv(100.0)
             assert closed.value.rcvd is not None
             assert closed.value.rcvd.code == 1007
         drawing = head + b"<g/>" * 900_000 + b"</svg>"
@@ -278,6 +279,6 @@ def test_neither_bad_text_nor_a_request_under_way_is_told_at_its_end(tmp_path: P
             )
             time.sleep(2.0)
             process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=15)
+            out, err = process.communicate(timeout=100)
     assert (process.returncode, err) == (0, "")
     assert out.endswith("The panel has ended: the machine was stopped, and is disabled.\n")

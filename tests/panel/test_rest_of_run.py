@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.panel.bench import Operator, operator, proven, served
 from threadline.files.formats import read_recording
 from threadline.live.store.run_store import opened
@@ -36,10 +38,12 @@ def broken_off(anna: Operator) -> str:
 def ready_to_go_on(anna: Operator, run: str, proof: str) -> None:
     anna.allows("continue")
     assert anna.act("continue", run=run, proof=proof) == ""
-    while anna.until("state")["rest"] is None:
-        pass
+    anna.wait(lambda state: state["rest"] is not None)
 
 
+@pytest.mark.long(
+    shown_by="tests/live/test_continued.py::test_axes_are_moved_there_and_do_the_rest_row_by_row"
+)
 def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> None:
     proven(tmp_path)
     with served(tmp_path, 4.0) as client, operator(client) as anna:
@@ -66,8 +70,7 @@ def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> No
         assert all(at["commanded"] == 0.0 for at in anna.until("state")["axes"].values())
 
         anna.say(type="stop")  # which drops it
-        while anna.until("state")["rest"] is not None:
-            pass
+        anna.wait(lambda state: state["rest"] is None)
         assert "is not possible now" in anna.act("start-rest")
 
         ready_to_go_on(anna, run, proof)

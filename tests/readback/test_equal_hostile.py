@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import re
@@ -40,6 +41,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def beside(folder: Path, target: str, file: Path) -> Equal:
     return tl.equal(folder / "a.prg", WINDER, files=[f"{target}={file}"]).targets[0]
+
+
+@pytest.mark.parametrize("target", ["csv", "grbl"])
+def test_a_full_disk_is_told_by_the_folder_that_may_be_changed(
+    target: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``equal`` writes files of its own: a user gave none of them, and cannot give another."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("threadline.base.writing.os.replace", full)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(InputError, match="do not fit on the disk of") as told:
+        tl.equal(folder / "a.prg", WINDER, [target])
+    assert str(tmp_path) in str(told.value) and "TMPDIR" in told.value.remedy
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize(

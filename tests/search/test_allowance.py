@@ -54,6 +54,7 @@ def test_few_proofs_find_where_more_would_fail(found: FastestJob) -> None:
     assert best.duration_s < 0.81
 
 
+@pytest.mark.long(shown_by="test_an_allowance_that_is_given_is_the_only_one_that_is_proved")
 def test_the_answer_is_a_plan_that_can_be_made_again(found: FastestJob, examples: Path) -> None:
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)
@@ -65,6 +66,7 @@ def test_the_answer_is_a_plan_that_can_be_made_again(found: FastestJob, examples
     assert prove_plan(plan, spec, trials=REPEATED).verdict.passed
 
 
+@pytest.mark.long(shown_by="test_an_allowance_that_is_given_is_the_only_one_that_is_proved")
 def test_bounds_are_below_and_in_order(found: FastestJob) -> None:
     """180 mm from rest to rest at 10.5 m/s^2: twice the root of 0.18 / 10.5 s there, and back.
 
@@ -141,7 +143,7 @@ def test_an_allowance_that_is_given_is_the_only_one_that_is_proved(examples: Pat
     assert result.best.found.limited_by == ALLOWED
 
 
-@pytest.mark.long(shown_by="test_the_answer_is_a_plan_that_can_be_made_again")
+@pytest.mark.long(shown_by="test_an_allowance_that_is_given_is_the_only_one_that_is_proved")
 def test_loads_that_follow_use_a_share_of_the_limits(examples: Path) -> None:
     """The least time within axes and drives, and what smoothing over 10 ms adds to it."""
     machine = load_machine("lathe-winder")

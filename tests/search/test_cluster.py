@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import shutil
@@ -35,10 +36,18 @@ Said = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
-    """Two workers that no test ends."""
-    found = Fleet(tmp_path_factory.mktemp("fleet"), 2)
+    """A worker that no test ends."""
+    found = Fleet(tmp_path_factory.mktemp("fleet"), 1)
     yield found
     found.end()
+
+
+@pytest.fixture
+def two_workers(fleet: Fleet) -> Fleet:
+    """Have another one besides, for as long as the first."""
+    if len(fleet.workers) < 2:
+        fleet.workers.append(fleet.with_worker())
+    return fleet
 
 
 @pytest.fixture
@@ -103,12 +112,13 @@ def test_an_answer_is_that_of_one_computer_to_the_bit(
     assert Path("here.yield").read_bytes() == Path("there.yield").read_bytes()
 
 
+@pytest.mark.long(shown_by="test_an_answer_is_that_of_one_computer_to_the_bit")
 def test_bits_do_not_depend_on_the_size_of_a_task_or_on_who_is_quick(
-    job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+    job: Path, two_workers: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = judged(job)
     here = bits(own, 40)
-    with of_cluster.on_cluster(fleet.address, print):
+    with of_cluster.on_cluster(two_workers.address, print):
         for size, ahead in (1, 1), (7, 16), (64, 2):
             monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", size)
             monkeypatch.setattr("threadline.search.machine_yield._TURNS", 1)
@@ -130,6 +140,25 @@ def test_a_plan_is_sent_once(job: Path, fleet: Fleet, monkeypatch: pytest.Monkey
         own.drawn(4, 5)
         own.drawn(9, 5)
     assert len(sent) == 1
+
+
+def test_short_items_share_a_task(job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A task costs the same for one item as for many; the last are few, so that nobody waits."""
+    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 1)
+    own, sent = judged(job), []
+    begun = Cluster._begun
+
+    def counted(self: Cluster, content: object, digest: str, items: list[object]) -> object:
+        sent.append(len(items))
+        return begun(self, content, digest, items)
+
+    monkeypatch.setattr(Cluster, "_begun", counted)
+    here = bits(own, 150)
+    with of_cluster.on_cluster(fleet.address, print):
+        bits(own, 30)  # so that it is known what an item takes
+        sent.clear()
+        assert bits(own, 150) == here
+    assert sum(sent) == 150 and len(sent) < 50 and max(sent) >= 5 and sent[-1] == 1
 
 
 @pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
@@ -205,6 +234,14 @@ def test_a_scheduler_that_comes_back_gets_what_it_lost(
         found = own.drawn(60, 5, done)
     assert [row.values.tobytes() for row in found.found.rows] == here
     assert sum(told) == 60
+
+
+def test_what_fails_is_told_in_one_line_of_this_program(fleet: Fleet) -> None:
+    """``distributed`` has loggers with handlers and levels of their own, for example of clients."""
+    Cluster(fleet.address).close()
+    names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    assert "distributed.client" in names
+    assert not [name for name in names if logging.getLogger(name).isEnabledFor(logging.ERROR)]
 
 
 def test_machines_that_end_every_worker_are_not_tried_for_ever(

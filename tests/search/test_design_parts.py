@@ -52,12 +52,20 @@ def made(said: Said, count: int, *more: str) -> list[Path]:
     return files
 
 
-def test_merged_parts_are_one_run_to_the_bit(said: Said) -> None:
+@pytest.mark.long(but="two searches")
+@pytest.mark.parametrize(
+    ("number", "parts"),
+    [(2, [(2, [])]), (3, [(3, []), (2, ["--searches", "3"])])],
+    ids=["two searches", "three searches"],
+)
+def test_merged_parts_are_one_run_to_the_bit(
+    said: Said, number: int, parts: list[tuple[int, list[str]]]
+) -> None:
     """The answer, the front and the files of three searches, in three parts and in two."""
-    one = said(*WORDS, "--searches", 3, "-o", "found.toml", "--json")
+    one = said(*WORDS, "--searches", number, "-o", "found.toml", "--json")
     written = [Path(name).read_bytes() for name in ("found.toml", "found.spec.toml")]
     assert one[0] == 0 and json.loads(one[1])["front"]
-    for count, more in (3, []), (2, ["--searches", "3"]):
+    for count, more in parts:
         files = made(said, count, *more)
         random.Random(7).shuffle(files)
         for name in "found.toml", "found.spec.toml":
@@ -65,14 +73,15 @@ def test_merged_parts_are_one_run_to_the_bit(said: Said) -> None:
         assert said("--merge", *files, "-o", "found.toml", "--json") == one
         again = [Path(name).read_bytes() for name in ("found.toml", "found.spec.toml")]
         assert again == written
-    searches = [read_design_part(Path(f"{k}-of-3.design")).searches for k in (1, 2, 3)]
-    assert [one.number for some in searches for one in some] == [0, 1, 2]
+    numbers = range(number)
+    searches = [read_design_part(Path(f"{k + 1}-of-{number}.design")).searches for k in numbers]
+    assert [one.number for some in searches for one in some] == [*numbers]
     tried = {one.tried.points.tobytes() for some in searches for one in some}
-    assert len(tried) == 3  # each from random numbers of its own
+    assert len(tried) == number  # each from random numbers of its own
     alone = json.loads(said(*WORDS, "--json")[1])
     content = json.loads(one[1])
     assert content["found"]["cost"] <= alone["found"]["cost"]
-    assert content["simulated"] > 2 * alone["simulated"]
+    assert content["simulated"] > (number - 1) * alone["simulated"]
 
 
 def test_parts_that_do_not_fit_are_named(said: Said, monkeypatch: pytest.MonkeyPatch) -> None:

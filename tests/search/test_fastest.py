@@ -40,6 +40,25 @@ def test_two_intervals_are_both_reported_the_faster_first() -> None:
     assert found.verdict.passed
 
 
+@pytest.mark.parametrize("every", [True, False])
+def test_two_feeds_stand_for_all_between_them_where_the_planner_keeps_the_limits(
+    every: bool,
+) -> None:
+    """Where an end fails, the search is the same as without that knowledge."""
+    grid = Grid(near=16, every=every, between=True)
+    found = find_fastest(lambda _: verdict(0.5), 0.1, 10.0, grid)
+    assert found.tried == 2 and found.best == 10.0 and found.step == 0.0
+    assert len(found.intervals) == 1 and (found.intervals[0].low == 0.1) == every
+
+    def judged(feed: float) -> Verdict:
+        return verdict(0.5 if 0.3 <= feed <= 2.0 else 2.0)
+
+    plain, other = (
+        find_fastest(judged, 0.1, 10.0, replace(grid, between=between)) for between in (False, True)
+    )
+    assert other.intervals == plain.intervals and other.step == plain.step > 0.0
+
+
 def test_narrow_intervals_beyond_an_edge_are_found() -> None:
     """Where times are rounded to whole ticks, the thinnest margins pass and fail in turn."""
     wanted = [(0.1, 0.93), (0.94, 1.0), (1.02, 1.03), (1.06, 1.07), (3.0, 3.4)]

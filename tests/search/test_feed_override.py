@@ -52,6 +52,17 @@ def times(text: str, factor: float) -> str:
     return re.sub(r"F([\d.]+)", lambda word: f"F{float(word[1]) * factor:.6f}", text)
 
 
+def test_a_winding_from_its_product_is_searched_by_the_override(examples: Path) -> None:
+    """Its moves have times of their own, and its program as written (F by the operator) has not."""
+    winder = load_machine("lathe-winder")
+    job = read_job(examples / "vessel.wind.toml", winder)
+    assert searched_by(job, winder) is FeedMode.OVERRIDE
+    low, high = search_range(job, winder, FeedMode.OVERRIDE)
+    assert low < 1.0 < high
+    written = read_job(examples / "vessel-circuit.prg", winder)
+    assert searched_by(written, winder) is FeedMode.FASTEST_AXIS
+
+
 @pytest.mark.parametrize("percent", ["50 %", "120%", "137.5 %", "1000 %"])
 def test_an_override_multiplies_every_f(tmp_path: Path, mill: Machine, percent: str) -> None:
     factor = float(percent.rstrip(" %")) / 100.0

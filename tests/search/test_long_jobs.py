@@ -73,6 +73,34 @@ def test_circuits_are_met_once(tmp_path: Path, machine: Machine) -> None:
     assert parts[1].start == whole[-len(last) - 1]
 
 
+def test_joined_stretches_go_on_as_the_job_does(tmp_path: Path, machine: Machine) -> None:
+    """From the first move to the last, without a rest between: only whole circuits are left out."""
+    job = written(tmp_path, winding_blocks(3800), machine)
+    (part,) = distinct_parts(job, machine, joined=True)
+    whole, kept = (
+        np.array([one.start, *[item.target for item in one if isinstance(item, Move)]])
+        for one in (job, part)
+    )
+    assert 38 + 4 <= moves_in(part) < 160
+    left_out = len(whole) - len(kept)
+    assert left_out % 38 == 0
+    ways, found = np.diff(whole, axis=0), np.diff(kept, axis=0)
+    first = int(np.argmax(np.abs(ways[: len(found)] - found).max(axis=1) > 2e-5)) or len(found) // 2
+    np.testing.assert_allclose(found[:first], ways[:first], atol=1e-12)
+    np.testing.assert_allclose(found[first:], ways[first + left_out :], atol=2e-5)
+    linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
+    np.testing.assert_allclose(kept[-1, linear], whole[-1, linear], atol=1e-9)
+
+
+def test_stretches_are_not_joined_round_an_axis_with_ends(tmp_path: Path, machine: Machine) -> None:
+    job = written(tmp_path, winding_blocks(3800), machine)
+    ends = [f"{sign}9999999 deg exact, assumed: a test" for sign in ("-", "")]
+    travel = tuple(parse_machine_quantity(end, ("rad",)) for end in ends)
+    ended = replace(machine.axes["A"], endless=False, travel=travel)
+    bounded = replace(machine, axes={**machine.axes, "A": ended})
+    assert distinct_parts(job, bounded, joined=True) == (job,)
+
+
 def test_one_move_that_is_new_is_kept_with_what_is_beside_it(
     tmp_path: Path, machine: Machine
 ) -> None:

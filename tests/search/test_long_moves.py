@@ -12,6 +12,7 @@ from threadline.errors import LimitError
 from threadline.jobs import Job, read_job
 from threadline.jobs.operations import Feed, FeedMode, Move
 from threadline.machine import Machine, load_machine
+from threadline.machine.quantity import parse_machine_quantity
 from threadline.machine.radii import with_radii
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, try_plan
@@ -105,6 +106,22 @@ def test_what_leaves_the_travel_is_judged_without_its_ends(
     assert winder.inputs
     job = job_of(tmp_path, winder, text)
     assert LongMoves.of(job, winder).without_middles(FEED, 1.0) == (job, winder)
+
+
+def test_what_needs_more_than_a_stroke_is_judged_without_its_ends(
+    tmp_path: Path, machine: Machine
+) -> None:
+    """From -100 to 300 mm; without the middle of the hoop layer, from -350 mm."""
+    stroke = parse_machine_quantity("500 mm exact, assumed", ("m",))
+    axis = replace(machine.axes["X"], stroke=stroke)
+    short = replace(machine, axes={**machine.axes, "X": axis})
+    back = "".join(f"G1 X{x} A{9000 + 40 * k}\n" for k, x in enumerate(range(260, -101, -20)))
+    text = f"G21 G90 G94 F9000\nG1 X300\nG1 X0\nG1 X280 A9000\n{back}M30\n"
+    job = job_of(tmp_path, short, text)
+    watched, on = LongMoves.of(job, short).without_middles(FEED, 1.0)
+    places = targets_of(watched)[:, job.axes.index("X")]
+    assert np.abs(places).max() < 0.5 < np.ptp(places)
+    assert on.axes["X"].stroke is None
 
 
 def test_a_mandrel_of_many_radii_stays_whole(tmp_path: Path, machine: Machine) -> None:

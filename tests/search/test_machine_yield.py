@@ -196,11 +196,13 @@ def test_the_worst_machine_may_lie_inside(
     assert np.all(np.abs(worst.parts) < 1.0) and not worst.of_corners
 
 
-def test_half_a_tolerance_of_what_matters_helps_most(asked: tuple[Plan, Spec]) -> None:
+@pytest.mark.long(but="50")
+@pytest.mark.parametrize("drawn", [50, 200])
+def test_half_a_tolerance_of_what_matters_helps_most(asked: tuple[Plan, Spec], drawn: int) -> None:
     plan, spec = asked
     judged = MachineYield(plan, spec)
-    own = judged.drawn(200, 1).share
-    halves = dict(zip((n.name for n in judged.numbers), judged.halved(200, 1), strict=True))
+    own = judged.drawn(drawn, 1).share
+    halves = dict(zip((n.name for n in judged.numbers), judged.halved(drawn, 1), strict=True))
     # A limit switch that is never met changes nothing, to the machine.
     assert halves["inputs.x_low.at"] == own
     assert max(halves.values()) > own

@@ -26,6 +26,8 @@ from threadline.search.cycle_robust import MEASURE, RobustCycle, robust_cycle
 from threadline.search.paced import Question
 from threadline.verdict import load_spec
 
+OF_A_BAND = "tests/search/test_within.py::test_a_cycle_for_a_band_ends_with_the_one_that_is_tried"
+"""A search that ends after the first cycle."""
 LIBRARY = Path(threadline.machine.__file__).parent / "library"
 FEET_UP = 'stiffness = "2.7e4 N/m +- 30 %, assumed: as across"'
 LIFT = """
@@ -97,7 +99,7 @@ def test_modes_move_as_they_are_told(tmp_path: Path) -> None:
         assert moved[1] == pytest.approx(typed[1], rel=1e-6)
 
 
-@pytest.mark.long(shown_by="test_it_is_near_the_bound_of_all_valves")
+@pytest.mark.long(shown_by=OF_A_BAND)
 def test_it_is_in_spec_on_machines_of_the_band(robust: tuple[dict[str, Any], Path, Path]) -> None:
     """Machine files written with other feet, none of them a machine of the search.
 
@@ -121,6 +123,7 @@ def test_it_is_in_spec_on_machines_of_the_band(robust: tuple[dict[str, Any], Pat
     assert rows["found for the band"]["over_passed"]
 
 
+@pytest.mark.long(shown_by=OF_A_BAND)
 def test_its_report_has_what_was_printed(robust: tuple[dict[str, Any], Path, Path]) -> None:
     found, file, _ = robust
     page = (file.parent / "report" / "report.html").read_text(encoding="utf-8")
@@ -132,6 +135,7 @@ def test_its_report_has_what_was_printed(robust: tuple[dict[str, Any], Path, Pat
     assert "job sha256" not in page
 
 
+@pytest.mark.long(shown_by=OF_A_BAND)
 def test_it_is_near_the_bound_of_all_valves(robust: tuple[dict[str, Any], Path, Path]) -> None:
     found, file, _ = robust
     for move in found["robust"]["moves"]:
@@ -151,6 +155,7 @@ def test_it_is_near_the_bound_of_all_valves(robust: tuple[dict[str, Any], Path, 
     assert levels <= {0.0, 0.37, 0.63, 1.0}
 
 
+@pytest.mark.long(shown_by=OF_A_BAND)
 def test_compile_takes_the_list_as_it_is(
     robust: tuple[dict[str, Any], Path, Path],
     capsys: pytest.CaptureFixture[str],
@@ -208,7 +213,7 @@ def test_its_report_is_that_of_the_cycle_that_was_found(
     assert "is told" not in capsys.readouterr().err
 
 
-@pytest.mark.long(shown_by="test_it_is_near_the_bound_of_all_valves")
+@pytest.mark.long(shown_by=OF_A_BAND)
 def test_a_move_that_another_outlasts_rings_as_little_as_it_can(tmp_path: Path) -> None:
     """X and Z set out in one scan, and X takes longer to come to rest: Z has a third of a second.
 

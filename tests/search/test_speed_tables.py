@@ -58,3 +58,7 @@ def test_what_is_no_whole_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         tables.main(["winder", "--merge", "1.part", "2.part"])
     assert "another which" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        tables.main(["stitcher", "--part", "1/60", "-o", "1.part"])
+    told = capsys.readouterr().err
+    assert "12 speeds of a table are too few for 60 parts" in told and "--variants" not in told

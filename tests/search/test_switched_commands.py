@@ -112,6 +112,7 @@ def test_every_tenth_scan_of_a_quick_controller_is_looked_at() -> None:
     assert coarse
 
 
+@pytest.mark.long(shown_by="test_time_optimal_commands")
 def test_a_second_search_finds_nothing_shorter() -> None:
     """An integer program of its own: what is a scan shorter is impossible, not only not found."""
     turns = np.exp(np.array([-0.3 + 48.0j, -0.3 + 57.0j, -0.3 + 66.0j]) * SCAN_S)

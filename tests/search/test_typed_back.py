@@ -125,10 +125,12 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
 
 @pytest.mark.long(
     only=(
+        "linear-1.0-0.03-0.045-trials1",
         "linear-1.0-0.028-0.033-trials2",
         "b-spline-pulled-1.0-0.235-0.265-trials5",
         "b-spline-pulled-1.0-0.43-0.47-trials3",
         "b-spline-pulled-1.0-0.43-0.47-trials4",
+        "auto-0.42-0.59-0.64-trials7",
         "auto-0.136-1.0-4.9-trials8",
     )
 )
@@ -172,7 +174,7 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
             assert proof.verdict.passed and proof.verdict.level == trials.level, feed
 
 
-@pytest.mark.long(but=("trials0", "trials1"))
+@pytest.mark.long(but="trials1")
 @pytest.mark.usefixtures("few_searched")
 @pytest.mark.parametrize("trials", [NOMINAL, SEVERAL, FEW])
 def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Trials) -> None:

@@ -82,7 +82,7 @@ def test_a_yield_is_a_share_below_the_whole(text: str) -> None:
         trials_of(nominal=True, yield_="99 %")
 
 
-@pytest.mark.long(shown_by="test_the_set_is_told_where_the_yield_is_too_low")
+@pytest.mark.long(shown_by="test_a_yield_that_no_tolerance_reaches_is_said")
 @pytest.mark.usefixtures("coarse_search")
 def test_fastest_with_a_yield_can_be_typed_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -105,7 +105,7 @@ def test_fastest_with_a_yield_can_be_typed_back(
     assert "--yield" in found["command"]
 
 
-@pytest.mark.long(shown_by="test_the_set_is_told_where_the_yield_is_too_low")
+@pytest.mark.long(shown_by="test_a_yield_that_no_tolerance_reaches_is_said")
 def test_no_halving_can_be_left_out_of_the_cheapest_set(asked: tuple[Plan, Spec]) -> None:
     plan, spec = asked
     judged = MachineYield(plan, spec)
@@ -130,6 +130,7 @@ def test_a_yield_that_no_tolerance_reaches_is_said(asked: tuple[Plan, Spec]) -> 
     assert not found.reached
 
 
+@pytest.mark.long(shown_by="test_a_yield_that_no_tolerance_reaches_is_said")
 def test_the_set_is_told_where_the_yield_is_too_low(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

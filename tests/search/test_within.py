@@ -99,6 +99,7 @@ SEARCHES: dict[str, Callable[[Until], tuple[float | None, int]]] = {
 }
 
 
+@pytest.mark.long(only="True-optimal")
 @pytest.mark.parametrize("name", SEARCHES)
 @pytest.mark.parametrize("interrupts", [False, True])
 def test_a_search_that_is_ended_answers_with_what_it_tried(name: str, interrupts: bool) -> None:
@@ -201,6 +202,7 @@ def test_schedules_of_a_shaft_end_with_the_best_so_far(monkeypatch: pytest.Monke
     assert ended.schedule.plan.duration_s > found.schedule.plan.duration_s
 
 
+@pytest.mark.long(but="False")
 @pytest.mark.parametrize("interrupts", [False, True])
 def test_cycles_end_with_the_best_so_far(interrupts: bool) -> None:
     machine = load_machine("letter-placer")

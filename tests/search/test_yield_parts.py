@@ -76,12 +76,11 @@ def made_parts(said: Said, words: list[str], count: int) -> list[Path]:
     return files
 
 
+@pytest.mark.long(but="many at once")
 @pytest.mark.parametrize(
     ("job", "machine", "variants"),
-    [
-        (JOB.read_text(encoding="utf-8"), "lathe-winder", 50),  # many at once
-        (TURN, "stepper-winder", 17),  # one by one
-    ],
+    [(JOB.read_text(encoding="utf-8"), "lathe-winder", 50), (TURN, "stepper-winder", 17)],
+    ids=["many at once", "one by one"],
 )
 def test_merged_parts_are_one_run_to_the_bit(
     job: str, machine: str, variants: int, said: Said, tmp_path: Path,
@@ -329,6 +328,7 @@ def test_a_full_disk_and_an_interrupt_leave_no_half_file(
     assert Path("old.yield").read_text(encoding="utf-8") == "old"
 
 
+@pytest.mark.long(shown_by="test_a_full_disk_and_an_interrupt_leave_no_half_file")
 def test_a_file_size_limit_leaves_no_half_file(turn: list[str], tmp_path: Path) -> None:
     """The system itself refuses to write on."""
     words = [*turn, "--part", "2/3", "-o", "part.yield"]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import random
 import re
+import resource
 import socket
 import zlib
 from collections.abc import Iterator
@@ -22,7 +24,7 @@ from threadline.commands.plan import Plan
 from threadline.errors import OptionError, RecordingError
 from threadline.search import machine_yield
 from threadline.search.machine_yield import MachineYield
-from threadline.search.yield_state import YieldState
+from threadline.search.yield_state import YieldState, content_of_runs, line_of
 from threadline.verdict import Spec
 
 
@@ -61,6 +63,33 @@ def test_a_yield_that_was_broken_off_goes_on_to_the_same_bits(
     cut = YieldState(file, identity)
     assert cut.cut and cut.known is not None and cut.known.runs == 32
     assert content.startswith(file.read_bytes()) and file.read_bytes().count(b"\n") == 3
+
+
+def test_a_full_disk_loses_nothing_that_was_judged(
+    asked: tuple[Plan, Spec], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The system refuses to write on; with room again, the same file goes on."""
+    plan, spec = asked
+    file = tmp_path / "state"
+    whole = MachineYield(plan, spec).drawn(40, 3)
+    monkeypatch.setattr(machine_yield, "AT_ONCE", 16)
+    state = YieldState(file, {"seed": "3"})
+    line = len(line_of(content_of_runs(whole.found.taken(np.arange(16)), 0)))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size + line + 100, before[1]))
+    try:
+        with pytest.raises(OptionError, match=r"cannot write .*state': File too large") as told:
+            MachineYield(plan, spec).drawn(40, 3, None, state)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "goes on with the machines that the file holds" in (told.value.remedy or "")
+    del state, told
+    gc.collect()
+    again = YieldState(file, {"seed": "3"})
+    assert again.known is not None and again.known.runs >= 16
+    found = MachineYield(plan, spec).drawn(40, 3, None, again)
+    for own, other in zip(found.found.rows, whole.found.rows, strict=True):
+        np.testing.assert_array_equal(own.values, other.values)
 
 
 def summed(body: bytes) -> bytes:

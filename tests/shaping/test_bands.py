@@ -75,6 +75,7 @@ def test_unit_magnitude_over_bands_is_nearly_the_shortest() -> None:
     assert not level_exists(0.94 * train.duration_s, 200)
 
 
+@pytest.mark.long(shown_by="test_every_mode_keeps_its_own_tolerance_over_its_own_band")
 def test_robust_move_of_two_modes_with_bands_of_their_own() -> None:
     modes = (FlexibleMode(3.04, 0.0089), FlexibleMode(8.0, 0.02))
     move = RestToRest(0.2, 1.0, modes)

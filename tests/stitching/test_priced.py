@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -23,9 +24,18 @@ CHOICE_S = [FIRST_S * np.exp(STEP * np.arange(5, 200, 60)) for _ in range(6)]
 WAYS_M = 1e-4 * np.array([[9, 0], [-9, 12], [5, -12], [16, 7], [14, -16], [-12, 3]], dtype=float)
 
 
+FRAME = frames(MACHINE, 0.25, 0.026, DAMPINGS)
+
+
+@cache
+def fresh_of(turn_s: float) -> np.ndarray:
+    """Return the swing of each mode after a move of 1 m in such a turn: schedules share turns."""
+    return fresh_swings(FRAME, np.array([SHARE * turn_s]))[0]
+
+
 def swung() -> Swung:
     """Return five modes over +-5 % of each axis with three dampings, integrated by another hand."""
-    frame = frames(MACHINE, 0.25, 0.026, DAMPINGS)
+    frame = FRAME
     order = np.arange(len(frame.poles)).reshape(2, PARTS, 3).transpose(0, 2, 1).ravel()
     log_s = np.log(FIRST_S) + STEP * np.arange(402)
     fresh = fresh_swings(frame, SHARE * np.exp(log_s))
@@ -54,13 +64,13 @@ def limits(turns: int, needle: tuple[int, ...] | None = None) -> Limits:
 
 def cost_s(turn_s: np.ndarray, asked: Limits, all_modes: bool) -> float:
     """Return the cost of a schedule, s; the search watches each second mode and the middle one."""
-    frame = frames(MACHINE, 0.25, 0.026, DAMPINGS)
+    frame = FRAME
     grid = np.arange(len(frame.poles)).reshape(2, PARTS, 3)
     which = np.concatenate((grid[:, ::2, ::2].ravel(), grid[:, PARTS // 2, 1]))
-    poles, axis = frame.poles[which], frame.axis[which]
-    fresh = fresh_swings(frame, SHARE * turn_s)[:, which]
     if all_modes:
-        poles, axis, fresh = frame.poles, frame.axis, fresh_swings(frame, SHARE * turn_s)
+        which = np.arange(len(frame.poles))
+    poles, axis = frame.poles[which], frame.axis[which]
+    fresh = np.array([fresh_of(time) for time in turn_s.tolist()])[:, which]
     if (np.abs(np.diff(turn_s**-2.0)) > CHANGE).any():
         return np.inf
     now, over = np.zeros(len(poles), complex), 0.0
@@ -77,6 +87,7 @@ def cost_s(turn_s: np.ndarray, asked: Limits, all_modes: bool) -> float:
     return total_s(turn_s, SHARE) + PRICE_S * over
 
 
+@pytest.mark.long(but="needle1")
 @pytest.mark.parametrize("needle", [(1, 1, 1, 1, 1), (1, 0, 1, 0, 1)])
 def test_no_schedule_of_a_small_case_costs_less(needle: tuple[int, ...]) -> None:
     asked = limits(5, needle)

@@ -64,6 +64,7 @@ GUARDS: dict[str, tuple[Take, Callable[[Path], None]]] = {
 }
 
 
+@pytest.mark.long(only="programs that begin at once")
 @pytest.mark.parametrize("guard", GUARDS)
 def test_without_the_guard_its_test_fails(
     guard: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -57,6 +57,7 @@ def test_all_runs_of_a_job_are_judged_as_one(name: str, tmp_path: Path) -> None:
             assert ours.measured == pytest.approx(other.measured, abs=0.2 * abs(ours.limit))
 
 
+@pytest.mark.long(shown_by="test_all_runs_of_a_job_are_judged_as_one")
 def test_what_a_run_has_not_reached_is_of_the_run_before_it(tmp_path: Path) -> None:
     """Broken off twice, and continued from a place that the second run had begun behind."""
     plan = planned("lathe-winder")

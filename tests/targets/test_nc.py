@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 
 from threadline.commands.nc import MAX_BODY, Loop, fold, part_program_lines, write_part_program
 from threadline.commands.nc_blocks import OutBlock
+from threadline.commands.nc_numbers import shortest
 from threadline.errors import PlanError
 from threadline.files import Stream
 from threadline.jobs import Feed, FeedMode, Job, Move, Operation, SetOutput, Source, read_job
@@ -177,3 +180,41 @@ def test_a_subroutine_too_long_to_be_held_is_written_out_whole() -> None:
             for block in (one.body * one.passes if isinstance(one, Loop) else (one,))
         ]
         assert written == [block.words for block in blocks]
+
+
+@settings(max_examples=300, phases=(Phase.generate,))
+@given(
+    st.one_of(
+        st.floats(-1e6, 1e6, allow_nan=False),
+        st.integers(-(10**9), 10**9).map(lambda k: k / 1e5),
+        st.integers(-(10**9), 10**9).map(lambda k: math.radians(k / 1e5)),
+    ),
+    st.sampled_from([Fraction(1), Fraction(1000), Fraction(60), None]),
+)
+def test_the_shortest_number_is_that_of_every_count_of_decimals(
+    wanted: float, factor: Fraction | None
+) -> None:
+    """Python's own decimals are the reference."""
+
+    def read(value: int) -> float:
+        return math.radians(value / 10**18) if factor is None else value / (10**18 * int(factor))
+
+    found = shortest(wanted, factor, read)
+    approximate = math.degrees(wanted) if factor is None else wanted * float(factor)
+    for decimals in range(17):
+        value = int(Decimal(f"{approximate:.{decimals}f}") * 10**18)
+        if read(value) == wanted:
+            assert found == value
+            return
+    assert abs(read(found) - wanted) <= max(2e-17, 2 * math.ulp(wanted))
+
+
+def test_decimals_that_cannot_read_back_are_not_tried() -> None:
+    read: list[int] = []
+
+    def reader(value: int) -> float:
+        read.append(value)
+        return value / 10**18
+
+    assert shortest(12.3456789012345, Fraction(1), reader) == 12345678901234500000
+    assert len(read) <= 2

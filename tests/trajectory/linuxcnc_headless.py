@@ -132,7 +132,7 @@ for program in sorted(folder.glob("*.ngc")):
         until("last samples of " + program.name,
               lambda: Path(samples.name).stat().st_size > rows + 4096)
         sampler.terminate()
-        sampler.wait(20)
+        sampler.wait(100)
     ended.touch()
 """
 _TRIES_WITHOUT_PROGRESS = 3

@@ -117,7 +117,12 @@ KLIPPER_JOBS = JOBS | {"limits": with_limits()}
 
 
 def planned(
-    folder: Path, planner: FirmwarePlanner, lines: list[str], rotary: str, dialect: str
+    folder: Path,
+    planner: FirmwarePlanner,
+    lines: list[str],
+    rotary: str,
+    dialect: str,
+    axes: str = "",
 ) -> Trajectory:
     """Return our plan on axes X and the other, which turns or counts in mm."""
     linear, other = ("X", "A") if rotary else ("XY", "Y")
@@ -134,7 +139,7 @@ def planned(
     machine = replace(load_machine(file), planner=planner)
     program = folder / "job.nc"
     program.write_text("\n".join(["G21", "G90", *lines]) + "\n")
-    job = read_job(program, machine)
+    job = read_job(program, machine, **({"axes": axes} if axes else {}))
     return plan_trajectory(plan_path(programmed_path(job, machine), machine, "firmware"), machine)
 
 
@@ -203,12 +208,13 @@ def compiled(folder: Path, lines: list[str], rotary: str, target: str) -> list[s
 
 
 def compiled_with(
-    folder: Path, lines: list[str], rotary: str, target: str, dialect: str
+    folder: Path, lines: list[str], rotary: str, target: str, dialect: str, axes: str = ""
 ) -> list[str]:
     """Return what ``compiled`` returns, of a program in any dialect."""
-    planned(folder, GRBL, lines, rotary, dialect)
+    planned(folder, GRBL, lines, rotary, dialect, axes)
     out = folder / "out.gcode"
     words = ["compile", str(folder / "job.nc"), "-m", str(folder / "measured.toml")]
+    words += ["--axes", axes] if axes else []
     with pytest.raises(SystemExit) as left:
         main([*words, "--target", target, "-o", str(out)])
     assert left.value.code == 0

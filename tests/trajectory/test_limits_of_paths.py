@@ -98,6 +98,7 @@ def test_braking_harder_than_speeding_up_takes_the_time_of_the_closed_form():
     assert slower.duration_s == pytest.approx(motion.duration_s, rel=1e-3)
 
 
+@pytest.mark.long(shown_by="test_each_limit_binds_where_it_is_the_only_one")
 def test_a_round_at_a_centripetal_limit_takes_the_time_of_its_circumference():
     """v^2 = a r: four rounds of 1 m at 2 m/s^2, and less than a second to speed up and brake."""
     turn = np.linspace(0.0, 8.0 * np.pi, 2000)

@@ -106,6 +106,7 @@ def test_no_limit_is_left_anywhere_and_auto_is_never_faster(line, tolerance_m):
     assert trajectory.duration_s <= 1.005 * auto.duration_s
 
 
+@pytest.mark.long(shown_by="test_no_limit_is_left_anywhere_and_auto_is_never_faster")
 def test_a_million_random_instants_are_within_the_limits_and_the_tolerance():
     """A noisy spiral with corners, reversals and points as close as micrometres."""
     random = np.random.default_rng(5)

@@ -13,6 +13,7 @@ import pytest
 
 from tests.jobs.made_machines import made_machine
 from tests.trajectory.test_firmwares_themselves import KLIPPER, compiled_with, number
+from threadline.errors import JobError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.motion.path import plan_path, programmed_path
@@ -109,3 +110,21 @@ def test_lines_that_move_nothing_stay_in_what_is_compiled_for_klipper(tmp_path: 
     assert at == sorted(at)
     moves = [k for k, block in enumerate(blocks) if block.startswith("G1 ")]
     assert moves[0] < at[0] < at[-1] < moves[-1] < blocks.index("EXCLUDE_OBJECT_END")
+
+
+def test_macros_are_a_rest_where_they_are_left_out(tmp_path: Path, machine: Machine) -> None:
+    lines = ["PRINT_START BED=60", "G1 X100 F60000", "PEN_UP", "G1 X200", "PEN_UP"]
+    program = tmp_path / "job.gcode"
+    program.write_text("\n".join(lines) + "\n")
+    with pytest.raises(JobError, match=r"PRINT_START runs a macro.*--axes macros=none"):
+        read_job(program, machine)
+    job = read_job(program, machine, axes="macros=none")
+    assert "macros, first seen: PRINT_START (line 1), PEN_UP (line 3)" in job.warnings[0]
+    path = plan_path(programmed_path(job, machine), machine, "firmware")
+    found = plan_trajectory(path, machine).duration_s
+    assert found == pytest.approx(2.0 * ramped_s(100, 100, 500), rel=1e-9)
+    (tmp_path / "of").mkdir()
+    written = "\n".join(
+        compiled_with(tmp_path / "of", lines, "A", "klipper", "klipper", "macros=none")
+    )
+    assert written.count("PEN_UP") == 2 and written.count("PRINT_START BED=60") == 1

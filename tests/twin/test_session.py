@@ -214,6 +214,7 @@ pickle.dump([session.advance(), session.advance(ticks=100)], sys.stdout.buffer)
 """
 
 
+@pytest.mark.long(but="sticking")
 @pytest.mark.parametrize("name", ["sticking", "stitcher"])
 def test_it_goes_on_in_another_process(name, sticking):
     """State, modes, dead times and waiting rows travel; the stitcher has 16 lengths of advance."""

@@ -203,6 +203,7 @@ def test_a_needle_between_two_samples_finds_the_head_on_its_parabola() -> None:
         assert seen.measured == pytest.approx(16.0 * TICK_S**2 / 8.0 / LENGTH_M, rel=1e-6)
 
 
+@pytest.mark.long(but="lathe-winder-4.0")
 @pytest.mark.parametrize(
     ("reference", "limit_a"), [("lathe-winder", 4.0), ("lathe-winder+8A", 8.0)]
 )

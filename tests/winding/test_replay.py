@@ -427,6 +427,30 @@ def test_a_fibre_that_runs_off_the_mandrel_is_said() -> None:
     assert path[first, 0] == pytest.approx(0.1, abs=2e-3)
 
 
+def test_an_eye_beside_the_mandrel_is_not_looked_at_in_every_block() -> None:
+    """And the fibre is found again within a quarter of the eye's distance from the axis."""
+    radius, away, step = 0.05, 0.08, 1e-3
+    surface = _surface(line(0.0, radius, 1.0, radius))
+    beside, back = np.full(4000, 1.3), 1.3 - step * np.arange(1, 901)
+    eyes = np.zeros((4900, 6))
+    eyes[:, 0] = -step / radius * np.arange(4900)
+    eyes[:, 1], eyes[:, 2] = np.concatenate([beside, back]), away
+    fibre = _replayed(surface, eyes)
+    looked = (fibre.state[:4000] == OFF).sum()
+    assert 16 < looked < 4000 / 10
+    # Where the eye alone comes back, the fibre is laid from the same place on.
+    alone = _replayed(surface, eyes[4000:])
+    first, sooner = (
+        len(state) - int(np.argmax(state[::-1] != LAID)) for state in (fibre.state, alone.state)
+    )
+    assert (first - 4000 - sooner) * step * np.hypot(1.0, away / radius) <= 0.25 * away + 2e-3
+    known = fibre.known[4000:] & alone.known
+    assert known.sum() > 300
+    both = (alone.u - fibre.u[4000:])[known]
+    assert np.abs(both).max() < 2e-3
+    assert abs(both[-1]) < 1e-5
+
+
 def test_an_eye_above_its_path_lays_behind_it() -> None:
     """A planner that puts the eye radially above each point of a helix.
 

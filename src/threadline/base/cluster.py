@@ -5,6 +5,11 @@ The scheduler can therefore make a lost copy of the work again, which it cannot 
 client scattered. A worker keeps the work ready between tasks, so that
 it plans and compiles once.
 
+Sending a task and fetching its answer takes some 10 ms of the processors of command, scheduler and
+worker together, whatever the task is. A task therefore has as many items as take a worker about a
+second, which is measured; the last tasks have fewer, so that all workers end at about the same
+time.
+
 A worker is refused, by its name, if its versions differ, or if it comes to other bits for the same
 machine. An answer is taken in the order of the items, so that it does not depend on which worker
 was quick.
@@ -15,22 +20,25 @@ from __future__ import annotations
 import hashlib
 import logging
 import pickle
-import platform
-import threading
 import time
 import warnings
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from itertools import islice
 from typing import Any, TypeVar
 
-from threadline import __version__
 from threadline.base.cluster_address import parse_cluster
+from threadline.base.cluster_worker import (
+    KEPT,
+    Answer,
+    Refusal,
+    answer_on_worker,
+    other_versions,
+    same,
+    versions,
+)
 from threadline.base.workers import Done, Work, working_on
 from threadline.errors import LinkFaultError, OptionError, ThreadlineError
 
@@ -42,125 +50,30 @@ CONNECT_S = 10.0
 FIRST_S, WORKER_S = 900.0, 60.0
 """Longest wait for the first worker, which a batch system may begin late; and without any later."""
 _LOOK_S = 0.5  # how often the workers are counted while an answer is awaited
+TASK_S = 1.0
+"""Time that the items of a task take a worker, about."""
 _AHEAD = 4  # tasks on their way for each core
 _LEAST_AHEAD = 16
-_KEPT = 8  # works that a worker keeps ready
-_ENGINES = ("numpy", "scipy", "numba", "llvmlite")
+_LAST = 3  # tasks for each core that are made of what is left
 _RESUME = "What was finished is in the file of --resume, if there is one: repeat the command."
 
 
-def versions() -> dict[str, str]:
-    """Return what the bits of an answer depend on: versions, and a digest of Threadline's source.
-
-    >>> versions()["numpy"] == version("numpy")
-    True
-    """
-    return {
-        "Threadline": f"{__version__}, source {_source()}",
-        "Python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: _version(name) for name in _ENGINES},
-    }
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "none"
-
-
-@cache
-def _source() -> str:
-    """Return a digest of the package's own files."""
-    root = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for file in sorted(root.rglob("*.py")):
-        digest.update(file.relative_to(root).as_posix().encode())
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Refusal:
-    """Why a worker gives no answer."""
-
-    worker: str
-    why: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Answer:
-    """An answer, the worker that gave it, and the bits that this worker comes to."""
-
-    worker: str
-    known: bytes
-    answer: Any
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Ready:
-    """A work that a worker has ready, and the bits of the answer that is known."""
-
-    work: Work[Any, Any]
-    known: bytes
-
-
-_ready: OrderedDict[str, _Ready] = OrderedDict()
-_preparing = threading.Lock()
-
-
-def same(content: bytes) -> bytes:
-    """Return the content: the task on which the others depend."""
-    return content
-
-
-def answer_on_worker(
-    content: bytes, digest: str, wanted: Mapping[str, str], item: Any
-) -> _Answer | Refusal:
-    """Return the answer to one item; this runs on a worker.
+def items_at_once(item_s: float, left: int, cores: int) -> int:
+    """Return how many items are sent as one task.
 
     Parameters
     ----------
-    content
-        The pickled work.
-    digest
-        Its name.
-    wanted
-        Versions that the worker must have.
+    item_s
+        Time of a worker for an item.
+    left
+        Number of items that are known to be left.
+    cores
+        Number of tasks that are worked on at once.
+
+    >>> [items_at_once(0.1, left, 2) for left in (1000, 60, 30, 6, 1)]
+    [10, 10, 5, 1, 1]
     """
-    from distributed import get_worker
-
-    worker = str(get_worker().address)
-    if other := _other_versions(versions(), wanted):
-        return Refusal(worker=worker, why=other)
-    try:
-        ready = _prepared(content, digest)
-        return _Answer(worker=worker, known=ready.known, answer=ready.work.answer(item))
-    except OSError as error:
-        what = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
-        return Refusal(worker=worker, why=f"cannot read what the job needs: {what}")
-
-
-def _prepared(content: bytes, digest: str) -> _Ready:
-    """Return a work that is ready; threads of one worker prepare it once."""
-    with _preparing:
-        if digest not in _ready:
-            work = pickle.loads(content)  # noqa: S301 - the scheduler runs whatever it is sent
-            _ready[digest] = _Ready(work=work, known=work.known())
-            while len(_ready) > _KEPT:
-                _ready.popitem(last=False)
-        _ready.move_to_end(digest)
-        return _ready[digest]
-
-
-def _other_versions(here: Mapping[str, str], wanted: Mapping[str, str]) -> str:
-    """Return in words which versions differ; empty if none does."""
-    other = [
-        f"{name} {here.get(name, 'none')} instead of {told}"
-        for name, told in wanted.items()
-        if here.get(name) != told
-    ]
-    return f"has {', '.join(other)}" if other else ""
+    return max(min(int(TASK_S / max(item_s, 1e-4)), left // (_LAST * cores)), 1)
 
 
 class Cluster:
@@ -191,6 +104,7 @@ class Cluster:
         self._cores, self._met = 0, False
         self._works: dict[int, tuple[Work[Any, Any], str, Any]] = {}
         self._known: dict[str, bytes] = {}
+        self._item_s: dict[str, float] = {}
         try:
             self._await_worker()
             self._check_versions()
@@ -226,19 +140,13 @@ class Cluster:
             If the cluster fails, or a worker comes to other bits.
         """
         digest, content = self._sent(work)
-        waiting: deque[tuple[Any, T]] = deque()
-        given = iter(items)
-        more = True
+        waiting: deque[tuple[Any, list[T]]] = deque()
+        given, ahead = iter(items), deque[T]()
         try:
-            while more or waiting:
+            while True:
                 most = max(_AHEAD * self.cores, _LEAST_AHEAD)
-                while more and len(waiting) < most:
-                    try:
-                        item = next(given)
-                    except StopIteration:
-                        more = False
-                        break
-                    waiting.append((self._begun(content, digest, item), item))
+                while len(waiting) < most and (task := self._task(given, ahead, digest)):
+                    waiting.append((self._begun(content, digest, task), task))
                 if not waiting:
                     break
                 try:
@@ -246,15 +154,19 @@ class Cluster:
                 except CancelledError:  # the scheduler was away, and is back: it knows nothing
                     self._works.clear()
                     digest, content = self._sent(work)
-                    again = [(self._begun(content, digest, item), item) for _, item in waiting]
+                    again = [(self._begun(content, digest, task), task) for _, task in waiting]
                     waiting = deque(again)
                     continue
-                future, item = waiting.popleft()
+                future, task = waiting.popleft()
                 future.release()
                 self._check_bits(found, digest)
-                if done is not None:
-                    done(work.machines(item))
-                yield found.answer
+                before_s = self._item_s.get(digest, found.item_s)
+                # The first one loads machine code, too: what counts are those that follow.
+                self._item_s[digest] = 0.5 * (before_s + found.item_s)
+                for item, answer in zip(task, found.answers, strict=True):
+                    if done is not None:
+                        done(work.machines(item))
+                    yield answer
         finally:
             for future, _ in waiting:  # the scheduler forgets what nobody waits for
                 with suppress(Exception):
@@ -269,20 +181,28 @@ class Cluster:
                 key = f"threadline-work-{digest}"
                 future = self._client.submit(same, content, key=key)
             self._works[id(work)] = work, digest, future  # the work stays, and so does its id
-            while len(self._works) > _KEPT:
+            while len(self._works) > KEPT:
                 del self._works[next(iter(self._works))]
         _, digest, future = self._works[id(work)]
         if digest not in self._known:
             self._known[digest] = work.known()
         return digest, future
 
-    def _begun(self, content: Any, digest: str, item: Any) -> Any:
+    def _task(self, given: Iterator[T], ahead: deque[T], digest: str) -> list[T]:
+        """Return the items of the next task, none after the last; ``ahead`` are taken already."""
+        item_s = self._item_s.get(digest, TASK_S)
+        more = _LAST * self.cores * int(TASK_S / max(item_s, 1e-4)) - len(ahead)
+        ahead.extend(islice(given, max(more, 1 - len(ahead), 0)))
+        count = min(items_at_once(item_s, len(ahead), self.cores), len(ahead))
+        return [ahead.popleft() for _ in range(count)]
+
+    def _begun(self, content: Any, digest: str, items: list[Any]) -> Any:
         with self._failing(), _quiet():
             return self._client.submit(
-                answer_on_worker, content, digest, self._wanted, item, pure=False
+                answer_on_worker, content, digest, self._wanted, items, pure=False
             )
 
-    def _awaited(self, future: Any) -> _Answer:
+    def _awaited(self, future: Any) -> Answer:
         """Return the answer of a task, while there is a scheduler and a worker to wait for."""
         while True:
             with self._failing():
@@ -294,7 +214,7 @@ class Cluster:
                 return found
             self._count()
 
-    def _check_bits(self, found: _Answer, digest: str) -> None:
+    def _check_bits(self, found: Answer, digest: str) -> None:
         if found.known != self._known[digest]:
             raise LinkFaultError(
                 f"worker {found.worker} of --cluster {self.address} comes to other bits than this "
@@ -313,7 +233,7 @@ class Cluster:
                 raise self._refused(worker, f"has no {found.name}")
             if isinstance(found, Exception):
                 raise self._refused(worker, f"cannot tell its versions: {found}")
-            if other := _other_versions(found, self._wanted):
+            if other := other_versions(found, self._wanted):
                 raise self._refused(worker, other)
 
     def _refused(self, worker: str, why: str) -> OptionError:
@@ -402,7 +322,9 @@ def _connected(address: str) -> Any:
             "--cluster needs the package distributed, and it is not installed",
             remedy='Install it: pip install "threadline[cluster]".',
         ) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in [*logging.root.manager.loggerDict]:  # several have a level of their own
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     of: Any = distributed  # its constructors have no types
     security = None
     if address.startswith("tls://"):
@@ -425,7 +347,7 @@ def _connected(address: str) -> Any:
         ) from error
 
 
-def _result(future: Any) -> _Answer | Refusal | None:
+def _result(future: Any) -> Answer | Refusal | None:
     """Return what a task came to; None if it is still on its way after a moment."""
     try:
         with _quiet():

@@ -45,6 +45,8 @@ def limit_words(limited_by: str, end: str = END) -> str:
 
 def resolution_words(found: Fastest) -> str:
     """Return the sentence on the steps of a search, and which intervals it can miss."""
+    if not found.step:
+        return "tried at both ends alone: the plan keeps the machine's limits at every feed between"
     edges = "the edges" if found.every else "the upper edge"
     below = "; slower intervals are as the steps have them, down to the lowest feed listed"
     slower = "" if found.every else below

@@ -17,7 +17,7 @@ from threadline.errors import OptionError
 from threadline.jobs.winding.bare import bare_of, write_meridian
 from threadline.jobs.winding.build_up import Laid, bridged, design
 from threadline.jobs.winding.closing_patterns import Pattern
-from threadline.jobs.winding.job import is_winding, read_winding
+from threadline.jobs.winding.job import is_winding, job_of
 from threadline.jobs.winding.layers import Winding, read_layers
 from threadline.jobs.winding.rings import rings_of
 from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate
@@ -112,7 +112,7 @@ def wind(
         if definition is not None:
             left_out = write_wind(definition, laid)
         if out is not None and machine is not None:
-            program, warnings = _write_program(product, machine, out, dialect)
+            program, warnings = _write_program(winding, laid, machine, out, dialect)
             left_out += warnings
         if report is not None:
             from threadline.report.wound import write_sheet
@@ -173,11 +173,11 @@ def _check_program(product: Path, machine: str | None, out: Path | None, bare: P
 
 
 def _write_program(
-    product: Path, machine: str, out: Path, dialect: str | None
+    winding: Winding, laid: tuple[Laid, ...], machine: str, out: Path, dialect: str | None
 ) -> tuple[str, tuple[str, ...]]:
     """Write the circuits as passes; return what the file is, and the warnings of the job."""
     chosen = load_machine(machine)
-    job = read_winding(product, machine=chosen)
+    job = job_of(winding, laid, chosen)
     return write_passes(job, chosen, out, dialect), job.warnings
 
 

@@ -14,8 +14,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 
 from threadline.errors import Place, PlanError
+from threadline.jobs.gcode.part_program import read_part_program
 from threadline.jobs.operations import Job, Move, MoveRun, Stop, ToolEvent
 from threadline.machine import Machine
 from threadline.machine.motion_planner import LinuxCncPlanner
@@ -157,6 +159,15 @@ def firmware_of(job: Job, machine: Machine) -> str:
     if job.dialect == "marlin" and planner is not None and planner.kind in _PRINTERS:
         return planner.kind
     return job.dialect
+
+
+def read_written(path: Path, machine: Machine, target: str) -> Job:
+    """Return the job of a program that was written for a target.
+
+    Macros that the job runs stand in the program, too, and move nothing in either.
+    """
+    without = "macros=none" if target == "klipper" else None
+    return read_part_program(path, machine=machine, dialect=target, axes=without)
 
 
 def working_words(job: Job) -> Iterator[tuple[int, str]]:

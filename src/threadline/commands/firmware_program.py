@@ -20,7 +20,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.progress import WRITING
-from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, refuse_lost
+from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, read_written, refuse_lost
 from threadline.commands.early_moves import early_moves
 from threadline.commands.endless_numbers import EndlessNumbers
 from threadline.commands.merged_chords import Chord, Chords, travels
@@ -31,7 +31,6 @@ from threadline.errors import PlanError
 from threadline.files.formats.common import Written, atomic_file, written
 from threadline.jobs.feed_times import programmed_time_s
 from threadline.jobs.gcode.dialects import DIALECTS
-from threadline.jobs.gcode.part_program import read_part_program
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Stop, ToolEvent
 from threadline.machine import Machine
 from threadline.machine.motion_planner import LinuxCncPlanner
@@ -148,8 +147,9 @@ def refuse_slower(
     raise PlanError(
         f"the program for {target} would be slower: the planner of the firmware takes "
         f"{as_run_s[1]:.5g} s over it, and {as_run_s[0]:.5g} s over {_as_fed(job, override)}",
-        remedy=f"Run {job.name} itself, or give another --interpolation, a wider --tolerance or a "
-        "higher --feed; --slower writes it all the same.",
+        remedy=f"Run {job.name} itself, or give another --interpolation (firmware writes its moves "
+        "as they are, at this feed), a wider --tolerance or a higher --feed; --slower writes it "
+        "all the same.",
     )
 
 
@@ -285,7 +285,7 @@ def _read_back(merged: Chords, path: Path) -> tuple[str, Job, float]:
         If a block leaves the plan by more than a chord may.
     """
     target, job, machine = merged.target, merged.job, merged.machine
-    again = read_part_program(path, machine=machine, dialect=target)
+    again = read_written(path, machine, target)
     column = [machine.axis_names.index(axis) for axis in job.axes]
     radius_m = machine.radius_m[column]
     order = [again.axes.index(axis) for axis in job.axes]

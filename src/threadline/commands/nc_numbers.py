@@ -10,6 +10,11 @@ from functools import lru_cache
 from threadline.errors import PlanError
 from threadline.jobs.gcode.words import MAX_DECIMALS, ONE, exact
 
+_SCALES = tuple(10.0**decimals for decimals in range(MAX_DECIMALS))
+# Conversion and reader each round to within two units in the last place, 4.5e-16 of the number:
+# no decimal further away than this share reads back as it.
+_UNREADABLE = 2e-15
+
 
 def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float]) -> int:
     """Return the exact number with the fewest decimals that ``read`` turns into ``wanted``.
@@ -31,7 +36,10 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
         error is below two units in the last place, or 1e-17 of the unit.
     """
     approximate = math.degrees(wanted) if factor is None else wanted * float(factor)
-    for decimals in range(MAX_DECIMALS):
+    for decimals, scale in enumerate(_SCALES):
+        scaled = approximate * scale
+        if abs(scaled - round(scaled)) > _UNREADABLE * abs(scaled):
+            continue
         value = exact(f"{approximate:.{decimals}f}")
         if value is None:
             raise PlanError(
@@ -49,7 +57,7 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
     return min(values, key=lambda value: abs(read(value) - wanted))
 
 
-_REMEMBERED = 1 << 14  # numbers: circuits of a winding have the same ones again and again
+_REMEMBERED = 1 << 15  # numbers: circuits of a winding have the same ones again and again
 _MM = Fraction(1000)
 _COUNTING = 9  # significant digits: the time of a one-minute move is off by 60 ns
 _MM_PER_MIN = Fraction(60_000)
@@ -67,16 +75,19 @@ def degrees(position_rad: float) -> int:
     return shortest(position_rad, None, lambda value: math.radians(value / ONE))
 
 
+@lru_cache(maxsize=_REMEMBERED)
 def per_minute(speed_m_s: float) -> int:
     """Return a speed as an exact number of mm/min."""
     return shortest(speed_m_s, _MM_PER_MIN, lambda value: value / (60_000 * ONE))
 
 
+@lru_cache(maxsize=_REMEMBERED)
 def inverse_minutes(rate_hz: float) -> int:
     """Return an inverse time as an exact number per minute."""
     return shortest(rate_hz, Fraction(60), lambda value: value / (60 * ONE))
 
 
+@lru_cache(maxsize=_REMEMBERED)
 def inverse_minutes_of(duration_s: float) -> int:
     """Return the inverse of a time as an exact number per minute with nine significant digits."""
     digits = _COUNTING - 1 - math.floor(math.log10(60.0 / duration_s))
@@ -86,11 +97,13 @@ def inverse_minutes_of(duration_s: float) -> int:
     return value
 
 
+@lru_cache(maxsize=_REMEMBERED)
 def seconds(duration_s: float) -> int:
     """Return a time as an exact number of s."""
     return shortest(duration_s, Fraction(1), lambda value: value / ONE)
 
 
+@lru_cache(maxsize=_REMEMBERED)
 def text(value: int) -> str:
     """Return an exact number as the digits of a word.
 

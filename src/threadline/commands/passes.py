@@ -17,7 +17,7 @@ from threadline.base.writing import staged_file
 from threadline.commands.nc import NcStyle, part_program_lines
 from threadline.errors import OptionError, PlanError
 from threadline.jobs.gcode import read_part_program
-from threadline.jobs.operations import Job, Move
+from threadline.jobs.operations import Job, Move, MoveRun
 from threadline.machine import Machine
 
 _NEAR_M = 1e-5  # rotary axes at their radius
@@ -99,7 +99,14 @@ def _off(job: Job, machine: Machine, path: Path, dialect: str) -> float:
 
 
 def _ends(job: Job) -> FloatArray:
-    return np.array([operation.target for operation in job if isinstance(operation, Move)])
+    """Return where every move of a job ends: (moves, axes), m or rad."""
+    ends = [np.empty((0, len(job.axes)))]
+    for item in job.runs():
+        if isinstance(item, MoveRun):
+            ends.append(item.targets)
+        elif isinstance(item, Move):
+            ends.append(np.array([item.target]))
+    return np.concatenate(ends)
 
 
 def _another(what: str) -> PlanError:

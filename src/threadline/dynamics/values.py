@@ -72,20 +72,31 @@ class Values(Locked):
         instants at which a simulation stops. Each group has its dead times in ``machine`` instead
         of ``replaced``.
         """
-        late = [path for path in self.replaced if path.endswith(".delay")]
+        late = self._late()
         if not late:
             return [(self, np.arange(self.count))]
-        rows, which = np.unique(
-            np.stack([self.replaced[path] for path in late], axis=1), axis=0, return_inverse=True
-        )
         kept = {path: v for path, v in self.replaced.items() if path not in late}
         found = []
-        for index, row in enumerate(rows):
-            places = np.flatnonzero(which.ravel() == index)
-            machine = with_numbers(self.machine, dict(zip(late, row.tolist(), strict=True)))
+        for places in self.places_by_delay():
+            delays = {path: float(self.replaced[path][places[0]]) for path in late}
             part = {path: values[places] for path, values in kept.items()}
+            machine = with_numbers(self.machine, delays)
             found.append((Values(machine, part, len(places)), places))
         return found
+
+    def places_by_delay(self) -> list[IntArray]:
+        """Return the (k,) indices of each group of ``by_delay``."""
+        late = self._late()
+        if not late:
+            return [np.arange(self.count)]
+        rows = np.stack([self.replaced[path] for path in late], axis=1)
+        _, which = np.unique(rows, axis=0, return_inverse=True)
+        order = np.argsort(which.ravel(), kind="stable")
+        return np.split(order, np.cumsum(np.bincount(which.ravel()))[:-1])
+
+    def _late(self) -> list[str]:
+        """Return the names of the dead times that vary."""
+        return [path for path in self.replaced if path.endswith(".delay")]
 
     def slice(self, start: int, stop: int) -> Values:
         """Return the variants from ``start`` up to ``stop``."""

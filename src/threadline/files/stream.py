@@ -117,6 +117,10 @@ class KeptStream(Stream[SizedT]):
                 rest = self._extend() if self._rows <= self.MOST_KEPT else self._behind(taken)
         yield from rest
 
+    @staticmethod
+    def _rows_of(item: SizedT) -> int:
+        return len(item)
+
     def _behind(self, taken: int) -> Iterator[SizedT]:
         return islice(super().__iter__(), taken, None)
 
@@ -126,13 +130,14 @@ class KeptStream(Stream[SizedT]):
         rows = self._rows
         self._source, self._rows = None, self.MOST_KEPT + 1  # in case it raises
         item = next(source, None)
-        if item is not None and rows + len(item) > self.MOST_KEPT:
+        more = 0 if item is None else self._rows_of(item)
+        if item is not None and rows + more > self.MOST_KEPT:
             self._items = []  # readers hold their own reference to the old list
             return chain((item,), source)
         self._ended = item is None
         if item is not None:
             self._items.append(item)
-            self._source, self._rows = source, rows + len(item)
+            self._source, self._rows = source, rows + more
         return None
 
 

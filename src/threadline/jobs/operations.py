@@ -7,18 +7,18 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import repeat
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import Place
-from threadline.files import Stream
-from threadline.jobs.program_limits import LimitChange
+from threadline.files import KeptStream, Stream
 
 if TYPE_CHECKING:
     from threadline.geometry.contours import DrawnLine
+    from threadline.jobs.program_limits import LimitChange
 
 Tags: TypeAlias = Mapping[str, float | str]
 Column: TypeAlias = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.str_] | NDArray[np.object_]
@@ -290,6 +290,22 @@ class Stop:
 Pace: TypeAlias = Literal["feed", "needle", "switchings", "shaft"]
 """The quantity that sets the speed of a job; see ``Job.paced_by``."""
 Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Home | Stop | ToolEvent
+
+
+class KeptOperations(KeptStream[Any]):
+    """Operations and runs that are read many times: those of a short job are read once and kept."""
+
+    MOST_KEPT = 1 << 15
+
+    __slots__ = ()
+
+    @staticmethod
+    def _rows_of(item: Any) -> int:
+        if not isinstance(item, MoveRun):
+            return 1
+        for column in (item.targets, item.line, *item.columns.values()):
+            column.setflags(write=False)  # all readers share it
+        return len(item)
 
 
 class OperationStream(Stream[Operation]):

@@ -259,7 +259,9 @@ def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
         for path in number.numbers:
             quantity = number_at(machine, path)
             if path.endswith(TIMES):
-                found[path] = np.array([float(_delay(quantity, part)) for part in column])
+                drawn_parts, which = np.unique(column, return_inverse=True)  # few, of many machines
+                delays = [float(_delay(quantity, part)) for part in drawn_parts]
+                found[path] = np.array(delays)[which.ravel()]
             else:
                 found[path] = quantity.si + column * quantity.tolerance_si
     for path in [name for name in found if name.endswith(_STICTION)]:

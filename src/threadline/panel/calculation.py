@@ -114,7 +114,7 @@ def add_guide(app: FastAPI, guide: MachineGuide) -> None:
 
 _CHILD = import_and_call("threadline.panel.calculating", "main")
 _PREVIEW = import_and_call("threadline.panel.job_views", "main")
-_PREVIEW_S = 20.0  # longest time for reading a program that is shown before it is calculated
+PREVIEW_S = 20.0  # longest time for reading a program that is shown before it is calculated
 _MOST_LINE = 32 << 20
 
 
@@ -165,9 +165,9 @@ class Calculation:
         words, sent = program_apart(_PREVIEW), json.dumps(told).encode()
         try:
             async with self._one_preview:
-                status, found, _ = await answer_of(*words, sent=sent, longest_s=_PREVIEW_S)
+                status, found, _ = await answer_of(*words, sent=sent, longest_s=PREVIEW_S)
         except TimeoutError:
-            return f"{program[:60]!r} takes longer than {_PREVIEW_S:g} s to read: calculate it"
+            return f"{program[:60]!r} takes longer than {PREVIEW_S:g} s to read: calculate it"
         if status:
             return f"{program[:60]!r} cannot be shown: the process that read it has ended"
         why = json.loads(found).get("error")

@@ -60,6 +60,7 @@ class AloneJudge:
     """
 
     def __init__(self, plan: Plan, spec: Spec, judge: Judge | None = None) -> None:
+        keep_freed_memory()
         self._plan, self._spec = plan, spec
         self._judge = Judge(plan, spec) if judge is None else judge
 
@@ -379,7 +380,7 @@ class RunsJudge:
         elsewhere = workers()
         if whole and elsewhere is not None and self._rates:
             at_once = min(at_once, max(-(-variants.count // elsewhere.cores), 1))
-        for _, places in Values.of(self._machine, variants.numbers).by_delay():
+        for places in Values.of(self._machine, variants.numbers).places_by_delay():
             for at in range(0, len(places), at_once):
                 yield places[at : at + at_once]
 

@@ -166,7 +166,8 @@ TABLE: tuple[Option, ...] = (
         verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
         help="Axes of the program by their names on the machine, if the program was made for "
         'another one: "C=A,Z=X" moves A where the program has C, and X where it has Z; '
-        'B=none leaves the words of B out, and E=none the filament of a 3D print.',
+        'B=none leaves the words of B out, E=none the filament of a 3D print, and macros=none '
+        "the moves of Klipper's macros.",
         attribute="axes", parse=str,
         recorded=FileForm(key="axes", write=_same, read=str),
     ),

@@ -9,8 +9,10 @@ file on disk is besides compared, line by line, with the file that ``compile`` w
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from errno import EDQUOT, ENOSPC
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from threadline.base.progress import Progress
 from threadline.commands.boards import BOARDS
 from threadline.commands.plan import Plan
 from threadline.commands.write import TABLES
-from threadline.errors import OptionError, PlanError
+from threadline.errors import InputError, OptionError, PlanError
 from threadline.machine import Machine
 from threadline.proof.asked import check_target
 from threadline.proof.kinds import kind_of
@@ -225,7 +227,7 @@ def equal_targets(
         could be compared.
     """
     found = []
-    with tempfile.TemporaryDirectory(prefix="threadline-equal-") as folder:
+    with tempfile.TemporaryDirectory(prefix="threadline-equal-") as folder, _room_in(folder):
         for number, target in enumerate(asked.targets):
             if progress is not None:
                 progress(f"comparing {target}", number / len(asked.targets))
@@ -241,6 +243,23 @@ def equal_targets(
             else "Compare a job of a machine with axes.",
         )
     return Equality(plan=plan, targets=tuple(found))
+
+
+@contextmanager
+def _room_in(folder: str) -> Iterator[None]:
+    """Say that a disk is full by the folder that may be changed, not by a file of this function."""
+    try:
+        yield
+    except (OSError, InputError) as error:
+        of: BaseException | None = error
+        while of is not None and getattr(of, "errno", None) not in (ENOSPC, EDQUOT):
+            of = of.__cause__ or of.__context__
+        if of is None:
+            raise
+        raise OptionError(
+            f"the files that are compared do not fit on the disk of {str(Path(folder).parent)!r}",
+            remedy="Make room there, or let TMPDIR name a folder with more.",
+        ) from error
 
 
 def _readable(target: str) -> bool:

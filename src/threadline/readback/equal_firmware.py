@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS
+from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, read_written
 from threadline.commands.firmware_program import as_run_times_s
 from threadline.commands.plan import Plan
 from threadline.files.commands import tick_table
-from threadline.jobs.gcode.part_program import read_part_program
 from threadline.machine import Machine
 from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.motion.path import plan_path, programmed_path
@@ -134,7 +133,7 @@ def _by_model(target: str, plan: Plan, path: Path, read: Found) -> Found:
     if plan.motion.path.interpolation != FIRMWARE:
         return read
     own = replace(plan.machine, operator=None)
-    again = read_part_program(path, machine=own, dialect=target)
+    again = read_written(path, own, target)
     run_s = as_run_times_s(target, plan.motion.programmed, again, plan.machine)
     if run_s is None:
         return read
@@ -150,7 +149,7 @@ def _reference(target: str, plan: Plan, path: Path) -> Trajectory | None:
     if plan.motion.path.interpolation == FIRMWARE:
         return plan.motion.trajectory
     own = replace(plan.machine, operator=None)
-    again = read_part_program(path, machine=own, dialect=target)
+    again = read_written(path, own, target)
     if isinstance(planner, LinuxCncPlanner):
         own = replace(own, planner=LINUXCNC_BLENDS)
     return plan_trajectory(plan_path(programmed_path(again, own), own, FIRMWARE), own)

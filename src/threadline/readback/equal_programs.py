@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.commands.boards import BOARDS
+from threadline.commands.boards import BOARDS, read_written
 from threadline.commands.firmware_program import as_run_times_s
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, Place, RecordingError
-from threadline.jobs.gcode.part_program import read_part_program
 from threadline.jobs.operations import Job, Move
 from threadline.readback.equal_found import Found
 from threadline.readback.equal_path import PLACE_M, Followed, Points, followed, radius_m
@@ -56,7 +55,7 @@ def compare_read_back(target: str, plan: Plan, path: Path) -> Found:
     JobError
         If the program cannot be read.
     """
-    again = read_part_program(path, machine=replace(plan.machine, operator=None), dialect=target)
+    again = read_written(path, replace(plan.machine, operator=None), target)
     found = followed(plan, _of_job(plan, again))
     one = of_path(f"Threadline, as {target}", plan, found, firmware_note(target, plan, path))
     return replace(one, own=True)
@@ -89,7 +88,7 @@ def firmware_note(target: str, plan: Plan, path: Path) -> str:
     """Return the firmware's own time beside the plan's, where its planner is known."""
     planned_s = f"planned {plan.duration_s:.4g} s"
     own = replace(plan.machine, operator=None)
-    again = read_part_program(path, machine=own, dialect=target)
+    again = read_written(path, own, target)
     run_s = as_run_times_s(target, plan.motion.programmed, again, plan.machine)
     if run_s is None:
         kind = BOARDS[target].planner or target

@@ -74,8 +74,8 @@ class LongMoves:
         """Return the job with its long moves cut short, and the machine that it is judged on.
 
         Targets behind a cut are shifted back by the travel left out, so that the motion stays
-        continuous. If a shifted target leaves the travel, the machine is returned without ends of
-        travel.
+        continuous. If a shifted target leaves the travel, or the shifted targets need more than a
+        stroke, the machine is returned without ends of travel.
 
         Parameters
         ----------
@@ -103,7 +103,9 @@ class LongMoves:
         column = [self.machine.axis_names.index(axis) for axis in job.axes]
         low, high = self.machine.travel[column].T
         places = np.concatenate(ends)
-        if ((low <= places) & (places <= high)).all():
+        strokes = [self.machine.axes[axis].stroke for axis in job.axes]
+        most = np.array([np.inf if stroke is None else stroke.si for stroke in strokes])
+        if ((low <= places) & (places <= high)).all() and (np.ptp(places, axis=0) <= most).all():
             return job, self.machine
         return whole if self.machine.inputs else (job, _without_ends(self.machine))
 
@@ -162,11 +164,15 @@ class _Moves:
     before: dict[int, list[Operation]]
 
 
-def distinct_parts(job: Job, machine: Machine) -> tuple[Job, ...]:
+def distinct_parts(job: Job, machine: Machine, *, joined: bool = False) -> tuple[Job, ...]:
     """Return jobs that hold every new stretch of ``job``, each with its surroundings.
 
-    ``job`` itself is returned if most of it is new, if it holds more than two million moves, or if
-    feeds do not set its speed.
+    A stretch begins and ends at a rest that the job does not have. There a mandrel would stop from
+    full speed and lift its fibre, and the fibre would not be tied where the stretch begins. With
+    ``joined`` one job goes on from each stretch to the next, as rotary axes without ends let it.
+
+    ``job`` itself is returned if most of it is new, if its stretches cannot be joined, if it holds
+    more than two million moves, or if feeds do not set its speed.
     """
     if job.paced_by != "feed":
         return (job,)
@@ -178,14 +184,49 @@ def distinct_parts(job: Job, machine: Machine) -> tuple[Job, ...]:
     if kept.sum() > _WORTH * len(kept):
         return (job,)
     edges = np.flatnonzero(np.diff(kept.astype(np.int8), prepend=0, append=0))
+    rotary = [one for one in map(machine.axes.get, job.axes) if one and one.kind != "linear"]
+    spans = [(int(first), int(stop)) for first, stop in edges.reshape(-1, 2)]
+    chains = [[span] for span in spans]
+    if joined:
+        chain = spans[:1]
+        for first, stop in spans[1:]:
+            again = _again(read.code, chain[-1][1], first, beside)
+            if again is None or not all(axis.endless for axis in rotary):
+                return (job,)
+            chain.append((again, stop))
+        chains = [chain]
     return tuple(
         replace(
             job,
-            start=tuple(read.ends[first].tolist()),
-            operations=OperationStream(Stream.of(_part(read, int(first), int(stop)))),
+            start=tuple(read.ends[chain[0][0]].tolist()),
+            operations=OperationStream(Stream.of(_chained(read, chain))),
         )
-        for first, stop in edges.reshape(-1, 2)
+        for chain in chains
     )
+
+
+def _again(code: IntArray, end: int, before: int, beside: int) -> int | None:
+    """Return the last move up to ``before`` to which the machine comes as it does to ``end``."""
+    came = code[end - beside : end]
+    for at in np.flatnonzero((code[end:before] == code[end - 1]).all(axis=1))[::-1]:
+        found = end + int(at) + 1
+        # What stands before a first move would be lost: a dwell, a switch.
+        if not code[found, -1] and np.array_equal(code[found - beside : found], came):
+            return found
+    return None
+
+
+def _chained(read: _Moves, chain: list[tuple[int, int]]) -> Iterator[Operation | MoveRun]:
+    """Yield the moves of stretches, each shifted to where the one before it ends."""
+    at = read.ends[chain[0][0]]
+    for first, stop in chain:
+        shift = at - read.ends[first]
+        for item in _part(read, first, stop):
+            if isinstance(item, MoveRun):
+                yield replace(item, targets=item.targets + shift)
+            else:
+                yield item
+        at = read.ends[stop] + shift
 
 
 def moves_in(job: Job) -> int:

@@ -60,12 +60,17 @@ class Grid:
         its upper edge are examined closely; the scan then goes down from above until a few feeds in
         a row pass. Slower intervals that this scan meets come from the scan and the bisection of
         edges alone.
+    between
+        Whether every feed between two that pass passes, too, as where nothing is asked but limits
+        that the planner keeps at every feed. If both ends of the range pass, no other is tried;
+        without ``every``, the highest feed and one a few steps below it.
     """
 
     points: int = 48
     near: int = 0
     edge: float = EDGE_RELATIVE
     every: bool = True
+    between: bool = False
 
 
 PLAIN: Grid = Grid()
@@ -92,7 +97,7 @@ class Fastest:
         Number of tried feeds.
     step, near_step
         Relative distance of neighbouring feeds in the scan, and near the edges of intervals. The
-        search can miss a narrower interval.
+        search can miss a narrower interval. 0 where two feeds stand for all between them.
     low
         Lowest feed of the scan; feeds below it are unknown.
     edge
@@ -220,8 +225,11 @@ def find_fastest(
     }
     complete = True
     try:
-        searched = _searched if grid.every else _searched_from_above
-        intervals = searched(verdict_at, seen, (low, high), grid, expects)
+        intervals = _whole_range(verdict_at, (low, high), grid)
+        steps |= {"step": 0.0, "near_step": 0.0} if intervals else {}
+        intervals = intervals or (_searched if grid.every else _searched_from_above)(
+            verdict_at, seen, (low, high), grid, expects
+        )
     except KeyboardInterrupt as signal:
         if until is None or not seen or not until.interrupted(signal):
             raise
@@ -244,8 +252,7 @@ def find_fastest(
             forbidden=forbidden(seen),
             **steps,
         )
-    if not grid.every:
-        steps["low"] = min(seen)
+    steps["low"] = low if grid.every else min(seen)
     best = _first(intervals).high
     # An isolated feed that passes may lie between the best and the first that fails.
     above = [feed for feed in seen if feed > best and not seen[feed].passed]
@@ -271,6 +278,16 @@ def _between_tried(seen: Mapping[float, Verdict]) -> list[Interval]:
             intervals.append(Interval(low=low, high=feed))
         below = passed
     return intervals
+
+
+def _whole_range(verdict_at: Judged, span: tuple[float, float], grid: Grid) -> list[Interval]:
+    """Return the interval between two feeds that stand for all between them; none if one fails."""
+    if not grid.between:
+        return []
+    low, high = span
+    below = low if grid.every else _spaced(low, high, grid.points)[-min(_ENOUGH, grid.points)]
+    passes = verdict_at(high).passed and verdict_at(below).passed
+    return [Interval(low=below, high=high)] if passes else []
 
 
 def _searched(

@@ -29,14 +29,25 @@ def searched_by(job: Job, machine: Machine) -> FeedMode:
 
     For a program with several feeds it is the override, which keeps the ratios of the feeds.
     Otherwise it is the job's F word, or the speed of the fastest axis. On a machine with a normal
-    feed the operator sets one feed for all moves, so no override is searched.
+    feed the operator sets one feed for all moves, so no override is searched. A winding from its
+    product has a planned time for each move: one feed for all would lose the even speed of the
+    fibre and the soft stop of the mandrel, so there it is the override on every machine.
     """
     named = job.feed_rule.partition(":")[0]
     if named not in RULES:
-        return FeedMode.FASTEST_AXIS
+        return FeedMode.OVERRIDE if _timed(job) else FeedMode.FASTEST_AXIS
     if machine.operator is None and _feeds_differ(job):
         return FeedMode.OVERRIDE
     return FeedMode.FASTEST_AXIS if RULES[named][0] is FeedMode.FASTEST_AXIS else FeedMode.F_WORD
+
+
+def _timed(job: Job) -> bool:
+    """Return whether the moves of a job have their own times."""
+    for item in move_runs(job):
+        for _, feed in item.feeds if isinstance(item, MoveRun) else ():
+            if feed is not None:
+                return feed.mode is FeedMode.INVERSE_TIME
+    return False
 
 
 def _feeds_differ(job: Job) -> bool:

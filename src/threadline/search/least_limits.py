@@ -194,7 +194,7 @@ def fastest_job(asked: Question) -> FastestJob:
     if until is not None:
         until.check()  # checked before any file is open
     with nullcontext() if until is None else until.interrupting():
-        parts = distinct_parts(job, machine)
+        parts = distinct_parts(job, machine, joined=options.product is not None)
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
 
@@ -202,7 +202,7 @@ def fastest_job(asked: Question) -> FastestJob:
         part = asked if parts == (job,) else of_a_part(asked)
         with_share = replace(part.options, limit_share=share)
         question = replace(part, options=with_share, progress=telling)
-        closely = replace(grid, every=by_feed or not shares.long)
+        closely = replace(grid, every=by_feed or not shares.long, between=_only_limits(asked))
         return fastest_feed(question, closely, parts, seen.setdefault(share, {}))
 
     def planned_s(share: float, feed: float) -> float:

@@ -130,8 +130,6 @@ class YieldState:
 
     Attributes
     ----------
-    known
-        Results of the first machines of the sequence; None for a new file.
     cut
         Whether the last line was cut short, and left out.
 
@@ -152,7 +150,7 @@ class YieldState:
             )
         self._path = path
         self._lines = Lines(path, "the state of a yield", _REMEDY)
-        self.known: EachRun | None = None
+        self._known: list[EachRun] = []
         self.cut = False
         path.parent.mkdir(parents=True, exist_ok=True)
         with naming(path, path):
@@ -171,12 +169,17 @@ class YieldState:
         if hasattr(self, "_file"):
             self._file.close()
 
+    @property
+    def known(self) -> EachRun | None:
+        """Results of the first machines of the sequence; None for a new file."""
+        if len(self._known) > 1:
+            self._known = [EachRun.joined(self._known)]
+        return self._known[0] if self._known else None
+
     def add(self, found: EachRun) -> None:
         """Keep the results of the next machines of the sequence."""
-        at = 0 if self.known is None else self.known.runs
-        self._append(content_of_runs(found, at))
-        parts = [found] if self.known is None else [self.known, found]
-        self.known = EachRun.joined(parts)
+        self._append(content_of_runs(found, sum(part.runs for part in self._known)))
+        self._known.append(found)  # joined when it is asked for: in each call all would be copied
 
     def check_first(self, found: EachRun) -> None:
         """Compare the file's result of the first machine with its new result.
@@ -186,8 +189,9 @@ class YieldState:
         RecordingError
             If they differ.
         """
-        assert self.known is not None
-        if not same_first(self.known, found) or self.known.incomplete != found.incomplete:
+        known = self.known
+        assert known is not None
+        if not same_first(known, found) or known.incomplete != found.incomplete:
             self._lines.refuse("its first machine comes to something else today", 2)
 
     def _lock(self) -> None:
@@ -208,9 +212,15 @@ class YieldState:
             ) from error
 
     def _append(self, content: Mapping[str, Any]) -> None:
-        with naming(self._path, self._path):
+        try:
             self._file.write(line_of(content))
             self._file.flush()
+        except OSError as error:  # a disk is full: what the file holds already is not lost
+            raise OptionError(
+                f"cannot write {str(self._path)!r}: {error.strerror}",
+                remedy="Make room on its disk, and repeat the command: it goes on with the "
+                "machines that the file holds.",
+            ) from error
 
     def _read(self, identity: Mapping[str, str]) -> None:
         found: list[EachRun] = []
@@ -233,8 +243,7 @@ class YieldState:
             good = file.tell()
         if self.cut:
             file.truncate(good)
-        if found:
-            self.known = EachRun.joined(found)
+        self._known = found
 
     def _check_identity(self, told: Any, identity: Mapping[str, str]) -> None:
         known = told if isinstance(told, dict) else {}

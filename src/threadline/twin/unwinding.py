@@ -81,6 +81,7 @@ class Unwinding:
         self._laid, self._leads = np.zeros((runs, STATE)), np.zeros((runs, 6))
         self._begun, self._turns = np.zeros(runs, dtype=bool), False
         self._never = np.ones(runs, dtype=bool)
+        self._waited = np.zeros((len(self._never), 2))
         self._eyes = self._eyes_at(np.repeat(start[None], runs, axis=0))
         self._rest = float(self._eyes[0, 0])
         if mandrel.leads is None:
@@ -136,6 +137,7 @@ class Unwinding:
         if not self._turns:
             turn = float(self._eyes_at(commanded[None])[0, 0])
             self._turns = abs(turn - self._rest) > self._least_turn
+        self._waited[self._begun] = 0.0
         if self._turns and not self._begun.all():
             self._begin(eyes)
         speeds = np.zeros_like(eyes)
@@ -155,7 +157,7 @@ class Unwinding:
             tied = self._tied if self._never[run] else None
             places = self._places if tied is None else tied
             chain = np.stack([self._eyes[run], eyes[run]])
-            _, row, angle = first_look(chain, 0, self._tables, places)
+            _, row, angle = first_look(chain, 0, self._tables, places, self._waited[run])
             if row < 0:
                 continue
             state = np.zeros(STATE)

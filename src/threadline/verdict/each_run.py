@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,14 @@ class EachRun:
     runs: int
     incomplete: str = ""
 
+    def __reduce__(self) -> tuple[Callable[..., EachRun], tuple[Any, ...]]:
+        # Workers send many results of one run each: two tables are quicker than two arrays a row.
+        heads = [tuple(getattr(row, name) for name in _HEAD) for row in self.rows]
+        values = np.array([row.values for row in self.rows])
+        failed = np.array([row.failed for row in self.rows])
+        places = [row.places for row in self.rows]
+        return _unpacked, (heads, values, failed, places, self.runs, self.incomplete)
+
     @property
     def passed(self) -> NDArray[np.bool_]:
         """(runs,) whether nothing failed and every required criterion was measured."""
@@ -167,6 +175,30 @@ class EachRun:
         """Return the runs at (n,) ``index``, in that order."""
         rows = tuple(row.taken(index) for row in self.rows)
         return EachRun(rows=rows, runs=len(index), incomplete=self.incomplete)
+
+
+_HEAD = ("name", "axis", "step", "limit", "unit", "required", "hard", "of_plan")
+
+
+def _unpacked(
+    heads: list[tuple[Any, ...]],
+    values: FloatArray,
+    failed: NDArray[np.bool_],
+    places: list[Mapping[int, Finding]],
+    runs: int,
+    incomplete: str,
+) -> EachRun:
+    """Return a result from its pickle."""
+    rows = tuple(
+        CriterionRow(
+            values=values[k],
+            failed=failed[k],
+            places=places[k],
+            **dict(zip(_HEAD, head, strict=True)),
+        )
+        for k, head in enumerate(heads)
+    )
+    return EachRun(rows=rows, runs=runs, incomplete=incomplete)
 
 
 def limit_of(criterion: Criterion, plan: Plan) -> float | None:

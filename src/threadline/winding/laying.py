@@ -34,6 +34,9 @@ _WINDOW_M = 5e-4  # a block that lays less than this is judged with the blocks a
 _ALONG = 48  # places along the free fibre where it is compared with the mandrel
 _ROUNDS = 8  # Newton steps to a tangent of mandrel and roller
 _TAUT = 0.02  # rad between the fibre and the tangent plane: a taut fibre is in it
+_LOOKS = 16  # in vain in a row, block by block, before the eye has to go on between them
+_WAIT_M = 1e-3  # way of the eye before the next look, doubled with every look in vain
+_WAIT_SHARE = 0.25  # of the distance of the eye from the axis: the longest such way
 _TOUCH_M = 1e-6  # a free fibre that is this much below the surface touches it
 
 
@@ -414,17 +417,34 @@ def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray)
 
 @njit(nogil=True)
 def first_look(
-    chain: FloatArray, at: int, tables: Tables, places: FloatArray
+    chain: FloatArray, at: int, tables: Tables, places: FloatArray, waited: FloatArray
 ) -> tuple[int, int, float]:
     """Return the first block from ``at`` on in which the eye can lay, the place and the angle.
 
-    It is the place with the least steering; the block is the number of blocks if there is none.
+    It is the place with the least steering; the block is the number of blocks if there is none. An
+    eye beside the mandrel sees it edge-on in every block and loses the fibre at once, so after
+    ``_LOOKS`` looks in vain it has to go on by a share of a free length before the next one.
+
+    Parameters
+    ----------
+    waited
+        (2,) state, which is updated: looks since fibre was laid over a whole block, and way of the
+        eye since the last look, m.
     """
     count = len(chain) - 1
     for block in range(at, count):
         rate = chain[block + 1] - chain[block]
         if not rate.any():
             continue
+        if waited[0] > _LOOKS:
+            away = math.hypot(chain[block, 2] + tables.payout[1], chain[block, 3])
+            way = math.sqrt(rate[1] ** 2 + rate[2] ** 2 + rate[3] ** 2 + (rate[0] * away) ** 2)
+            waited[1] += way
+            doubled = 2.0 ** min(waited[0] - _LOOKS, 20.0)
+            if waited[1] < min(_WAIT_M * doubled, _WAIT_SHARE * away):
+                continue
+        waited[0] += 1.0
+        waited[1] = 0.0
         found = looks(chain[block], rate, tables, places)
         least, row, angle = math.inf, -1, 0.0
         for i in range(len(places)):

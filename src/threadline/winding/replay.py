@@ -136,6 +136,7 @@ class Replay:
         self._begun = False
         self._least_turn = TURNED_M / float(surface.r[:, 0].max())
         self._rest: float | None = None
+        self._waited = np.zeros(2)
         self._turns = False
         self._last: FloatArray | None = None
 
@@ -171,6 +172,8 @@ class Replay:
                 if at == count:
                     break
             end = lay(chain, groups, self._tables, self._state, laid, at)
+            if end > at:
+                self._waited[:] = 0.0
             self._begun = end == count
             at = end + 1
         place, steer, state = laid.place, laid.steer, laid.state
@@ -216,7 +219,7 @@ class Replay:
                 return len(chain) - 1
             self._turns, at = True, max(at, int(np.argmax(turned)))
         places = self._places if self._tied is None else np.array([self._tied])
-        block, row, angle = first_look(chain, at, self._tables, places)
+        block, row, angle = first_look(chain, at, self._tables, places, self._waited)
         if row >= 0:
             state = np.zeros(STATE)
             state[0], state[1] = places[row], angle

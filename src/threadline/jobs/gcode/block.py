@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.dialects import (
@@ -10,13 +10,14 @@ from threadline.jobs.gcode.dialects import (
     SILENT,
     Reading,
 )
+from threadline.jobs.gcode.foreign import MACROS
 from threadline.jobs.gcode.grammar import (
     PLAIN,
     check_first_alone,
     check_line,
     check_words,
+    only_asks,
 )
-from threadline.jobs.gcode.klipper_commands import Named, named_command
 from threadline.jobs.gcode.printer_lines import commands_of, text_of_stop
 from threadline.jobs.gcode.refused_words import (
     refuse_number,
@@ -25,7 +26,10 @@ from threadline.jobs.gcode.refused_words import (
     whole,
 )
 from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, RawBlock, exact, split_words
-from threadline.jobs.program_limits import LimitChange
+
+if TYPE_CHECKING:
+    from threadline.jobs.gcode.klipper_commands import Named
+    from threadline.jobs.program_limits import LimitChange
 
 MAX_PASSES = 10**12
 _MAX_LABEL = 10**9
@@ -105,6 +109,8 @@ class Block(NamedTuple):
         Wrapped axes (``Reading.wrapped``) whose words have a minus sign, that of 0 as well.
     limits
         Limits that the block sets for all moves behind it.
+    macro
+        Name of the macro that the block runs, whose moves are left out.
     """
 
     line: int
@@ -129,6 +135,7 @@ class Block(NamedTuple):
     length: str = ""
     back: tuple[int, ...] = ()
     limits: LimitChange | None = None
+    macro: str = ""
 
     @property
     def goes(self) -> bool:
@@ -147,10 +154,12 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
         If a word is unknown, doubled, out of range, or has no use in its block.
     """
     dialect, place = reading.dialect, Place(reading.file, line)
-    if text.strip().upper() in dialect.grammar.queries:
+    if only_asks(text, dialect.grammar):
         return ()
     if dialect.name == "klipper":
-        named = named_command(text, place)
+        from threadline.jobs.gcode.klipper_commands import named_command
+
+        named = named_command(text, place, without_macros=MACROS in reading.dropped)
         if named is not None:
             return (_named_block(named, line),)
     if dialect.one_command:
@@ -168,10 +177,11 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
 
 
 def _named_block(named: Named, line: int) -> Block:
-    """Return the block of a command with a name, which moves nothing."""
+    """Return the block of a command with a name, which moves nothing; a macro is a rest."""
     return Block(
-        line, -1, -1, (), (), None, None, 0, (), 0.0, -1, "", None, False,
+        line, -1, -1, (), (), None, None, 0, (), 0.0, -1, "", None, bool(named.macro),
         (named.idle,) if named.idle else (), -1, (), (named.text,), limits=named.limits,
+        macro=named.macro,
     )  # fmt: skip
 
 

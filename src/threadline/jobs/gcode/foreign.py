@@ -20,13 +20,15 @@ from threadline.machine import Machine
 LETTERS = "ABCUVWXYZ"
 FILAMENT = "E"
 """Letter of the extruder of a 3D print, which no machine here has; its words may be left out."""
+MACROS = "MACROS"
+"""Name by which the macros of Klipper may be left out."""
 _NONE = "NONE"
 _HEAD_BYTES = 1 << 16
 _EXAMPLE = 'Write the letter of the program first: "C=A,Z=X".'
 
 
 class Letters(NamedTuple):
-    """Index of each axis of a machine by its letter in a program, and letters to leave out."""
+    """Index of each axis of a machine by its letter in a program, and what to leave out."""
 
     axes: Mapping[str, int]
     dropped: frozenset[str]
@@ -40,8 +42,8 @@ def letters_of(machine: Machine, text: str | None) -> Letters:
     text
         Pairs like ``"C=A,Z=X,B=none"``: the letter of the program, then the axis of the machine, or
         ``none`` to leave the words of that letter out. An axis without a pair keeps its own letter,
-        unless a pair takes that letter. ``E=none`` leaves out the filament of a 3D print. None
-        renames none.
+        unless a pair takes that letter. ``E=none`` leaves out the filament of a 3D print, and
+        ``macros=none`` the moves of Klipper's macros. None renames none.
 
     Raises
     ------
@@ -59,7 +61,8 @@ def letters_of(machine: Machine, text: str | None) -> Letters:
     pairs: dict[str, str] = {}
     for part in text.split(","):
         letter, sign, name = (piece.strip().upper() for piece in part.partition("="))
-        if not sign or len(letter) != 1 or letter not in LETTERS + FILAMENT * (name == _NONE):
+        known = (*LETTERS, FILAMENT, MACROS) if name == _NONE else tuple(LETTERS)
+        if not sign or letter not in known:
             raise OptionError(f"axes {part.strip()[:40]!r} is no pair of axes", remedy=_EXAMPLE)
         if name not in (*names, _NONE):
             raise OptionError(

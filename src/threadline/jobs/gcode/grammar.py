@@ -176,6 +176,15 @@ REPRAPFIRMWARE = Grammar(
 )  # fmt: skip
 
 
+def only_asks(text: str, grammar: Grammar) -> bool:
+    """Say whether a line asks the control for a report and does nothing else.
+
+    grbl takes comments and blanks out of a line before it reads it.
+    """
+    code = _COMMENTS.sub("", text).partition(";")[0] if grammar.packed else text
+    return code.strip().upper() in grammar.queries
+
+
 def check_line(text: str, grammar: Grammar, name: str, place: Place) -> None:
     """Refuse a line that the control would cut off or read differently.
 

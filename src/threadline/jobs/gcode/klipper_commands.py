@@ -54,15 +54,21 @@ _LIMITS = {
 
 
 class Named(NamedTuple):
-    """A command with a name: its text, the limits that it sets, whether it changes nothing."""
+    """A command with a name: its text, the limits that it sets, and its name if it moves nothing.
+
+    ``macro`` is the name of a macro that is left out.
+    """
 
     text: str
-    limits: LimitChange | None
-    idle: str
+    limits: LimitChange | None = None
+    idle: str = ""
+    macro: str = ""
 
 
-def named_command(text: str, place: Place) -> Named | None:
+def named_command(text: str, place: Place, *, without_macros: bool = False) -> Named | None:
     """Return Klipper's command of a line if it has a name or is M204; None for other lines.
+
+    ``without_macros`` leaves the moves of macros out.
 
     Raises
     ------
@@ -79,18 +85,23 @@ def named_command(text: str, place: Place) -> Named | None:
     name = found[1].upper()
     if name == "SET_VELOCITY_LIMIT":
         bare = code.partition("#")[0].rstrip()
-        return Named(bare, _velocity_limit(bare[found.end() :], place), "")
+        return Named(bare, _velocity_limit(bare[found.end() :], place))
     if name in _IDLE:
-        return Named(code, None, name)
+        return Named(code, idle=name)
     does = _DOES.get(name)
+    if does is not None:
+        raise JobError(
+            f"{name} {does}",
+            place=place,
+            remedy="Have the program written without it, or take it out if it changes nothing.",
+        )
+    if without_macros:
+        return Named(code, macro=name)
     raise JobError(
-        f"{name} runs a macro, whose moves are not in the program"
-        if does is None
-        else f"{name} {does}",
+        f"{name} runs a macro, whose moves are not in the program",
         place=place,
-        remedy="Take the line out, or write the moves of the macro in its place."
-        if does is None
-        else "Have the program written without it, or take it out if it changes nothing.",
+        remedy="Leave macros out (--axes macros=none): the rest is then planned, without their "
+        "moves and time; or write the moves of the macro in its place.",
     )
 
 
@@ -127,9 +138,9 @@ def _m204(code: str, arguments: str, place: Place) -> Named:
     told = dict(_LETTERED.findall(arguments))
     letters = ["S"] if "S" in told else ["P", "T"]
     if not all(letter in told for letter in letters):
-        return Named(code, None, "M204")
+        return Named(code, idle="M204")
     least = min(_number(letter, told[letter], place) for letter in letters)
-    return Named(code, LimitChange(acceleration_m_s2=least / 1e3), "")
+    return Named(code, LimitChange(acceleration_m_s2=least / 1e3))
 
 
 def _number(name: str, text: str, place: Place) -> float:

@@ -76,6 +76,12 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
             f"{file.place(findings.length)}: how long the tool of G43 is the control alone knows; "
             "it holds for every move of Z, and the program's zero is at the start position."
         )
+    if findings.macros:
+        named = ", ".join(f"{name} (line {line})" for name, line in findings.macros.items())
+        warnings.append(
+            f"{file.place()}: macros, first seen: {named}: the motion rests there, and their moves "
+            "and their time are no part of any plan here."
+        )
     if findings.limits:
         warnings.append(
             f"{file.place(findings.limits)}: limits that the program sets hold with "

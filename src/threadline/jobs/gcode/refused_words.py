@@ -72,6 +72,8 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "G20": f"{_BUILT} INCH_MODE_SUPPORT; otherwise all numbers stay millimetres",
         "G92.1": f"{_BUILT} CNC_COORDINATE_SYSTEMS, and reads as G92 otherwise",
         "G91.1": "read as G91 by marlin",
+        "G26": "a test print of the mesh of the bed, whose moves only the firmware knows",
+        **dict.fromkeys(("G29", "G30", "G34"), "probing, whose end nobody knows before"),
         "M420": "the compensation of the bed by a mesh, which changes the path",
         **dict.fromkeys(
             ("M92", "M201", "M203", "M204", "M205", "M501", "M502"),

@@ -53,6 +53,8 @@ class Findings:
     limits, decel
         First line that sets limits of velocity or acceleration, and the first with
         ACCEL_TO_DECEL; 0 without one.
+    macros
+        First line of each macro that is left out.
     """
 
     feeds: FeedNotes = field(default_factory=FeedNotes)
@@ -69,6 +71,7 @@ class Findings:
     length: int = 0
     limits: int = 0
     decel: int = 0
+    macros: dict[str, int] = field(default_factory=dict)
 
     def note(self, program: int | None, block: Block) -> None:
         """Note the parts of a block that may need a warning."""
@@ -90,6 +93,8 @@ class Findings:
             self.limits = block.line
         if block.limits is not None and "ACCEL_TO_DECEL" in block.acts[0].upper():
             self.decel = self.decel or block.line
+        if block.macro and len(self.macros) < MAX_REMEMBERED:
+            self.macros.setdefault(block.macro, block.line)
         if block.waits and block.idle and not self.waits:
             self.waits = block.line
 

@@ -202,6 +202,12 @@ def _diagnose(text: str, file: str, line: int) -> NoReturn:
         raise JobError(f"{_shown(word)} is not a number", place=place, remedy="Correct it.")
     if text.lstrip(" \t").startswith("/"):
         refuse_switched(place)
+    if re.fullmatch(r"[ \t]*#[^=]*", text):
+        raise JobError(
+            f"{_shown(rest)}: # begins no comment",
+            place=place,
+            remedy="Write a comment in parentheses or behind a semicolon.",
+        )
     if re.match(r"[A-Za-z]?[ \t]*[#\[]", rest):
         raise JobError(
             f"{_shown(rest)}: parameters and expressions are not read",

@@ -100,10 +100,22 @@ def read_winding(path: str | Path, *, machine: Machine) -> Job:
     OptionError
         If the machine has no eye that can be planned for.
     """
-    path = Path(path)
-    tool = _eye(machine)
-    winding = read_layers(path)
-    laid = design(winding)
+    _eye(machine)
+    winding = read_layers(Path(path))
+    return job_of(winding, design(winding), machine)
+
+
+def job_of(winding: Winding, laid: tuple[Laid, ...], machine: Machine) -> Job:
+    """Return the job of a winding whose layers were designed.
+
+    Raises
+    ------
+    JobError
+        If a layer cannot be wound on this machine; gives the line.
+    OptionError
+        If the machine has no eye that can be planned for.
+    """
+    path, tool = winding.path, _eye(machine)
     tied_place(winding, laid[0])
     laps: list[Laps] = []
     said: list[str] = [*turning_at_once(machine, tool, path), *other_tensions(machine, winding)]

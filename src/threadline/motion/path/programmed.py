@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +21,11 @@ from threadline.jobs.operations import (
     ToolEvent,
     move_runs,
 )
-from threadline.jobs.program_limits import GrowingLimits, ProgramLimits
 from threadline.machine import Machine
 from threadline.motion.path.types import ProgrammedPath, VertexBlock
+
+if TYPE_CHECKING:
+    from threadline.jobs.program_limits import ProgramLimits
 
 BLOCK = 4096
 _NONE_YET = Feed(FeedMode.RAPID, 0.0)
@@ -78,6 +81,8 @@ def programmed_path(
 
 def _limits_of(job: Job) -> ProgramLimits:
     """Return the limits that the program sets, by the operation from which they hold."""
+    from threadline.jobs.program_limits import GrowingLimits
+
     found, index = GrowingLimits(), 0
     for item in move_runs(job):
         if isinstance(item, MoveRun):

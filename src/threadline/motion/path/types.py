@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from threadline.base.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
 from threadline.files import Stream
-from threadline.jobs.program_limits import ProgramLimits
 
 if TYPE_CHECKING:
+    from threadline.jobs.program_limits import ProgramLimits
     from threadline.machine.mandrel import LocalRadii
 
 

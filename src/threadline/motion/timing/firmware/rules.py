@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.jobs.program_limits import ProgramLimits
 from threadline.machine import Machine
 from threadline.machine.motion_planner import (
     FirmwarePlanner,
@@ -30,6 +30,9 @@ from threadline.machine.motion_planner import (
 )
 from threadline.machine.quantity import Quantity
 from threadline.motion.timing.types import TrajectoryBlock
+
+if TYPE_CHECKING:
+    from threadline.jobs.program_limits import ProgramLimits
 
 
 def standing(

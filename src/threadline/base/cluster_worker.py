@@ -1,0 +1,146 @@
+"""What a worker of a cluster runs: the items of a task, by work that it keeps ready.
+
+Every task names the work by a digest, and a worker plans and compiles once for each. It tells the
+bits that it comes to for a known item, and gives no answer if its versions are others than those of
+the command.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import platform
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from threadline import __version__
+from threadline.base.workers import Work
+
+KEPT = 8
+"""Works that a worker keeps ready."""
+_ENGINES = ("numpy", "scipy", "numba", "llvmlite")
+
+
+def versions() -> dict[str, str]:
+    """Return what the bits of an answer depend on: versions, and a digest of Threadline's source.
+
+    >>> versions()["numpy"] == version("numpy")
+    True
+    """
+    return {
+        "Threadline": f"{__version__}, source {_source()}",
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        **{name: _version(name) for name in _ENGINES},
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"
+
+
+@cache
+def _source() -> str:
+    """Return a digest of the package's own files."""
+    root = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for file in sorted(root.rglob("*.py")):
+        digest.update(file.relative_to(root).as_posix().encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refusal:
+    """Why a worker gives no answer."""
+
+    worker: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """Answers, the worker that gave them, its time for each, and the bits that it comes to."""
+
+    worker: str
+    known: bytes
+    answers: list[Any]
+    item_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Ready:
+    """A work that a worker has ready, and the bits of the answer that is known."""
+
+    work: Work[Any, Any]
+    known: bytes
+
+
+_ready: OrderedDict[str, _Ready] = OrderedDict()
+_preparing = threading.Lock()
+
+
+def same(content: bytes) -> bytes:
+    """Return the content: the task on which the others depend."""
+    return content
+
+
+def answer_on_worker(
+    content: bytes, digest: str, wanted: Mapping[str, str], items: Sequence[Any]
+) -> Answer | Refusal:
+    """Return the answers to the items of a task; this runs on a worker.
+
+    Parameters
+    ----------
+    content
+        The pickled work.
+    digest
+        Its name.
+    wanted
+        Versions that the worker must have.
+    """
+    from distributed import get_worker
+
+    worker = str(get_worker().address)
+    if other := other_versions(versions(), wanted):
+        return Refusal(worker=worker, why=other)
+    try:
+        ready = _prepared(content, digest)
+        begun_s = time.monotonic()
+        found = [ready.work.answer(item) for item in items]
+        item_s = (time.monotonic() - begun_s) / len(items)
+        return Answer(worker=worker, known=ready.known, answers=found, item_s=item_s)
+    except OSError as error:
+        what = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
+        return Refusal(worker=worker, why=f"cannot read what the job needs: {what}")
+
+
+def _prepared(content: bytes, digest: str) -> _Ready:
+    """Return a work that is ready; threads of one worker prepare it once."""
+    with _preparing:
+        if digest not in _ready:
+            work = pickle.loads(content)  # noqa: S301 - the scheduler runs whatever it is sent
+            _ready[digest] = _Ready(work=work, known=work.known())
+            while len(_ready) > KEPT:
+                _ready.popitem(last=False)
+        _ready.move_to_end(digest)
+        return _ready[digest]
+
+
+def other_versions(here: Mapping[str, str], wanted: Mapping[str, str]) -> str:
+    """Return in words which versions differ; empty if none does."""
+    other = [
+        f"{name} {here.get(name, 'none')} instead of {told}"
+        for name, told in wanted.items()
+        if here.get(name) != told
+    ]
+    return f"has {', '.join(other)}" if other else ""
