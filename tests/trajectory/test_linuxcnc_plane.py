@@ -214,15 +214,16 @@ def test_plane_moves_in_parts_are_those_of_the_whole(
     words = planner("G64 P0.02")
     machine = replace(plane, planner=words)
     job = read_job(path, machine)
-    (whole,) = plan_path(programmed_path(job, machine), machine, "firmware")
+    path_of = plan_path(programmed_path(job, machine), machine, "firmware")
+    (whole,) = path_of
     names = [field.name for field in fields(PieceBlock)]
     parts = [
         PieceBlock(**{name: getattr(whole, name)[i : i + 40] for name in names})
         for i in range(0, len(whole), 40)
     ]
     monkeypatch.setattr(moves_in_hand, "AT_ONCE", 3)
-    (at_once,) = firmware_blocks(Blocks([whole]), machine, words)
-    again = list(firmware_blocks(Blocks(parts), machine, words))
+    (at_once,) = firmware_blocks(path_of, machine, words)
+    again = list(firmware_blocks(replace(path_of, blocks=parts), machine, words))
     assert len(again) > 2
     for name in ("start_s", "duration_s", "coefficients"):
         columns = [getattr(block, name) for block in again]
@@ -231,9 +232,3 @@ def test_plane_moves_in_parts_are_those_of_the_whole(
                 np.pad(column, ((0, 0), (0, 4 - column.shape[1]), (0, 0))) for column in columns
             ]
         assert np.abs(np.concatenate(columns) - getattr(at_once, name)).max() < 1e-11
-
-
-class Blocks(list[PieceBlock]):
-    """Pieces of X and Y."""
-
-    axes = ("X", "Y")
