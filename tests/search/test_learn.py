@@ -220,7 +220,7 @@ def test_runs_of_a_machine_are_learned_from_one_after_the_other(plan: Plan, seam
     elsewhere = {"other": replace(recorded["run 0"], machine_sha256="0" * 64)}
     with pytest.raises(OptionError, match="another machine"):
         learned_from(words, seam, MACHINE, Rules(), elsewhere)
-    with pytest.raises(OptionError, match="differ from those of run 0"):
+    with pytest.raises(OptionError, match="differ from run 0"):
         learned_from(
             Words.of("learn", Door.PYTHON, {"needle": "50 stitch/s"}), seam, MACHINE, Rules(),
             recorded,

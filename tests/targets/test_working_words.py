@@ -458,4 +458,4 @@ def test_the_planned_speeds_give_way_where_they_would_be_slower(tmp_path: Path) 
     assert usual.as_run_s[1] > 1.001 * usual.as_run_s[0] >= quick.as_run_s[1]
     speeds = [re.findall(r"F([\d.]+)", file.path.read_text()) for file in (usual, quick)]
     assert len(set(speeds[0])) > 1 and set(speeds[1]) == {"3500"}
-    assert "F is that of the job" in quick.warnings[0]
+    assert "F is the job's own" in quick.warnings[0]

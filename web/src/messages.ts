@@ -195,7 +195,7 @@ export interface Proven {
   passed: boolean;
   closing: string;
 }
-/** A quantity besides those of the axes, such as the tension of the fibre; SI units. */
+/** A quantity besides the axes' own, such as the tension of the fibre; SI units. */
 export interface Reading {
   value: number;
   unit: string;

@@ -166,7 +166,7 @@ class Recent(Generic[K, V]):
         self._known: tuple[tuple[K, V], ...] = ()
 
     def of(self, key: K, make: Callable[[], V]) -> V:
-        """Return the cached result for ``key`` or a key like it, else that of ``make``."""
+        """Return the cached result for ``key`` or a key like it, else the result of ``make``."""
         for known, made in self._known:
             if self._alike(known, key):
                 return made

@@ -275,7 +275,7 @@ def _unmake(pending: _Together) -> None:
 
 
 def _grant(made: Path, path: Path) -> None:
-    """Give a new file the usual permissions, or those of the file that it replaces."""
+    """Give a new file the usual permissions, or the permissions of the file that it replaces."""
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
     except OSError:

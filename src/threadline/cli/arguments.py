@@ -64,7 +64,7 @@ SpecOption = Annotated[
 ]
 ParOption = Annotated[
     Path | None,
-    typer.Option(help="FW-CNC.PAR whose settings replace those of the machine file."),
+    typer.Option(help="FW-CNC.PAR whose settings replace the settings of the machine file."),
 ]
 SignOption = Annotated[
     Path | None,

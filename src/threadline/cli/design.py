@@ -94,7 +94,7 @@ class Seeking:
         typer.Option(
             "--merge",
             help="Merge the files of all parts, given in place of JOB, into the answer of one run. "
-            "Job, machine and options are those of the parts.",
+            "Job, machine and options are taken from the parts.",
         ),
     ] = False
     output: Annotated[

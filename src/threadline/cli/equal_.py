@@ -27,7 +27,7 @@ def equal_(
         str | None,
         typer.Option(
             help="Targets, separated by commas: csv,npz,ticks,nc,steps,st,grbl,marlin,klipper. "
-            "Default: those of --file, else all of the kind of machine."
+            "Default: the targets of --file, else all of the kind of machine."
         ),
     ] = None,
     file: Annotated[

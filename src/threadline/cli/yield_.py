@@ -117,7 +117,7 @@ class Drawing:
         typer.Option(
             "--merge",
             help="Merge the files of all parts, given in place of JOB, into the answer of one run. "
-            "Job, machine and options are those of the parts.",
+            "Job, machine and options are taken from the parts.",
         ),
     ] = False
     output: Annotated[
@@ -215,7 +215,7 @@ def _found(
     resume: Path | None,
     progress: Progress,
 ) -> Yield:
-    """Return the results of all machines, drawn or merged, or of those of one part."""
+    """Return the results of all machines, drawn or merged, or of the machines of one part."""
     judged, asked = how
     if question.parts:
         return _merged(question.parts, judged, asked, progress)
@@ -231,7 +231,7 @@ def _found(
 def _merged(
     parts: Sequence[PartFile], judged: MachineYield, asked: Spec, progress: Progress
 ) -> Yield:
-    """Return the answer of all parts, if job, machine and versions here are those of the parts."""
+    """Return the answer of all parts, if job, machine and versions here equal the parts'."""
     identity = part_identity(judged.plan, asked)
     for one in parts:
         here = replace(one.record, identity=identity)

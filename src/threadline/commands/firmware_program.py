@@ -86,7 +86,7 @@ def write_firmware_program(
             if override is not None:
                 own = planned.at_own_feeds()
                 told, as_run_s = _written_once(own, file, programmed, (0.6, 0.75))
-                told += "; F is that of the job, since the planned speeds as F would be slower"
+                told += "; F is the job's own, since the planned speeds as F would be slower"
             refuse_slower(target, job, as_run_s, override)
         WRITING.pass_to(0.9)
         ways = (item.points for item in planned if isinstance(item, Chord))

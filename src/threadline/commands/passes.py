@@ -1,6 +1,6 @@
 """A winding as a part program of its circuits: a subroutine and its passes.
 
-The moves are those of the design, with the times in which the fibre has its speed; the control
+The moves come from the design, with the times in which the fibre has its speed; the control
 plans the motion. The chords of a planned motion (``nc``) do not repeat: a plan begins and ends at
 rest, and its chords lie elsewhere in every circuit.
 """
@@ -85,7 +85,7 @@ def check_passes(control: str) -> NcStyle:
 
 
 def _off(job: Job, machine: Machine, path: Path, dialect: str) -> float:
-    """Return the largest distance, m, of the moves of a program from those of a job."""
+    """Return the largest distance, m, of the moves of a program from the moves of a job."""
     radius = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
     again = read_part_program(path, machine=machine, dialect=dialect)
     order = [again.axes.index(axis) for axis in job.axes]

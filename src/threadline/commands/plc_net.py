@@ -90,7 +90,7 @@ class NetPlace:
     wait
         Awaited input and its value; the time of the input is the next origin.
     creep
-        How a cylinder creeps in a waiting place; its tick is that of the wait.
+        How a cylinder creeps in a waiting place; its tick is the tick of the wait.
     opens
         Whether the place is an opening of the creep of the place before it, to which the token then
         returns; it has the same wait.

@@ -98,7 +98,7 @@ def table_facts(commands: StepPlay, residual_m: FloatArray) -> tuple[str, ...]:
     for table, left in zip(library, over, strict=True):
         if len(table) != per_unit * table.units or table.intervals.min() < 1 or left < 0:
             raise PlanError(
-                f"step tables: that of {table.units} units has {len(table)} steps, the shortest "
+                f"step tables: a table of {table.units} units has {len(table)} steps, the shortest "
                 f"interval {table.intervals.min()}, and ends {left} periods before its window",
                 remedy="Take a finer timer or a longer window.",
             )

@@ -4,7 +4,7 @@ A search that refuses each swing over the tolerance ends before a passage that i
 grid of speeds, and stays slow from there on. Here such a swing costs time, so the search goes
 through where it is least over; linear programs then move the turns to be within the tolerance
 (``stitch_shorten``). Each turn has a list of times of its own: a grid of all speeds for a whole
-design, or times close to those of a found schedule. Behind the stretch the turns may be fixed,
+design, or times close to the times of a found schedule. Behind the stretch the turns may be fixed,
 with one time each; their swings count as well.
 """
 

@@ -1,6 +1,6 @@
 """Design of lead filters for a crossover and a phase margin, from the exact frequency response.
 
-The filter ``K (z - A) / (z + B)`` has three numbers, of which crossover and phase margin determine
+The filter ``K (z - A) / (z + B)`` has three numbers. Crossover and phase margin determine
 two. B is therefore chosen in advance: by default 1/256, the smallest value of the motion chip. At
 ``z = exp(i w T)`` the phase of the zero must be ``psi = phase margin - 180 - arg G + arg(z + B)``,
 which determines ``A = cos(w T) - sin(w T) / tan(psi)``. K then makes the loop gain 1 there.

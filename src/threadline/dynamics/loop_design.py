@@ -353,7 +353,7 @@ def _possible(kind: ControllerKind, gains: Mapping[str, FloatArray]) -> NDArray[
     if kind == "lead":
         zero = gains["zero"]
         return np.asarray((zero >= COEFFICIENT_LOW) & (zero <= COEFFICIENT_HIGH))
-    # Two gains of which the second delays would be no lead: the loop is then better without it.
+    # If the second of two gains delayed, this would be no lead: the loop is then better without it.
     return np.asarray((gains["kp"] > 0.0) & (gains.get("kd", np.zeros(1)) >= 0.0))
 
 

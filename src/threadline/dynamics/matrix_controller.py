@@ -50,7 +50,7 @@ class MatrixController:
 
 
 def in_volts(controller: StateSpaceController) -> MatrixController:
-    """Return a state-space controller in volts; its readings are those of its ``sensors``."""
+    """Return a state-space controller in volts; it reads its ``sensors``."""
     m, volts = len(controller.references), controller.dac.volt_per_level
     B, D = controller.matrix("B"), volts * controller.matrix("D")
     return MatrixController(
@@ -158,7 +158,7 @@ class LoopPart(NamedTuple):
 
 
 def loop_parts(machine: Machine, controllers: Iterable[str]) -> tuple[LoopPart, ...]:
-    """Return the loops of ``controllers``, those of one controller side by side."""
+    """Return the loops of ``controllers``, the loops of one controller side by side."""
     owner = {axis.controller: name for name, axis in machine.axes.items()}
     found: list[LoopPart] = []
     for name in controllers:

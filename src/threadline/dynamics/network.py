@@ -54,7 +54,7 @@ class PiecewiseLinear:
         (variants, drives) gain from the controller's voltage to the input, and fixed limit of the
         input.
     pulled
-        Whether every axis has a further input, behind those of the drives: a force on it from
+        Whether every axis has a further input, behind the inputs of the drives: a force on it from
         outside, N or N m.
     """
 

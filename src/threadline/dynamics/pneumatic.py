@@ -38,7 +38,7 @@ class CylinderEquations:
     axis
         Name of the cylinder.
     states
-        (n,) names: those of the network, then ``"flow"`` (m/s) and ``"air"`` (m).
+        (n,) names: the names of the network, then ``"flow"`` (m/s) and ``"air"`` (m).
     matrix
         (variants, n, n) rates of the states without the force of the air on the bodies.
     level

@@ -210,7 +210,7 @@ class FastestResult:
         Parameters
         ----------
         **words
-            Options of ``prove`` that replace those of the search, such as ``level="nominal"``.
+            Options of ``prove`` that replace options of the search, such as ``level="nominal"``.
 
         Raises
         ------

@@ -20,7 +20,7 @@ _LINETYPES = {
     "solid": "CONTINUOUS", "dashed": "DASHED", "dotted": "DOT", "dashdot": "DASHDOT",
 }  # fmt: skip
 PATTERNS = {"hatched": "ANSI31", "crossed": "ANSI37"}
-"""Names of patterns of AutoCAD by those of fills."""
+"""Names of patterns of AutoCAD by names of fills."""
 FILL_LAYER, LEADER_LAYER = "FILL", "LEADER"
 """Layers of what is not sewn."""
 _LABEL_MM = 4.0

@@ -22,7 +22,7 @@ LEAST_COHERENCE = 0.8
 OUTPUTS = tuple(
     f"{base}{rate}" for base in ("rad", "m", "count", "V") for rate in ("", "/s", "/s^2")
 )
-"""Units of an output, of which a response is a multiple for each volt."""
+"""Units of an output; a response is a multiple of one of them for each volt."""
 _MAGNITUDES, _FREQUENCIES_HZ = (1e-100, 1e100), (1e-6, 1e9)
 MOTOR = "motor"
 """Output of a response: the body that the axis' encoder reads."""
@@ -165,7 +165,7 @@ def path_of(machine: Machine, measured: MeasuredResponse, axis: str = "") -> Pat
     OptionError
         If the axis or its output does not exist, or is not named.
     RecordingError
-        If the unit is not that of the output.
+        If the unit is not the unit of the output.
     """
     axis = _axis(machine, measured, axis)
     controller = machine.controller_of(axis)

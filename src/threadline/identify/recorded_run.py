@@ -189,7 +189,7 @@ def cut_as_recorded(
 
 
 def refuse_clipped(machine: Machine, axis: str, volts: FloatArray, place: Place) -> None:
-    """Refuse a run whose volts are mostly those of the clamp: it says little about the loop."""
+    """Refuse a run whose volts are mostly at the clamp: it says little about the loop."""
     dac = machine.controller_of(axis).dac
     full = dac.range.si * (1.0 - 2.0 ** (1.0 - dac.bits.si))
     share = float(np.mean(np.abs(volts) >= _FULL * full))

@@ -1,4 +1,4 @@
-"""Residuals of recorded runs: measured positions less those of the simulated machine.
+"""Residuals of recorded runs: measured positions less the positions of the simulated machine.
 
 A sample is taken before the controller acts on it (``Recording``), so the volts of sample k + 1 act
 from tick k on.

@@ -293,7 +293,7 @@ Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Home | Stop | Tool
 
 
 class KeptOperations(KeptStream[Any]):
-    """Operations and runs that are read many times: those of a short job are read once and kept."""
+    """Operations and runs that are read many times: a short job is read once and kept."""
 
     MOST_KEPT = 1 << 15
 

@@ -48,7 +48,7 @@ class ProgramLimits:
     values: FloatArray
 
     def at(self, operation: IntArray) -> FloatArray:
-        """Return the (n, 4) limits in force in (n,) operations, NaN for those of the machine."""
+        """Return the (n, 4) limits in force in (n,) operations, NaN for the machine's own."""
         row = np.searchsorted(self.since, operation, side="right")
         return np.vstack((np.full((1, len(LIMITS)), np.nan), self.values))[row]
 

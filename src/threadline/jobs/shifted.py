@@ -30,7 +30,7 @@ def parse_offset(text: str, machine: Machine) -> Offset:
         axis = machine.axes.get(name)
         if axis is None:
             raise OptionError(
-                f"offset {part.strip()[:40]!r} is that of no axis of {machine.name}",
+                f"offset {part.strip()[:40]!r} names no axis of {machine.name}",
                 remedy=f'Write it like "X=12.5 mm"; there are {", ".join(machine.axes) or "none"}.',
             )
         try:

@@ -110,7 +110,7 @@ class Composite:
 
     @property
     def strength(self) -> float:
-        """Strength of the fibres along, Pa; in a prepreg that of the ply over its fibre volume."""
+        """Strength of the fibres along, Pa; in a prepreg the ply's over its fibre volume."""
         if self.prepreg is None:
             return self.fibre["strength"]
         return self.prepreg["strength"] / self.prepreg["fibre_volume"]

@@ -157,7 +157,7 @@ def ply_of(
 
 
 def hoop_to_helical(angle: float) -> float:
-    """Return the thickness of hoops over that of helical layers that a closed cylinder needs.
+    """Return the ratio of hoops to helical layers, by thickness, that a closed cylinder needs.
 
     ``3 cos(a)^2 - 1`` by netting analysis: the fibres alone carry, all with the same stress. Below
     0 the helical layers are too weak along the cylinder, and no hoop helps.

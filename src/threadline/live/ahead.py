@@ -78,7 +78,7 @@ class Ahead:
         self._rate = 1.0  # that the rows play, or are on the way to
         self._on_the_way: FloatArray = np.empty(0)  # places up to that rate
         self._line = (0, 0.0)  # tick and place from which on that rate is played
-        self._overrides = [(-1, 1.0)]  # ticks and rates of which the machine was told
+        self._overrides = [(-1, 1.0)]  # ticks and rates that the machine was sent
         self._given: list[tuple[int, Event]] = []  # sent events, and their ticks
         self._window.reach(MOST_PLACES)
         self.to_rest = False
@@ -225,7 +225,7 @@ class Ahead:
             self._line = self.end, self.place
 
     def start_again(self) -> None:
-        """Start from rest: the rate rises from 0 to that of the run over the next rows."""
+        """Start from rest: the rate rises from 0 to the rate of the run over the next rows."""
         self._window.reach(self.place + MOST_PLACES)
         self._rate = self.rate
         self._on_the_way = change_rate(self._window, self.place, (0.0, self._rate), self._limits)

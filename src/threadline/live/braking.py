@@ -4,7 +4,7 @@ The *rate* of a run is the number of rows of its table per tick, 1 in normal run
 rate falls to 0 along a smooth curve, so that the axes slow down together and stay on the path. To
 start again, it rises along the mirrored curve. An override changes it along the same curve, but
 slowly: nothing hurries, and loads are not to swing. A way to the rate 1 ends on a whole row, so
-that all later rows are those of the table.
+that all later rows are rows of the table.
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ class GrblOperated(GrblRun):
         if self.under_way or self.state in MOVING:
             raise CommandError(
                 "the console sends nothing while the machine moves or a run is held: its line "
-                "would wait behind those of the run",
+                "would wait behind the lines of the run",
                 remedy="Wait until it stands, or stop it.",
             )
 

@@ -20,7 +20,7 @@ from threadline.machine.motion_planner import GrblPlanner
 SAME = 1e-3
 """Relative difference up to which a setting counts as equal to the machine file's value."""
 STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
-"""Numbers of the settings of the first axis; those of the others follow."""
+"""Numbers of the settings of the first axis; the other axes' follow."""
 REPORTS, DEVIATION, INCHES = 10, 11, 13
 _LETTERS_MOST = 9
 _LINE = re.compile(r"\$(\d{1,5})=([^\s(]*)")

@@ -314,7 +314,7 @@ class StateSpaceController:
         return np.array(given, dtype=np.float64).reshape(shape[name])
 
     def of_axis(self, axis: str) -> AxisOfStateSpace:
-        """Return what it has for one of its axes."""
+        """Return the settings for one of its axes."""
         at = self.references.index(axis)
         return AxisOfStateSpace(
             kind="state-space",

@@ -144,7 +144,7 @@ class Machine(AxisArrays):
     reference: str = ""
     """The argument of ``load_machine``."""
     parameters: str = ""
-    """Parameter file whose settings replaced those of the machine file; empty without one."""
+    """Parameter file whose settings replaced settings of the machine file; empty without one."""
     mounted: Mounted | None = None
     """Mandrel on the machine; None without one."""
 

@@ -160,7 +160,7 @@ class Torque:
     """Torque of a rotary cylinder, by a vane or by pistons on a rack: pressure, area, radius."""
 
     pressure: Annotated[Quantity, Units(("Pa",), positive=True, most=5e6)]
-    """Pressure of the supply above that of the atmosphere."""
+    """Gauge pressure of the supply."""
     area: Annotated[Quantity, Units(("m^2",), positive=True)]
     """Area of the vane, or of one piston on the rack."""
     radius: Annotated[Quantity, Units(("m",), positive=True)]

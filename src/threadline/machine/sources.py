@@ -152,7 +152,7 @@ class Kinematic:
     """A drive that takes positions on ``clock``; its motor and its load are unknown."""
 
     kind: Literal["kinematic"]
-    """A drive of which only the limits are known."""
+    """A drive with nothing known but its limits."""
     clock: str
     """Tick of its commands."""
 

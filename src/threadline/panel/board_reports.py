@@ -37,7 +37,7 @@ class BoardReports:
     def news(self, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield kind and content of each report that is due.
 
-        The lines of a program come in batches, of which the latest ones are kept.
+        The lines of a program come in batches; the latest batches are kept.
         """
         board = self._executor.board
         if board is None:

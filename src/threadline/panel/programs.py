@@ -1,6 +1,6 @@
 """Programs in the project folder, and the plan options that an operator's priority sets.
 
-Names are those of files in the folder itself; nothing outside it is read or written.
+Names are names of files in the folder itself; nothing outside it is read or written.
 """
 
 from __future__ import annotations

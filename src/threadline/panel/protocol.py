@@ -311,7 +311,7 @@ class LiveContour(BaseModel):
 
 
 class Reading(BaseModel):
-    """A quantity besides those of the axes, such as the tension of the fibre; SI units."""
+    """A quantity besides the axes' own, such as the tension of the fibre; SI units."""
 
     value: float
     unit: str

@@ -206,8 +206,8 @@ class Words:
             trials = self.trials()
             if trials.wanted_yield is not None:
                 raise OptionError(
-                    "--cluster judges the machines of --tolerances; those of --yield are judged by "
-                    "this computer",
+                    "--cluster judges the machines of --tolerances; this computer judges the "
+                    "machines of --yield",
                     remedy="Give --tolerances in place of --yield, or leave --cluster out.",
                 )
             if not trials.machines:

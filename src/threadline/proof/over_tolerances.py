@@ -193,7 +193,7 @@ def _text(result: Result) -> str:
 
 
 def _numbered(verdict: Verdict, before: int) -> Verdict:
-    """Return a verdict with its runs numbered after those of the machine of the file."""
+    """Return a verdict with its runs numbered after the runs of the machine of the file."""
     results = [
         replace(r, run=before + (r.run or 1)) if r.of == "run" and r.time_s is not None else r
         for r in verdict.results

@@ -130,7 +130,7 @@ class Proof:
     recording
         The first run: the nominal machine, with every channel.
     judged
-        All judged recordings that are kept, those of the worst machine within the tolerances last;
+        All judged recordings that are kept, the worst machine within the tolerances last;
         one may hold several runs.
     runs
         Number of judged runs.

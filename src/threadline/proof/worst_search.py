@@ -202,7 +202,7 @@ class WorstSearch:
     def _told_apart(
         self, order: Sequence[int], most: int, least: int, numbers: IntArray
     ) -> list[int]:
-        """Return the first of ``order`` of which any two differ in ``least`` of ``numbers``."""
+        """Return the first of ``order``, such that any two differ in ``least`` of ``numbers``."""
         signs = np.sign(self.parts[:, numbers] if len(numbers) else self.parts)
         found: list[int] = []
         for at in order:
@@ -429,7 +429,7 @@ class WorstSearch:
         return list(dict.fromkeys(on)), stuck
 
     def _without_effect(self, at: int, gains: Sequence[tuple[float, int]]) -> frozenset[int]:
-        """Return the numbers of which no change at machine ``at`` changed the criterion."""
+        """Return the numbers whose change at machine ``at`` did not change the criterion."""
         parts = self.parts
         idle: set[int] = set()
         told: set[int] = set()

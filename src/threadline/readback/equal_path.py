@@ -109,7 +109,7 @@ def followed(plan: Plan, found: Points) -> Followed:
             told = float(found.end_s[k])
             late = told - min(max(told, match.from_s), match.to_s)
             clock.take(late, found.where[k])
-        if not k:  # a move counts from its begin: the first one from that of the plan
+        if not k:  # a move counts from its begin: the first one from the plan's begin
             at_s, offs = [float(times[0])], [off]
             lates = [0.0]
         lates.append(late)

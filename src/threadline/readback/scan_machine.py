@@ -80,7 +80,7 @@ class Controller:
     units
         Programs and function blocks of the text.
     addresses
-        Address by name of the program's variables; those of the text if not given.
+        Address by name of the program's variables; the text's own if not given.
 
     Raises
     ------

@@ -315,7 +315,7 @@ def _legend_beside(panel: Axes) -> None:
 
 
 def _limited(proof: Proof) -> list[Result]:
-    """Return the results drawn as bars: those of moving axes with a limit above 0."""
+    """Return the results drawn as bars: results of moving axes with a limit above 0."""
     told = of_moving_axes(proof.verdict.results)
     return [r for r in told if r.limit and r.measured is not None]
 

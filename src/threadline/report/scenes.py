@@ -1,6 +1,6 @@
 """The scene of an animation: what of a machine is drawn, and where it is at each instant.
 
-A scene is made of lines in a few groups, each of which moves as a whole: a mandrel turns, a
+A scene is made of lines in a few groups; each moves as a whole: a mandrel turns, a
 carriage goes along, a frame carries its cloth. The path that the tool has made lies in one of the
 groups, so that a wound fibre turns with its mandrel. ``animation`` draws scenes; this file knows
 the machines.

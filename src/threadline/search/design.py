@@ -138,7 +138,7 @@ class Redesign:
     Parameters
     ----------
     machine, spec, options
-        The machine to change, what it has to meet, and how its job is planned.
+        The machine to change, the specification that it has to meet, and how its job is planned.
     wanted
         Requirements on the design.
     space, evaluator

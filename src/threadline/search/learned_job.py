@@ -296,7 +296,7 @@ def learned_from(
 ) -> LearnedRuns:
     """Learn the next table from recordings of runs, the first one first.
 
-    The options of the plan are those of the first recording.
+    The options of the plan are taken from the first recording.
 
     Raises
     ------
@@ -319,7 +319,7 @@ def learned_from(
         )
     if words.options().on(chosen) != options.on(chosen) and words.changed():
         raise OptionError(
-            f"the options of planning differ from those of {next(iter(recorded))}",
+            f"the options of planning differ from {next(iter(recorded))}",
             remedy="Leave them out: they are read from the recording.",
         )
     known = with_radii_of(chosen, options)

@@ -285,7 +285,7 @@ def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> No
         if value is not None and name not in search.takes:
             typed = name if value is True else f"{name} {str(value)!r}"
             raise OptionError(
-                f"{typed} does not apply to {job.name}, of which {search.searched} searched",
+                f"{typed} does not apply to {job.name}: {search.searched} searched",
                 remedy=f"Leave it out{_INSTEAD.get(name, '')}.",
             )
 

@@ -348,7 +348,7 @@ def openings(waits: Sequence[Event], commands: SwitchSchedule) -> IntArray:
 
 
 def states_of(levels: IntArray, opened: IntArray) -> IntArray:
-    """Return all states of the outputs: all off, those of the rows, those of ``openings``."""
+    """Return all states of the outputs: all off, states of the rows, states of ``openings``."""
     return np.vstack((np.zeros_like(levels, shape=(1, levels.shape[1])), levels, opened))
 
 

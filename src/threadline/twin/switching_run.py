@@ -381,7 +381,7 @@ def _sample(
         place = out[at, PER_CYLINDER * max(orders.contact_cylinder[m], 0)]
         shut = closed(m, place, time_s, orders, progress.free)
         out[at, PER_CYLINDER * count + m] = 1.0 if shut else 0.0
-    # While everything is off, the operation stays that of the last row.
+    # While everything is off, the operation of the last row stays.
     rows[at, 0], rows[at, 1] = progress.plc[ROW], progress.plc[LATER] - 1
     if progress.plc[OPENED]:
         rows[at, 0] = len(orders.ticks) + progress.plc[WAIT]

@@ -207,7 +207,7 @@ class OfPlan:
     intent
         Type of intent of the plans that it applies to.
     measure
-        Returns its findings, and by name those of other measures from the same pass.
+        Returns its findings, and by name the findings of other measures from the same pass.
     """
 
     intent: type

@@ -102,7 +102,7 @@ class MotionRun(Setting):
     lag_s
         Free following error in time: how far the machine may trail its command.
     by_time
-        Whether its operations are those of the commands at the same instant, as none were recorded.
+        Whether it has the operations of the commands at the same instant, as none were recorded.
     coverage
         Instants of each channel that the recording covers, once it has been read.
     operations

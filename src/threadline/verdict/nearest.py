@@ -141,7 +141,7 @@ def _nearest_chords(
 def _most_between(
     first: float, second: float, here: FloatArray, there: FloatArray, share: FloatArray
 ) -> float:
-    """Return an upper bound of squared distances on a segment, given those of its ends."""
+    """Return an upper bound of squared distances on a segment, given the distances of its ends."""
     squared = 0.0
     for k in range(len(here)):
         squared += (share[k] * (there[k] - here[k])) ** 2

@@ -89,7 +89,7 @@ class Pass:
     """One pass over one run.
 
     Until it is known whether the recording has operations of its own, the run is measured twice in
-    parallel: with the operations as recorded, and with those of the plan by time.
+    parallel: with the operations as recorded, and with the plan's operations by time.
 
     Parameters
     ----------

@@ -204,7 +204,7 @@ class PlanClock:
         self._rate = np.concatenate([self._rate, np.where(stands, 0.0, named)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, NDArray[np.bool_] | None]:
-        """Return the plan's time at (n,) ascending instants, later than those of earlier calls.
+        """Return the plan's time at (n,) ascending instants, later than in earlier calls.
 
         Returns
         -------

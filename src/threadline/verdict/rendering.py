@@ -277,7 +277,7 @@ def _of_machines(found: OverTolerances) -> list[str]:
 
 
 def _used_beside(result: Result, verdict: Verdict) -> list[str]:
-    """Return the used share of a result's limit, unless it is that of the worst machine."""
+    """Return the used share of a result's limit, unless the result is the worst machine's."""
     of_worst = verdict.tolerances and verdict.tolerances.share
     return [] if of_worst and of_worst == _share(result) else [_used(result)]
 
@@ -374,7 +374,7 @@ def _of_what(result: Result, verdict: Verdict) -> Result:
 
 
 def of_moving_axes(results: Sequence[Result]) -> list[Result]:
-    """Return the results except those of axes that stand still while another moves.
+    """Return the results except results of axes that stand still while another moves.
 
     An axis stands still if its motion never has a speed. Results that failed, were not measured or
     are not 0 stay: another axis may shake it. The room to the ends of its travel is left out.

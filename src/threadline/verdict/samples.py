@@ -117,7 +117,7 @@ class Follower:
         return int(np.searchsorted(time_s, self._due_s - self._slack_s))
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return the channel's values at instants later than those of earlier calls."""
+        """Return the channel's values at instants later than the instants of earlier calls."""
         if not len(time_s):
             return np.empty(0)
         self._asked_s = float(time_s[-1])

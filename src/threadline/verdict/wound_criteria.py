@@ -17,7 +17,7 @@ MOST_VARIATION = 0.05
 def criteria_of(
     product: Product, spool: Spool | None = None, tensions_n: Sequence[float] = ()
 ) -> tuple[Criterion, ...]:
-    """Return the criteria that a product asks for, beside those of the specification.
+    """Return the criteria that a product asks for, beside the criteria of the specification.
 
     With a spool its arm limits the slack, unless the product says what is taken up, and the
     tension may vary by ``MOST_VARIATION``. A brake that can be set follows the tensions of the

@@ -1,7 +1,7 @@
 """The pay-out point of an eye, compiled: on its carrier, and round its roller.
 
 Along, across and up are the directions of the machine. ``q`` and ``v`` are turn, along, across, up,
-yaw and roll, and their rates; ``payout`` is that of ``laying.Tables``.
+yaw and roll, and their rates; ``payout`` is the one of ``laying.Tables``.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from threadline.winding.product import product_of_text
 def with_mandrel(machine: Machine, product: str | None) -> Machine:
     """Return ``machine`` with the mandrel of a product mounted, if it has a spool to unwind.
 
-    Radius, place and slip are those of the file, without their tolerances; the layers that grow on
+    Radius, place and slip come from the file, without their tolerances; the layers that grow on
     the mandrel are left out, as in the replay.
 
     Parameters

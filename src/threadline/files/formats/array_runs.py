@@ -1,4 +1,4 @@
-"""Divide rows of counts into runs, each of which is one line of a trajectory array.
+"""Divide rows of counts into runs; each is one line of a trajectory array.
 
 ``trajectory_array.py`` explains how a line of ``n`` ticks spreads its remainder. This is a separate
 file because it loads numba, and few processes write arrays.

@@ -379,7 +379,7 @@ def _block(data: bytes, channels: tuple[Channel, ...], place: Place) -> Recordin
     clocks = {channel.clock.name for channel in channels}
     rest = len(data) - _LENGTH.size - size
     if set(first) != clocks or min(lengths, default=0) < 0 or len(lengths) != len(channels):
-        raise damaged("its clocks or channels differ from those of the file")
+        raise damaged("its clocks or channels differ from the clocks or channels of the file")
     if rest != 8 * sum(lengths) or min(first.values()) < 0:
         raise damaged(f"it has {rest} bytes of samples, its head claims {8 * sum(lengths)}")
     samples = {}

@@ -21,7 +21,7 @@ _FLAG = re.compile(r"\s*,?\s*([01])")
 _COMMAND = re.compile(r"\s*([MmZzLlHhVvCcSsQqTtAa])")
 _NO_NUMBER = re.compile(r"nan|inf(?:inity)?", re.IGNORECASE)
 _REMEDY = "Correct it, or draw the path again and save as plain SVG."
-# From Bernstein's coefficients to those of powers.
+# From Bernstein's coefficients to coefficients of powers.
 _QUADRATIC = np.array([[1.0, 0.0, 0.0], [-2.0, 2.0, 0.0], [1.0, -2.0, 1.0]])
 _CUBIC = np.array(
     [[1.0, 0.0, 0.0, 0.0], [-3.0, 3.0, 0.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]

@@ -100,7 +100,7 @@ def svg_page(tree: Tree, unit: str | None) -> Page:
                 box = (0.0, 0.0, width / pixel_m, height / pixel_m)
         if not width or not height:
             raise JobError("the SVG has no size", place=place, remedy="Give it a page size.")
-        if box is None:  # a physical size alone: its pixels are those of CSS
+        if box is None:  # a physical size alone: its pixels are CSS pixels
             box = (0.0, 0.0, width / _PIXEL_M, height / _PIXEL_M)
         scale_x, scale_y, left, top = _fitted(
             width, height, box, attributes.get("preserveAspectRatio", "xMidYMid").strip()
@@ -127,7 +127,7 @@ def _view_box(written: str | None) -> tuple[float, float, float, float] | None:
 def _pixel_size(
     attributes: Mapping[str, str], box: tuple[float, float, float, float] | None
 ) -> tuple[float, float, bool]:
-    """Return width and height in pixels, and whether the height is that of a page."""
+    """Return width and height in pixels, and whether the height is the height of a page."""
     sizes: list[float | None] = []
     for key in ("width", "height"):
         written = attributes.get(key, "auto").strip()

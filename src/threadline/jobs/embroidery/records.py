@@ -184,7 +184,7 @@ def _check_dst(content: bytes, place: Place) -> tuple[str, ...]:
     if records[count * _DST_RECORD :] in {b"", _DST_FILL} and _is_whole_dst(content, count):
         return (
             f"{place}: the mark of its end is missing; number, extents and end of its {count} "
-            "records are those of its header, so nothing else is",
+            "records agree with its header, so nothing else is",
         )
     raise JobError(
         f"the file ends after {count} records without the mark of its end",
@@ -228,7 +228,7 @@ def _extents(table: FloatArray) -> list[float]:
 
 
 def _is_whole_dst(content: bytes, count: int) -> bool:
-    """Return whether the header of a DST file without end mark is that of its records.
+    """Return whether the header of a DST file without end mark agrees with its records.
 
     Programs count the thread changes and the end mark as records, or do not, and have Y up or down.
     A program that writes another last position leaves the frame where it began.

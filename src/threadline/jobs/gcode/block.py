@@ -106,7 +106,7 @@ class Block(NamedTuple):
     length
         G43 with its H as written, empty without G43; ``acts`` contains it, too.
     back
-        Wrapped axes (``Reading.wrapped``) whose words have a minus sign, that of 0 as well.
+        Wrapped axes (``Reading.wrapped``) whose words have a minus sign, the word of 0 as well.
     limits
         Limits that the block sets for all moves behind it.
     macro

@@ -1,6 +1,6 @@
 """Klipper's commands with a name, and its M204: limits, words without effect, macros.
 
-A name that Klipper does not have is that of a macro of ``printer.cfg``, whose moves no program
+A name that Klipper does not have is the name of a macro of ``printer.cfg``, whose moves no program
 shows. What the commands do: Klipper, ``docs/G-Codes.md``, ``klippy/toolhead.py``
 (``SET_VELOCITY_LIMIT``, M204) and ``klippy/gcode.py`` for the form of a line.
 """

@@ -283,7 +283,7 @@ class Modal:
             raise self._error(
                 block.line,
                 f"{self._dialect.name} takes no G{block.motion} without axis words",
-                "Write the end of the arc, that of a full circle, too.",
+                "Write the end of the arc, also of a full circle.",
             )
 
     def _check_drilling(self, block: Block) -> None:

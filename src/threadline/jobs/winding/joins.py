@@ -30,7 +30,7 @@ class Join:
     Parameters
     ----------
     surface
-        That of the later layer.
+        The same of the later layer.
     course
         (n, 4) length, u, angle round and winding angle to the right.
     side

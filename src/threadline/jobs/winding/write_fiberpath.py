@@ -137,7 +137,7 @@ def _thickness(laid: Sequence[Laid]) -> float:
         if first is not None and abs(thick - first) > 1e-9:
             winding.refuse(
                 one.layer,
-                f"its band is {1e3 * thick:.4g} mm thick, that of the first layer "
+                f"its band is {1e3 * thick:.4g} mm thick, the first layer's "
                 f"{1e3 * first:.4g} mm; a .wind has one tow",
                 "Wind layers with another band as a second job.",
             )

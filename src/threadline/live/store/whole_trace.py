@@ -201,7 +201,7 @@ def _begins_again(
 def _blocks(
     before: Recording, rest: Recording, clock: Clock, stride: int, at: int, earlier: int
 ) -> Iterator[RecordingBlock]:
-    """Yield the blocks of ``before`` up to the tick ``at``, then those of ``rest``.
+    """Yield the blocks of ``before`` up to the tick ``at``, then the blocks of ``rest``.
 
     Parameters
     ----------

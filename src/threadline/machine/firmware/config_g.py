@@ -86,7 +86,7 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
 
 
 def _read_lines(read: _Read, lines: Sequence[str], within: tuple[Path, ...], name: str) -> None:
-    """Read the lines of a file, and those of the files that it runs (``M98 P"drives.g"``)."""
+    """Read the lines of a file, and of the files that it runs (``M98 P"drives.g"``)."""
     settings = read.settings
     under = -1  # indentation of the enclosing condition
     for number, line in enumerate(lines, start=1):

@@ -399,7 +399,7 @@ class Law:
 def measured_law(name: str, form: Form, closing: Form | None = None, meets: float = 0.5) -> Law:
     """Return the law of the given forms, with peaks computed from them.
 
-    The arguments are those of ``Law``. The jerk of the law is None where the acceleration jumps.
+    The arguments are ``Law``'s. The jerk of the law is None where the acceleration jumps.
     """
     bare = Law(
         name=name, velocity=0.0, acceleration=0.0, jerk=None, form=form, closing=closing,

@@ -76,7 +76,7 @@ def shortest_move(
 
     A long move reaches all limits. A shorter one has no cruise, and a still shorter one does not
     acceleration. If the jerk is so low that the velocity is reached before the
-    acceleration, no move reaches the acceleration. The formulas are those of Biagiotti and
+    acceleration, no move reaches the acceleration. The formulas come from Biagiotti and
     Melchiorri, *Trajectory Planning for Automatic Machines and Robots* (2008), section 3.4.
 
     >>> round(shortest_move(1.0, 0.5, 2.0).duration_s, 12)
@@ -111,7 +111,7 @@ def shortest_move(
     push = max(velocity_si / peak - ramp, 0.0)
     top = velocity_si
     if top * (2.0 * ramp + push) > distance_si:
-        # No cruise: the phases of constant acceleration are shortened, then those of jerk.
+        # No cruise: the phases of constant acceleration are shortened, then the phases of jerk.
         if finite and distance_si < 2.0 * jerk_si * ramp**3:
             ramp = (distance_si / (2.0 * jerk_si)) ** (1.0 / 3.0)
             peak, push = jerk_si * ramp, 0.0

@@ -73,7 +73,7 @@ _COLUMNS = ("positions", "turn", "added", "length_m", "nominal_s", "operation", 
 
 
 def join_controls(first: Controls | None, second: Controls) -> Controls:
-    """Return the points of ``first``, if there are any, followed by those of ``second``."""
+    """Return the points of ``first``, if there are any, followed by the points of ``second``."""
     if first is None:
         return second
     return Controls(

@@ -61,7 +61,7 @@ class Vertices:
 
 
 def join_vertices(first: Vertices | None, *others: Vertices) -> Vertices:
-    """Return the vertices of ``first``, if there are any, followed by those of the others."""
+    """Return the vertices of ``first``, if there are any, followed by the others'."""
     given = [part for part in (first, *others) if part is not None]
     parts = [part for part in given if len(part)]
     if len(parts) < 2:

@@ -105,7 +105,7 @@ def longest_delay_s(
 def on_tick_grid(shaper: Shaper, tick_s: float) -> Shaper:
     """Return the train with every impulse shared between the two ticks beside it.
 
-    Shares are those of linear interpolation: sum and centroid stay exactly as they were, and V
+    Shares follow linear interpolation: sum and centroid stay exactly as they were, and V
     changes by at most (2 pi f tick)^2 / 8 of the impulse. To place impulses and solve their
     amplitudes again for the modes, use :func:`threadline.motion.shaping.realise`.
 

@@ -99,7 +99,7 @@ class Demand:
 def usual_jerk_m_s3(move_m: float, acceleration_m_s2: float) -> float:
     """Return the jerk that reaches the acceleration in a 16th of the rigid window.
 
-    In that window it is Cj = 64, about that of 3-4-5 (60) and of modified sine (69).
+    In that window it is Cj = 64; 3-4-5 has 60, modified sine 69.
     """
     return acceleration_m_s2 * RAMPS / (2.0 * sqrt(move_m / acceleration_m_s2))
 

@@ -162,7 +162,7 @@ class Share:
             done_s = clock.time_s(block.first_tick.get(clock.name, 0))
             self._done[number] = min(done_s / max(self._plan.duration_s, 1e-9), 1.0)
         share = sum(self._done) / len(self._done)
-        # The plan is measured after its runs: its fibre takes as long as that of a run.
+        # The plan is measured after its runs: its fibre takes as long as the fibre of a run.
         over = self._doing == _DOING and share >= 1.0 and block is None
         self._progress(_MEASURING if over else self._doing, share)
 

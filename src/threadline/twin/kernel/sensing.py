@@ -1,9 +1,9 @@
 """Kernel code: sensors with noise, state-space controllers, and profiles of controllers.
 
 The noise of a reading is the sum of twelve even numbers between 0 and 1, less 6: its variance is 1,
-and it is within six standard deviations. The numbers are those of Park and Miller ("Random number
-generators: good ones are hard to find", Communications of the ACM 31, 1988): ``16807 x mod 2^31 -
-1``, in floating point without any rounding, so every processor gives the same.
+and it is within six standard deviations. The numbers come from the generator of Park and Miller
+("Random number generators: good ones are hard to find", Communications of the ACM 31, 1988):
+``16807 x mod 2^31 - 1``, in floating point without any rounding, so every processor gives the same.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ class Shape(NamedTuple):
     kinds: tuple[tuple[Action, ...], ...]  # the actions of each kind of step
     observing: tuple[SensorShape, ...]
     uniform: tuple[Row, ...]  # constant rows with equal numbers in all lanes
-    pulls: int = 0  # inputs behind those of the drives: forces on the axes from outside
+    pulls: int = 0  # inputs behind the drives' own: forces on the axes from outside
 
     @property
     def states(self) -> int:

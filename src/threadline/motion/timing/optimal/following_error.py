@@ -357,7 +357,7 @@ def _slowed_where_loads_stray(known: FloatArray, x: FloatArray, over: FloatArray
 
 
 def _whose(coarse: Elements, fine: Elements) -> IntArray:
-    """Return the (n,) elements of ``coarse`` that contain those of ``fine``."""
+    """Return the (n,) elements of ``coarse`` that contain the elements of ``fine``."""
     ends = np.cumsum(coarse.length)
     middles = np.cumsum(fine.length) - 0.5 * fine.length
     return np.minimum(np.searchsorted(ends, middles), len(coarse) - 1)

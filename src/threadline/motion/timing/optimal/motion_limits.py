@@ -100,7 +100,7 @@ _UNITS = ("V at the controller", "V", "A")
 def axis_limits(
     machine: Machine, axes: tuple[str, ...], radius_m: FloatArray | None = None
 ) -> Limits:
-    """Return the limits of axes and tool, without those of the drives.
+    """Return the limits of axes and tool, without limits of the drives.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def limits_of(
     *,
     of_loads: bool = False,
 ) -> Limits:
-    """Return the limits of axes and tool, including those of their drives.
+    """Return the limits of axes and tool, including limits of their drives.
 
     A drive gives the current that its bodies need, with all links rigid, and the voltage for it;
     sliding friction is subtracted from both beforehand, and so is the reserve for the loop.

@@ -7,7 +7,7 @@ a polynomial everywhere on the element: no sampling enters these bounds.
 
 The demand on a drive, ``k_v v + k_a a``, contains the velocity ``q_u sqrt(y)``. Where it adds to
 the demand, sqrt(y) lies under each of its tangents ``1 / (2 r) + r y / 2``; where it reduces it,
-the demand is less than that of the acceleration alone, which the acceleration limit covers.
+the demand is less than the demand of the acceleration alone, which the acceleration limit covers.
 
 If the velocity of an axis keeps its sign within an element, an acceleration in that direction
 speeds it up and the opposite one brakes it; if it turns back, the lower limit holds both ways. The
@@ -29,7 +29,7 @@ WEIGHTS = np.array(
         [1.0, 0.0, 0.0], [0.5, 0.5, 0.0], [1 / 6, 2 / 3, 1 / 6], [0.0, 0.5, 0.5], [0.0, 0.0, 1.0],
     ]
 )  # fmt: skip
-"""Bernstein coefficients of a quadratic from those of degree 2: of degree 2, then of degree 4."""
+"""Bernstein coefficients of a quadratic from its own of degree 2: of degree 2, then of degree 4."""
 BASE = np.array([[1.0, -2.0, 1.0], [0.0, 2.0, -2.0], [0.0, 0.0, 1.0]])
 """The Bernstein polynomials of degree 2 in powers of u."""
 
@@ -290,7 +290,7 @@ def direction_of(c, j):
 
 @njit()
 def with_braking(drive, begin, c, speeding, braking):
-    """Return the rows of the drives with those of the lower limits, and each element's first row.
+    """Return the drives' rows with the rows of the lower limits, and each element's first row.
 
     Parameters
     ----------
