@@ -109,7 +109,7 @@ def test_a_cluster_that_would_judge_nothing_is_refused_before_it_is_asked(tmp_pa
     """Port 9 is no scheduler: reaching for it would take ten seconds, and say another thing."""
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X5 F1000\nM30\n")
-    for words, told in ({}, "this search judges none"), ({"yield_": "90 %"}, "those of yield_="):
+    for words, told in ({}, "this search judges none"), ({"yield_": "90 %"}, "machines of yield_="):
         with pytest.raises(OptionError, match=rf"{told}.*leave cluster= out"):
             tl.fastest(job, "lathe-winder", cluster="localhost:9", **words)
 
