@@ -246,6 +246,8 @@ def interrupted(*arguments):
     return answer
 
 ffi.lib._fntab[name] = interrupted
+# A process whose parent ignores interrupts, as in the background of a shell, ignores them too.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 @njit()
 def twice(x):
