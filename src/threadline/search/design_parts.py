@@ -9,7 +9,6 @@ command, so that the merge needs the files alone. The merge proves the cheapest 
 from __future__ import annotations
 
 import base64
-import binascii
 import hashlib
 import math
 import os
@@ -33,7 +32,7 @@ from threadline.search.design_evaluate import Tried
 from threadline.search.design_front import CandidateYield
 from threadline.search.design_searches import MOST_SEARCHES, Search
 from threadline.search.yield_parts import Part, in_order
-from threadline.search.yield_state import MOST_LINE, Lines, line_of
+from threadline.search.yield_state import MOST_LINE, NOT_AS_WRITTEN, Lines, line_of
 
 FORMAT = "threadline design part 1"
 _AGAIN = "Make that part again."
@@ -288,15 +287,7 @@ def _search(
             binding=tuple(names[k] for k in which.tolist()),
         )
         yields = tuple(_yield(one, record.front) for one in content["yields"])
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        OverflowError,
-        zlib.error,
-        binascii.Error,
-    ) as error:
+    except NOT_AS_WRITTEN as error:
         told = f": {error}" if type(error) is ValueError else ""
         lines.refuse(f"it was changed{told}", line)
     return Search(number=number, tried=tried, yields=yields, simulated=simulated)

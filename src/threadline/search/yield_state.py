@@ -13,7 +13,6 @@ machine again, and so finds a file of other criteria or values.
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 import math
 import sys
@@ -39,6 +38,8 @@ if sys.platform != "win32":
 FORMAT = "threadline yield 2"
 _REMEDY = "Give another file to --resume, or remove this one to begin anew."
 MOST_LINE = 64 << 20
+NOT_AS_WRITTEN = KeyError, TypeError, ValueError, AttributeError, OverflowError, zlib.error
+"""What reading the content of a line raises if something else than Threadline wrote it."""
 _MOST_RUNS = 1 << 20  # machines in one line
 _TEXTS = ("name", "axis", "step", "unit")
 _FLAGS = ("required", "hard", "of_plan")
@@ -93,15 +94,7 @@ class Lines:
         incomplete = content.get("incomplete")
         try:
             rows = tuple(_unpacked(row, k, runs) for k, row in enumerate(content["rows"]))
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            OverflowError,
-            zlib.error,
-            binascii.Error,
-        ) as error:
+        except NOT_AS_WRITTEN as error:
             told = f": {error}" if type(error) is ValueError else ""
             self.refuse(f"it was changed{told}", line)
         if not isinstance(incomplete, str) or not rows:
