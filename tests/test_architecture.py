@@ -83,7 +83,7 @@ def asks(text: str) -> list[int]:
 def test_only_the_rooms_of_a_kind_ask_which_it_is() -> None:
     """The page lists these rooms; outside them no line asks, and each room listed is there."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    table = page[page.index("| rooms of a kind |") :].split("\n\n")[0]
+    table = page[page.index("| files of a kind |") :].split("\n\n")[0]
     rooms = re.findall(r"`([\w/.]+)`", "\n".join(r.split("|")[1] for r in table.split("\n")[2:]))
     source = ROOT / "src" / "threadline"
     assert len(rooms) > 5
