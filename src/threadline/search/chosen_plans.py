@@ -25,6 +25,7 @@ from threadline.proof.pipeline import plan_job, try_plan
 from threadline.search.allowance import LIMITS, FastestJob, Rung, rung_of
 from threadline.search.choices import (
     BUDGET,
+    LIMIT_SHARE,
     Knob,
     Tried,
     best_of,
@@ -53,7 +54,7 @@ PROCESSOR_S = 600.0
 """Processor time after which a search without ``--within`` that has an answer plans no more."""
 BOLD: Mapping[str, float] = {
     "tolerance": 0.8, "outside": 1.0, "volts": 0.9, "current": 0.7, "contour": 0.6,
-    "smoothing": 0.57,
+    "smoothing": 0.57, LIMIT_SHARE: 0.8,
 }  # fmt: skip
 """Places of the knobs of the boldest plan that is tried first."""
 
@@ -174,18 +175,27 @@ class Choosing:
 
 
 def fastest_chosen(asked: Question) -> FastestJob:
-    """Return the fastest plan in spec over all options of ``optimal`` that were not given."""
+    """Return the fastest plan in spec over all options of ``optimal`` that were not given.
+
+    Plans use the full limits of acceleration and jerk. Only where none of them is in specification
+    the search may choose the share of these limits, too.
+    """
     machine, until = asked.machine, asked.until
     top = feed_range_m_s(machine)[1] if asked.high is None else asked.high
     options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
     tick_s = float(machine.tick_clock.period_s)
     searches: list[Choosing] = []
     with as_far_as(until, lambda: any(one.rungs for one in searches)):
-        for one in _followings(options, asked):
-            knobs = knobs_of(machine, asked.spec, one, asked.free)
+        for one, gentle in _ways(options, asked):
+            knobs = knobs_of(machine, asked.spec, one, asked.free, gentle=gentle)
             search = Choosing(asked, knobs, one)
             searches.append(search)
             careful = places_of(one, knobs, machine)
+            if gentle:
+                careful = tuple(
+                    0.0 if knob.word == LIMIT_SHARE else place
+                    for knob, place in zip(knobs, careful, strict=True)
+                )
             bold = tuple(BOLD[knob.word] for knob in knobs)
             tried = boldest(search.attempt, careful, bold, _STEPS)
             if best_of(tried) is None:
@@ -214,6 +224,13 @@ def fastest_chosen(asked: Question) -> FastestJob:
 def _left(search: Choosing) -> int:
     """Return how many places a search has left that ended in the middle of one."""
     return max(search.most - search.tried + 1, 0)
+
+
+def _ways(options: Options, asked: Question) -> Iterator[tuple[Options, bool]]:
+    """Yield options to search with, each with whether the share of the limits is chosen, too."""
+    for gentle in (False, True):
+        for one in _followings(options, asked):
+            yield one, gentle
 
 
 def _followings(options: Options, asked: Question) -> Iterator[Options]:
