@@ -127,7 +127,7 @@ REFUSED = {
     'style="display:nonne"': "display is 'nonne', which is not understood",
     'style="display"': "the style 'display' is not understood",
     'style="stroke:url(#a"': "the style 'stroke:url(#a' is not understood",
-    'style="stroke:blurple"': "'blurple' is no colour that is known",
+    'style="stroke:blurple"': "'blurple' is not a known colour",
 }
 
 
