@@ -132,6 +132,11 @@ def test_words_of_a_letter_are_left_out_and_said(tmp_path: Path, axy: Machine) -
         ("C=A,C=X", "names C twice"),
         ("C=A,B=A", "names A twice"),
         ("F=A", "axes 'F=A' is no pair of axes"),
+        (
+            "macros=1",
+            "axes 'macros=1': the moves of Klipper's macros can only be left out. "
+            "Write macros=none",
+        ),
     ],
 )
 def test_pairs_that_cannot_be_are_refused(

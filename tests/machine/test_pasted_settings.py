@@ -121,3 +121,18 @@ def test_what_a_mail_puts_around_a_file_changes_nothing(
     lines = {axis: said.steps.place.line for axis, said in plain.axes.items() if said.steps}
     shift = 2 if mail == "fence" else mail == "board"
     assert lines == {axis: pasted.axes[axis].steps.place.line - shift for axis in lines}
+
+
+MACRO = "[gcode_macro A]\ngcode:\n        G28\n        [stepper_a]\n"
+MARGINS: dict[str, Callable[[str], bytes]] = {
+    "all": each(lambda line: f"    {line}"),
+    "keys": each(lambda line: line if line[:1] in (" ", "[") else f"  {line}"),
+    "first": lambda text: f" {text}".encode(),
+}
+
+
+@pytest.mark.parametrize("margin", MARGINS)
+def test_blanks_before_lines_of_klipper_change_nothing(margin: str, tmp_path: Path) -> None:
+    """A line belongs to a value where it begins further right than the key of the value."""
+    indented = MARGINS[margin](MACRO + KLIPPER)
+    assert numbers(read(tmp_path, indented)) == numbers(read(tmp_path, KLIPPER))

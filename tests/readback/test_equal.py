@@ -141,7 +141,8 @@ def test_foreign_files_are_refused_in_one_line(
         ([f"csv={other}"], [], "first line is not"),
         (["grbl"], [], "not TARGET=FILE"),
         ([f"grbl={tmp_path / 'none.nc'}"], [], "there is no file"),
-        ([], ["--targets", "st"], "another kind of machine"),
+        ([], ["--targets", "st,t15"], "another kind of machine"),
+        ([f"st={csv}"], ["--targets", "csv"], "another kind of machine"),
         ([], ["--targets", "csv,nonsense"], "unknown target"),
     ]:
         typed = [part for file in files for part in ("--file", file)]
@@ -186,3 +187,23 @@ def test_a_report_repeats_the_command_and_has_no_empty_table(job: Path, tmp_path
     assert set(line) <= set(words)
     assert status(words[1:]) == 0
     assert "Remarks" not in page
+
+
+def test_targets_of_other_machines_are_rows_beside_those_of_this_one(
+    job: Path,
+    examples: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The list of the command's help suits every machine; CI asks for no reader of theirs."""
+    monkeypatch.setenv("CI", "true")
+    assert status(["equal", str(job), "-m", MACHINE, "--targets", "st,csv,steps", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    verdicts = {one["target"]: one["verdict"] for one in told["targets"]}
+    assert verdicts == {"st": "skipped", "csv": "equal", "steps": "skipped"}
+    kinds = [one["note"] for one in told["targets"] if one["verdict"] == "skipped"]
+    assert all("for another kind of machine than" in note for note in kinds)
+    assert told["missing"] == {} and told["equal"]
+    placed = tl.equal(examples / "letter-cycle.toml", "letter-placer", ["st", "klipper", "nc"])
+    assert [one.verdict for one in placed.targets] == ["equal", "skipped", "skipped"]
+    assert placed.missing == {}

@@ -14,7 +14,7 @@ from threadline.machine import load_machine
 from threadline.proof.asked import Words
 from threadline.proof.option_form import Door
 from threadline.proof.options import Options, describe, options_from, options_of
-from threadline.proof.pipeline import open_job
+from threadline.proof.pipeline import NOMINAL, open_job
 from threadline.search import chosen_plans
 from threadline.search.by_pace import answered
 from threadline.search.choices import (
@@ -188,6 +188,25 @@ def test_a_few_plans_are_faster_than_any_with_the_options_by_default() -> None:
     durations = [rung.duration_s for rung in found.of.rungs if rung.duration_s]
     assert durations == sorted(durations, reverse=True)
     assert found.plan().duration_s == found.duration_s
+
+
+@pytest.mark.usefixtures("few")
+def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> None:
+    """X may accelerate at 10.5 m/s2 and the specification asks for 8: 70 % of it passes."""
+    words = {"interpolation": "optimal", "tolerance": "0.1 mm", "outside": "0 mm"}
+
+    given = Words.of("fastest", Door.PYTHON, words)
+    asked = question_of(given, EXAMPLES / "x-180.prg", "lathe-winder")
+    criteria = tuple(
+        replace(one, limit=8.0) if one.name == "acceleration" else one
+        for one in asked.spec.criteria
+    )
+    spec = replace(asked.spec, criteria=criteria)
+    found = answered(replace(asked, spec=spec, trials=NOMINAL))
+    assert found.duration_s is not None and found.again is not None
+    assert found.again["limits"] == "0.7" and found.again["feed_forward"] is True
+    (passed,) = {rung.share for rung in found.of.rungs if rung.duration_s is not None}
+    assert passed == 0.7
 
 
 @pytest.mark.long(shown_by="test_a_search_by_what_was_tried_comes_close_to_what_can_be_had")

@@ -17,15 +17,23 @@ from tests.jobs.made_machines import made_machine
 
 import threadline as tl
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.errors import OptionError, PlanError
 from threadline.jobs import Job, read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine, load_machine
+from threadline.proof.asked import Words
+from threadline.proof.option_form import Door
 from threadline.proof.option_words import feed_words, parse_feed
 from threadline.proof.options import Options, options_of
-from threadline.proof.pipeline import plan_job, write
+from threadline.proof.pipeline import NOMINAL, plan_job, write
 from threadline.search.feed import search_range, searched_by
+from threadline.search.least_limits import fastest_job
+from threadline.search.paced import Question
+from threadline.search.question import question_of
+from threadline.verdict import Result, Status, Verdict
 
+VESSEL = Path(tl.__file__).parent / "cli" / "projects" / "winding" / "vessel.wind.toml"
 PLUNGE = "G21 G90\nG0 X10 Y10\nG1 Y8 F333\nG1 X60 F1000\nG1 Y12 F333\nG93\nX50 F30\nG0 X0 Y0\nM2\n"
 
 
@@ -151,6 +159,31 @@ def test_a_lift_that_a_slow_axis_holds_back_is_no_end_of_the_search(
     slow_y = load_machine(file)
     lifted = job_of(tmp_path, slow_y, "G1 X5 F333\nY40 F1200\nX60 F1000\nM2\n")
     assert search_range(lifted, slow_y, FeedMode.OVERRIDE)[1] == pytest.approx(30.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "auto"])
+def test_a_winding_is_searched_from_above(
+    interpolation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its slow feeds take longest to judge, and are never the answer."""
+    tried: list[float] = []
+
+    def judged(question: Question, plan: Plan) -> Verdict:
+        tried.append(float(plan.options["feed"].removesuffix(" %")))
+        passed = tried[-1] < 1000.0
+        result = Result(
+            name="contour_error", axis="", measured=1e-3 if passed else 3e-3, limit=2e-3, unit="m",
+            status=Status.PASSED if passed else Status.FAILED,
+        )  # fmt: skip
+        return Verdict(results=(result,), simulated=True)
+
+    monkeypatch.setattr(Question, "judged", judged)
+    words = Words.of("fastest", Door.PYTHON, {"interpolation": interpolation})
+    asked = question_of(words, VESSEL, "lathe-winder")
+    found = fastest_job(replace(asked, trials=NOMINAL))
+    assert found.by is FeedMode.OVERRIDE and found.best.found.best is not None
+    assert 980.0 < 100.0 * found.best.found.best < 1000.0
+    assert min(tried) > 100.0
 
 
 @pytest.mark.long(shown_by="test_programs_with_feeds_that_differ_are_searched_by_their_override")

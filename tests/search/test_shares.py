@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,7 @@ from threadline.search.fastest import RANGE, Fastest, Grid, Interval, find_faste
 from threadline.search.least_limits import Shares
 from threadline.search.paced import Question
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until
-from threadline.verdict import Verdict, load_spec
+from threadline.verdict import Result, Status, Verdict, load_spec
 
 SPEC = 'name = "any"\n[[criteria]]\nname = "contour_error"\nlimit = "1 mm"\nrequired = true\n'
 
@@ -227,6 +228,37 @@ def test_of_a_long_job_no_feed_is_tried_far_below_those_that_pass() -> None:
     least = 20.0
     assert find_fastest(judged, 0.1, 10.0, Grid(points=20, every=False)).best is None
     assert len(tried) == 24
+
+
+def test_an_error_that_no_slower_motion_changes_ends_the_scan_from_above() -> None:
+    """The loops stand beside their commands by 1.5 mm under a pull, besides what the feed adds.
+
+    An error that stays the same because the motion does, or that shrinks, ends nothing.
+    """
+    tried: list[float] = []
+
+    def judged(feed: float) -> Verdict:
+        tried.append(feed)
+        one = verdict(1.5 + shrinks * feed)
+        speed = Result(
+            name="velocity", axis="X", measured=min(feed, top), limit=None, unit="m/s",
+            status=Status.REPORTED,
+        )  # fmt: skip
+        return replace(one, results=(*one.results, speed))
+
+    shrinks, top = 0.1, 1.0
+    found = find_fastest(judged, 0.01, 10.0, Grid(points=20, near=16, every=False))
+    # Below 0.15 the feed adds at most 1 %: a third of that is slow enough.
+    assert found.best is None and found.limited_by == "contour_error"
+    assert found.low == min(tried) > 0.03 and len(tried) < 18
+    assert found.fixed == "contour_error"
+    assert find_fastest(judged, 0.01, 10.0, Grid(points=20)).low == 0.01
+    tried.clear()
+    top = 0.0
+    assert find_fastest(judged, 0.01, 10.0, Grid(points=20, every=False)).low == 0.01
+    tried.clear()
+    shrinks, top = 1.0, 1.0
+    assert find_fastest(judged, 0.1, 10.0, Grid(points=20, every=False)).low == 0.1
 
 
 def test_whether_a_job_is_long_is_asked_before_the_first_search() -> None:

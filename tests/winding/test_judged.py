@@ -13,6 +13,7 @@ import pytest
 
 from tests.winding import programs
 from threadline.base.arrays import FloatArray
+from threadline.cli.compare import comparison_tables
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
@@ -239,6 +240,9 @@ def test_every_verb_that_judges_takes_the_fibre(
     found = compare(job, machine, load_spec(None, machine), [options], with_fastest=False)
     failed = {r.name for r in found.proofs[0].verdict.results if r.status == "failed"}
     assert "slip_tendency" in failed and "contour_error" not in failed
+    ((_, header, (row,)),) = comparison_tables(found)
+    assert header[3:-1] == ["contour mm", "turning point mm", "slip %", "fibre off mm", "gap mm"]
+    assert float(row[header.index("slip %")]) > 20.0
     words = Words.of("fastest", Door.LINE, {"product": str(VESSEL), "margin": "10 %"})
     asked = {one.name: one.limit for one in question_of(words, file, machine).spec.criteria}
     assert asked["slip_tendency"] == pytest.approx(0.9 * 0.2)

@@ -40,6 +40,15 @@ STEP_COLUMNS = (
     ("end_position_error", "end missed mm"),
 )
 
+WINDING_COLUMNS = (
+    ("contour_error", "contour mm"),
+    ("turning_point_error", "turning point mm"),
+    ("slip_tendency", "slip %"),
+    ("laid_error", "fibre off mm"),
+    ("coverage_gap", "gap mm"),
+    ("tension_variation", "tension varies %"),
+)
+"""With a product; the tension with a spool in the machine file."""
 STITCH_COLUMNS = (
     ("stitch_residual", "residual mm"),
     ("servo_force", "force %"),
@@ -158,7 +167,11 @@ def comparison_tables(
     columns: tuple[tuple[str, str], ...] = COLUMNS
     if stepwise or sewn:
         columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS
-    if first.machine.without_dynamics:  # placement is not measured: its columns would be empty
+    wound = "product" in first.options
+    if wound:
+        columns = WINDING_COLUMNS
+    # Without dynamics no placement is measured, and without a spool no tension.
+    if wound or first.machine.without_dynamics:
         columns = tuple(
             (name, title)
             for name, title in columns

@@ -248,6 +248,11 @@ class FeedOutput(SearchOutput):
             forbids = joined(one for rung in self.of.rungs for one in rung.found.forbidden)
             why, *more = forbidden_words(forbids, best.found.limited_by, self._feed_text)
             yield from (f"no feed is in spec ({tried} tried): {why}", *more)
+            if best.found.fixed:
+                yield (
+                    f"no feed below {self._feed_text(best.found.low)} was tried: "
+                    f"{best.found.fixed} is above its limit by the same value at every speed"
+                )
             return
         yield (
             f"fastest: {best.duration_s:.3f} s at {self._feed_text(best.found.best)} with "

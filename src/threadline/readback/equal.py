@@ -25,7 +25,7 @@ from threadline.machine import Machine
 from threadline.proof.asked import check_target
 from threadline.proof.kinds import kind_of
 from threadline.proof.options import Options
-from threadline.proof.pipeline import write
+from threadline.proof.pipeline import target_names, write
 from threadline.readback.equal_found import UNITS, Curve, Found
 from threadline.readback.equal_text import check_version, other_text
 
@@ -160,7 +160,7 @@ class Asked:
     Parameters
     ----------
     targets
-        Names; those that cannot be written or read are skipped.
+        Names; one that this kind of machine lacks, or that cannot be written or read, is skipped.
     files
         File on disk by target.
     slower
@@ -192,8 +192,9 @@ def asked_of(
     Raises
     ------
     OptionError
-        If a target is unknown, belongs to another kind of machine, cannot hold the plan, or is
-        named twice; if a file is not given as TARGET=FILE or is not there.
+        If a target is unknown; if it belongs to another kind of machine or cannot hold the plan,
+        and has a file or is the only one; if a file is named twice, is not given as TARGET=FILE or
+        is not there.
     """
     own: dict[str, Path] = {}
     for text in files:
@@ -210,9 +211,19 @@ def asked_of(
                 f"there is no file {file[:200]!r}", remedy="Give the file to compare."
             )
     named = list(dict.fromkeys([*targets, *own]))
+    refused = [error for name in named if (error := _refusal(name, machine, options)) is not None]
     for name in named:
-        check_target(name, machine, options)
+        if name in own or name not in target_names() or len(refused) == len(named):
+            check_target(name, machine, options)
     return Asked(targets=tuple(named or kind_of(machine).targets), files=own, slower=slower)
+
+
+def _refusal(target: str, machine: Machine, options: Options) -> OptionError | None:
+    try:
+        check_target(target, machine, options)
+    except OptionError as error:
+        return error
+    return None
 
 
 def equal_targets(
@@ -283,7 +294,7 @@ def _one(
     plan: Plan, options: Options, target: str, folder: Path, given: Path | None, *, slower: bool
 ) -> Equal:
     """Return the row of one target; a target that cannot be compared is skipped with its reason."""
-    missing = _missing(target)
+    missing = _missing(target) if target in kind_of(plan.machine).targets else ""
     why = "" if _readable(target) else _NO_READER
     if not why and target in {"nc", "linuxcnc"}:
         why = missing

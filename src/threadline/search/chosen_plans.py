@@ -47,6 +47,7 @@ from threadline.verdict import Verdict
 _CONFIRMED = 200  # runs, by which a plan must pass that is to be the best so far
 _MOST_NARROWED = 6
 _STEPS = 6  # plans between careful and bold
+_SHARES = (0.85, 0.7, 0.5, 0.3)  # of the limits, where no plan at all of them passes
 _LEAST_PLANS, _MOST_PLANS = 12, 240
 _ALL_TICKS = 150_000  # of all plans of a search together
 PROCESSOR_S = 600.0
@@ -186,8 +187,10 @@ def fastest_chosen(asked: Question) -> FastestJob:
             search = Choosing(asked, knobs, one)
             searches.append(search)
             careful = places_of(one, knobs, machine)
-            bold = tuple(BOLD[knob.word] for knob in knobs)
-            tried = boldest(search.attempt, careful, bold, _STEPS)
+            bold, steps = tuple(BOLD[knob.word] for knob in knobs), _STEPS
+            if one.limit_share < asked.options.limit_share:
+                bold, steps = careful, 1
+            tried = boldest(search.attempt, careful, bold, steps)
             if best_of(tried) is None:
                 continue
             ticks = max(search.best_s / tick_s, 1.0)
@@ -220,11 +223,16 @@ def _followings(options: Options, asked: Question) -> Iterator[Options]:
     """Yield the options with feed-forward, if the machine and the question allow it, and as given.
 
     Loads that follow the motion itself leave it by less than the loops of motors that follow it, so
-    they come first.
+    they come first. A hard stop of a heavy axis may ring whatever the choices are, so smaller
+    shares of the limits follow.
     """
     able = not asked.machine.takes_positions and options.timing.shaper is None
     if options.feed_forward_s is None and "feed_forward" in asked.free and able:
-        yield replace(options, feed_forward_s=parse_width_s(OPTIMAL_FEED_FORWARD))
+        following = replace(options, feed_forward_s=parse_width_s(OPTIMAL_FEED_FORWARD))
+        yield following
+        yield from (
+            replace(following, limit_share=share * options.limit_share) for share in _SHARES
+        )
     yield options
 
 

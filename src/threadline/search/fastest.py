@@ -32,10 +32,14 @@ from threadline.search.forbidden import (
     worst_criterion,
 )
 from threadline.search.until import HaltError, Until
-from threadline.verdict import Verdict
+from threadline.verdict import Status, Verdict
 
 EDGE_RELATIVE = 2e-3
 _ENOUGH = 4  # feeds in a row that must pass to end a scan from above
+_SLOWED = 3.0
+"""Factor by which the motion must be slower for an error that stays the same to count as fixed."""
+_FIXED = 0.01
+"""Share by which a fixed error changes at most."""
 _UNDER_WAY = 0.98
 """Largest reported progress of an unfinished search, even if it takes longer than expected."""
 RANGE = "range"
@@ -58,8 +62,9 @@ class Grid:
     every
         Whether every interval is examined closely. If not, only the fastest interval and feeds near
         its upper edge are examined closely; the scan then goes down from above until a few feeds in
-        a row pass. Slower intervals that this scan meets come from the scan and the bisection of
-        edges alone.
+        a row pass, or until an error is fixed: above its limit by the same value at every feed,
+        however slow the motion was. Slower intervals that this scan meets come from the scan and
+        the bisection of edges alone.
     between
         Whether every feed between two that pass passes, too, as where nothing is asked but limits
         that the planner keeps at every feed. If both ends of the range pass, no other is tried;
@@ -109,6 +114,8 @@ class Fastest:
         Whether every interval was examined as closely as the fastest.
     forbidden
         When no feed passes: every criterion that forbids feeds, and the feeds it forbids.
+    fixed
+        When the scan from above ended at a fixed error: its criterion; else empty.
     """
 
     intervals: tuple[Interval, ...]
@@ -122,6 +129,7 @@ class Fastest:
     complete: bool = True
     every: bool = True
     forbidden: tuple[Forbidden, ...] = ()
+    fixed: str = ""
 
     @property
     def fastest(self) -> Interval | None:
@@ -250,7 +258,7 @@ def find_fastest(
             tried=len(seen),
             complete=complete,
             forbidden=forbidden(seen),
-            **steps,
+            **_not_below(steps, seen),
         )
     steps["low"] = low if grid.every else min(seen)
     best = _first(intervals).high
@@ -265,6 +273,12 @@ def find_fastest(
         complete=complete,
         **steps,
     )
+
+
+def _not_below(steps: dict[str, Any], seen: Mapping[float, Verdict]) -> dict[str, Any]:
+    """Return the steps of a search without an answer, as far down as it went."""
+    fixed = "" if steps["every"] else _fixed([seen[feed] for feed in sorted(seen)])
+    return steps | {"low": min(seen), "fixed": fixed} if fixed else steps
 
 
 def _between_tried(seen: Mapping[float, Verdict]) -> list[Interval]:
@@ -329,10 +343,13 @@ def _searched_from_above(
 
     The scan goes down until some feeds in a row pass. Then feeds are tried near the upper edge of
     the fastest interval, and inside it. If only isolated feeds of this interval pass, the next
-    interval below is examined. If no interval remains, the whole range is searched.
+    interval below is examined. If no interval remains, the whole range is searched, unless an error
+    is fixed.
     """
     points, near, edge_relative = grid.points, grid.near, grid.edge
     scan = _down_to_passing(verdict_at, _spaced(*span, points))
+    if _fixed([verdict_at(feed) for feed in scan]):
+        return []
     if not near:
         intervals = _bounded(verdict_at, scan, _passes(verdict_at, scan), edge_relative)
         expects(2 * len(intervals))
@@ -355,13 +372,54 @@ def _searched_from_above(
 
 
 def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:
-    """Return the highest feeds, down to ``_ENOUGH`` in a row that pass; all feeds where none do."""
-    passing = 0
+    """Return the highest feeds, down to ``_ENOUGH`` in a row that pass or to a fixed error."""
+    passing, verdicts = 0, list[Verdict]()
     for at in range(len(feeds) - 1, -1, -1):
-        passing = passing + 1 if verdict_at(feeds[at]).passed else 0
-        if passing == _ENOUGH:
+        verdicts.insert(0, verdict_at(feeds[at]))
+        passing = passing + 1 if verdicts[0].passed else 0
+        if passing == _ENOUGH or _fixed(verdicts):
             return feeds[at:]
     return feeds
+
+
+def _fixed(verdicts: Sequence[Verdict]) -> str:
+    """Return the criterion whose error is above its limit by the same value at every speed.
+
+    So are an offset of the loops under a pull, and a program that leaves a part of its product
+    bare. Empty if there is none. ``verdicts`` are of one job, the slowest first.
+    """
+    slowest, errors = _speeds(verdicts[0]), _failing(verdicts[0])
+    for verdict in verdicts:
+        found = _failing(verdict)
+        errors = {
+            name: value
+            for name, value in errors.items()
+            if name in found and abs(found[name] - value) <= _FIXED * value
+        }
+        if not errors or verdict.passed:
+            return ""
+        speeds = _speeds(verdict)
+        if speeds and all(speeds[axis] > _SLOWED * slowest[axis] for axis in speeds):
+            return min(name for name, _, _ in errors)
+    return ""
+
+
+def _speeds(verdict: Verdict) -> dict[str, float]:
+    """Return the highest speed of each axis that moves."""
+    return {
+        one.axis: abs(one.measured)
+        for one in verdict.results
+        if one.name == "velocity" and one.measured
+    }
+
+
+def _failing(verdict: Verdict) -> dict[tuple[str, str, str], float]:
+    """Return the values that are above their limits, by criterion, axis and step."""
+    return {
+        (one.name, one.axis, one.step): abs(one.measured)
+        for one in verdict.results
+        if one.status is Status.FAILED and one.limit and one.measured is not None
+    }
 
 
 def _passes(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:

@@ -176,9 +176,9 @@ def fastest_job(asked: Question) -> FastestJob:
     job passes.
 
     In a job of more than five minutes a share of the limits is skipped if even its highest feed
-    takes no less time than the best result so far: it cannot be the answer. Feeds are tried from
-    above until four in a row are in spec. At the end only the fastest interval and its upper edge
-    are examined closely.
+    takes no less time than the best result so far: it cannot be the answer. There, and in every
+    winding, feeds are tried from above until four in a row are in spec. At the end only the fastest
+    interval and its upper edge are examined closely.
     """
     job, machine, options, until = asked.job, asked.machine, asked.options, asked.until
     check_loops(machine)
@@ -202,7 +202,9 @@ def fastest_job(asked: Question) -> FastestJob:
         part = asked if parts == (job,) else of_a_part(asked)
         with_share = replace(part.options, limit_share=share)
         question = replace(part, options=with_share, progress=telling)
-        closely = replace(grid, every=by_feed or not shares.long, between=_only_limits(asked))
+        # The slow feeds of a winding take longest to judge, and are never its answer.
+        every = options.product is None and (by_feed or not shares.long)
+        closely = replace(grid, every=every, between=_only_limits(asked))
         return fastest_feed(question, closely, parts, seen.setdefault(share, {}))
 
     def planned_s(share: float, feed: float) -> float:

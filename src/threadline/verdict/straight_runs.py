@@ -163,7 +163,9 @@ def _find_ends(vertices, speed, rest, corner, last, heading, numbers, ends):  # 
         start = numbers[3] == 2.0
         ends[i] = not _goes_on(vertices[i], speed[i], corner, last, heading, numbers)
         if ends[i]:
-            corner[:] = last
+            # An assignment of arrays would compile numba's message about shapes, for two seconds.
+            for a in range(len(corner)):
+                corner[a] = last[a]
             numbers[0], numbers[1], numbers[2], numbers[3] = -1.0, 0.0, -1.0, 0.0
         _take(vertices[i], speed[i], corner, last, heading, numbers)
         numbers[3] = 1.0 if rest[i] or start else 0.0

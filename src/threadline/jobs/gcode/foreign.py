@@ -22,6 +22,7 @@ FILAMENT = "E"
 """Letter of the extruder of a 3D print, which no machine here has; its words may be left out."""
 MACROS = "MACROS"
 """Name by which the macros of Klipper may be left out."""
+_ONLY_OUT = {FILAMENT: "the filament of a 3D print", MACROS: "the moves of Klipper's macros"}
 _NONE = "NONE"
 _HEAD_BYTES = 1 << 16
 _EXAMPLE = 'Write the letter of the program first: "C=A,Z=X".'
@@ -61,8 +62,12 @@ def letters_of(machine: Machine, text: str | None) -> Letters:
     pairs: dict[str, str] = {}
     for part in text.split(","):
         letter, sign, name = (piece.strip().upper() for piece in part.partition("="))
-        known = (*LETTERS, FILAMENT, MACROS) if name == _NONE else tuple(LETTERS)
-        if not sign or letter not in known:
+        if letter in _ONLY_OUT and name != _NONE:
+            raise OptionError(
+                f"axes {part.strip()[:40]!r}: {_ONLY_OUT[letter]} can only be left out",
+                remedy=f"Write {letter if letter == FILAMENT else letter.lower()}=none.",
+            )
+        if not sign or letter not in (*LETTERS, *_ONLY_OUT):
             raise OptionError(f"axes {part.strip()[:40]!r} is no pair of axes", remedy=_EXAMPLE)
         if name not in (*names, _NONE):
             raise OptionError(

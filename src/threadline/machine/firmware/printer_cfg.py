@@ -44,7 +44,7 @@ _CHANGES_MOTION = {
     "skew_correction": "moves an axis in proportion to another, once a profile is loaded",
     "dual_carriage": "gives an axis a second carriage",
 }
-_OWN = re.compile(r"\[(?:stepper_[a-z]\d*|manual_stepper \w+|printer|include [^\]]+)\]")
+_OWN = re.compile(r"\s*\[(?:stepper_[a-z]\d*|manual_stepper \w+|printer|include [^\]]+)\]")
 _LOG = re.compile(r"={3,} Config file ={3,}")
 
 _LEAST_STEPS, _MOST_STEPS = 1e-3, 1e7
@@ -154,6 +154,7 @@ def _take_lines(
     lines: Sequence[str], file: str, settings: Settings, read: _File, within: tuple[Path, ...]
 ) -> None:
     section: Keys | None = None
+    key, margin = "", 0  # the key of the line before, and the blanks before it
     for number, whole in enumerate(lines, start=1):
         place = Place(file, number)
         # Lines that SAVE_CONFIG added are valid; elsewhere their mark would make them comments.
@@ -162,9 +163,12 @@ def _take_lines(
         code = _COMMENT.sub("", line).rstrip()
         if not code.strip():
             continue
-        header = re.match(r"\[([^\]]+)\]$", code)
+        blanks = len(code) - len(code.lstrip())
+        within_value = bool(key) and blanks > margin  # Klipper appends it to the value
+        margin = margin if within_value else blanks
+        header = None if within_value else re.match(r"\s*\[([^\]]+)\]$", code)
         if header is not None:
-            name = " ".join(header[1].split())
+            key, name = "", " ".join(header[1].split())
             if name.startswith("include "):
                 for path in _included(name.removeprefix("include "), place, settings, within):
                     text = read_text(path, _MOST_BYTES, MachineError, "file of settings")
@@ -180,14 +184,14 @@ def _take_lines(
         _note_axis(settings, read, code, place)
         if re.search(r"\bSET_VELOCITY_LIMIT\b", code, re.IGNORECASE):
             settings.notes.append(f"{place}: SET_VELOCITY_LIMIT of a macro is not followed")
-        if code[0] in " \t":  # Klipper appends an indented line to the preceding value
-            if (last := next(reversed(section), None)) is not None:
-                section[last] = f"{section[last][0]} {code.strip()}".strip(), section[last][1]
+        if within_value:
+            section[key] = f"{section[key][0]} {code.strip()}".strip(), section[key][1]
             continue
-        match = _KEY.match(code)
+        match = _KEY.match(code.strip())
         if match is None:
             raise unknown(line, place, "rotation_distance: 40")
-        section[match[1].lower()] = match[2].strip(), place
+        key = match[1].lower()
+        section[key] = match[2].strip(), place
 
 
 def _included(

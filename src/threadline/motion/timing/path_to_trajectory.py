@@ -34,8 +34,8 @@ from threadline.motion.timing.pieces import (
     join,
     prepare,
 )
-from threadline.motion.timing.timed import held_block, smoothed_blocks, timed_blocks
-from threadline.motion.timing.types import Trajectory, TrajectoryBlock
+from threadline.motion.timing.timed import smoothed_blocks, timed_blocks
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock, held_block
 
 if TYPE_CHECKING:
     from threadline.motion.laws import Law

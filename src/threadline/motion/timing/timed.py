@@ -12,7 +12,7 @@ from threadline.base.arrays import FloatArray
 from threadline.motion.path.durations import smoothing_for
 from threadline.motion.path.types import PieceBlock, PlannedPath
 from threadline.motion.timing.averaged import Smoother
-from threadline.motion.timing.types import TrajectoryBlock
+from threadline.motion.timing.types import TrajectoryBlock, held_block
 
 if TYPE_CHECKING:
     from threadline.machine import Machine
@@ -74,20 +74,6 @@ def smoothed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
                 yield held_block(end, now, dwell, operation)
                 now += dwell
             smoother, phase, done = None, 0.0, 0
-
-
-def held_block(
-    position: FloatArray, begin_s: float, dwell_s: float, operation: int
-) -> TrajectoryBlock:
-    """Return a block that stands still."""
-    coefficients = np.zeros((1, 4, len(position)))
-    coefficients[0, 0] = position
-    return TrajectoryBlock(
-        start_s=np.array([begin_s]),
-        duration_s=np.array([dwell_s]),
-        coefficients=coefficients,
-        operation=np.array([operation]),
-    )
 
 
 def _placed(

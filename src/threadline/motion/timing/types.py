@@ -245,3 +245,17 @@ class TrajectoryReader:
                 self._ended = True
             elif len(block):
                 self._blocks.append(block)
+
+
+def held_block(
+    position: FloatArray, begin_s: float, dwell_s: float, operation: int
+) -> TrajectoryBlock:
+    """Return a block that stands still."""
+    coefficients = np.zeros((1, 4, len(position)))
+    coefficients[0, 0] = position
+    return TrajectoryBlock(
+        start_s=np.array([begin_s]),
+        duration_s=np.array([dwell_s]),
+        coefficients=coefficients,
+        operation=np.array([operation]),
+    )

@@ -20,8 +20,7 @@ from threadline.motion.timing.optimal.motion_limits import Limits, limits_of
 from threadline.motion.timing.optimal.shaped import shaped
 from threadline.motion.timing.optimal.solve import fastest
 from threadline.motion.timing.optimal.windows import ADDED, SEEN, windowed
-from threadline.motion.timing.timed import held_block
-from threadline.motion.timing.types import TrajectoryBlock
+from threadline.motion.timing.types import TrajectoryBlock, held_block
 
 if TYPE_CHECKING:
     from threadline.machine import Machine

@@ -4,18 +4,21 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.compiled import njit
-from threadline.motion.laws import ShortestMove, shortest_move
 from threadline.motion.timing.optimal.along_path import across
 from threadline.motion.timing.optimal.barrier import room_of, values
 from threadline.motion.timing.optimal.elements import Elements
 from threadline.motion.timing.optimal.motion_limits import Limits
 from threadline.motion.timing.optimal.rows import WEIGHTS
 from threadline.motion.timing.types import TrajectoryBlock
+
+if TYPE_CHECKING:
+    from threadline.motion.laws import ShortestMove
 
 
 def straight_run(
@@ -33,6 +36,8 @@ def straight_run(
     nominal_s
         Least time of the piece at constant speed, 0 for none.
     """
+    from threadline.motion.laws import shortest_move  # it brings the catalogue of laws
+
     way = np.abs(c[1])
     with np.errstate(divide="ignore", over="ignore"):
         velocity = float((limits.velocity / way).min())
