@@ -347,7 +347,7 @@ def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
         (lambda: prove_x(feed_forward="yes"), "Give True or False"),
         (
             lambda: compare_x(["linear", 3]),
-            "Give a list, each of it a text",
+            "Give a list, each item a text",
         ),
         (lambda: LOOSE.retime([[0, 0], [1, 0]], 10**400, 1), "velocity is 1000.*one number"),
         (lambda: LOOSE.retime([[0, 0], [10**400, 0]], 1, 1), "points are not an array of numbers"),

@@ -127,7 +127,7 @@ REFUSED = {
     'style="display:nonne"': "display is 'nonne', which is not understood",
     'style="display"': "the style 'display' is not understood",
     'style="stroke:url(#a"': "the style 'stroke:url(#a' is not understood",
-    'style="stroke:blurple"': "'blurple' is no colour that is known",
+    'style="stroke:blurple"': "'blurple' is not a known colour",
 }
 
 
@@ -150,10 +150,10 @@ def test_what_is_not_understood_is_refused_with_its_line(written: str) -> None:
         ("<style>path{display:none</style>", "not understood at 'path{display:none'"),
         ('<style media="print">path{display:none}</style>', "certain media"),
         ('<rect width="-3" height="2"/>', "width is '-3', less than nothing"),
-        ('<circle r="3ex"/>', "r is '3ex', no length"),
+        ('<circle r="3ex"/>', "r is '3ex', not a length"),
         ('<polyline points="1 2 3"/>', "odd count"),
         ('<polyline points="1 2, 3 x"/>', "'x' is no number"),
-        ('<rect width="nan" height="2"/>', "width is 'nan', no length"),
+        ('<rect width="nan" height="2"/>', "width is 'nan', not a length"),
     ],
 )
 def test_sheets_and_shapes_that_are_not_read(body: str, text: str) -> None:

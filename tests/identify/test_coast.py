@@ -118,5 +118,5 @@ def test_a_coast_without_its_place_is_refused_by_the_fit(damped, tmp_path):
     kept = {key: text for key, text in recording.origin.items() if key != "cut_at_si"}
     write_recording(replace(recording, origin=kept), tmp_path / "x.npz")
     assert "supply_cut" in {one.name for one in read_recording(tmp_path / "x.npz").channels}
-    with pytest.raises(RecordingError, match="does not say at which position"):
+    with pytest.raises(RecordingError, match="the position at which the"):
         tl.fit(tmp_path / "x.npz", tmp_path / "damped.toml", ["bodies.x.damping"])

@@ -116,7 +116,7 @@ def test_numbers_that_only_act_together_are_refused_by_the_name_of_their_combina
     arguments = (f"+unloaded:{data}", "-m", "stitcher", "--numbers", numbers, "-o", file)
     code, out, err = run(capsys, *arguments)
     assert code == 2 and not out and err.count("\n") == 1 and not file.exists()
-    assert "5 numbers, of which the data determines" in err
+    assert "5 numbers, but the data determines only" in err
     assert "drives.x.torque_constant" in err and "Leave out 2 of the 5 numbers" in err
 
 

@@ -115,7 +115,7 @@ def test_inertia_torque_constant_and_resistance_give_two_numbers_at_most(
         main(["fit", "x.npz", "-m", "lathe-winder", "--numbers", numbers, "-o", "no.toml"])
     err = capsys.readouterr().err
     assert left.value.code == 2 and not Path("no.toml").exists()
-    assert "3 numbers, of which the data determines 1 combination" in err
+    assert "3 numbers, but the data determines only 1 combination" in err
     assert "drives.x.torque_constant" in err and err.count("\n") == 1
 
 

@@ -146,7 +146,7 @@ pole = "right"
         (('thickness = "0.25 mm"\n', ""), "made.wind.toml:16: the thickness of the band is not"),
         (("circuits = 30\nshift = 19", "circuits = 31"), "31 circuits; FiberPath winds 30 at 55"),
         (('"hoop"', '"hoop"\ncircuits = 2'), "Write 2 hoop layers"),
-        (('"50 deg"', '"50 deg"\nend = "340 mm"'), "its end is 340 mm, that of [coverage] 360 mm"),
+        (('"50 deg"', '"50 deg"\nend = "340 mm"'), "its end is 340 mm, and [coverage] has 360 mm"),
         (('radius = "50 mm"\nlen', 'radius = "49 mm"\nlen'), "the cone widens to the right"),
     ],
 )  # fmt: skip

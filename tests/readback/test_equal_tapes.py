@@ -58,7 +58,7 @@ def test_a_change_that_moves_nothing_is_found(folder: Path, tmp_path: Path) -> N
     whole = (folder / "r.dst").read_bytes()
     file = tmp_path / "r.dst"
     file.write_bytes(whole.replace(b"+X:", b"-X:", 1))
-    assert "is not the one that compile writes" in beside(file).note
+    assert "differs from the byte that compile writes" in beside(file).note
     assert beside(file).verdict == "differs"
     file.write_bytes(whole[: len(whole) // 2])
     one = beside(file)

@@ -97,7 +97,7 @@ def test_people_read_the_room_left_and_degrees() -> None:
     outside = replace(inside, measured=0.002, status=Status.FAILED, note="beyond")
     fast = replace(inside, name="acceleration", axis="A", measured=np.pi, unit="rad/s^2", note="")
     _, rows = verdict_rows(Verdict(results=(inside,), simulated=True))
-    assert (rows[0][2], rows[0][3], rows[0][-1]) == ("0 mm", "0 mm", "50 mm of room left")
+    assert (rows[0][2], rows[0][3], rows[0][-1]) == ("0 mm", "0 mm", "50 mm of travel left")
     _, rows = verdict_rows(Verdict(results=(outside, fast), simulated=True))
     assert (rows[0][2], rows[0][-1]) == ("2 mm", "beyond")
     assert rows[1][2] == "180 deg/s^2"
@@ -234,10 +234,7 @@ def test_a_verdict_without_a_limit_of_the_specification_says_that_limits_are_kep
     own = of("velocity", 1.0, hard=True)
     bare = Verdict(results=(own, of("a", None)), simulated=True)
     assert bare.passed and not bare.answers
-    assert closing(bare) == (
-        "LIMITS KEPT (nominal: 1 run; nothing else is asked, for no criterion of the specification "
-        "has a limit)"
-    )
+    assert closing(bare) == ("LIMITS KEPT (nominal: 1 run; the specification sets no other limit)")
     unknown = Verdict(results=(own, of("a", 1.0, measured=False)), simulated=True)
     assert closing(unknown) == (
         "LIMITS KEPT (nominal: 1 run; a was not measured; 1 criterion not measured)"

@@ -30,7 +30,7 @@ _WORDS = {
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
-    """Return a function that refuses arguments of other types than its annotations say.
+    """Return a function that refuses arguments whose types differ from its annotations.
 
     Unusable files and a lack of memory raise the same errors as on the command line, and no output
     replaces a file that the same call has read.
@@ -102,7 +102,9 @@ def check_argument(name: str, value: object, takes: Any) -> None:
     texts: Sequence[object] = value if isinstance(value, list | tuple) else [value]
     for text in texts:
         if isinstance(text, str | Path) and not _is_text(str(text)):
-            raise OptionError(f"{name} is {_shown(text)}, which is no text", remedy="Correct it.")
+            raise OptionError(
+                f"{name} is {_shown(text)}, not valid UTF-8 text", remedy="Correct it."
+            )
 
 
 def _fits(value: object, takes: Any) -> bool:
@@ -132,7 +134,7 @@ def _named(takes: Any) -> str:
         *most, last = dict.fromkeys(map(_named, get_args(takes)))
         return f"{', '.join(most)} or {last}" if most else last
     if get_origin(takes) is not None:
-        return f"a list, each of it {_named(get_args(takes)[0])}"
+        return f"a list, each item {_named(get_args(takes)[0])}"
     return _WORDS.get(takes, f"a {takes.__name__}")
 
 

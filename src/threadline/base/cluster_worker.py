@@ -1,8 +1,8 @@
 """What a worker of a cluster runs: the items of a task, by work that it keeps ready.
 
-Every task names the work by a digest, and a worker plans and compiles once for each. It tells the
-bits that it comes to for a known item, and gives no answer if its versions are others than those of
-the command.
+Every task names the work by a digest, and a worker plans and compiles once for each digest. It
+returns the bits of its result for a known item, and refuses to work if its versions differ from the
+command's versions.
 """
 
 from __future__ import annotations

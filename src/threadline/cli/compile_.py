@@ -39,7 +39,7 @@ def compile_(
         bool,
         typer.Option(
             "--slower",
-            help="Write even a program that takes longer on its firmware than JOB as it stands.",
+            help="Write the program even if it takes longer on its firmware than JOB itself.",
         ),
     ] = False,
     passes: Annotated[

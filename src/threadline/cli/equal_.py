@@ -41,17 +41,18 @@ def equal_(
         bool,
         typer.Option(
             "--slower",
-            help="Compare even a program that takes longer on its firmware than JOB as it stands.",
+            help="Compare also a program that takes longer on its firmware than JOB itself.",
         ),
     ] = False,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Say whether the file on a controller is the plan that was proven.
+    """Check that the files of the controllers are the plan that was proven.
 
-    The plan of JOB is written for every target, or a file on disk is taken. Each file is read by
-    something that did not write it, and compared with the plan in place and time. Where that reader
-    is not installed, the output says how to get it; with CI=true the exit status is 1 then.
+    The command writes the plan of JOB for every target, or takes a file on disk. A reader that
+    shares no code with the writer reads each file, and its positions and times are compared with
+    the plan. If a reader is not installed, the output says how to get it; with CI=true the exit
+    status is then 1.
 
     Exit status: 0 equal, 1 a file differs, 2 wrong input.
 

@@ -89,8 +89,8 @@ class OptimalOutput(SearchOutput):
         )
         if self.of.left:
             yield (
-                f"unsearched: up to {self.of.left} further choices of a plan, about each of which "
-                'some plans are tried; --within "2 h" goes on that long'
+                f"unsearched: up to {self.of.left} further choices of a plan, some plans for "
+                'each; --within "2 h" continues the search'
             )
         if any(rung.alone for rung in self.of.rungs):
             yield "alone: the plan for an allowance smaller by half a percent is out of spec"

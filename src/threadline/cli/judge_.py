@@ -23,12 +23,12 @@ def judge(
     ],
     words: Words,
     job: Annotated[
-        Path | None, typer.Option(help="The job; default: the one that the recording names.")
+        Path | None, typer.Option(help="The job; default: the job that the recording names.")
     ] = None,
     machine: Annotated[
         str | None,
         typer.Option(
-            "--machine", "-m", help="The machine; default: the one that the recording names."
+            "--machine", "-m", help="The machine; default: the machine that the recording names."
         ),
     ] = None,
     json: JsonOption = False,

@@ -43,8 +43,8 @@ class Board:
     stops
         Whether M0 is a stop for the firmware.
     rezero
-        Word that sets the place which the firmware keeps of an axis; empty if it has none. G92 of
-        grbl, FluidNC and Marlin only shifts the numbers of the program.
+        Word that sets the firmware's own position of an axis; empty if it has none. G92 of grbl,
+        FluidNC and Marlin only shifts the numbers of the program.
     head
         Function that returns comments about a machine and the axes of a job, for the first lines.
     """
@@ -164,7 +164,7 @@ def firmware_of(job: Job, machine: Machine) -> str:
 def read_written(path: Path, machine: Machine, target: str) -> Job:
     """Return the job of a program that was written for a target.
 
-    Macros that the job runs stand in the program, too, and move nothing in either.
+    Macros of the job are in the program, too; they move nothing in the job or in the program.
     """
     without = "macros=none" if target == "klipper" else None
     return read_part_program(path, machine=machine, dialect=target, axes=without)
@@ -193,13 +193,13 @@ def refuse_lost(job: Job, machine: Machine, target: str) -> None:
     ------
     PlanError
         If there is such a word, the message names the first few words with their lines. Also if an
-        axis is wrapped: programs that are written turn on and on.
+        axis is wrapped: written programs count angles past one turn.
     """
     for name, axis in machine.axes.items():
         if axis.wrapped and name in job.axes:
             raise PlanError(
-                f"axes.{name} is wrapped: its control reads angles in one turn, and the program to "
-                "be written turns on",
+                f"axes.{name} is wrapped: its control reads angles within one turn, and the "
+                "written program counts on past 360 degrees",
                 remedy=f"Set WRAPPED_ROTARY = 0 in [AXIS_{name}] of the control, and remove "
                 "wrapped from the machine file.",
             )
@@ -212,7 +212,7 @@ def refuse_lost(job: Job, machine: Machine, target: str) -> None:
     named = ", ".join(f"{words} (line {line})" for line, words in list(lost)[:_SHOWN])
     more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
     own = f"write it for {source}, " if source in BOARDS else ""
-    count = "1 word that works" if len(lost) == 1 else f"{len(lost)} words that work"
+    count = "1 word that switches" if len(lost) == 1 else f"{len(lost)} words that switch"
     raise PlanError(
         f"{count} the machine would be lost or mean something else in a program for {target}: "
         f"{named}{more}",

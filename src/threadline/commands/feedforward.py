@@ -182,7 +182,7 @@ class _Motion:
         )
 
     def short(self, rests_s: tuple[float, float], ends_m: float) -> Followed | None:
-        """Return the motion with a table that ends together with it; None if there is no such one.
+        """Return the motion with a table that ends together with it; None if no table does.
 
         The second value of ``rests_s`` is the rest that the inverses need.
         """

@@ -1,7 +1,7 @@
 """The swing of an embroidery frame turn by turn, on machines all over a band of modes, with slopes.
 
 The swing at the end of a move is interpolated between turn times that are 0.1 % apart. The slopes
-say how the swing changes with the time of a turn and with that of the turn before it.
+say how the swing changes with the time of a turn and with the time of the turn before it.
 """
 
 from __future__ import annotations

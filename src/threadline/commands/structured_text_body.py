@@ -188,7 +188,7 @@ def _contradictions(one: Guarded, words: Words, machine: Machine) -> Iterator[tu
             word = words.inputs[name]
             if (first, last) == (True, False):
                 yield f"{at} AND {word} AND (elapsed >= {one.gone})", "f_stayed", name
-                # The far switch came in time, so the near switch is the one that should be off.
+                # The far switch came in time, so the near switch should be off.
                 for far, far_said in said.items():
                     if far_said == (False, True):
                         yield f"{at} AND {word} AND {words.inputs[far]}", "f_stayed", name

@@ -98,7 +98,7 @@ _CLAMPED = np.array([[0.0], [0.0], [1.0], [0.0]])
 def _of_one_error(
     machine: Machine, name: str
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return a controller with the states e', e'', u', u'', of which the outputs are clamped."""
+    """Return a controller with the states e', e'', u', u''; its outputs are clamped."""
     (b0, b1, b2), (a1, a2) = (
         row[0] for row in difference_equation(machine, name, Values.of(machine))
     )

@@ -313,7 +313,7 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
 def opening_ringing_m(machine: Machine, axis: str, level: float, open_s: float) -> float:
     """Return the amplitude of the frame, m, after a flow of ``level`` for ``open_s``.
 
-    It is that of the step and, ``open_s`` later, the opposite step: ``|a (exp(p t) - 1)|``.
+    The flow is a step and, ``open_s`` later, the opposite step: ``|a (exp(p t) - 1)|``.
 
     Raises
     ------

@@ -303,8 +303,8 @@ def unwind(
     used_m
         Length of fibre that the eye gives out in the tick, m; negative: it gives it back.
     speed_m_s
-        Speed of the fibre at the end of the tick, m/s. Its speed at the beginning is that of the
-        state; between them the length is the cubic with these speeds and this length.
+        Speed of the fibre at the end of the tick, m/s. The state has its speed at the beginning;
+        between them the length is the cubic with these speeds and this length.
     tick_s, steps
         Length of the tick, s, and the number of equal steps in it.
     """

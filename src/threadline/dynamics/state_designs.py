@@ -67,7 +67,7 @@ class Designed:
     axes, sensors, drives
         Its references, sensors and drives, in the order of the machine file.
     clock, reference_clock
-        Its clock, and that of its references where they come more slowly.
+        Its clock, and the clock of its references if they come more slowly.
     A, B, C, D, L
         Its matrices, as in the machine file.
     dac

@@ -81,7 +81,7 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     Raises
     ------
     InputError
-        If anything that was given is wrong; the message is the one that the command line prints.
+        If an argument is wrong; the message is the same as on the command line.
     """
     from threadline.proof.pipeline import prove as prove_job
     from threadline.proof.pipeline import with_shaping

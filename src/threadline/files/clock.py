@@ -50,7 +50,7 @@ class Clock:
 
 
 def common_period_s(periods_s: list[Fraction]) -> Fraction:
-    """Return the longest period of which all of ``periods_s`` are whole multiples.
+    """Return the longest period such that all of ``periods_s`` are whole multiples of it.
 
     >>> common_period_s([Fraction(136, 10**6), Fraction(1, 1000)])
     Fraction(1, 125000)

@@ -21,7 +21,7 @@ _ALIKE = 0.02  # largest difference of a fill from its boundary, as a share of i
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Leader:
-    """A line, (n, 2) m, that points at something with its first point, and the text at its last.
+    """A leader line, (n, 2) m: its first point is the arrow head, its text stands at the last.
 
     ``lines`` are the lines of the file at which its entities begin.
     """
@@ -87,7 +87,7 @@ class _Texts:
     def label(self, leader: Any, end: FloatArray) -> tuple[str, int]:
         """Return the text of a leader and its line in the file.
 
-        The text is the one that the leader names, or the nearest on its layer, or "" with line 0.
+        The text is named by the leader, else nearest on its layer, else "" with line 0.
         ``end``, shape (2,), is the last point of the leader.
         """
         text = self._of_handle.get(str(leader.dxf.get("annotation_handle", "")))
@@ -146,8 +146,8 @@ def filled_by(ring: FloatArray, measured: FloatArray) -> int | None:
     ring
         (n, 2) boundary of the fill.
     measured
-        (m, 5) of the rings. Extents and area are compared, because curves may be divided into other
-        chords.
+        (m, 5) ``measured_rings`` of the rings. Extents and area are compared, because curves may be
+        divided into other chords.
     """
     (ours,) = measured_rings([ring])
     size = float(np.hypot(*(ours[2:4] - ours[:2])))

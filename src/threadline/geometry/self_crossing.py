@@ -25,7 +25,7 @@ def flatten(pieces: Pieces, tolerance_m: float) -> tuple[FloatArray, FloatArray,
     Notes
     -----
     A chord of parameter width h is at most ``h^2 max|p''| / 8`` away from its curve. The maximum is
-    that of 33 samples of each piece, plus a tenth.
+    taken from 33 samples of each piece, plus a tenth.
     """
     count = len(pieces)
     index = np.arange(count)

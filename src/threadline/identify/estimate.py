@@ -4,8 +4,8 @@ Every number is fitted by the logarithm of its factor on the first guess, so tha
 sign, and a step has the same meaning for a mass and for a stiffness. Residuals are grouped by their
 source (a file, a channel); the noise of each source is estimated from its own residuals.
 
-Deviations are those of an M-estimator with Huber's function (Huber and Ronchetti, *Robust
-Statistics*, 2009, section 7.6), and of least squares where no residual is beyond the threshold. The
+Deviations are computed for an M-estimator with Huber's function (Huber and Ronchetti, *Robust
+Statistics*, 2009, section 7.6), and for least squares if no residual is beyond the threshold. The
 least deviation is the Cramer-Rao bound for normal noise, ``s^2 (J^T J)^-1``.
 """
 

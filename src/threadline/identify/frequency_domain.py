@@ -87,7 +87,7 @@ class ResponseData:
 
     @property
     def robust(self) -> bool:
-        """Points of a response may be wild."""
+        """Whether outliers are expected: yes, single points of a response may be wrong."""
         return True
 
     @property

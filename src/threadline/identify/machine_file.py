@@ -24,7 +24,7 @@ def quantity_text(number: FittedNumber, source: str) -> str:
     Parameters
     ----------
     source
-        Where it was measured, for its note.
+        Source of the measurement, for the note.
     """
     unit = _UNITS.get(number.quantity.unit, number.quantity.unit)
     value = number.value / (unit_factor(unit, number.quantity.unit) if unit else 1.0)

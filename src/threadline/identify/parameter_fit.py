@@ -291,7 +291,7 @@ def _refuse_unknown(
     if any(one.normalised for one in data):
         remedy += ", or give responses with an absolute magnitude"
     raise OptionError(
-        f"{len(found.names)} numbers, of which the data determines {len(known)} "
+        f"{len(found.names)} numbers, but the data determines only {len(known)} "
         f"combination{'s' * (len(known) != 1)}: {'; '.join(known)}",
         place=machine.place,
         remedy=f"{remedy}.",

@@ -179,8 +179,8 @@ def cut_as_recorded(
         at_si = np.nan
     if not np.isfinite(at_si) or axis not in machine.axes:
         raise RecordingError(
-            f"it is a coast, and does not say at which position of which axis of {machine.name} "
-            "the supply was cut",
+            f"it is a coast, and the axis of {machine.name} and the position at which the "
+            "supply was cut are missing",
             place=place,
             remedy="Fit the file that threadline measure wrote, with the machine that it measured.",
         )

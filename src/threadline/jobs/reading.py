@@ -104,7 +104,7 @@ def _read_guessed(path: Path, read: Callable[..., Job]) -> Job:
             f"(it has {guess.mark!r}); --dialect names another."
         )
         return replace(job, warnings=(said, *job.warnings))
-    # The dialect that the file names explains best what is wrong, else the one that read furthest.
+    # The dialect named by the file explains the error best, else the dialect that read furthest.
     if likely and likely[0].named:
         raise refused[1]
     raise max(refused, key=lambda error: error.place.line if error.place is not None else 0)

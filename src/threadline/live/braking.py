@@ -175,7 +175,7 @@ def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -
     before
         Places two ticks ago, one tick ago, and now.
     limits
-        Limits of the axes. If no duration keeps them, the one that exceeds them least is used.
+        Limits of the axes. If no duration keeps them, the duration that exceeds them least is used.
     """
     second, first, now = before
     if now <= first:

@@ -1,7 +1,7 @@
 """The plan's time at each tick of a run, if rows are not played one per tick.
 
 A hold, a stop, a start from rest and an override play rows at another rate than one per tick. Only
-the machine knows which were played: rows carry their places, and the machine reports them.
+the machine knows the played rows: each row carries its place, and the machine reports it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from threadline.files import Clock, Event
 from threadline.machine import Machine
 
 _SAME = 1e-7
-"""Rows by which a place is off a line of another rate than 1, at most: some rounding errors."""
+"""Largest error, in rows, of a place at a constant rate other than 1: some rounding errors."""
 _DIGITS = 6  # of a rate; an override has two
 _AT_ONCE = 1 << 12  # places that are compared at once
 
@@ -24,14 +24,14 @@ class Pace:
     """Makes events of the kind ``plan`` from played rows; none at one row per tick.
 
     Each event has the plan's time at its tick. After an event the plan advances one row per tick,
-    or as many as its name says, or stands still if the previous event had the same time; a tick
-    gets its own event only if it differs from that. So a long stretch at a constant rate has a few
-    events at its beginning.
+    or at the rate in its name, or stands still if the previous event had the same time; a tick gets
+    its own event only if its time differs from this rule. So a long stretch at a constant rate has
+    a few events at its beginning.
 
     Parameters
     ----------
     clock
-        Clock whose period a row lasts.
+        Clock of the rows: one row per period.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -49,9 +49,9 @@ class Pace:
         Parameters
         ----------
         first
-            Tick of the first of them.
+            Tick of the first row.
         places
-            (n,) number of rows of the table, whole or not, played after each of them.
+            (n,) number of rows of the table, whole or not, played up to the end of each tick.
         """
         found: list[Event] = []
         at = 0
@@ -68,7 +68,7 @@ class Pace:
         return tuple(found)
 
     def _goes_on(self, places: FloatArray) -> int:
-        """Return how many of the next places are those that a reader expects."""
+        """Return how many of the next places a reader computes without an event."""
         ticks = np.arange(1.0, len(places) + 1.0)
         if self._rate in (0.0, 1.0):
             differs = places != self.place + self._rate * ticks
@@ -79,21 +79,21 @@ class Pace:
         return int(np.argmax(differs)) if differs.any() else len(places)
 
     def _event(self, tick: int, place: float) -> Event:
-        """Return the event of a place that a reader does not expect."""
+        """Return the event of a place that a reader cannot compute."""
         # Rounded as a clock converts ticks to seconds: a whole row has its tick's time.
         time_s = place * self._per_row[0] / self._per_row[1]
         step, name = place - self.place, ""
         self._rate = 0.0 if place == self._told else 1.0
         rate = round(step, _DIGITS)
         if 0.0 < rate < 1.0 and max(abs(step - self._step), abs(step - rate)) <= _SAME:
-            self._rate, name = rate, f"{rate:g}"  # twice the same: it is likely to last
+            self._rate, name = rate, f"{rate:g}"  # the same rate twice: it is likely to last
         self._told, self._step, self._since, self.place = place, step, 0, place
         return Event(tick=tick, kind="plan", operation=-1, name=name, value=time_s)
 
     def ended(self, first: int, ticks: int) -> tuple[Event, ...]:
         """Return the events of ticks from ``first`` on after the last row: the clock goes on.
 
-        None if the rows were played one per tick, or stood: a reader knows that already.
+        No event is needed if the rate was 1 or 0: a reader computes these ticks.
         """
         if self._rate in (0.0, 1.0):
             return ()

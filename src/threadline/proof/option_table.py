@@ -90,7 +90,7 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="par", group=Group.INPUT, type=Type.FILE,
         help="FW-CNC.PAR whose settings replace the settings of the machine file.",
-        helps={"judge": "FW-CNC.PAR; default: the one that the recording names."},
+        helps={"judge": "FW-CNC.PAR; default: the file that the recording names."},
         verbs=(
             "prove", "run", "compile", "equal", "compare", "fastest", "yield", "animate", "judge",
             "learn",

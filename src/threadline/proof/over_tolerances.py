@@ -52,8 +52,8 @@ class WorstCase:
     worst
         The worst machine within the tolerances.
     judged
-        Recordings of the worst machine's runs; their numbers follow those of the machine of the
-        file.
+        Recordings of the worst machine's runs; their numbers follow the numbers of the
+        nominal machine's recordings.
     """
 
     verdict: Verdict

@@ -307,8 +307,7 @@ def check_proof(
     Raises
     ------
     ProofError
-        If the file is no proof, or its criteria are not those of the specification whose hash it
-        has.
+        If the file is no proof, or its criteria differ from the specification whose hash it has.
     """
     known = proof if isinstance(proof, ProofFile) else read_proof(proof)
     found = {

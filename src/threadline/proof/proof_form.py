@@ -1,10 +1,10 @@
 """The form of a proof file: required entries, their types, and freedom from contradiction.
 
 Anybody can write a file with a valid hash. So the claims of a proof (whether the work is in
-specification, and at which level) are derived from its criteria, and the criteria must be those of
-the specification. Only the measured values are taken as written, since only a simulation gives
-them: proving again shows whether they are right, as equal proofs have equal bytes, and a signature
-shows who wrote them.
+specification, and at which level) are derived from its criteria, and the criteria must equal the
+criteria of the specification. Only the measured values are taken as written, since only a
+simulation gives them: proving again shows whether they are right, as equal proofs have equal bytes,
+and a signature shows who wrote them.
 """
 
 from __future__ import annotations

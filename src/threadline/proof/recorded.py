@@ -142,7 +142,7 @@ def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -
 
 
 def refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine) -> None:
-    """Refuse a job or a machine that is not, to the byte, the one that ran."""
+    """Refuse a job or a machine that differs in any byte from the recorded one."""
     if recording.job_sha256 and recording.job_sha256 != job.sha256:
         raise OptionError(
             f"{path.name} was recorded from another version of {job.name} "
@@ -256,8 +256,8 @@ def _deviation_warnings(plan: Plan, deviation_m: float | None, line: int | None)
 def needle_warnings(proof: Proof) -> list[str]:
     """Return a warning if a stitch takes much more or less than a turn of an even needle.
 
-    The limit is that of ``stitch_length_error``: with an evenly turning needle, a relative error of
-    time would be the same relative error of length.
+    The limit is the limit of ``stitch_length_error``: with an evenly turning needle, a relative
+    error of time would be the same relative error of length.
     """
     found = {result.name: result for result in proof.verdict.results}
     time, length = found.get("needle_time_error"), found.get("stitch_length_error")

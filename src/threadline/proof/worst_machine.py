@@ -52,8 +52,8 @@ class WithinTolerances:
     threads
         Number of parts under way at once; None: the number of cores.
     with_product
-        Whether the numbers of the plan's product vary, too: their parts follow those of the
-        machine.
+        Whether the numbers of the plan's product vary, too: their parts follow the
+        machine's parts.
 
     Attributes
     ----------

@@ -36,7 +36,7 @@ EQUAL, DIFFERS, READ_BACK, SKIPPED = "equal", "differs", "read back", "skipped"
 _SCHEDULES = ("st", "openplc", "plcopen", "scl")
 _LEAST = 1e-4  # a smaller difference is a rounding error, and shown as 0
 _COARSE = 1000.0  # um or urad from which a difference is shown in mm or mrad
-_NO_READER = "no program here reads it but the one that writes it"
+_NO_READER = "no reader here is independent of its writer"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -99,7 +99,7 @@ def _wrong(
                 (k for k, (a, b) in enumerate(zip(content, written, strict=False)) if a != b),
                 min(len(content), len(written)),
             )
-            wrong.append(f"byte {at} is not the one that compile writes")
+            wrong.append(f"byte {at} differs from the byte that compile writes")
     return wrong
 
 

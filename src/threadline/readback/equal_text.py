@@ -24,7 +24,7 @@ _BESIDE = {
         ".tables.bin", ".tables.csv", ".stitches.bin", ".stitches.csv", ".events.csv",
     ),
 }  # fmt: skip
-"""Files that ``compile`` writes beside the one that it was told."""
+"""Endings of the files that ``compile`` writes beside the named file."""
 
 
 def check_version(target: str, given: Path, plan: Plan) -> None:

@@ -148,8 +148,8 @@ class Wanted:
     plotted
         Two parameters for the region; None: the two that cost most.
     smoothing_s
-        Widths of the feed-forward smoothing, of which all from the least to the largest are
-        searched: the commands then go through the exact inverse of each candidate, and no filters
+        Widths of the feed-forward smoothing; all widths from the least to the largest are
+        searched. The commands then go through the exact inverse of each candidate, and no filters
         are designed for it. Empty for no feed-forward.
     effort
         Effort of the search; None: as much as the kind of machine allows.

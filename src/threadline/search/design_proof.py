@@ -1,4 +1,4 @@
-"""Candidates of a redesign, and the one that the whole pipeline proves."""
+"""Candidates of a redesign, and the candidate that the whole pipeline proves."""
 
 from __future__ import annotations
 

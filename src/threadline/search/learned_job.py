@@ -209,7 +209,8 @@ def learned_on_twins(
     """
     if not 1 <= repeats <= MOST_REPEATS:
         raise OptionError(
-            f"--repeats {repeats} is not from 1 to {MOST_REPEATS}", remedy="Five often do."
+            f"--repeats {repeats} is not from 1 to {MOST_REPEATS}",
+            remedy="Five repeats are often enough.",
         )
     trials, chosen, actual = words.trials(), words.machine(machine), words.actual()
     if trials.ends is not None and actual is not None:

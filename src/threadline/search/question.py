@@ -1,4 +1,4 @@
-"""Reader of the options of a search for the fastest: from their texts to a question."""
+"""Read the options of ``fastest`` from their texts, and return a ``Question``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from threadline.search.until import Until
 from threadline.units import parse_number, parse_quantity
 
 Span = tuple[float | None, float | None, FeedMode | None]
-"""The ends of the search, and the feed mode between them."""
+"""The lowest and highest feed of the search, and their feed mode."""
 
 
 def metres_per_second(text: str) -> float:
@@ -164,7 +164,7 @@ def searched_as(job: Job, options: Options) -> str:
 
 
 def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Question:
-    """Return the question of the words of ``fastest`` about a job.
+    """Return the ``Question`` from the options of ``fastest`` about a job.
 
     Raises
     ------
@@ -187,13 +187,13 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     low, high, by = ASKED[search].span(job, chosen, words.text("low"), words.text("high"))
     spec = with_product(words.spec(chosen), chosen, options).with_margin(margin)
     actual, mismatch, band = words.actual(), words.flag("mismatch"), None
-    if job.paced_by == "switchings":  # commands made for a band are judged all over it
+    if job.paced_by == "switchings":  # commands made for a band are judged over the whole band
         trials, band = replace(trials, band=None), trials.band
     if mismatch and actual is not None:
         raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
     if band is not None and (mismatch or actual is not None):
         raise OptionError(
-            "--band simulates machines all over its band, and no others",
+            "--band already chooses the simulated machines, all over its band",
             remedy="Leave --actual and --mismatch out.",
         )
     return Question(
@@ -222,7 +222,7 @@ def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int 
     Raises
     ------
     OptionError
-        If the job cannot be learned, or the machines are not those that learn.
+        If the job cannot be learned, or the options choose machines that do not learn.
     """
     repeats = words.given.get("learned")
     if repeats is None:
@@ -230,7 +230,7 @@ def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int 
     if not isinstance(repeats, int) or not 1 <= repeats <= MOST_REPEATS:
         raise OptionError(
             f"--learned {str(repeats)[:20]} is not from 1 to {MOST_REPEATS}",
-            remedy="Five often do.",
+            remedy="Five repeats are often enough.",
         )
     for other in ("mismatch", "band", "tolerances", "yield_"):
         if words.given.get(other):
@@ -246,7 +246,7 @@ def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int 
 def _free(words: Words) -> frozenset[str]:
     """Return the options of a plan that were not given.
 
-    A contour without feed-forward is of loops that follow the path.
+    ``--contour`` without feed-forward stays without it: the motors then follow the path.
     """
     free = {word for word in CHOSEN if words.given.get(word) in (None, False)}
     if words.text("contour") is not None:
@@ -257,8 +257,8 @@ def _free(words: Words) -> frozenset[str]:
 def _planned_for(words: Words, machine: Machine) -> str | None:
     """Return the share of tolerances that plans are made for; None for the file's machine.
 
-    Where a kind of work has feed-forward, only plans with it are made for other machines; the rest
-    are made for the file's machine, and judged on the others, too.
+    If a kind of work has feed-forward, only plans with feed-forward are made for other machines.
+    Plans without it are made for the file's machine, and judged on the other machines, too.
     """
     taken = kind_of(machine).planned_by
     if "robust" in taken and "feed-forward" not in taken:

@@ -320,7 +320,7 @@ def in_order(parts: Sequence[OnePartT]) -> list[OnePartT]:
 
 
 def check_same(one: PartFile, record: Record, than: str) -> None:
-    """Refuse a part of another yield than that of ``record``, which ``than`` names.
+    """Refuse a part of another yield than ``record``; ``than`` names the record.
 
     Raises
     ------

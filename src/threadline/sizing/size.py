@@ -147,7 +147,7 @@ class Demands:
                 )
             if value and not 1.0 / _BEYOND <= value <= _BEYOND:
                 raise OptionError(
-                    f"{part.name} is {value!r}; no machine has one beyond 1e-15 to 1e15",
+                    f"{part.name} is {value!r}; it must be from 1e-15 to 1e15",
                     remedy="Check its unit.",
                 )
         if self.turn_rad > math.pi:

@@ -110,7 +110,7 @@ class Contour(SweptMeasure):
     Parameters
     ----------
     interval_s
-        Time between samples at each of which the velocities are known; 0 if they are not.
+        Time between samples if each has velocities, else 0.
     """
 
     def __init__(self, radius_m: FloatArray, runs: int = 1, interval_s: float = 0.0) -> None:

@@ -291,7 +291,7 @@ class Worst:
         self._note[at] = _of(note, at)
 
     def is_beaten(self, value: FloatArray) -> bool:
-        """Return whether any of (runs,) values is worse than the one that is kept."""
+        """Return whether any of (runs,) values is worse than the value kept."""
         return bool((value > self.value).any())
 
     def say(self, note: str) -> None:

@@ -112,9 +112,9 @@ class Judge:
         """Measure every criterion and return the verdict.
 
         Each recording is read once, in bounded memory, with all runs that it holds; the worst run
-        counts. A recording without operations gets those of the commands at the same instant. If a
-        run ended before its last row nothing passes: a criterion that had not failed before counts
-        as not measured.
+        counts. A recording without operations gets the operations of the commands at the same
+        instant. If a run ended before its last row nothing passes: a criterion that had not failed
+        before counts as not measured.
 
         Parameters
         ----------

@@ -358,9 +358,9 @@ def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
     """Return ``recording`` beside ``plan``, with operations and the intended commanded positions.
 
     Recorded operations have priority over the plan's at the same instant. A recording without them,
-    or with -1 throughout, gets those of the commands. For a live recording this is known only after
-    it has been read, and it can be read only once: the returned run then has a second one,
-    ``by_plan``, which reads the same blocks with the operations of the commands.
+    or with -1 throughout, gets the operations of the commands. For a live recording this is known
+    only after it has been read, and it can be read only once: the returned run then has a second
+    one, ``by_plan``, which reads the same blocks with the operations of the commands.
 
     Raises
     ------

@@ -23,9 +23,9 @@ from threadline.verdict.types import (
     Verdict,
 )
 
-_TOLD_SHARE = 10.0  # of a limit
+_TOLD_SHARE = 10.0  # largest share of a limit that is shown as a figure
 HAPPENED = "What changed the motion"
-_IN_SECONDS = 10.0  # milliseconds beyond it would have an exponent
+_IN_SECONDS = 10.0  # longer times are shown in s: in ms they would have an exponent
 _SHOWN = {
     "m": (1e3, "mm"),
     "m/s": (1e3, "mm/s"),
@@ -73,10 +73,10 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
 def continuous(verdict: Verdict, plan: Plan) -> dict[str, float]:
     """Return ``cycle_s`` and ``pieces_per_hour`` of continuous production.
 
-    They are of every cycle but the first, simulated or recorded. Empty if every cycle is as the
-    first, or the cycle time was not measured.
+    Both hold from the second cycle on, simulated or recorded. Empty if the first cycle is like all
+    others, or the cycle time was not measured.
     """
-    # Only cycles of switchings have a cycle time.
+    # Only move lists have a cycle time.
     found = [r.measured for r in verdict.results if r.name == "cycle_time"]
     if not found or found[0] is None or plan.scheduled.single is None:
         return {}
@@ -91,7 +91,7 @@ def _tightest_json(result: Result | None) -> dict[str, Any] | None:
 
 
 def tolerances_json(verdict: Verdict) -> dict[str, Any]:
-    """Return what a search and draws tell of machines within the tolerances, as one entry."""
+    """Return one entry with the searched and the drawn machines within the tolerances."""
     found = verdict.tolerances
     if found is None:
         return {}
@@ -227,7 +227,7 @@ def word_of_json(content: Mapping[str, Any]) -> str:
 def closing_of_all(verdicts: Sequence[Verdict]) -> str:
     """Return the line under several verdicts: how many are in spec, and at which level.
 
-    If none of them answers more than whether limits are kept, the line says only that.
+    If the verdicts judge only the limits of the machines, the line says only that they are kept.
     """
     good = sum(verdict.passed for verdict in verdicts)
     what = "in spec" if any(verdict.answers for verdict in verdicts) else "within the limits"
@@ -254,12 +254,12 @@ def _level(verdict: Verdict) -> str:
     if verdict.band:
         told += f", {verdict.band} with modes all over the band, one run each"
     if verdict.wanted_yield is not None:
-        told += f", {100.0 * verdict.wanted_yield:.6g} % of all to pass"
+        told += f", wanted yield {100.0 * verdict.wanted_yield:.6g} %"
     return told
 
 
 def _of_machines(found: OverTolerances) -> list[str]:
-    """Return what the search for the worst machine and the drawn machines tell."""
+    """Return the text about the worst machine searched and the drawn machines."""
     told = f"the worst of {found.searched} machines searched"
     if not found.criterion:
         about = [f"{told} is in spec"]
@@ -332,7 +332,7 @@ def _unasked(verdict: Verdict) -> str:
     if asked:
         were = "was" if len(asked) == 1 else "were"
         return f"{' and '.join(asked)} {were} not measured"
-    return "nothing else is asked, for no criterion of the specification has a limit"
+    return "the specification sets no other limit"
 
 
 def verdict_rows(
@@ -362,9 +362,9 @@ def verdict_rows(
 
 
 def _of_what(result: Result, verdict: Verdict) -> Result:
-    """Return a result with a note if its value is the plan's beside values of a recording.
+    """Return a result, with a note if a recording is judged and the value comes from the plan.
 
-    A limit of the plan that was measured on the recording instead has a note too.
+    A limit of the plan that was measured on the recording has a note, too.
     """
     if result.of == "run" or (result.of == "plan" and not verdict.recorded):
         return result
@@ -377,7 +377,7 @@ def of_moving_axes(results: Sequence[Result]) -> list[Result]:
     """Return the results except results of axes that stand still while another moves.
 
     An axis stands still if its motion never has a speed. Results that failed, were not measured or
-    are not 0 stay: another axis may shake it. The room to the ends of its travel is left out.
+    are not 0 stay, because another axis may shake this one. Its remaining travel is left out.
     """
     speeds = {r.axis: r.measured for r in results if r.name == "velocity"}
     still = {axis for axis, v in speeds.items() if v is not None and without_noise(v) == 0.0}
@@ -415,12 +415,12 @@ def _worst(results: Sequence[Result]) -> list[Result]:
 def _row(result: Result) -> list[str]:
     measured, note = result.measured, result.note
     if result.name == "travel" and measured is not None and measured < 0.0:
-        # A travel that is kept is shown as 0 beyond it, and the room that is left as a note.
+        # Within the travel the figure is 0, and the note gives the travel that is left.
         room = shown(without_noise(-measured), result.unit)
         of = f"{note}; " if note.startswith("of the ") else ""
-        measured, note = 0.0, f"{of}{room} of room left"
+        measured, note = 0.0, f"{of}{room} of travel left"
     elif result.name == "travel" and measured == 0.0:
-        note = note or "as far as its end, and not beyond"
+        note = note or "up to the end of the travel"
     return [
         result.name,
         result.axis,
@@ -468,7 +468,7 @@ def _lacking(result: Result) -> bool:
 
 
 def _figure(result: Result) -> str:
-    """Return the measured value for people: 0 for rounding, unless it is what fails."""
+    """Return the measured value for people: rounding errors are 0 unless they fail a limit."""
     assert result.measured is not None
     value = result.measured
     if result.status is not Status.FAILED:

@@ -1,8 +1,8 @@
 """Contour and progress error of a single run, in a sweep without a loop over runs.
 
 A loop over one run costs more than its content. The number of axes is not known at compile time:
-one function serves all machines. The operations and their order equal those of the loops over many
-runs (``nearest``, ``boxes``, ``places``), so that a run gives the same bits alone or with others.
+one function serves all machines. The operations and their order are the same as in the loops
+over many runs (``nearest``, ``boxes``, ``places``): a run gives the same bits alone or with others.
 """
 
 from __future__ import annotations

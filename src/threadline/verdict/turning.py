@@ -364,11 +364,11 @@ class _TurningPoints(SweptMeasure):
     r"""Per axis: the farthest position at each reversal, against the programmed value.
 
     Lengths at the tool (rotary axes times their radius). A reversal is watched from the previous
-    one until the command has left it for the lag, or has left the next one. The end of the job is
-    the last of them. An extreme between two samples is that of the cubic through places and
-    velocities (``bow``); where velocities are unknown it can be missed by at most a T^2 / 8, with
-    the acceleration a and the sample interval T. A stroke that takes less time than the machine's
-    lag is charged with the distance that was not yet covered.
+    reversal until the command has left it for the lag, or has left the next reversal. The end of
+    the job counts as the last reversal. Between two samples the extreme of the cubic through places
+    and velocities counts (``bow``); without velocities it can be missed by at most a T^2 / 8, with
+    the acceleration a and the sample interval T. If a stroke takes less time than the machine's
+    lag, the distance not yet covered counts as its error.
     """
 
     def __init__(self, setting: Setting, smallest: float) -> None:

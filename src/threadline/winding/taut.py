@@ -16,10 +16,10 @@ MOST_PLACES = 512
 PILE = 2
 """Number of the pair of free fibre and mandrel."""
 _ROUNDS = 4  # most Newton steps to the foot of a normal
-_FOOT_M = 1e-7  # from the foot of a normal; the height is off by the square of it
+_FOOT_M = 1e-7  # error of the foot of a normal; the height error grows with its square
 _TWICE = 2  # the layers above a line are searched along its normal, not the mandrel's
 BLOCK = 16
-"""Cells of the meridian that are looked at together for layers ahead."""
+"""Cells of the meridian whose largest thickness is compared at once."""
 
 
 @njit(nogil=True)
@@ -28,8 +28,8 @@ def _above(
 ) -> tuple[float, float, float, float, int]:
     """Return the height of a point over the bare mandrel, and the mandrel below it.
 
-    That is u, cosine and sine of the meridian's angle, and the piece; ``u`` and ``hint`` are a
-    place and a piece nearby. The height is infinite beyond the ends.
+    The mandrel is given by u, cosine and sine of the meridian's angle, and the piece; ``u`` and
+    ``hint`` are a place and a piece nearby. The height is infinite beyond the ends.
     """
     last, height, cb, sb = table[0][-1], 0.0, 1.0, 0.0
     for _ in range(_ROUNDS):
@@ -66,11 +66,11 @@ def _is_clear(height: float, rise: float, u: float, cell: float, blocks: FloatAr
     """Return whether a line over a convex mandrel meets no layers beyond a place.
 
     The place is ``height`` over the mandrel, above ``u``, and the line rises there by ``rise`` for
-    its length. The height over a convex body is convex along a line, so that it rises by as much
-    farther on; and the foot of its normal moves by no more than the place on the line.
+    its length. Along a line the height over a convex body is a convex function: farther on, it
+    rises at least as fast. The foot of the normal moves by no more than the place on the line.
     """
     for k in range(len(blocks)):
-        # The thickness of a cell reaches to the middles of those beside it.
+        # The thickness of a cell reaches to the middles of its neighbours.
         away = max((k * BLOCK - 0.5) * cell - u, u - ((k + 1) * BLOCK + 0.5) * cell, 0.0)
         if blocks[k] >= height + rise * away:
             return False
@@ -84,9 +84,9 @@ def hollow_over(
 ) -> float:  # fmt: skip
     """Return the largest height of a taut fibre over the layers before it leaves them.
 
-    The fibre from the laid point ``at`` lies on the layers from there on: as a string over what
-    stands above the straight line to the pay-out point ``to``, in the plane of the line and the
-    normal. It is the upper hull of the layers above the line.
+    From the laid point ``at`` on, the fibre is a taut string over the layers that rise above the
+    straight line to the pay-out point ``to``, in the plane of this line and the normal. Its shape
+    is the upper hull of these layers.
 
     Parameters
     ----------
@@ -95,12 +95,12 @@ def hollow_over(
     layers
         (m,) thickness of the layers in the middles of the cells of the meridian.
     blocks
-        Its ``highest_in_blocks``.
+        ``highest_in_blocks(layers)``.
     sizes
         Size of a cell, m, and the height above which no layer stands ahead; infinite where the
         mandrel is not convex.
     cells
-        Number of cells between two places along the fibre that are looked at.
+        Distance of two compared places along the fibre, in cells.
     hull
         (3, k) written: length along the line, height above it, and the corners of the hull.
     """
@@ -171,18 +171,18 @@ def over_layers(
 ) -> float:  # fmt: skip
     """Compare free fibres with the layers ahead; see ``apart.walk`` for the other arguments.
 
-    A fibre that spans a hollow higher than one band before it meets layers ahead is held off its
-    place by them. A hollow that is less high is the edge of a band: the mean of the layers round
-    the mandrel cannot tell it from bands that lie beside each other.
+    If a fibre spans a hollow deeper than one band before it meets layers ahead, these layers hold
+    it off its place. A shallower hollow is the edge of a band: the mean of the layers round the
+    mandrel does not distinguish it from bands that lie beside each other.
 
     Parameters
     ----------
     layers
         As in ``hollow_over``.
     sizes
-        Those of ``hollow_over``; the length between two fibres that are compared, the laid length
-        of the latest, which is updated, the thickness of the band, and the number of cells between
-        two places where a hollow is first looked for.
+        The two sizes of ``hollow_over``; the laid length between two compared fibres; the laid
+        length of the latest one, which is updated; the thickness of the band; and the distance of
+        the places in the first search for a hollow, in cells.
     """
     a, b = np.empty(3), np.empty(3)
     hull = np.empty((3, MOST_PLACES))
@@ -216,9 +216,9 @@ def wind(
     length
         (n,) laid length at each place; NaN where nothing is laid.
     section
-        Of the band, m2.
+        Cross-section of the band, m2.
     latest
-        Place and laid length before the first of them, which are updated; the place may be NaN.
+        Place and laid length before the first element; both are updated, the place may be NaN.
     """
     most = len(fresh) - 1.0
     for i in range(len(u)):

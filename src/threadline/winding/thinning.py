@@ -122,7 +122,7 @@ class Thinning:
         group
             (n,) numbers; the last position of consecutive equal numbers is kept.
         positions
-            (n, axes) of which the first is the last of the call before.
+            (n, axes); the first row is the last row of the previous call.
         """
         found = np.zeros(len(positions), dtype=np.bool_)
         if not len(positions):

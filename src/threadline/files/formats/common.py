@@ -75,8 +75,8 @@ def parse_column(text: str, place: Place) -> Column:
     """Return the channel that the heading of a column names.
 
     ``X [mm]`` is the measured position of axis X; ``X.load [mm]`` names another kind of channel.
-    ``tension [N]`` is that of a winder's fibre. ``operation`` has no unit, and neither have PLC
-    outputs and inputs, such as ``valve.output`` and ``switch.input``.
+    ``tension [N]`` is the tension of a winder's fibre. ``operation`` has no unit, and neither have
+    PLC outputs and inputs, such as ``valve.output`` and ``switch.input``.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Write an MCAP file of one channel, each message in a chunk of its own, for runs of any length.
 
-The file is the one that ``mcap.writer.Writer`` writes with ``chunk_size=0`` and an index of chunks,
+The file equals the output of ``mcap.writer.Writer`` with ``chunk_size=0`` and an index of chunks,
 byte for byte. That class keeps an object of the index for each chunk, some 80 MB an hour in a run,
 and takes three times as long for a message; this one keeps 24 bytes.
 

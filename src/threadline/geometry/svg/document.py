@@ -88,7 +88,7 @@ def shown(text: str) -> str:
 
 
 def pixels(key: str, written: str, whole: float = math.nan) -> float:
-    """Return a length in pixels; ``whole`` is that of 100 %, NaN where a share has no meaning.
+    """Return a length in pixels; ``whole`` is the length of 100 %, NaN if a share has no meaning.
 
     Raises
     ------
@@ -102,7 +102,9 @@ def pixels(key: str, written: str, whole: float = math.nan) -> float:
     elif match and match[2] in PIXELS:
         value = float(match[1]) * PIXELS[match[2]]
     if not math.isfinite(value):
-        raise ValueRefused(f"{key} is {shown(written)}, no length that can be sewn", _LENGTH_REMEDY)
+        raise ValueRefused(
+            f"{key} is {shown(written)}, not a length in known units", _LENGTH_REMEDY
+        )
     return value
 
 
@@ -230,7 +232,7 @@ def colour(written: str) -> str:
     if channels:
         return _channels(channels[1], channels[2], written)
     if text not in _NAMED:
-        raise ValueRefused(f"{shown(written)} is no colour that is known", "Write it like #ff0000.")
+        raise ValueRefused(f"{shown(written)} is not a known colour", "Write it like #ff0000.")
     return f"#{_NAMED[text]}"
 
 
@@ -238,7 +240,7 @@ def _channels(kind: str, inside: str, written: str) -> str:
     parts = [part for part in re.split(r"[\s,/]+", inside) if part]
     found = [_LENGTH.fullmatch(part) for part in parts]
     if len(parts) not in (3, 4) or any(m is None or m[2] not in ("", "%", "deg") for m in found):
-        raise ValueRefused(f"{shown(written)} is no colour that is known", "Write it like #ff0000.")
+        raise ValueRefused(f"{shown(written)} is not a known colour", "Write it like #ff0000.")
     share = [float(m[1]) / 100.0 if m[2] == "%" else float(m[1]) for m in found if m]
     if len(share) == 4 and share[3] <= 0.0:
         return "none"
@@ -310,7 +312,7 @@ def svg_tree(content: bytes, file: str) -> Tree:
         styles in another file, or nests or clones elements too deeply.
     """
     text = decode_text(content, file, "SVG drawing")
-    # What is left of a declaration would name an encoding that the text no longer has.
+    # Remove the XML declaration: it names the file's encoding, and the text is decoded already.
     declaration = re.match(r"\s*<\?xml\s[^>]*\?>", text)
     if declaration:
         text = "\n" * declaration[0].count("\n") + text[declaration.end() :]

@@ -167,8 +167,8 @@ def _not_of_its_format(suffix: str, why: str, place: Place) -> JobError:
 def _check_dst(content: bytes, place: Place) -> tuple[str, ...]:
     """Refuse a DST file that is cut off; return warnings about one that may be damaged.
 
-    The end mark alone is missing if number, extents and last position of the records are those of
-    the header. Of a file with its end mark only the extents are compared with the header: programs
+    Only the end mark is missing if number, extents and last position of the records equal the
+    header's. In a file with its end mark only the extents are compared with the header: programs
     count the records and give the last position in their own ways.
     """
     records = content[_DST_HEADER:]

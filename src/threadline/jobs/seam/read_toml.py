@@ -117,8 +117,8 @@ class _Reader:
             )
         if "file" not in drawing and not contours:
             raise JobError(
-                "the file has neither [drawing] file = ... nor [[contour]] tables, one of which "
-                "says what is sewn",
+                "the file has neither [drawing] file = ... nor [[contour]] tables, so it has no "
+                "line to sew",
                 place=self.place("drawing"),
                 remedy='Name a drawing, like [drawing] file = "collar.dxf", or give '
                 '[[contour]] unit = "mm" and points = [[0, 0], [30, 0]].',

@@ -73,8 +73,7 @@ def bare_of(winding: Winding) -> Bare:
             laid = design(replace(held, product=replace(held.product, surface=surface)))
         except JobError as error:
             raise JobError(
-                "no bare mandrel gives this outer shape: on the one that comes nearest, "
-                + error.message,
+                "no bare mandrel gives this outer shape: on the nearest one, " + error.message,
                 place=error.place or Place(str(winding.path)),
                 remedy="Hoops and ends of layers leave steps: draw them, or wind layers that end "
                 "at the openings.",

@@ -18,8 +18,8 @@ _OFF = 0.05  # of a tension, as the winder thesis lets it vary
 def turning_at_once(machine: Machine, tool: Tool, path: Path) -> tuple[str, ...]:
     """Return a warning if Marlin plans the mandrel as a rotary axis beside linear ones.
 
-    The length of a move is then that of its linear axes, and so are the speeds that two moves have
-    in common. Where the carriage turns back, its way vanishes, and with it the length: at the same
+    Marlin then takes the length of a move, and the speed between two moves, from the linear axes
+    alone. Where the carriage turns back, its travel vanishes, and so does this length: at the same
     speed in mm/s one move turns the mandrel several times as fast as the next.
     """
     if not isinstance(machine.planner, MarlinPlanner):

@@ -323,7 +323,7 @@ def _checked(
 
 
 def laid_error(circuit: Circuit, path: EyePath, eye: FloatArray, tool: Tool) -> float:
-    """Return the largest distance, m, between the designed fibre and the one that an eye lays.
+    """Return the largest distance, m, between the designed fibre and the fibre that an eye lays.
 
     Parameters
     ----------

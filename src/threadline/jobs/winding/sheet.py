@@ -185,8 +185,8 @@ def sheet_of(
         rows=(*found, _total(found)),
         currency=currencies[0] if currencies else "",
         timed=(
-            f"Times at {1e3 * speed:g} mm/s of fibre; threadline prove --report gives those of a "
-            "machine."
+            f"Times at {1e3 * speed:g} mm/s of fibre; threadline prove --report gives the times "
+            "of a machine."
             if seconds is None
             else "Times of the plan, joins included."
         ),

@@ -153,7 +153,7 @@ def _layer(one: Laid, shape: _Mandrel) -> dict[str, Any]:
         if end is not None and abs(end - whole) > _STRAIGHT_M:
             winding.refuse(
                 layer,
-                f"its {name} is {1e3 * end:.6g} mm, that of [coverage] {1e3 * whole:.6g} mm; the "
+                f"its {name} is {1e3 * end:.6g} mm, and [coverage] has {1e3 * whole:.6g} mm; the "
                 "layers of a .wind are all as long as its windLength",
                 f"Leave {name} out.",
             )
@@ -164,7 +164,7 @@ def _layer(one: Laid, shape: _Mandrel) -> dict[str, Any]:
         if count != 1:
             winding.refuse(
                 layer,
-                f"a hoop layer with {count} circuits; that of a .wind goes there and back once",
+                f"a hoop layer with {count} circuits; in a .wind it goes there and back once",
                 f"Write {count} hoop layers.",
             )
         return {"windType": "hoop", "terminal": False}

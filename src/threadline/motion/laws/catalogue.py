@@ -199,7 +199,7 @@ def jerk_limited(*shares: float) -> Law:
     Raises
     ------
     ValueError
-        Unless there are seven shares, of which the first, third, fifth and seventh are positive.
+        If there are not seven shares, or the first, third, fifth or seventh is not positive.
     """
     given = shares or (1.0,) * 7
     if len(given) != 7 or not all(0.0 <= share < 1e9 for share in given):

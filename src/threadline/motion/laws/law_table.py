@@ -127,8 +127,8 @@ def law_through(
     Parameters
     ----------
     v, a
-        (n,) velocities and accelerations at the rows; if one is None, those of the cubic spline
-        through the rows with rest at both ends.
+        (n,) velocities and accelerations at the rows; if one is None, both come from the cubic
+        spline through the rows with rest at both ends.
     """
     if v is None or a is None:
         from scipy.interpolate import CubicSpline

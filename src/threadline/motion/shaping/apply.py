@@ -4,10 +4,10 @@ With q(t) the planned position, held before its start and after its end, the sha
 :math:`y(t) = \sum_k A_k\, q(t - t_k)`: again piecewise polynomial, with a breakpoint for each
 delayed planned one, so nothing is sampled and the limits can be checked exactly.
 
-For a positive train that sums to 1, y and each of its derivatives are weighted means of those of
-q. Travel, velocity, acceleration and jerk limits are intervals, and an interval contains every mean
-of its members, so a positive shaper breaks none. Switched and negative trains may; the limits
-are checked again in either case.
+For a positive train that sums to 1, y and each of its derivatives are weighted means of q and its
+derivatives. Travel, velocity, acceleration and jerk limits are intervals, and an interval contains
+every mean of its members, so a positive shaper breaks none. Switched and negative trains may; the
+limits are checked again in either case.
 """
 
 from __future__ import annotations
@@ -312,7 +312,7 @@ def _shifted(coefficients: FloatArray, begin: FloatArray, scale: FloatArray) -> 
 
 
 def _operations(held: Pieces, centroid_s: float, done: _Done, middle: FloatArray) -> IntArray:
-    """Return the operation at the centroid, or the one that began after a rest."""
+    """Return the operation at the centroid, or the operation that began after a rest."""
     runs = np.concatenate([[done.run_s], held.start_s[held.run == 1]])
     runs = np.sort(runs)
     begun = runs[np.maximum(np.searchsorted(runs, middle, side="right") - 1, 0)]

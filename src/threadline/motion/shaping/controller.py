@@ -248,8 +248,8 @@ def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) ->
     """Return the train with the widest bands among those with about the least V over them.
 
     A train must not exceed the nearest ticks' V and its tolerance over a band. The band over which
-    it keeps the tolerance may be narrower than that of the nearest ticks only by a smaller share
-    than the share by which V shrinks. Trains are given with the best of their kind first.
+    it keeps the tolerance may be narrower than the band of the nearest ticks, but by a smaller
+    share than V shrinks. Trains are given with the best of their kind first.
     """
 
     def over(train: Shaper) -> FloatArray:

@@ -1,12 +1,12 @@
 """The law made for a mode: the shortest window that keeps the residual over a band of frequency.
 
 The acceleration is a spline of degree 2 on even knots. Its coefficients bound it, the coefficients
-of its derivative bound the jerk and those of its integral the velocity, so that limits and
-monotonicity are rows of a linear program that hold everywhere, not only at samples. The residual at
-a frequency (:mod:`threadline.motion.shaping.law_residual`) is linear in the coefficients as a
-complex number; its magnitude is bounded by the sides of a regular polygon inside the circle. For a
-given window the program finds the least residual over the band; bisection finds the shortest window
-in which that is small enough.
+of its derivative bound the jerk and the coefficients of its integral the velocity, so that limits
+and monotonicity are rows of a linear program that hold everywhere, not only at samples. The
+residual at a frequency (:mod:`threadline.motion.shaping.law_residual`) is linear in the
+coefficients as a complex number; its magnitude is bounded by the sides of a regular polygon inside
+the circle. For a given window the program finds the least residual over the band; bisection finds
+the shortest window in which that is small enough.
 """
 
 from __future__ import annotations
@@ -236,7 +236,7 @@ class _Spline:
 
         self.basis = BSpline.design_matrix(self.u, self.knots, degree).toarray()
         spans = self.knots[degree + 1 : degree + 1 + count] - self.knots[:count]
-        # Coefficients of the velocity, a spline of the next degree, from those of its derivative.
+        # Coefficients of the velocity, a spline of the next degree, from its derivative's.
         self.velocity = np.cumsum(np.eye(count) * spans / (degree + 1), axis=0)
         self.rise = (self.weights * (1.0 - self.u)) @ self.basis
 

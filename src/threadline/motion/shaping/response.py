@@ -21,7 +21,7 @@ from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 
 def crossing(function: Callable[[float], float], start: float, end: float, *, xtol: float) -> float:
-    """A root between ``start`` and ``end``, one of which has a positive value.
+    """A root between ``start`` and ``end``; the function is positive at one of the two.
 
     Values computed in an array are rounded differently from single ones. A root at one of the two
     ends may show a change of sign in the array and none to ``function``: then the end with the

@@ -142,7 +142,7 @@ def prepare(
         ahead = np.where(largest > 0, 1.0 - last / largest, 0.0)
         behind = np.where(largest > 0, 1.0 - first / largest, 0.0)
     # In a corner between straight pieces the acceleration rises and falls evenly over the
-    # time 2 / u', of which the average sees the fraction 1 - width u' / 8 (3/4 at least).
+    # time 2 / u'; the average keeps the fraction 1 - width u' / 8 of its peak (3/4 at least).
     lone = np.zeros(len(c), dtype=bool)
     lone[1:-2] = straight[:-3] & ~straight[1:-2] & ~straight[2:-1] & straight[3:]
     lone[1:-2] &= (behind[1:-2] > 1.0 - _HAT) & (ahead[2:-1] > 1.0 - _HAT)

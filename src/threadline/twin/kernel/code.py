@@ -88,7 +88,7 @@ class Code:
     width
         Numbers in a vector; 1 for plain numbers.
     apart
-        Whether it must not be inlined.
+        Whether the function must not be inlined.
     """
 
     def __init__(

@@ -13,7 +13,7 @@ imaginary part of s, the two conditions
     integral of u (v - |s|^2 G3) = 0,    integral of u (G2 + Re(s) G3) = 0
 
 are equivalent together with an integral of u that is zero, and stay independent of it however slow
-the mode is: they tend to those of v and v^2 / 2.
+the mode is: they tend to the integrals of u v and u v^2 / 2.
 """
 
 from __future__ import annotations

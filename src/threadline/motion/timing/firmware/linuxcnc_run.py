@@ -1,9 +1,9 @@
 """Speeds along the pieces that LinuxCNC runs, and the motion of each as polynomials in time.
 
-A piece that blends into the next is left as fast as the pieces after it allow, of which 50 are
-considered (``[TRAJ]ARC_BLEND_OPTIMIZATION_DEPTH``); the last one may yet lose half of its length,
-so that the distance to a stop at its end counts half. A piece of less than 10 ms changes its speed
-evenly (``ARC_BLEND_RAMP_FREQ``).
+A piece that blends into the next ends as fast as the 50 pieces after it allow
+(``[TRAJ]ARC_BLEND_OPTIMIZATION_DEPTH``). The last of these may still lose half of its length, so
+only half of it counts as distance to a stop at its end. A piece of less than 10 ms changes its
+speed evenly (``ARC_BLEND_RAMP_FREQ``).
 
 Moves in which a rotary axis turns overlap: the next starts while the previous one still brakes, so
 that their speeds add up, and both have half of their acceleration. Between moves of X, Y and Z only

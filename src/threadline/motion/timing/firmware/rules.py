@@ -334,10 +334,10 @@ class Rules:
     def _beyond(
         self, limits: FloatArray, own: float, direction: FloatArray, told: FloatArray
     ) -> FloatArray:
-        """Return (n,) limits of the axes, where the program tells one without those of X and Y.
+        """Return (n,) limits of the axes; X and Y do not count where the program sets a limit.
 
-        ``own`` is the limit that Klipper's configuration gives every move, which those of X and Y
-        in the machine file repeat.
+        ``own`` is the limit of every move in Klipper's configuration; the limits of X and Y in the
+        machine file repeat it.
         """
         all_axes = along_axes(limits, direction)
         repeats = np.array([axis in "XY" for axis in self.axes]) & (limits >= own * (1.0 - 1e-9))
