@@ -36,6 +36,14 @@ export function holdInWords(state: State, figures: Figures | null): string {
   return stitches ? "a hold stands at once, on the seam" : "";
 }
 
+/** The tension of the fibre in the simulated run at an instant of the plan; nothing without a spool. */
+export function tensionInWords(figures: Figures, time_s: number): string {
+  const { tension } = figures;
+  if (!tension) return "";
+  const now = tension.mean[Math.max(before(tension.times_s, time_s), 0)]!;
+  return `${reading("tension", now, "N")} in the simulation, which has at most ${amount(tension.most, "N")}`;
+}
+
 /** The facts of a state, one to a line. */
 export function facts(state: State, figures: Figures | null): string[] {
   const run = state.progress;
@@ -47,6 +55,8 @@ export function facts(state: State, figures: Figures | null): string[] {
       found.push(
         `next turn-round in ${clock((turn.in_s * 100) / state.feed_percent)}, at ${own!.turn_rounds!.axis} ${(1000 * turn.at).toFixed(1)} mm`,
       );
+    const tension = own && !state.readings.tension ? tensionInWords(own, run.time_s) : "";
+    if (tension) found.push(tension);
     const hold = state.state === "running" ? holdInWords(state, own) : "";
     if (hold) found.push(hold);
   }

@@ -47,6 +47,21 @@ describe("the next turn-round", () => {
   });
 });
 
+describe("the tension of the fibre", () => {
+  const tension = { times_s: [0, 2, 4], mean: [0, 7.2, 7.9], least: 0, most: 8.1 };
+  const spooled = figures({ tension });
+  it("is the simulated one at the place of the run, and says so", () => {
+    expect(facts(state(run({ time_s: 3 })), spooled)).toEqual([
+      "tension of the fibre 7.20 N in the simulation, which has at most 8.10 N",
+    ]);
+    expect(facts(state(run({ time_s: 3 })), figures({}))).toEqual([]);
+  });
+  it("is the machine's own where that reports one", () => {
+    const readings = { tension: { value: 6.5, unit: "N" } };
+    expect(facts(state(run(), { readings }), spooled)).toEqual(["tension of the fibre 6.50 N"]);
+  });
+});
+
 describe("where a hold stands", () => {
   it("is at once on a seam, at the end of a stitch of a design", () => {
     expect(facts(state(run()), figures(sewn))).toEqual(["a hold stands at once, on the seam"]);
