@@ -1,5 +1,6 @@
 /** The page's session at the panel: its number, the machine, and the commands that are possible now. */
 
+import { deviceName } from "./device";
 import { Link } from "./link";
 import type { Axis, Cylinder, Figures, FromPanel, Progress, State, Welcome } from "./messages";
 import { verdictOfRun } from "./wording";
@@ -34,7 +35,7 @@ export class Session {
 
   constructor(heard: (message: FromPanel) => void, lost: () => void) {
     this.link = new Link(
-      `${navigator.platform || "browser"}`.slice(0, 40),
+      deviceName(navigator.userAgent),
       new URLSearchParams(location.hash.slice(1)).get("token") ?? kept(""),
       heard,
       () => {
