@@ -23,6 +23,8 @@ export class Session {
   feedOverride = true;
   /** Planning options that apply to the machine. */
   options: string[] = [];
+  /** Whether its work are designs of stitches: neither axes that move by hand nor cylinders. */
+  embroiders = false;
   /** Whether the machine has an operator's normal feed. */
   normalFeed = false;
   /** Commands that this link lacks, and why. */
@@ -57,6 +59,7 @@ export class Session {
     this.feedOverride = found.feed_override;
     this.options = found.options;
     this.normalFeed = found.normal_feed;
+    this.embroiders = !found.by_hand && found.cylinders.length === 0;
     this.figuresAt = 0;
   }
 
