@@ -70,7 +70,7 @@ describe("where a hold stands", () => {
     expect(facts(state(run()), figures(design))).toEqual(["a hold stands at the end of the stitch"]);
   });
   it("is told until a hold that waits for a rest has come to it", () => {
-    const why = "it goes on to the next rest";
+    const why = "it goes on to the next rest and stands there";
     const waits = run({ hold: "at a rest", hold_at_s: 4.5 });
     const goesOn = state(waits, { state: "holding", why });
     expect(whyInWords(goesOn)).toBe(why);

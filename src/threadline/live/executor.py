@@ -296,7 +296,7 @@ class Executor(AtRest):
     def _command(self, cause: Cause) -> None:
         moving = self.state in MOVING
         waits = cause is Cause.HOLD and self._hold_at_rest
-        self._go(cause, "it goes on to the next rest" if waits else "")
+        self._go(cause, "it goes on to the next rest and stands there" if waits else "")
         if cause is Cause.STOP and moving:
             self._homed = self._homed and (self._ahead is None or self._ahead.keeps_home)
             self.ended = self.ended or (RunEnd.STOPPED, f"stopped by {self.stopped_by}")
