@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.cli.found import typed
 from threadline.cli.main import main
+from threadline.cli.search_text import typed
 from threadline.jobs import read_job
 from threadline.jobs.operations import FeedMode
 from threadline.machine import Machine, load_machine

@@ -136,7 +136,7 @@ def new(
     if kind is None or folder is None:
         if json or not somebody_at_the_keys():
             raise OptionError(
-                "say what the machine is" if kind is None else f"give a folder for the {kind}",
+                "name the kind of machine" if kind is None else f"give a folder for the {kind}",
                 remedy=f"Like threadline new {kind or 'grbl'} my-machine. Kinds: "
                 f"{', '.join([*KINDS, *PROJECTS])}.",
             )

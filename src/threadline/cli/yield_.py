@@ -23,7 +23,6 @@ from threadline.cli.arguments import (
     ThisMachineOption,
     keep_inputs,
 )
-from threadline.cli.found import command_line
 from threadline.cli.output import (
     check_outputs,
     print_json,
@@ -33,6 +32,7 @@ from threadline.cli.output import (
     tell,
     warn,
 )
+from threadline.cli.search_text import command_line
 from threadline.cli.yield_sharing import (
     Question,
     asked_here,
@@ -54,9 +54,9 @@ from threadline.cli.yield_tables import (
 )
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
-from threadline.proof.asked import Words
 from threadline.proof.option_words import parse_yield
 from threadline.proof.proof_hash import spec_sha256
+from threadline.proof.request import Words
 from threadline.proof.worst_machine import Worst, worst_toml
 from threadline.search.influence import MACHINES, CheapestSet, cheapest_set
 from threadline.search.machine_yield import (
@@ -240,7 +240,7 @@ def _merged(
 
 
 def _part(drawing: Drawing, report: Path | None) -> Part | None:
-    """Return the part that is asked for; None for the whole yield."""
+    """Return the wanted part; None for the whole yield."""
     if drawing.part is None:
         if drawing.output is not None:
             raise OptionError(

@@ -13,11 +13,11 @@ from threadline.base.writing import is_stdout
 from threadline.cli.output import print_json, say
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, RecordingError
-from threadline.proof.asked import Words, known_words
 from threadline.proof.option_form import Door, Group, Type, Word
 from threadline.proof.option_table import options_for
 from threadline.proof.proof_file import options_sha256
 from threadline.proof.proof_hash import spec_sha256
+from threadline.proof.request import Words, known_words
 from threadline.search.machine_yield import Yield
 from threadline.search.yield_parts import Part, PartFile, Record, read_parts, write_part
 from threadline.verdict import Spec

@@ -38,7 +38,7 @@ class Asked:
     width
         States kept per turn at each time.
     cells
-        Cells of the swing per tolerance, by which states are told apart.
+        Cells of the swing per tolerance, by which states are distinguished.
     """
 
     tolerance_m: float
@@ -92,7 +92,7 @@ def priced_turns(
 def _watched(swung: Swung) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Return the columns of a search, 1 at the last of each group, and places among them.
 
-    The places are of the columns by whose swings states are told apart (the middle of the band of
+    The places are of the columns whose swings distinguish states (the middle of the band of
     each axis), and of those for a lower bound (ends and middle). Modes far from the middle of the
     band come first: with them a state over the tolerance is found early.
     """

@@ -2,7 +2,7 @@
 
 A number moves the logarithm of the plant's response nearly by itself: the changes of several
 numbers are added, and the worst corner of their tolerances is climbed to, one number after the
-other. The margins that are told are computed exactly on the machine of that corner. It is the worst
+other. The reported margins are computed exactly on the machine of that corner. It is the worst
 that was found, not a proof that there is no worse one.
 """
 

@@ -14,7 +14,7 @@ from threadline.base.writing import check_machine_output
 from threadline.errors import OptionError
 from threadline.face.answers import PathLike
 from threadline.machine import Machine
-from threadline.proof.asked import chosen_machine, in_arguments
+from threadline.proof.request import chosen_machine, in_arguments
 
 if TYPE_CHECKING:
     from threadline.dynamics.without_loop import Analysis

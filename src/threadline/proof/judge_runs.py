@@ -446,7 +446,7 @@ class _SoFar:
         self._count, self._plan, self.told, self._share = count, plan, told, 0.0
 
     def tell(self, share: float) -> None:
-        """Tell that a share of the motion was judged, if it is more than was told."""
+        """Report the judged share of the motion, if it has grown since the last report."""
         if share > self._share and self.told is not None:
             self.told(self._count * (share - self._share))
             self._share = share

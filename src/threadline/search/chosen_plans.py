@@ -37,11 +37,11 @@ from threadline.search.choices import (
     places_of,
     used_of,
 )
+from threadline.search.deadline import HaltError, as_far_as
 from threadline.search.feed import feed_range_m_s
-from threadline.search.forbidden import closeness
+from threadline.search.feed_ranges import closeness
 from threadline.search.least_times import Bound, bounds_of, least_on_any_path
 from threadline.search.paced import Question, beyond
-from threadline.search.until import HaltError, as_far_as
 from threadline.verdict import Verdict
 
 _CONFIRMED = 200  # runs, by which a plan must pass that is to be the best so far

@@ -1,4 +1,4 @@
-"""Controllers for many sensors: what is asked for, its design, and the machine file with it."""
+"""Controllers for many sensors: the wanted design, its result, and the machine file with it."""
 
 from __future__ import annotations
 

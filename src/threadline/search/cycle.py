@@ -17,10 +17,10 @@ from threadline.jobs.operations import Job
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, plan_job, try_plan
 from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
+from threadline.search.deadline import as_far_as
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import overlapped, with_choices
 from threadline.search.paced import Question
-from threadline.search.until import as_far_as
 from threadline.verdict import Status
 
 _ROUNDS = 14

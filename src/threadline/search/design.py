@@ -16,7 +16,6 @@ from threadline.machine.model import check_dynamics
 from threadline.proof.kinds import kind_of
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, Trials
-from threadline.search.design_alone import JobReader
 from threadline.search.design_evaluate import AHEAD, FEW, THOROUGH, Effort, Evaluator, Tried
 from threadline.search.design_front import CandidateYield, marked
 from threadline.search.design_judge import OtherRuns
@@ -35,6 +34,7 @@ from threadline.search.design_searches import (
     pooled,
     within_progress,
 )
+from threadline.search.design_single_proofs import JobReader
 from threadline.search.design_space import Space, design_space
 from threadline.verdict import Spec
 from threadline.verdict.types import Level
@@ -63,7 +63,7 @@ class DesignResult:
     simulated
         Number of machines simulated in the search.
     level
-        Level at which the design was asked for.
+        Wanted level of the design.
     screened
         Runs over which ``Candidate.ratio`` is the worst, in words.
     refused

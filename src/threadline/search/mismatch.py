@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from threadline.errors import OptionError
 from threadline.machine.vary import off_tolerance
 from threadline.proof.pipeline import NOMINAL
-from threadline.search.forbidden import Interval
+from threadline.search.feed_ranges import Interval
 from threadline.search.paced import Question
 
 ENDS = (-1.0, 0.0, 1.0)

@@ -279,7 +279,7 @@ def step_scans(turn: complex) -> int:
 
 
 def _thinned(commands: list[LevelCommand]) -> list[LevelCommand]:
-    """Return fewer commands: for each duration those with the least ringing, and some others."""
+    """Return fewer commands: for each duration the ones that ring least, and some others."""
     kept: list[LevelCommand] = []
     by_scans: dict[int, list[LevelCommand]] = {}
     for command in sorted(commands, key=lambda c: (c.scans, abs(c.left))):

@@ -13,16 +13,16 @@ from threadline.jobs.operations import FeedMode, Job
 from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
 from threadline.machine import Machine
 from threadline.motion.path.interpolations import OPTIMAL
-from threadline.proof.asked import Words, with_radii_of
 from threadline.proof.kinds import kind_of
 from threadline.proof.option_words import parse_feed, parse_margin, parse_robust
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, with_product, with_shaping
+from threadline.proof.request import Words, with_radii_of
 from threadline.search.choices import CHOSEN
+from threadline.search.deadline import Deadline
 from threadline.search.feed import searched_by
 from threadline.search.learn import MOST_REPEATS, check_learnable
 from threadline.search.paced import Question
-from threadline.search.until import Until
 from threadline.units import parse_number, parse_quantity
 
 Span = tuple[float | None, float | None, FeedMode | None]
@@ -290,7 +290,7 @@ def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> No
             )
 
 
-def _until(within: str | None) -> Until | None:
+def _until(within: str | None) -> Deadline | None:
     if within is None:
         return None
     within_s = parse_number("--within", within, "s", "5 min")
@@ -299,4 +299,4 @@ def _until(within: str | None) -> Until | None:
             f"--within {within!r} must be greater than 0",
             remedy="Give how long the search may take, like '5 min', or leave it out.",
         )
-    return Until.within(within_s)
+    return Deadline.within(within_s)

@@ -60,7 +60,7 @@ class Wanted:
     phase_margin_deg
         Phase margin of the rule ``margin``.
     crossover_hz
-        Crossover of that rule; None for the one with the largest gain at low frequencies.
+        Crossover of that rule; None for the crossover with the largest gain at low frequencies.
     axes
         Axes to tune; all with a loop where it is empty.
     """

@@ -38,8 +38,8 @@ class CriterionRow:
     of_plan
         Whether it is measured on the plan alone, and so equal in every run.
     places
-        The finding, with time, operation and note, of each run among the worst of those that were
-        measured together, by the index of the run.
+        The finding, with time, operation and note, of each run among the worst of the runs that
+        were measured together, by the index of the run.
     """
 
     name: str

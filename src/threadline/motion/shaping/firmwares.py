@@ -215,7 +215,7 @@ def _with_parameters(shaper: Shaper, mode: FlexibleMode) -> list[str]:
 def _played(
     firmware: str, shaper: Shaper, mode: FlexibleMode, trains: Mapping[str, Shaper]
 ) -> FirmwareExport:
-    """Return the one of ``trains`` that plays a shaper, or the nearest substitute."""
+    """Return the train of ``trains`` that equals a shaper, or the nearest substitute."""
     f = mode.frequency_hz * np.linspace(0.75, 1.25, 201)
     ours = residual_vibration(shaper, f, mode.damping_ratio)
 
