@@ -240,7 +240,7 @@ def test_every_end_of_the_tolerances_is_tried(machine, seam, monkeypatch):
 
     spec, job = load_spec(PLACE, machine), open_job(seam, machine, AHEAD)
     asked = Question(job=job, machine=machine, spec=spec, options=AHEAD, high=78.0)
-    cells = mismatch.off_tolerances(asked, lambda one: speeds(search(one, COARSE)))
+    cells = mismatch.at_tolerance_ends(asked, lambda one: speeds(search(one, COARSE)))
     wanted = [(m, k) for m in (0.9, 1.0, 1.1) for k in (0.8, 1.0, 1.2)]
     np.testing.assert_allclose(seen, wanted)
     np.testing.assert_allclose([(c.mass, c.stiffness) for c in cells],

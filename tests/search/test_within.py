@@ -23,7 +23,7 @@ from threadline.search import cycle_robust
 from threadline.search import shaft as shaft_search
 from threadline.search.cycle import fastest_cycle
 from threadline.search.cycle_robust import robust_cycle
-from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline, HaltError, as_far_as
+from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline, HaltError, until_deadline
 from threadline.search.fastest import Grid, find_fastest
 from threadline.search.feed import fastest_needle
 from threadline.search.least_limits import fastest_job
@@ -133,7 +133,7 @@ def test_an_end_that_passed_breaks_off_at_once() -> None:
     with pytest.raises(HaltError), until.interrupting():
         time.sleep(86_400.0)
     assert until.ended == OUT_OF_TIME
-    with as_far_as(until, lambda: True), pytest.raises(HaltError):
+    with until_deadline(until, lambda: True), pytest.raises(HaltError):
         until.check()
 
 
@@ -143,7 +143,7 @@ def test_a_signal_during_machine_code_ends_a_search_as_any_other(
 ) -> None:
     """Compiled code that hands over its arguments fails with errors of its own around it."""
     until = Deadline.within(1000.0)
-    with as_far_as(until, lambda: True):
+    with until_deadline(until, lambda: True):
         try:
             try:
                 raise signal_raises
@@ -152,7 +152,7 @@ def test_a_signal_during_machine_code_ends_a_search_as_any_other(
         except SystemError as error:
             raise SystemError("a kernel returned a result with an exception set") from error
     assert (until.ended == INTERRUPTED) is (signal_raises is KeyboardInterrupt)
-    with pytest.raises(SystemError, match="alone"), as_far_as(until, lambda: True):
+    with pytest.raises(SystemError, match="alone"), until_deadline(until, lambda: True):
         raise SystemError("alone")
 
 

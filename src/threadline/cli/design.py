@@ -27,7 +27,7 @@ from threadline.cli.design_sharing import (
 )
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.search_text import command_line, typed
-from threadline.cli.yield_sharing import asked_here, check_part_options
+from threadline.cli.yield_sharing import check_part_options, question_from_words
 from threadline.errors import OptionError
 from threadline.proof.request import Words, level_option
 from threadline.report.design import (
@@ -78,8 +78,8 @@ class Seeking:
         typer.Option(
             min=1,
             max=MOST_SEARCHES,
-            help="Search so often, each time from other random numbers; the design is the best of "
-            "all. With --part: as many as there are parts, unless it is given.",
+            help="Number of searches, each from other random numbers; the best design counts. "
+            "With --part: by default the number of parts.",
         ),
     ] = 1
     part: Annotated[
@@ -194,7 +194,7 @@ def _asked(
     )
     if seeking.merge:
         return design_of_parts(files, machine, words, aims)
-    here = asked_here(files, machine, words)
+    here = question_from_words(files, machine, words)
     return DesignRequest(job=here.job, machine=here.machine, words=words, aims=aims)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from threadline.base.progress import Progress
 from threadline.cli.output import print_json, say
 from threadline.cli.yield_sharing import (
-    asked_in_part,
     check_merge_options,
+    recorded_words,
     words_for_part,
 )
 from threadline.proof.request import Words
@@ -73,7 +73,7 @@ def design_of_parts(
     check_merge_options(machine, words, given)
     parts = read_design_parts(files)
     record = parts[0].record
-    job, named, own = asked_in_part("design", record.words, parts[0].path)
+    job, named, own = recorded_words("design", record.words, parts[0].path)
     told = replace(aims, corners=record.corners, front=record.front, searches=record.searches)
     return DesignRequest(job=job, machine=named, words=own, aims=told, parts=parts)
 

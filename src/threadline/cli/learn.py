@@ -61,8 +61,8 @@ class Learning:
     low_pass: Annotated[
         str | None,
         typer.Option(
-            help='Errors above this frequency are not learned: "20 Hz". Default: the lowest at '
-            "which the loop answers with a tenth of its reference."
+            help='Errors above this frequency are not learned: "20 Hz". Default: the lowest '
+            "frequency at which the loop answers with a tenth of its reference."
         ),
     ] = None
     measured: Annotated[

@@ -174,7 +174,7 @@ ContinueOption = Annotated[
 AtOption = Annotated[
     str | None,
     typer.Option(
-        help="With --continue: where the work begins again: block (the one under way at the end), "
+        help="With --continue: where the work begins again: block (the interrupted operation), "
         'circuit, "circuit 12", "line 40", "stitch 120", or "back 10" for ten stitches before.'
     ),
 ]

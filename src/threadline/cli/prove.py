@@ -123,7 +123,10 @@ def prove(
         if proof_file is not None:
             content["proof"] = str(proof_file)
         if worst is not None:
-            told = {"command": again(job, machine, words, worst), "product": worst_product(proof)}
+            told = {
+                "command": worst_machine_command(job, machine, words, worst),
+                "product": worst_product(proof),
+            }
             content["worst"] = {"file": str(worst), **told}
         print_json(content)
     else:
@@ -134,7 +137,10 @@ def prove(
             say(f"Proof: {proof_file}")
         if worst is not None:
             say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
-            for line in (f"  {again(job, machine, words, worst)}", *product_lines(proof)):
+            for line in (
+                f"  {worst_machine_command(job, machine, words, worst)}",
+                *product_lines(proof),
+            ):
                 say(line)
     raise typer.Exit(0 if proof.verdict.passed else 1)
 
@@ -174,7 +180,7 @@ def product_lines(proof: Proof) -> list[str]:
     return [f"Its product, as numbers for the file of --product: {product}"] if product else []
 
 
-def again(job: Path, machine: str, words: Words, worst: Path) -> str:
+def worst_machine_command(job: Path, machine: str, words: Words, worst: Path) -> str:
     """Return the command that proves the plan on the worst machine, in as many runs."""
     from threadline.cli.search_text import command_line  # loads the searches
 

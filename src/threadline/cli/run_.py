@@ -120,7 +120,7 @@ class Execution:
         typer.Option(
             "--approach",
             help="With grbl: move the axes to where the program begins, one after the other at "
-            "their manual feeds, linear ones first.",
+            "their manual feeds, linear axes first.",
         ),
     ] = False
     pass_stops: Annotated[

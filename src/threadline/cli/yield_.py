@@ -35,11 +35,11 @@ from threadline.cli.output import (
 from threadline.cli.search_text import command_line
 from threadline.cli.yield_sharing import (
     Question,
-    asked_here,
-    asked_of_parts,
     check_part_options,
     finish_part,
     part_identity,
+    question_from_parts,
+    question_from_words,
     record_of,
 )
 from threadline.cli.yield_tables import (
@@ -267,13 +267,13 @@ def _question(
 ) -> Question:
     """Return whose yield is wanted: by the command line, or with --merge by the parts."""
     if not drawing.merge:
-        return asked_here(files, machine, words, drawing.variants, drawing.seed)
+        return question_from_words(files, machine, words, drawing.variants, drawing.seed)
     given = {
         "--resume": drawing.resume,
         "--variants": None if drawing.variants == _VARIANTS else drawing.variants,
         "--seed": None if drawing.seed == _SEED else drawing.seed,
     }
-    return asked_of_parts(files, machine, words, given)
+    return question_from_parts(files, machine, words, given)
 
 
 def _check_files(

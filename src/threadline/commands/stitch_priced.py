@@ -24,7 +24,7 @@ _TO_RANK = 1e9  # times of states are compared to 1 ns: not by the rounding of a
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Asked:
+class PricedRequest:
     """What a priced search asks for.
 
     Parameters
@@ -50,7 +50,7 @@ class Asked:
 
 def priced_turns(
     lists_s: list[FloatArray], first: int, turns: FloatArray, given: tuple[Limits, Swung],
-    asked: Asked,
+    asked: PricedRequest,
 ) -> FloatArray | None:  # fmt: skip
     """Return the turns of a stretch that cost least; None if none is found.
 

@@ -21,7 +21,7 @@ import numpy as np
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.base.linear_programs import solved
-from threadline.commands.stitch_priced import Asked, priced_turns
+from threadline.commands.stitch_priced import PricedRequest, priced_turns
 from threadline.commands.stitch_swings import (
     BEFORE,
     Limits,
@@ -73,7 +73,7 @@ def shortest_turns(
     grid = np.arange(np.log(limits.shortest_s.min()), np.log(limits.slowest_s), _GRID)
     starts: list[Callable[[], FloatArray | None]] = [lambda: found_s]
     for price, share in _SEARCHES:
-        asked = Asked(
+        asked = PricedRequest(
             tolerance_m=limits.tolerance_m * _INSIDE * share,
             price_s=price * float(limits.shortest_s.min()),
             most=_REFUSED,

@@ -22,7 +22,7 @@ from threadline.jobs.operations import Feed, FeedMode
 from threadline.proof.option_words import LEAST_CONTOUR_M
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
-from threadline.search.deadline import as_far_as
+from threadline.search.deadline import until_deadline
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
 from threadline.search.feed_ranges import Interval, closeness, worst_criterion
@@ -160,7 +160,7 @@ def fastest_allowed(asked: Question) -> FastestJob:
     rungs: dict[float, Rung] = {}
     next_one = _next_contour if by_contour else _next_share
     amount: float | None = options.timing.contour_m if by_contour else options.limit_share
-    with as_far_as(until, lambda: rungs):
+    with until_deadline(until, lambda: rungs):
         while amount is not None:
             rungs[amount] = proved(amount)
             alone = by_contour and options.contour_m is not None

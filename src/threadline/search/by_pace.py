@@ -46,8 +46,8 @@ from threadline.search.mismatch import (
     Certainty,
     Mismatch,
     Searched,
+    at_tolerance_ends,
     near_best,
-    off_tolerances,
 )
 from threadline.search.paced import Question
 from threadline.search.question import searched_as
@@ -342,7 +342,7 @@ def answered(asked: Question) -> Answer:
         certainty = _certainty(found, search)
         cells: tuple[Mismatch, ...] = ()
         if asked.mismatch:
-            cells = off_tolerances(asked, search.again(asked, found))
+            cells = at_tolerance_ends(asked, search.again(asked, found))
     return replace(found, certainty=certainty, mismatch=cells)
 
 

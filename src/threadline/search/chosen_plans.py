@@ -37,7 +37,7 @@ from threadline.search.choices import (
     places_of,
     used_of,
 )
-from threadline.search.deadline import HaltError, as_far_as
+from threadline.search.deadline import HaltError, until_deadline
 from threadline.search.feed import feed_range_m_s
 from threadline.search.feed_ranges import closeness
 from threadline.search.least_times import Bound, bounds_of, least_on_any_path
@@ -181,7 +181,7 @@ def fastest_chosen(asked: Question) -> FastestJob:
     options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
     tick_s = float(machine.tick_clock.period_s)
     searches: list[Choosing] = []
-    with as_far_as(until, lambda: any(one.rungs for one in searches)):
+    with until_deadline(until, lambda: any(one.rungs for one in searches)):
         for one in _followings(options, asked):
             knobs = knobs_of(machine, asked.spec, one, asked.free)
             search = Choosing(asked, knobs, one)

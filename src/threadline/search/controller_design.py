@@ -50,7 +50,7 @@ class Wanted:
     design
         One of ``DESIGNS``.
     gain
-        Gain at rest, in gains at rest of the present controllers; 1.
+        Static gain, as a multiple of the present controllers' static gain; 1.
     sensors
         Sensors to read besides the encoders of the axes; none.
     ahead

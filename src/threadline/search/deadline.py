@@ -137,7 +137,7 @@ def with_answer() -> Iterator[None]:
 
 
 @contextmanager
-def as_far_as(until: Deadline | None, known: Callable[[], object]) -> Iterator[None]:
+def until_deadline(until: Deadline | None, known: Callable[[], object]) -> Iterator[None]:
     """Search in this block; if its time ends or a user asks, leave it with the results so far.
 
     Parameters

@@ -25,7 +25,7 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import check_loops, plan_job
 from threadline.search.allowance import FastestJob, Rung, fastest_allowed
 from threadline.search.chosen_plans import fastest_chosen
-from threadline.search.deadline import Deadline, HaltError, as_far_as, no_answer
+from threadline.search.deadline import Deadline, HaltError, no_answer, until_deadline
 from threadline.search.fastest import FINE, RANGE, Fastest, Grid, check_range
 from threadline.search.feed import fastest_feed, feed_unit, search_range, searched_by
 from threadline.search.feed_ranges import Interval, closeness, worst_criterion
@@ -240,7 +240,7 @@ def fastest_job(asked: Question) -> FastestJob:
         whole = False
         if asked.progress is not None:
             asked.progress("the whole job", shares.steps / (shares.steps + 1))
-        with as_far_as(until, lambda: rungs):
+        with until_deadline(until, lambda: rungs):
             best = _of_whole(best, asked)
             rungs[best.share] = best
             whole = True

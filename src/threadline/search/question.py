@@ -111,7 +111,7 @@ def _shaft_hz(text: str) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class PaceOptions:
     """The options of a search by one pace.
 
     Parameters
@@ -130,14 +130,14 @@ class Asked:
 
 
 _SPAN = frozenset({"--low", "--high", "--robust", "--shaper", "--mismatch", "--learned"})
-ASKED: Mapping[str, Asked] = {
-    "feed": Asked(searched="the feed is", takes=_SPAN, span=_feeds),
-    OPTIMAL: Asked(
+PACE_OPTIONS: Mapping[str, PaceOptions] = {
+    "feed": PaceOptions(searched="the feed is", takes=_SPAN, span=_feeds),
+    OPTIMAL: PaceOptions(
         searched="no feed is", takes=frozenset({"--high", "--robust", "--shaper"}), span=_capped
     ),
-    "needle": Asked(searched="the speed of the needle is", takes=_SPAN, span=_needles),
-    "shaft": Asked(searched="the speed of the shaft is", takes=_SPAN, span=_shaft_speeds),
-    "switchings": Asked(
+    "needle": PaceOptions(searched="the speed of the needle is", takes=_SPAN, span=_needles),
+    "shaft": PaceOptions(searched="the speed of the shaft is", takes=_SPAN, span=_shaft_speeds),
+    "switchings": PaceOptions(
         searched="commands and waits are",
         takes=frozenset({"--out", "--mismatch"}),
         span=lambda *_: (None, None, None),
@@ -184,7 +184,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     refuse_others(job, options, given)
     search = searched_as(job, options)
     learned = _learned(words, job, chosen, options)
-    low, high, by = ASKED[search].span(job, chosen, words.text("low"), words.text("high"))
+    low, high, by = PACE_OPTIONS[search].span(job, chosen, words.text("low"), words.text("high"))
     spec = with_product(words.spec(chosen), chosen, options).with_margin(margin)
     actual, mismatch, band = words.actual(), words.flag("mismatch"), None
     if job.paced_by == "switchings":  # commands made for a band are judged over the whole band
@@ -280,7 +280,7 @@ def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> No
     OptionError
         If an option does not apply; the message names the option and the alternative.
     """
-    search = ASKED[searched_as(job, options)]
+    search = PACE_OPTIONS[searched_as(job, options)]
     for name, value in given.items():
         if value is not None and name not in search.takes:
             typed = name if value is True else f"{name} {str(value)!r}"

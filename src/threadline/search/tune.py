@@ -267,7 +267,7 @@ def _job_runs(tuning: Tuning, job: Path, spec: Spec | None) -> list[JobRun]:
     return found
 
 
-def asked(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
+def wanted_tuning(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
     """Return what loops are tuned for, as it was typed.
 
     Raises

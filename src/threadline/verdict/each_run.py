@@ -305,7 +305,7 @@ def worst_of(
     return replace(worst, ends=count) if over == "ends" else replace(worst, band=count)
 
 
-def in_others(verdict: Verdict, others: EachRun, told: str = _WITHIN) -> Verdict:
+def with_other_machines(verdict: Verdict, others: EachRun, told: str = _WITHIN) -> Verdict:
     """Return ``verdict`` with every result replaced by the worst of other machines, if it is worse.
 
     Such a result has the place where the worst machine had this value; the line is left to
