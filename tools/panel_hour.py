@@ -2,14 +2,13 @@
 
 A headless Chromium has the page open and runs a program again and again. ``python -m
 tools.panel_hour --minutes 60`` writes a line a minute, and the figures of ``docs/panel.md`` at the
-end.
+end. With ``--circuits 60`` one run lasts long, so that the machine moves all the time.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -25,6 +24,8 @@ from tools.browser import chromium
 
 ROOT = Path(__file__).parents[1]
 PROGRAM = ROOT / "examples" / "cone-dome-cylinder.prg"
+CIRCUITS = 3
+"""Circuits of the program; each call of its subroutine winds one."""
 SPEED = "0.9"
 """Just below real time, so that a busy computer delays the machine and is no fault of it."""
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -153,7 +154,11 @@ def main() -> None:
     """Serve, open, watch, end."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
-    minutes: float = parser.parse_args().minutes
+    parser.add_argument("--circuits", type=int, default=CIRCUITS, help="circuits of a run")
+    given = parser.parse_args()
+    minutes: float = given.minutes
+    text = PROGRAM.read_text("utf-8")
+    assert f" L {CIRCUITS};" in text
     if minutes < _SETTLED_S / 60.0 + 2.0:
         parser.error(
             f"--minutes must be {_SETTLED_S / 60.0 + 2.0:g} or more: the first are left out"
@@ -164,7 +169,8 @@ def main() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with tempfile.TemporaryDirectory() as folder:
-        shutil.copy(PROGRAM, folder)
+        wound = text.replace(f" L {CIRCUITS};", f" L {given.circuits};")
+        (Path(folder) / PROGRAM.name).write_text(wound, "utf-8")
         server = subprocess.Popen(
             [sys.executable, "-m", "threadline", "panel", folder, "-m", "lathe-winder",
              "--port", str(port), "--speed", SPEED, "--store", f"{folder}/runs"],

@@ -176,4 +176,4 @@ def test_machines_that_ring_without_bound_count_in_the_distribution() -> None:
     assert (quantile(row, 0.5), quantile(row, 0.75)) == (2.0, 3.0)
     assert quantile(row, 0.99) == quantile(row, 1.0) == np.inf
     assert quantile(replace(row, values=np.array([1.0, 3.0, np.nan])), 0.5) == 2.0
-    assert yield_._row(row)[1:4] == ["2000 mm", "unbounded", "unbounded"]
+    assert criterion_cells(row)[1:4] == ["2000 mm", "unbounded", "unbounded"]

@@ -9,6 +9,7 @@ from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from threadline.files import Event
 from threadline.live.executor import DEPTH_S, MANY_S, Executor
 from threadline.live.guards import Guards
+from threadline.live.sim_machine import SimFault
 from threadline.live.states import Cause, State
 from threadline.live.wire import Message
 
@@ -151,3 +152,86 @@ def test_a_stop_of_the_program_is_met_as_with_short_reports() -> None:
     while bench.executor.state is not State.HOLDING:
         bench.executor.step()
     assert np.array_equal(bench.executor.stands, there_and_back()[:200].sum(axis=0))
+
+
+def played_one_by_one(
+    rows: np.ndarray, lates: dict[int, float], fault: SimFault | None = None
+) -> list[tuple[int, int, int, int, tuple[str, ...]]]:
+    """Play rows tick by tick, reported in fives; return what the reports say.
+
+    Their first tick, the tick after them, late ticks, samples of X, and their events' kinds.
+    """
+    bench = Bench(fault=fault).ready()
+    executor, machine = bench.executor, bench.wire.machine
+    executor.start(table_of_counts(rows))
+    machine.report_ticks = 5
+    told: list[Message] = []
+    machine._tell = told.append
+    for tick in range(len(rows) + 12):
+        machine.play(1, lates.get(tick, 0.0))
+        if machine.silenced:
+            break
+    heads = [(one.head, one.arrays) for one in told]
+    return [
+        (
+            head["tick"],
+            head["now"],
+            head["late"],
+            len(arrays["X.commanded"]),
+            tuple(event[1] for event in head["events"] if event[1] in ("late", "fault")),
+        )
+        for head, arrays in heads
+    ]
+
+
+SHORT = np.tile([0, 1, 0], (17, 1))
+"""Rows that a machine holds at once."""
+
+
+def test_ticks_are_reported_together_but_what_is_urgent_at_once() -> None:
+    """Each tick once, in order; a late tick is counted alone, as if each had its own report."""
+    quiet = played_one_by_one(SHORT, {})
+    assert [one[:4] for one in quiet[:3]] == [(0, 5, 0, 5), (5, 10, 0, 5), (10, 15, 0, 5)]
+    late = played_one_by_one(SHORT, {2: 0.4, 7: 0.6, 8: 0.6, 10: 0.3})
+    assert [one[:3] for one in late[:5]] == [
+        (0, 5, 0), (5, 7, 0), (7, 8, 1), (8, 9, 1), (9, 14, 0),
+    ]  # fmt: skip
+    assert [one[4] for one in late[2:4]] == [("late",)] * 2
+    for found in (quiet, late):
+        ends = [one[1] for one in found]
+        assert [one[0] for one in found] == [0, *ends[:-1]]
+        assert [one[3] for one in found] == [one[1] - one[0] for one in found]
+    pressed = played_one_by_one(SHORT, {}, SimFault("e-stop", 7))
+    assert [one[:2] for one in pressed[:2]] == [(0, 5), (5, 7)]
+    assert pressed[1][4] == ("fault",)
+    dead = played_one_by_one(SHORT, {}, SimFault("lost-link", 12))
+    assert [one[:2] for one in dead] == [(0, 5), (5, 10), (10, 12)]
+
+
+def test_a_standstill_is_reported_at_once() -> None:
+    """The rows and their tail end within a report; what is asked for at rest comes after it."""
+    found = played_one_by_one(SHORT[:7], {})
+    held = [one[1] for one in found]
+    assert 7 in held  # the machine stands from here on, three ticks before a report is due
+
+
+def test_a_stop_in_real_time_counts_the_ticks_since_the_last_report(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A report that is 25 ms old is 5 ticks old: the rows that brake begin 4 ticks after those."""
+    bench = Bench().ready()
+    executor = bench.executor
+    executor.start(table_of_counts(there_and_back()))
+    bench.go_on(100)
+    now_s = executor._heard_s
+    executor._real_time, executor._lead = True, 4
+    monkeypatch.setattr("threadline.live.executor.clock_s", lambda: now_s + 0.026)
+    sent = len(bench.wire.sent)
+    bench.desk.ask(Cause.STOP)
+    executor.obey()
+    refill = bench.wire.sent[sent]
+    assert refill.kind == "refill"
+    assert refill.head["first"] == executor.tick + 5 + 4
+    # After a sleep of the computer it is no later than what was sent.
+    monkeypatch.setattr("threadline.live.executor.clock_s", lambda: now_s + 3600.0)
+    assert executor._soonest <= executor.tick + 20 + 4

@@ -459,6 +459,17 @@ def test_keys_of_fluidnc_have_no_case(tmp_path: Path) -> None:
         read(tmp_path, "KINEMATICS:\n  CoreXY:\n" + shouted)
 
 
+def test_an_axis_of_fluidnc_without_keys_has_its_defaults(tmp_path: Path) -> None:
+    settings = read(tmp_path, "axes:\n  x:\n    max_travel_mm: 300\n  z:\n    motor0:\n")
+    assert list(settings.axes) == ["X", "Z"]
+    for letter, travel in [("X", 300.0), ("Z", 1000.0)]:
+        axis = settings.axes[letter]
+        values = (axis.steps, axis.rate, axis.acceleration, axis.travel)
+        assert [one.value for one in values if one] == [80.0, 1000.0, 25.0, travel]
+    assert settings.axes["Z"].rate is not None
+    assert settings.axes["Z"].rate.name == "default of fluidnc"
+
+
 INI = """[EMC]
 MACHINE = mill
 [KINS]

@@ -17,6 +17,7 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, prove
 from threadline.proof.recorded import warnings_of
 from threadline.verdict import load_spec
+from threadline.verdict.registry import MEASURES
 
 ROOT = Path(__file__).parents[2]
 
@@ -62,3 +63,11 @@ def test_every_label_is_on_the_page(option: str) -> None:
     label = FIELDS[option]
     assert re.search(rf"""[>"]\s*{label}\s*[<"]""", page)
     assert in_page_words(f"--{option}") == f"'{label}'"
+
+
+def test_every_criterion_has_a_sentence_of_the_page() -> None:
+    """What is judged is told in the words of the work, and not by the name in a file."""
+    text = (ROOT / "web" / "src" / "wording.ts").read_text("utf-8")
+    sentences = text.partition("const SENTENCES")[2].partition("};")[0]
+    known = set(re.findall(r"^  ([a-z_]+): ", sentences, re.MULTILINE))
+    assert {name.removeprefix("planned_") for name in MEASURES} == known

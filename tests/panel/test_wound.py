@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,10 +16,12 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
 from threadline.errors import InputError
+from threadline.files import Channel, ChannelKind, Clock, Recording, RecordingBlock, Stream
 from threadline.machine import load_machine
 from threadline.panel.calculating import calculate
 from threadline.panel.calculation import Calculation, add_winding
-from threadline.panel.protocol import Calculate
+from threadline.panel.job_views import _tension
+from threadline.panel.protocol import Calculate, Figures
 
 PITCH_M, TURNS = 0.004, 6
 PROGRAM = (
@@ -30,14 +34,12 @@ PRODUCT = (
 )
 
 
-def _calculate(folder: Path, **words: Any) -> dict[str, Any]:
+def _calculate(folder: Path, machine: str = "lathe-winder", **words: Any) -> dict[str, Any]:
     asked = Calculate(
         what="calculate", program="helix.prg", interpolation="linear", level="nominal", **words
     )
     told = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
-    return calculate(
-        {**told, "folder": str(folder), "machine": "lathe-winder", "par": None, "spec": None}
-    )
+    return calculate({**told, "folder": str(folder), "machine": machine, "par": None, "spec": None})
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +74,47 @@ def test_the_fibre_of_a_calculation_is_the_helix_of_its_program(folder: Path) ->
     np.testing.assert_allclose(np.median(pitch), PITCH_M, rtol=0.02)
     assert wound["begins"] == [True] + [False] * (len(along) - 1)
     assert not any(wound["slips"][1:])
+
+
+def test_the_tension_is_told_in_pieces_with_its_least_and_its_most() -> None:
+    """Means over pieces of equal length, the last one shorter; nothing without such a channel."""
+    clock = Clock("tick", Fraction(1, 200))
+    pulled = Channel(name="tension", kind=ChannelKind.TENSION, unit="N", axis="", clock=clock)
+    values = np.concatenate([np.full(9_000, 7.0), np.full(4_001, 8.0)])
+    values[100] = 9.5
+    blocks = [
+        RecordingBlock(first_tick={"tick": at}, samples={"tension": part})
+        for at, part in ((0, values[:5_000]), (5_000, values[5_000:]))
+    ]
+    told = Recording(
+        channels=(pulled,), blocks=Stream.of(blocks), job_sha256="", machine_sha256="",
+        simulated=True,
+    )  # fmt: skip
+    found = _tension(told)
+    assert found is not None
+    assert len(found["mean"]) == len(found["times_s"]) == 4_334  # three samples each
+    assert found["times_s"][:2] == [0.0, 0.015] and found["mean"][-1] == 8.0
+    assert found["mean"][33] == pytest.approx(7.0 + 2.5 / 3.0, abs=1e-6)
+    assert (found["least"], found["most"]) == (7.0, 9.5)
+    none = Channel(name="x", kind=ChannelKind.COMMANDED, unit="m", axis="X", clock=clock)
+    assert _tension(replace(told, channels=(none,), blocks=Stream.of(()))) is None
+
+
+@pytest.mark.long(shown_by="test_the_tension_is_told_in_pieces_with_its_least_and_its_most")
+def test_a_spool_gives_the_tension_of_the_simulated_run(folder: Path) -> None:
+    """The torque of the brake at the radius of the spool, and its friction; none without a spool.
+
+    0.43 N m at 60 mm are 7.2 N, and 10 % more behind rollers, bath and eye.
+    """
+    found = _calculate(folder, "lathe-winder+spool", product="tube.wind.toml")
+    tension = Figures.model_validate({"type": "figures", **found}).tension
+    assert tension is not None
+    times_s, mean = np.array(tension.times_s), np.array(tension.mean)
+    assert len(times_s) == len(mean) and (np.diff(times_s) > 0.0).all()
+    assert times_s[0] >= 0.0 and times_s[-1] < found["duration_s"] + 1.0
+    assert np.median(mean[mean > 1.0]) == pytest.approx(1.1 * 0.43 / 0.06, rel=0.05)
+    assert tension.least <= mean.min() and mean.max() <= tension.most
+    assert _found(folder)["tension"] is None
 
 
 def test_a_product_outside_the_folder_is_not_read(folder: Path, tmp_path: Path) -> None:

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.plan import Plan
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
 from threadline.proof.option_form import Door
+from threadline.proof.option_words import share_words
 from threadline.proof.options import Options, describe, options_from, options_of
 from threadline.proof.pipeline import NOMINAL, open_job
 from threadline.proof.request import Words
@@ -30,6 +32,7 @@ from threadline.search.choices import (
 )
 from threadline.search.deadline import Deadline
 from threadline.search.least_times import least_on_any_path, shortened_way
+from threadline.search.paced import Question
 from threadline.search.question import question_of
 from threadline.verdict import Result, Status, Verdict, load_spec
 from threadline.verdict.contour import POINT_MISSED
@@ -81,10 +84,12 @@ def test_the_values_of_choices_are_typed_and_read_back() -> None:
         options_of("optimal", None, "0.1 mm", feed_forward=True),
         feed=Feed(FeedMode.FASTEST_AXIS, 1.0),
     )
-    knobs = knobs_of(machine, load_spec(None, machine), options, frozenset(CHOSEN))
+    spec, free = load_spec(None, machine), frozenset(CHOSEN)
+    assert "limits" not in {knob.word for knob in knobs_of(machine, spec, options, free)}
+    knobs = knobs_of(machine, spec, options, free, gentle=True)
     job = open_job(EXAMPLES / "x-180.prg", machine, options)
     assert {knob.word for knob in knobs} == {
-        "tolerance", "outside", "contour", "volts", "current", "smoothing",
+        "tolerance", "outside", "contour", "volts", "current", "smoothing", "limits",
     }  # fmt: skip
     random = np.random.default_rng(5)
     for _ in range(50):
@@ -111,7 +116,8 @@ def missed(
     line: int | None, share: float, name: str = "contour_error", note: str = POINT_MISSED
 ) -> Verdict:
     result = Result(
-        name=name, axis="", measured=5e-4 * share, limit=5e-4, unit="m", status=Status.FAILED,
+        name=name, axis="", measured=5e-4 * share, limit=5e-4, unit="m",
+        status=Status.FAILED if share > 1.0 else Status.PASSED,
         job_line=line, note=note, time_s=1.0,
     )  # fmt: skip
     return Verdict(results=(result,), simulated=True)
@@ -192,9 +198,8 @@ def test_a_few_plans_are_faster_than_any_with_the_options_by_default() -> None:
 
 @pytest.mark.usefixtures("few")
 def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> None:
-    """X may accelerate at 10.5 m/s2 and the specification asks for 8: 70 % of it passes."""
+    """X may accelerate at 10.5 m/s2 and the specification asks for 8: 76 % of it passes at most."""
     words = {"interpolation": "optimal", "tolerance": "0.1 mm", "outside": "0 mm"}
-
     given = Words.of("fastest", Door.PYTHON, words)
     asked = question_of(given, EXAMPLES / "x-180.prg", "lathe-winder")
     criteria = tuple(
@@ -204,9 +209,37 @@ def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> No
     spec = replace(asked.spec, criteria=criteria)
     found = answered(replace(asked, spec=spec, trials=NOMINAL))
     assert found.duration_s is not None and found.again is not None
-    assert found.again["limits"] == "0.7" and found.again["feed_forward"] is True
-    (passed,) = {rung.share for rung in found.of.rungs if rung.duration_s is not None}
-    assert passed == 0.7
+    assert found.again["feed_forward"] is True
+    passed = {rung.share for rung in found.of.rungs if rung.duration_s is not None}
+    assert 0.5 < max(passed) <= 8.0 / 10.5
+
+
+@pytest.mark.usefixtures("few")
+def test_where_no_plan_at_the_full_limits_passes_their_share_is_chosen_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Over the tolerances the loops may be too far off for any plan that is as fast as it can be.
+
+    Loops whose error is three times too large at the full limits, and in proportion to the
+    acceleration, take the place of real ones.
+    """
+
+    def judged(_: Question, plan: Plan) -> Verdict:
+        share = options_from(dict(plan.options)).limit_share
+        return missed(5, 3.0 * share, "progress_error")
+
+    monkeypatch.setattr(Question, "judged", judged)
+    words = {"interpolation": "optimal", "tolerance": "0.1 mm", "outside": "0 mm"}
+    found = answered(
+        question_of(Words.of("fastest", Door.PYTHON, words), EXAMPLES / "x-180.prg", "lathe-winder")
+    )
+    shares = [rung.share for rung in found.of.rungs]
+    assert found.duration_s is not None
+    assert found.again is not None
+    assert shares[0] == 1.0
+    assert 0.05 <= found.of.best.share <= 1.0 / 3.0
+    assert found.again["limits"] == share_words(found.of.best.share)
+    assert found.plan().duration_s == found.duration_s
 
 
 @pytest.mark.long(shown_by="test_a_search_by_what_was_tried_comes_close_to_what_can_be_had")

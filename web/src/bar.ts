@@ -1,6 +1,7 @@
 /** The bar that is always in sight: state, program, line under way, time left, feed, next step. */
 
 import { by, made, put, tell } from "./dom";
+import { whyInWords } from "./facts";
 import type { Figures, State } from "./messages";
 import type { Step } from "./next_step";
 import type { Session } from "./session";
@@ -36,7 +37,7 @@ export class Bar {
   /** Show the state as a chip, with its reason beside it. */
   tellState(state: State | null, refused: string): void {
     const word = state?.state ?? (refused ? "refused by the panel" : "no connection");
-    const why = state ? state.why || PREPARES[state.state] || "" : refused;
+    const why = state ? whyInWords(state) || PREPARES[state.state] || "" : refused;
     const told = `${word}\n${why}`;
     put(by("state").dataset, "look", state ? (LOOKS[state.state] ?? "") : "wrong");
     if (told === this.chip) return;

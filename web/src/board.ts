@@ -127,7 +127,10 @@ export class Board {
   // --- settings -------------------------------------------------------------------------------
 
   take(board: BoardTold): void {
-    tell("board-told", `${board.firmware || "grbl"}. ${settingsInWords(board.settings)}`);
+    tell(
+      "board-told",
+      `${board.firmware ? `Firmware ${board.firmware}` : "grbl"}. ${settingsInWords(board.settings)}`,
+    );
     put(by("board-told"), "className", board.settings.some((one) => MARKS[one.mark][1]) ? "wrong" : "hint");
     const rows = inOrder(board.settings);
     const own = (one: BoardSetting) => one.file !== "" || one.mark !== "";

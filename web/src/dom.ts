@@ -50,6 +50,14 @@ export function typing(): boolean {
   );
 }
 
+/** Scroll to a place whose top is below the lower quarter of the window, as on a phone. */
+export function intoSight(place: HTMLElement): void {
+  const { top } = place.getBoundingClientRect();
+  if (place.offsetParent === null || top < 0.75 * window.innerHeight) return;
+  const header = document.querySelector("header")!.getBoundingClientRect();
+  window.scrollBy({ top: top - header.bottom - 8 });
+}
+
 let refuse = () => {};
 
 /** Ask a question in the page: a dialog of the browser would take the keys that stop the machine. */

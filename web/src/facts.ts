@@ -20,7 +20,17 @@ export function nextTurn(figures: Figures, time_s: number): { in_s: number; at: 
   return k < turns.times_s.length ? { in_s: turns.times_s[k]! - time_s, at: turns.at[k]! } : null;
 }
 
-/** Where a hold stands that is asked for now. */
+const AT_REST_S = 0.02;
+
+/** Why the machine is in its state; a hold that waits for a rest says when it has come to one. */
+export function whyInWords(state: State): string {
+  const run = state.progress;
+  const waited = state.state === "holding" && run?.ended === null && run.hold === "at a rest";
+  if (!waited || run.hold_at_s === null) return state.why;
+  return run.hold_at_s - run.time_s < AT_REST_S ? "it stands at a rest of the program" : state.why;
+}
+
+/** Where a hold stands that is asked for now, or stands that was asked for. */
 export function holdInWords(state: State, figures: Figures | null): string {
   const run = state.progress!;
   const { stitches } = figures ?? {};
@@ -30,10 +40,19 @@ export function holdInWords(state: State, figures: Figures | null): string {
     const at = run.hold_at_s!;
     const left = ((at - run.time_s) * 100) / state.feed_percent;
     const after = stitches?.times_s.length && stitch(at) ? `, after stitch ${stitch(at)}` : "";
-    return `a hold stands at the next rest${after}: in ${Math.max(left, 0).toFixed(1)} s`;
+    const what = state.state === "holding" ? "it stands" : "a hold stands";
+    return `${what} at the next rest${after}: in ${Math.max(left, 0).toFixed(1)} s`;
   }
   if (stitches?.threads.length) return "a hold stands at the end of the stitch";
   return stitches ? "a hold stands at once, on the seam" : "";
+}
+
+/** The tension of the fibre in the simulated run at an instant of the plan; nothing without a spool. */
+export function tensionInWords(figures: Figures, time_s: number): string {
+  const { tension } = figures;
+  if (!tension) return "";
+  const now = tension.mean[Math.max(before(tension.times_s, time_s), 0)]!;
+  return `${reading("tension", now, "N")} in the simulation, which has at most ${amount(tension.most, "N")}`;
 }
 
 /** The facts of a state, one to a line. */
@@ -47,7 +66,10 @@ export function facts(state: State, figures: Figures | null): string[] {
       found.push(
         `next turn-round in ${clock((turn.in_s * 100) / state.feed_percent)}, at ${own!.turn_rounds!.axis} ${(1000 * turn.at).toFixed(1)} mm`,
       );
-    const hold = state.state === "running" ? holdInWords(state, own) : "";
+    const tension = own && !state.readings.tension ? tensionInWords(own, run.time_s) : "";
+    if (tension) found.push(tension);
+    const goesOn = state.state === "holding" && run.hold === "at a rest" && whyInWords(state) === state.why;
+    const hold = state.state === "running" || goesOn ? holdInWords(state, own) : "";
     if (hold) found.push(hold);
   }
   if (own?.steps.length) found.push(`cycles completed since the machine was connected: ${run!.completed}`);

@@ -103,6 +103,7 @@ export interface Figures {
   steps: NamedStep[];
   lanes: Lane[];
   turn_rounds: TurnRounds | null;
+  tension: Tension | null;
 }
 /** How full a controller is: blocks of its planner, characters of its receive buffer. */
 export interface Fill {
@@ -247,6 +248,13 @@ export interface Stitches {
   times_s: number[];
   use: number[];
   use_of: string;
+}
+/** The tension of the fibre in the simulated run, N, where the machine has a spool. */
+export interface Tension {
+  times_s: number[];
+  mean: number[];
+  least: number;
+  most: number;
 }
 /** Instants of the plan, s, and places, m, at which the axis along the mandrel turns round. */
 export interface TurnRounds {

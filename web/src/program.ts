@@ -1,6 +1,6 @@
 /** The program: load it, see it, calculate it, and run what was calculated. */
 
-import { asked, button, by, made, put, tell, value } from "./dom";
+import { asked, button, by, intoSight, made, put, tell, value } from "./dom";
 import type { Figures, Preview, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { toldEnd, toldRun, unitOf } from "./session";
@@ -9,6 +9,8 @@ import { tellVerdict } from "./verdict";
 
 type Field = HTMLInputElement | HTMLSelectElement;
 
+const OF_PROGRAM = 'Replaces every feed of the program: "36 mm/s", "2000 mm/min", "10 count/tick".';
+const OF_STITCHES = 'One speed for all stitches: "100 stitch/min". Empty: each has its highest speed.';
 const EXISTS = 412; // status of an upload that would overwrite a file
 /** Fields of the options, generated from the table of options; an option has the name of its field. */
 const optionFields = (): Field[] =>
@@ -107,6 +109,7 @@ export class Program {
     const feeds = !sewn && this.session.options.includes("feed");
     put(by("feed").closest<HTMLElement>("[data-option]")!, "hidden", !feeds);
     put(by<HTMLInputElement>("feed"), "disabled", this.priority !== "programmed");
+    tell("feed-told", this.session.embroiders ? OF_STITCHES : OF_PROGRAM);
   }
 
   private fields(): string {
@@ -263,6 +266,7 @@ export class Program {
     }
     tellVerdict(found, this.toLine);
     for (const warning of found.warnings) note(warning);
+    if (this.calculated) intoSight(by("verdict"));
   }
 
   forget(): void {

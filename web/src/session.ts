@@ -1,5 +1,6 @@
 /** The page's session at the panel: its number, the machine, and the commands that are possible now. */
 
+import { deviceName } from "./device";
 import { Link } from "./link";
 import type { Axis, Cylinder, Figures, FromPanel, Progress, State, Welcome } from "./messages";
 import { verdictOfRun } from "./wording";
@@ -22,6 +23,8 @@ export class Session {
   feedOverride = true;
   /** Planning options that apply to the machine. */
   options: string[] = [];
+  /** Whether its work are designs of stitches: neither axes that move by hand nor cylinders. */
+  embroiders = false;
   /** Whether the machine has an operator's normal feed. */
   normalFeed = false;
   /** Commands that this link lacks, and why. */
@@ -34,7 +37,7 @@ export class Session {
 
   constructor(heard: (message: FromPanel) => void, lost: () => void) {
     this.link = new Link(
-      `${navigator.platform || "browser"}`.slice(0, 40),
+      deviceName(navigator.userAgent),
       new URLSearchParams(location.hash.slice(1)).get("token") ?? kept(""),
       heard,
       () => {
@@ -56,6 +59,7 @@ export class Session {
     this.feedOverride = found.feed_override;
     this.options = found.options;
     this.normalFeed = found.normal_feed;
+    this.embroiders = !found.by_hand && found.cylinders.length === 0;
     this.figuresAt = 0;
   }
 

@@ -133,7 +133,10 @@ export class Traces {
     const body = made("tbody");
     body.append(...found.map((one) => this.row(one)));
     table.append(head, body);
-    by("kept").replaceChildren(found.length ? table : made("p", "no run is stored, or none has these words"));
+    const kept = by("kept");
+    const focused = kept.contains(document.activeElement) ? document.activeElement!.id : "";
+    kept.replaceChildren(found.length ? table : made("p", "no run is stored, or none has these words"));
+    if (focused) document.getElementById(focused)?.focus({ preventScroll: true }); // it is written anew
   }
 
   private row(one: Kept): HTMLTableRowElement {
@@ -141,6 +144,7 @@ export class Traces {
     if (one.run === this.run) row.setAttribute("aria-current", "true");
     const choose = made("button", one.job || one.run);
     choose.type = "button";
+    choose.id = `run-${one.run}`;
     choose.className = "link";
     choose.title = one.run;
     choose.onclick = () => {

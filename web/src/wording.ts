@@ -13,6 +13,7 @@ const UNITS: Record<string, [number, string]> = {
   s: [1000, "ms"],
   "m/s^3": [1, "m/s³"],
   "rad/s^3": [180 / Math.PI, "°/s³"],
+  stitch: [1, "stitches"],
   "": [100, "%"],
 };
 
@@ -39,7 +40,39 @@ const SENTENCES: Record<string, string> = {
   acceleration: "{axis} accelerates at most #",
   jerk: "{axis} changes its acceleration by at most #",
   progress_error: "the tool is at most # ahead of its plan or behind it",
+  travel: "{axis} goes at most # beyond its travel",
+  deceleration: "{axis} brakes at most #",
+  path_use: "the motion uses at most # of the limits along the path",
+  velocity_ripple: "the speed is off by at most #",
+  stitches_to_speed: "full speed at most # after a corner",
+  stitches_from_needle: "full speed at most # after the needle of a corner",
+  needle_use: "the needle uses at most # of its acceleration",
+  dac_saturation: "the controller of {axis} is at its limit for at most # of the time",
+  step_loss: "the motor of {axis} needs at most # of its torque",
+  current_peak: "the current of {axis} is at most #",
+  current_rms: "the mean current of {axis} is at most #",
+  switching_order: "at most # of the switchings are missing or out of order",
+  switching_error: "switchings are off by at most #",
+  switching_dwell: "a valve switches again at most # too soon",
+  valve_conflict: "opposite valves are open together for at most #",
+  over_level: "the flow controls exceed their level by at most #",
+  servo_force: "{axis} needs at most # of its force",
+  window_use: "a move needs at most # of the time while the needles are out of the cloth",
+  step_rate: "{axis} steps at most at #",
+  fetch_use: "loading a move takes at most # of the time between moves",
+  slip_tendency: "the fibre is steered at most # of the force that presses it down",
+  bridging: "the fibre spans hollows at most # high",
+  free_length: "the free fibre is at most # long",
+  slack: "the fibre goes slack by at most #",
+  fibre_speed: "the fibre runs at most #",
+  fibre_speed_variation: "the speed of the fibre varies by at most #",
+  lifting: "at most # of the laid fibre is lifted again",
+  clearance: "eye and arm come at most # too near to the mandrel",
+  pattern_closure: "the pattern closes within #",
+  coverage_gap: "gaps between the bands are at most # wide",
+  tension_variation: "the tension of the fibre varies by at most #",
 };
+const PLANNED = "planned_";
 
 /** A value with three significant digits, and its unit: "0.042 mm", "3.2 %". */
 export function amount(value: number, unit: string): string {
@@ -52,10 +85,13 @@ export function amount(value: number, unit: string): string {
 /** A criterion in words: "the tool stays within 0.300 mm of its path: 0.042 mm". */
 export function sentence(one: Criterion): string {
   const limit = one.limit === null ? "its limit" : amount(one.limit, one.unit);
-  const known = SENTENCES[one.name];
+  const planned = one.name.startsWith(PLANNED);
+  const known = SENTENCES[planned ? one.name.slice(PLANNED.length) : one.name];
   const axis = one.axis || "the machine";
   const plain = `${one.name.replaceAll("_", " ")}${one.axis ? ` of ${one.axis}` : ""}, at most #`;
-  const text = (known ?? plain).replace("{axis}", axis).replace("#", limit);
+  const text = (planned ? `as planned, ${known ?? plain}` : (known ?? plain))
+    .replace("{axis}", axis)
+    .replace("#", limit);
   return `${text}: ${one.measured === null ? "not measured" : amount(one.measured, one.unit)}`;
 }
 

@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { brokenOff, howToGoOn, lastRun } from "../src/continuing";
-import { facts, nextTurn, reading } from "../src/facts";
+import { deviceName } from "../src/device";
+import { facts, nextTurn, reading, whyInWords } from "../src/facts";
 import { lineAt, Stretches } from "../src/live_error";
 import type { Figures, Progress, State } from "../src/messages";
 import { extend } from "../src/steps";
@@ -47,11 +48,37 @@ describe("the next turn-round", () => {
   });
 });
 
+describe("the tension of the fibre", () => {
+  const tension = { times_s: [0, 2, 4], mean: [0, 7.2, 7.9], least: 0, most: 8.1 };
+  const spooled = figures({ tension });
+  it("is the simulated one at the place of the run, and says so", () => {
+    expect(facts(state(run({ time_s: 3 })), spooled)).toEqual([
+      "tension of the fibre 7.20 N in the simulation, which has at most 8.10 N",
+    ]);
+    expect(facts(state(run({ time_s: 3 })), figures({}))).toEqual([]);
+  });
+  it("is the machine's own where that reports one", () => {
+    const readings = { tension: { value: 6.5, unit: "N" } };
+    expect(facts(state(run(), { readings }), spooled)).toEqual(["tension of the fibre 6.50 N"]);
+  });
+});
+
 describe("where a hold stands", () => {
   it("is at once on a seam, at the end of a stitch of a design", () => {
     expect(facts(state(run()), figures(sewn))).toEqual(["a hold stands at once, on the seam"]);
     const design = { stitches: { ...sewn.stitches, threads: [null] } };
     expect(facts(state(run()), figures(design))).toEqual(["a hold stands at the end of the stitch"]);
+  });
+  it("is told until a hold that waits for a rest has come to it", () => {
+    const why = "it goes on to the next rest and stands there";
+    const waits = run({ hold: "at a rest", hold_at_s: 4.5 });
+    const goesOn = state(waits, { state: "holding", why });
+    expect(whyInWords(goesOn)).toBe(why);
+    expect(facts(goesOn, figures(sewn))).toEqual(["it stands at the next rest, after stitch 2: in 2.5 s"]);
+    const stands = state({ ...waits, time_s: 4.5 }, { state: "holding", why });
+    expect(whyInWords(stands)).toBe("it stands at a rest of the program");
+    expect(facts(stands, figures(sewn))).toEqual([]);
+    expect(whyInWords(state(null, { state: "fault", why: "the link is gone" }))).toBe("the link is gone");
   });
   it("is at a rest where it leaves the path elsewhere, told with its stitch", () => {
     const waits = run({ hold: "at a rest", hold_at_s: 4.5 });
@@ -144,5 +171,17 @@ describe("an actual lane", () => {
       [1, 3],
       [4, Number.POSITIVE_INFINITY],
     ]);
+  });
+});
+
+describe("the name of a browser", () => {
+  it("is what its owner calls it", () => {
+    const chrome = "Mozilla/5.0 (X11; Linux x86_64) AppleWebKit/537.36 Chrome/142.0.0.0 Safari/537.36";
+    expect(deviceName(chrome)).toBe("Chrome on Linux");
+    const phone = "Mozilla/5.0 (iPhone; CPU iPhone OS 18_0 like Mac OS X) Version/18.0 Mobile Safari/604.1";
+    expect(deviceName(phone)).toBe("Safari on iPhone");
+    const edge = "Mozilla/5.0 (Windows NT 10.0; Win64; x64) Chrome/142.0.0.0 Safari/537.36 Edg/142.0.0.0";
+    expect(deviceName(edge)).toBe("Edge on Windows");
+    expect(deviceName("curl")).toBe("a browser");
   });
 });

@@ -27,7 +27,7 @@ describe("amounts and times for people", () => {
     expect(amount(0.00045, "m")).toBe("0.450 mm");
     expect(amount(0.032, "")).toBe("3.20 %");
     expect(amount(Math.PI, "rad")).toBe("180 °");
-    expect(amount(1.29, "stitch")).toBe("1.29 stitch");
+    expect(amount(1.29, "stitch")).toBe("1.29 stitches");
   });
   it("count up to the next whole second, so that 0:00 is the end", () => {
     expect(clock(0)).toBe("0:00");

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,41 +18,14 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode
 from threadline.motion.path.interpolations import FIRMWARE
 from threadline.proof.kinds import kind_of
-from threadline.proof.pipeline import Proof, open_job
+from threadline.proof.pipeline import open_job
 from threadline.proof.recorded import proof_warnings
 from threadline.proof.request import Words, with_radii_of
 from threadline.report.proof import write_comparison
 from threadline.search import Comparison, FastestJob
 from threadline.search import compare as compare_job
-from threadline.verdict import in_a_word, verdict_json
-
-COLUMNS = (
-    ("tracking_error", "tracking mm"),
-    ("contour_error", "contour mm"),
-    ("turning_point_error", "turning point mm"),
-    ("path_deviation", "plan misses mm"),
-)
-STEP_COLUMNS = (
-    ("cycle_time", "cycle s"),
-    ("residual_vibration", "rings mm"),
-    ("settling_time", "settles s"),
-    ("end_position_error", "end missed mm"),
-)
-
-WINDING_COLUMNS = (
-    ("contour_error", "contour mm"),
-    ("turning_point_error", "turning point mm"),
-    ("slip_tendency", "slip %"),
-    ("laid_error", "fibre off mm"),
-    ("coverage_gap", "gap mm"),
-    ("tension_variation", "tension varies %"),
-)
-"""With a product; the tension with a spool in the machine file."""
-STITCH_COLUMNS = (
-    ("stitch_residual", "residual mm"),
-    ("servo_force", "force %"),
-    ("window_use", "window %"),
-)
+from threadline.search.compare import compared_table
+from threadline.verdict import verdict_json
 
 
 def compare(
@@ -161,40 +133,7 @@ def comparison_tables(
     found: Comparison, shown: Sequence[str] = ("interpolation", "feed")
 ) -> list[tuple[str, list[str], list[list[str]]]]:
     """Return the tables of a comparison: title, header, rows; ``shown`` names compared options."""
-    first = found.proofs[0].plan
-    stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
-    sewn = any(result.name == STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
-    columns: tuple[tuple[str, str], ...] = COLUMNS
-    if stepwise or sewn:
-        columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS
-    wound = "product" in first.options
-    if wound:
-        columns = WINDING_COLUMNS
-    # Without dynamics no placement is measured, and without a spool no tension.
-    if wound or first.machine.without_dynamics:
-        columns = tuple(
-            (name, title)
-            for name, title in columns
-            if any(_worst(proof, name) != "-" for proof in found.proofs)
-        )
-    own = ["as run s"] if any(found.as_run_s) else []
-    header = [*shown, "time s", *own, *(title for _, title in columns), "verdict"]
-    rows = [
-        [
-            *(_label(proof, key) for key in shown),
-            f"{proof.plan.duration_s:.3f}",
-            *(["-" if run_s is None else f"{run_s:.3f}"] if own else []),
-            *(_worst(proof, name) for name, _ in columns),
-            in_a_word(proof.verdict),
-        ]
-        for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
-    ]
-    if "shaper" in shown:
-        blank = [""] * (len(header) - len(shown) - 1)
-        for shaper, _ in found.refused:
-            rows.append([*(shaper if k == "shaper" else "" for k in shown), *blank, "refused"])
-    level = found.proofs[0].verdict.level
-    tables = [(f"{first.job.name} on {first.machine.name}, {level}", header, rows)]
+    tables = [compared_table(found, shown)]
     if found.fastest:
         reference = next(iter(found.fastest))
         body = [_fastest_row(n, f, found.fastest[reference]) for n, f in found.fastest.items()]
@@ -253,31 +192,6 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
             for name, f in found.fastest.items()
         },
     }
-
-
-def _label(proof: Proof, key: str) -> str:
-    """Return the value of the compared option ``key`` in this proof."""
-    if key == "interpolation":
-        return proof.plan.interpolation
-    return proof.plan.options.get(key, "none")
-
-
-def _worst(proof: Proof, name: str) -> str:
-    """Return the worst value of a criterion: length in mm, time in s, share in %.
-
-    ``-`` if it was not measured.
-    """
-    sizes = [
-        (abs(r.measured), r.unit)
-        for r in proof.verdict.results
-        if r.name == name and r.measured is not None and r.unit in {"m", "s", ""}
-    ]
-    if not sizes:
-        return "-"
-    size, unit = max(sizes)
-    if math.isinf(size):
-        return "never"
-    return {"m": f"{size * 1e3:.3f}", "s": f"{size:.3f}"}.get(unit, f"{100.0 * size:.1f}")
 
 
 def _values(

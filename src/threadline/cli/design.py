@@ -34,7 +34,6 @@ from threadline.report.design import (
     candidate_rows,
     change_rows,
     corners_title,
-    design_sentence,
     gain_rows,
     write_design_report,
 )
@@ -242,7 +241,7 @@ def _show(result: DesignResult) -> None:
     print_table("Cost against margin, and other machines", *candidate_rows(result))
     if result.front:
         print_table(front_title(result), *front_rows(result))
-    say(design_sentence(result))
+    say(result.sentence())
     say(f"{result.simulated} machines simulated")
 
 
@@ -256,7 +255,7 @@ def _content(result: DesignResult, written: list[str], page: Path | None) -> dic
         "nearest": _candidate(result.nearest),
         "known": {name: _candidate(c) for name, c in result.known.items()},
         "pareto": [_candidate(c) for c in result.pareto],
-        "what_binds": design_sentence(result),
+        "what_binds": result.sentence(),
         "refused": list(result.refused),
         "simulated": result.simulated,
         "written": written,

@@ -50,7 +50,6 @@ from threadline.cli.yield_tables import (
     set_content,
     show_sensitivities,
     show_set,
-    yield_words,
 )
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
@@ -60,17 +59,19 @@ from threadline.proof.request import Words
 from threadline.proof.worst_machine import Worst, worst_toml
 from threadline.search.influence import MACHINES, CheapestSet, cheapest_set
 from threadline.search.machine_yield import (
+    CRITERION_HEADER,
     MachineYield,
     Yield,
+    criterion_cells,
     limited_rows,
     planned_yield,
     quantile,
+    yield_words,
 )
 from threadline.search.yield_parts import Part, PartFile, check_same, merged, parse_part
 from threadline.search.yield_state import YieldState
-from threadline.verdict import CriterionRow, Spec
+from threadline.verdict import Spec
 from threadline.verdict.each_run import CONFIDENCE, clopper_pearson
-from threadline.verdict.rendering import shown
 from threadline.verdict.types import Level
 
 
@@ -351,14 +352,6 @@ def grouped(reasons: dict[str, str]) -> dict[str, list[str]]:
     return found
 
 
-def _row(row: CriterionRow) -> list[str]:
-    assert row.limit is not None
-    values = [quantile(row, share) for share in (0.5, 0.99, 1.0)]
-    told = ["-" if np.isnan(value) else shown(value, row.unit) for value in values]
-    out = f"{int((row.failed | row.missed).sum())}"
-    return [row.text, *told, shown(row.limit, row.unit), out]
-
-
 def _show(
     found: Yield,
     bad: Worst,
@@ -366,8 +359,7 @@ def _show(
     sensitivities: Sensitivities | None,
     title: str,
 ) -> None:
-    header = ["criterion", "half up to", "99 % up to", "most", "limit", "failed"]
-    print_table(title, header, [_row(row) for row in limited_rows(found)])
+    print_table(title, CRITERION_HEADER, [*map(criterion_cells, limited_rows(found))])
     if sensitivities is not None:
         show_sensitivities(sensitivities, judged)
     how = "of all corners" if bad.of_corners else "found by steps from the worst drawn"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, floor
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from threadline.cli.output import print_table, say
 from threadline.machine.numbers import number_at
 from threadline.proof.worst_machine import shares_of
 from threadline.search.influence import MACHINES, CheapestSet, Influence, influence, judgements
-from threadline.search.machine_yield import MachineYield
+from threadline.search.machine_yield import MachineYield, yield_words
 
 _MACHINES = MACHINES
 SAMPLES = 256
@@ -123,18 +122,6 @@ def sensitivity_content(sensitivities: Sensitivities, judged: MachineYield) -> d
             for k, number in enumerate(judged.numbers)
         ],
     }
-
-
-def yield_words(interval: tuple[float, float]) -> str:
-    """Return a confidence interval in words, rounded outwards: never better than it is.
-
-    >>> yield_words((0.989979, 0.99742)), yield_words((0.025 ** (1 / 10_000), 1.0))
-    ('98.99 to 99.75 %', 'at least 99.963 %')
-    """
-    low, high = interval
-    if high == 1.0:
-        return f"at least {floor(1e5 * low) / 1e3:.5g} %"
-    return f"{floor(1e4 * low) / 1e2:.4g} to {ceil(1e4 * high) / 1e2:.4g} %"
 
 
 def show_set(found: CheapestSet, judged: MachineYield, wanted: str) -> None:

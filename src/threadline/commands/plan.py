@@ -42,6 +42,9 @@ class Plan:
     intent: Intent
     options: Mapping[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"<Plan of {self.job.name!r} for {self.machine.name!r}>"
+
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the moving axes, in the order of all columns."""

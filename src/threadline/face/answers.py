@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from threadline.base.arguments import checked
 from threadline.base.arrays import FloatArray
+from threadline.base.summary import MOST_ROWS, Summary, html_table
 from threadline.base.wording import plain
 from threadline.errors import OptionError
 from threadline.files.recording import columns_of
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
 
 PathLike = str | Path
-
-
-_MOST_ROWS = 7  # of the criteria that an answer prints: with the lines around them ten in all
 
 
 _URGENCY = {"failed": 0, "not-measured (required)": 1, "passed": 2}
@@ -89,12 +86,8 @@ class Answer:
 
     def _repr_html_(self) -> str:
         header, rows, more = self._summary()
-        lines = [f"<table><caption>{escape(plain(self._title()))}</caption>"]
-        for tag, row in [("th", header), *(("td", row) for row in rows)]:
-            cells = "".join(f"<{tag}>{escape(plain(cell))}</{tag}>" for cell in row)
-            lines.append(f"<tr>{cells}</tr>")
         below = "; ".join(filter(None, (closing(self.of.verdict), more)))
-        return "\n".join([*lines, f"</table><p>{escape(plain(below))}</p>"])
+        return html_table(Summary(self._title(), header, rows, below))
 
     def _title(self) -> str:
         plan = self.of.plan
@@ -104,9 +97,9 @@ class Answer:
         """Return header and rows of the most urgent criteria, and a line about the others."""
         header, rows = verdict_rows(self.of.verdict)
         rows.sort(key=lambda row: _URGENCY.get(row[4], len(_URGENCY)))
-        others = len(rows) - _MOST_ROWS
+        others = len(rows) - MOST_ROWS
         more = f"and {others} more; .verdict.results has all of them" if others > 0 else ""
-        return header, rows[:_MOST_ROWS], more
+        return header, rows[:MOST_ROWS], more
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

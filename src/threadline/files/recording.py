@@ -204,6 +204,10 @@ class Recording:
     runs: int = 1
     _by_kind: dict[tuple[ChannelKind, str], Channel] = field(init=False, repr=False)
 
+    def __repr__(self) -> str:
+        kind = "simulated" if self.simulated else "live"
+        return f"<Recording, {kind}: {', '.join(one.name for one in self.channels)}>"
+
     def __post_init__(self) -> None:
         first = {(c.kind, c.axis): c for c in reversed(self.channels)}
         # Prefer ``X.current``, the sampled current, even if ``X.current_peak`` comes first.

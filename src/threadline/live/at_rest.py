@@ -50,6 +50,7 @@ class AtRest:
         self._link, self._machine, self._desk, self._sink = link, machine, desk, sink
         self.far_end = FarEnd(link, machine)
         self.state = State.DISABLED
+        self._period_s = float(machine.command_clock.period_s)
         self.tick = 0  # of the machine, as last reported
         self.late_ticks = 0
         self.ended: tuple[RunEnd, str] | None = None
@@ -81,7 +82,7 @@ class AtRest:
     @property
     def time_s(self) -> float:
         """Time of the machine since the beginning of the run, in s."""
-        return self.tick * float(self._machine.command_clock.period_s)
+        return self.tick * self._period_s
 
     def connect(self) -> None:
         """Receive the greeting of the machine.

@@ -17,6 +17,7 @@ from threadline.files import Commands, RunEnd
 from threadline.live.ahead import Ahead, ticks_in
 from threadline.live.at_rest import AtRest
 from threadline.live.feed_override import feed_words, refuse_override
+from threadline.live.guards import clock_s
 from threadline.live.jogging import JogAhead, MoveAhead
 from threadline.live.kinds_run import RunAhead, run_kind_of
 from threadline.live.states import MOVING, Cause, Desk, Sink, State, next_state
@@ -29,7 +30,7 @@ LEASE_S = 0.25
 """Time in s after which a jog ends unless the operator renews it."""
 _STEPPED_S = 60.0  # longest silence, in s, of a machine whose clock waits for the executor
 _LEAD_S = 0.02
-"""Time in s from the last report to the beginning of a stop: reports are this old in real time."""
+"""Time in s from a stop to its first row in real time: a message is on its way so long at most."""
 MANY_S = 0.09
 """Longest machine time in s per report, if its clock waits for the executor: the run goes as fast
 as it can without other commands."""
@@ -63,7 +64,6 @@ class Executor(AtRest):
         self._real_time = speed == 1.0
         self._many = _many(machine) if speed == 0.0 or speed >= _QUICK else 0
         self._run_kind = run_kind_of(machine)
-        self._period_s = float(machine.command_clock.period_s)
         self._ahead: RunAhead | JogAhead | None = None
         self._hold_at_rest = False
         self._lease = ticks_in(LEASE_S, machine)
@@ -71,6 +71,7 @@ class Executor(AtRest):
         self._depth = ticks_in(DEPTH_S, machine)
         self._settle = 0
         self._lead = ticks_in(_LEAD_S, machine) if self._real_time else 0
+        self._heard_s = clock_s()  # when the last report came
         self._rest: int | None = None  # tick from which on nothing is commanded any more
         self._owes_go = self._brake_again = False
         self._braked = False  # the sent rows end in a requested braking
@@ -212,6 +213,7 @@ class Executor(AtRest):
     def _set_out(self, cause: Cause, ahead: RunAhead | JogAhead, stands: IntArray) -> None:
         first = ahead.extend(self._depth)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
+        self._heard_s = clock_s()
         self._braked = self._brake_again = False
         self._guards = self._run_kind.guards(self._machine)  # without memory of the last motion
         self._ahead, self._began, self._number = ahead, stands, self._number + 1
@@ -294,7 +296,7 @@ class Executor(AtRest):
     def _command(self, cause: Cause) -> None:
         moving = self.state in MOVING
         waits = cause is Cause.HOLD and self._hold_at_rest
-        self._go(cause, "it goes on to the next rest" if waits else "")
+        self._go(cause, "it goes on to the next rest and stands there" if waits else "")
         if cause is Cause.STOP and moving:
             self._homed = self._homed and (self._ahead is None or self._ahead.keeps_home)
             self.ended = self.ended or (RunEnd.STOPPED, f"stopped by {self.stopped_by}")
@@ -309,6 +311,12 @@ class Executor(AtRest):
         elif cause is Cause.RESUME:
             self._start_again()
 
+    @property
+    def _soonest(self) -> int:
+        """Tick from which on rows can be replaced; in real time, by the clock."""
+        gone_s = min(clock_s() - self._heard_s, DEPTH_S) if self._real_time else 0.0
+        return self.tick + int(gone_s / self._period_s) + self._lead
+
     def _brake(self) -> None:
         """Replace the rows that the machine holds by braking along the path, once.
 
@@ -318,13 +326,13 @@ class Executor(AtRest):
         if ahead is None or self._braked or self._rest is not None or ahead.end <= self.tick:
             return
         self._braked = True
-        self._link.send(ahead.cut(self.tick + self._lead))
+        self._link.send(ahead.cut(self._soonest))
 
     def _start_again(self) -> None:
         ahead = self._ahead
         assert not isinstance(ahead, JogAhead | None)  # a jog is not held
         rested, ahead.to_rest, self._braked = ahead.to_rest, False, False
-        ahead.rest_until(self.tick + self._lead)
+        ahead.rest_until(self._soonest)
         if ahead.halt is not None:
             ahead.pass_halt()  # its rows begin from rest by themselves
         elif rested:
@@ -342,7 +350,7 @@ class Executor(AtRest):
                 settled = None if self._rest is None else self._rest + self._settle
                 self._sink.block(self.far_end.reported(message, settled))
             head = message.head
-            self.tick = int(head["now"])
+            self.tick, self._heard_s = int(head["now"]), clock_s()
             self._stands = self._began + np.array(head["position"], dtype=np.int64)
             self.late_ticks += int(head["late"])
             why = _STARVED if head["starved"] else ""

@@ -143,7 +143,7 @@ class GrblRun:
         self._heard_s = clock_s()
         self._trace.begin(self._at)
         found = self.controller.has_switches
-        self._go(Cause.HOMED, "" if found else "it has no switches: its reported positions count")
+        self._go(Cause.HOMED, "" if found else "no homing switches: reported positions are used")
 
     def _stopped(self) -> bool:
         """Process commands while it homes; return whether one was a stop."""

@@ -348,7 +348,7 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
         (
             "grbl makes its own ramps, and reports its commands ten times a second: nothing is "
             "measured, inputs and outputs are not reported",
-            "reset resets the controller; if it has no switches, its alarm is cleared, too",
+            "reset resets the controller; if it has no homing switches, its alarm is cleared, too",
         ),
         console=True,
     )

@@ -90,7 +90,8 @@ class PathWindow:
         if not len(self._operation):
             return np.zeros(len(places), dtype=np.int64)
         at = places.astype(np.int64) - self._first
-        return self._operation[np.clip(at, 0, len(self._operation) - 1)]
+        # As np.clip, which takes ten times as long for these few.
+        return self._operation[np.maximum(np.minimum(at, len(self._operation) - 1), 0)]
 
     def next_rest(self, place: float) -> int | None:
         """Return the first row of the next rest from ``place`` on; None if none is known.

@@ -253,6 +253,9 @@ class SimScans(SimMachine):
         self.starved = self.starved or (self._session.ran_dry and not self._last)
         return [block]
 
+    def _urgent(self) -> tuple[object, ...]:
+        return *super()._urgent(), self._session.failure
+
     def _extra_entries(self) -> dict[str, Any]:
         session = self._session
         return {"place": session.place, "off": session.switched_off_at, "failure": session.failure}

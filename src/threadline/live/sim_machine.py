@@ -199,6 +199,10 @@ class SimMachine(ABC):
         self._number = 0  # of runs and jogs since it was switched on
         self.starved = False
         self.left = False  # the executor has said that it is done
+        self.report_ticks = 1
+        """Ticks that it plays before it reports them, unless something is urgent (``play``)."""
+        self._unreported: list[RecordingBlock] = []
+        self._since, self._late_by = 0, 0.0  # first tick of these, and the latest of them
         self._answers: dict[str, Callable[[Message], None]] = {
             "enable": self._enable, "disable": self._disable, "home": self._home,
             "begin": self._begin, "refill": self._refill, "finish": self._finish,
@@ -262,6 +266,10 @@ class SimMachine(ABC):
         """Return entries of a report beyond the common ones."""
         return {}
 
+    def _urgent(self) -> tuple[object, ...]:
+        """Return what is reported at once when it changes."""
+        return self.standing, self.starved
+
     # --- common to all kinds ---------------------------------------------------------------
 
     @property
@@ -297,24 +305,55 @@ class SimMachine(ABC):
     def take(self, message: Message) -> None:
         """Act on a message of the executor, or refuse it."""
         answer = self._answers.get(message.kind)
+        if message.kind != "refill":
+            self._report_all()
         if answer is None:
             self._say("refused", what=message.kind, why="it is unknown here")
         else:
             answer(message)
 
     def play(self, ticks: int, late_by: float = 0.0) -> None:
-        """Simulate a number of ticks, and report them.
+        """Simulate a number of ticks; report them, once ``report_ticks`` were played.
+
+        Late ticks have a report of their own, at once. A fault, the end of the rows and a
+        standstill are reported at once, too.
 
         Parameters
         ----------
         ticks
             Number of ticks.
         late_by
-            Lateness of the report, as a multiple of the time of all these ticks.
+            Lateness of these ticks, as a multiple of the time of all of them.
         """
-        first = self.tick
+        if self._fault is not None:
+            late_by = max(late_by, self._fault.late(self.tick))
+        if late_by > LATE:
+            self._report_all()
+        if not self._unreported:
+            self._since, self._late_by = self.tick, 0.0
+        before = self._urgent()
         parts = self._simulate(ticks)
-        self._report(first, parts, late_by)
+        self._unreported.extend(parts)
+        self._late_by = max(self._late_by, late_by)
+        if (
+            late_by > LATE
+            or not parts  # its session has failed
+            or self.tick - self._since >= self.report_ticks
+            or self.silenced
+            or (self.pressed and self._enabled)
+            or before != self._urgent()
+            or any(event.kind == "fault" for part in parts for event in part.events)
+        ):
+            self._report_now()
+
+    def _report_all(self) -> None:
+        """Report the ticks that were played since the last report, if there are any."""
+        if self._unreported:
+            self._report_now()
+
+    def _report_now(self) -> None:
+        parts, self._unreported = self._unreported, []
+        self._report(self._since, parts, self._late_by)
 
     def _say(self, kind: str, **head: Any) -> None:
         self._tell(Message(kind, head))
@@ -379,7 +418,6 @@ class SimMachine(ABC):
         if self._fault is not None:
             at = max(ceil(self._fault.tick * per_tick) - sample, 0)
             self._fault.apply(at, arrays, self._machine, self._stuck)
-            late_by = max(late_by, self._fault.late(first))
         late = self.tick - first if late_by > LATE else 0
         events = [event_row(event) for part in parts for event in part.events]
         if self.pressed and self._enabled:

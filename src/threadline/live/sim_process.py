@@ -2,10 +2,10 @@
 
 That process imports only this table, neither the planner nor the judge.
 
-In real time each report is due at an instant; one that comes more than half of its period late is
-counted, and the following ones are not hurried. At any other speed the machine's clock advances
-only after the executor has answered the last report, so that the load of the computer changes
-nothing.
+In real time each group of ticks is due at an instant; one that comes more than half of its period
+late is counted, and the following ones are not hurried. At any other speed the machine's clock
+advances only after the executor has answered the last report, so that the load of the computer
+changes nothing.
 """
 
 from __future__ import annotations
@@ -49,14 +49,19 @@ HOMING_S = 0.5
 LEAST_SPEED = 1e-3
 """Least speed: at a lower one the machine's reports come later than the executor waits."""
 _WAKE_S = 0.005
-"""Shortest period of reports in s; several shorter ticks are played at a time."""
+"""Period in s at which ticks are played in real time; several shorter ones are played at a time."""
+_REPORT_S = 0.025
+"""Period of reports in s, unless something is urgent."""
 _CHILD = import_and_call("threadline.live.sim_process", "machine_main")
 
 
 def group_ticks(machine: Machine, speed: float) -> int:
-    """Return the number of ticks in a report of the simulated machine."""
-    period_s = float(machine.command_clock.period_s)
-    return max(1, ceil((_WAKE_S if speed == REAL_TIME else 5 * _WAKE_S) / period_s - 1e-9))
+    """Return the number of ticks that the simulated machine plays at a time."""
+    return _ticks_in(_WAKE_S if speed == REAL_TIME else _REPORT_S, machine)
+
+
+def _ticks_in(duration_s: float, machine: Machine) -> int:
+    return max(1, ceil(duration_s / float(machine.command_clock.period_s) - 1e-9))
 
 
 @contextmanager
@@ -105,6 +110,7 @@ def serve(
     group = group_ticks(machine, speed)
     with suppress(KeyboardInterrupt):
         if speed == REAL_TIME:
+            simulated.report_ticks = _ticks_in(_REPORT_S, machine)
             _in_real_time(connection, simulated, group, period_s)
         else:
             in_step(connection, simulated, group, period_s / speed if speed else 0.0)

@@ -323,6 +323,9 @@ class Machine(AxisArrays):
                     f"{at}.counts: {steps:.6g} steps in tables.unit; it must be a whole number"
                 )
 
+    def __repr__(self) -> str:
+        return f"<Machine {self.name!r}: {self.title}>"
+
     @property
     def unwinds(self) -> bool:
         """Whether the twin simulates the tension of the fibre: a spool, and a mandrel to wind."""

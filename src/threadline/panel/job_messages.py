@@ -77,3 +77,14 @@ class Criterion(BaseModel):
     of: str = "run"
     required: bool = False
     note: str = ""
+
+
+class Tension(BaseModel):
+    """The tension of the fibre in the simulated run, N, where the machine has a spool."""
+
+    times_s: list[float]
+    """Instants of the plan, s."""
+    mean: list[float]
+    """The mean from each of them to the next."""
+    least: float
+    most: float

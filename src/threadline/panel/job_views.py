@@ -66,6 +66,7 @@ def plan_views(proof: Proof) -> dict[str, Any]:
         "steps": _steps(job, begun),
         "lanes": _lanes(proof.recording),
         "turn_rounds": _turn_rounds(proof),
+        "tension": _tension(proof.recording),
     }
 
 
@@ -202,6 +203,28 @@ def _turn_rounds(proof: Proof) -> dict[str, Any] | None:
         "axis": mandrel.along,
         "times_s": _told(times_s[kept]),
         "at": _told(places[kept]),
+    }
+
+
+def _tension(recording: Recording) -> dict[str, Any] | None:
+    """Return the fibre's tension in the simulated run: means over pieces, its least and its most.
+
+    None on a machine without a spool, or without a product that says what is wound.
+    """
+    found = recording.find(ChannelKind.TENSION)
+    if found is None:
+        return None
+    period_s = float(found.clock.period_s) * found.stride
+    values = np.concatenate([np.zeros(0), *(block.samples[found.name] for block in recording)])
+    if not len(values):
+        return None
+    begins = np.arange(0, len(values), max(1, -(-len(values) // MOST_POINTS)))
+    counts = np.diff(begins, append=len(values))
+    return {
+        "times_s": _told(period_s * begins.astype(np.float64)),
+        "mean": _told(np.add.reduceat(values, begins) / counts),
+        "least": round(float(values.min()), 4),
+        "most": round(float(values.max()), 4),
     }
 
 

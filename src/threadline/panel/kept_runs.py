@@ -156,6 +156,7 @@ class KeptRuns:
         self._held_from: int | None = None  # tick at which the present hold began
         self._tells = run_kind_of(machine).reports_plan_time
         self._plan_clock = PlanClock(machine.command_clock)
+        self._period_s = float(machine.command_clock.period_s)
         self.why = ""
         self._state: State | None = None
 
@@ -286,7 +287,7 @@ class KeptRuns:
         self._left_out_s = 0.0
         if rest is not None:
             self._sink = ContinuedSink(judged, self._machine, rest.left_out, rest.operation)
-            self._left_out_s = rest.left_out * float(self._machine.command_clock.period_s)
+            self._left_out_s = rest.left_out * self._period_s
         self._sink.begin(self._channels, self._simulated)
         self._open = (run, ready, stack)
         self._held, self._held_from = 0, None
@@ -402,7 +403,7 @@ class KeptRuns:
         if self._tells:
             due_s, _ = self._plan_clock.at(np.array([executor.time_s]))
             return self._left_out_s + float(due_s[0])
-        period_s = float(self._machine.command_clock.period_s)
+        period_s = self._period_s
         held_s = executor.time_s - (self._held_from or 0) * period_s
         since = 0.0 if self._held_from is None else held_s
         return self._left_out_s + executor.time_s - self._held * period_s - max(since, 0.0)

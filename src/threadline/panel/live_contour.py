@@ -30,8 +30,9 @@ _NAME = "contour_error"
 _LOAD = (ChannelKind.TOOL, ChannelKind.LOAD)
 _ENCODER = (ChannelKind.MEASURED,)
 _ASKED = (ChannelKind.COMMANDED, ChannelKind.OPERATION)
-PIECE_S = 0.1
-"""Samples are measured in pieces of this length, s: 10 a second, as often as the page draws."""
+PIECE_S = 0.2
+"""Samples are measured in pieces of this length, s: 5 a second. A piece costs as much as a report
+of the machine; its worst place is exact, however long it is."""
 _ENDS_S = 5.0
 _REHEARSED = 8  # samples
 
@@ -71,7 +72,8 @@ class LiveContour:
     ) -> None:
         self._plan, self._limit_m, self._lag_s = plan, limit_m, lag_s
         self._kinds = kinds
-        self._queue: SimpleQueue[RecordingBlock | None] = SimpleQueue()
+        self._queue: SimpleQueue[list[RecordingBlock] | None] = SimpleQueue()
+        self._held, self._count = list[RecordingBlock](), 0  # of the next piece, and its samples
         self._seen, self._lock = _Seen(), threading.Lock()
         self.failed = ""
         """Why it has ended before the run; empty otherwise."""
@@ -85,7 +87,8 @@ class LiveContour:
         )
         period_s = sample_interval_s(master_channel(recording, plan.axes))
         names = tuple(channel.name for channel in needed)
-        feed = _Feed(self._queue, names, max(1, round(PIECE_S / period_s)))
+        self._names, self._piece = names, max(1, round(PIECE_S / period_s))
+        feed = _Feed(self._queue, names)
         self._recording = as_intended(replace(recording, blocks=feed), plan)
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
@@ -128,11 +131,23 @@ class LiveContour:
         """Take a change of state, which changes nothing."""
 
     def block(self, block: RecordingBlock) -> None:
-        """Take samples; they are measured by the thread."""
-        self._queue.put(block)
+        """Take samples; the thread measures them in pieces, and is not woken in between."""
+        fresh = max(len(block.samples[name]) for name in self._names)
+        if not fresh:
+            return
+        self._held.append(block)
+        self._count += fresh
+        if self._count >= self._piece:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._queue.put(self._held)
+        self._held, self._count = [], 0
 
     def close(self) -> None:
         """End: what was received is still measured."""
+        if self._held:
+            self._hand_over()
         self._queue.put(None)
         self._thread.join(_ENDS_S)
 
@@ -213,29 +228,16 @@ class Also:
 
 
 class _Feed:
-    """The channels ``names`` of blocks as they come, joined to pieces of a number of samples.
-
-    It ends with the run.
-    """
+    """The channels ``names`` of pieces of a run as they come; it ends with the run."""
 
     def __init__(
-        self, queue: SimpleQueue[RecordingBlock | None], names: Sequence[str], samples: int
+        self, queue: SimpleQueue[list[RecordingBlock] | None], names: Sequence[str]
     ) -> None:
-        self._queue, self._names, self._samples = queue, names, samples
+        self._queue, self._names = queue, names
 
     def __iter__(self) -> Iterator[RecordingBlock]:
-        held, count = list[RecordingBlock](), 0
-        while (block := self._queue.get()) is not None:
-            fresh = max(len(block.samples[name]) for name in self._names)
-            if not fresh:
-                continue
-            held.append(block)
-            count += fresh
-            if count >= self._samples:
-                yield _joined(held, self._names)
-                held, count = [], 0
-        if held:
-            yield _joined(held, self._names)
+        while (piece := self._queue.get()) is not None:
+            yield _joined(piece, self._names)
 
 
 def _joined(blocks: Sequence[RecordingBlock], names: Sequence[str]) -> RecordingBlock:

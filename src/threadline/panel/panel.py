@@ -26,6 +26,8 @@ from threadline.panel.welcoming import welcome_of
 
 BEAT_S = 0.04
 """Period of the states sent to clients, s."""
+_ALIVE_BEATS = 5
+"""The owner is told every 0.2 s that the server lives; it waits five times as long."""
 _STANDS_S = 10.0
 """Longest wait in s for the machine to stand, at the end of the panel."""
 _LINES_KEPT = 400  # of the console, for a page that is loaded again
@@ -413,7 +415,8 @@ class Panel:
     async def beat(self) -> None:
         """Show the state to all clients periodically, and tell the owner that the server lives."""
         while True:
-            if self._owner.now:  # it reads from its first report on
+            # The owner reads from its first report on.
+            if self._owner.now and self._seq % _ALIVE_BEATS == 0:
                 self._owner.send("alive")
             self._granted(self._control.pass_if_due(clock_s()))
             self._seq += 1

@@ -21,6 +21,7 @@ from threadline.panel.job_messages import (
     Lines,
     NamedStep,
     Stitches,
+    Tension,
     TurnRounds,
 )
 from threadline.proof.option_form import Door, Type
@@ -435,6 +436,7 @@ class Figures(BaseModel):
     steps: list[NamedStep]
     lanes: list[Lane]
     turn_rounds: TurnRounds | None = None
+    tension: Tension | None = None
 
 
 class Preview(BaseModel):

@@ -41,6 +41,7 @@ from threadline.proof.option_words import (
     parse_share,
     parse_tolerance_m,
     parse_width_s,
+    recorded_share,
     reserve_words,
 )
 from threadline.winding.product import product_text
@@ -66,9 +67,9 @@ def _same(value: Any) -> str | None:
     return None if value is None else str(value)
 
 
-def _exact(unit: str, factor: float = 1.0) -> Callable[[Any], str | None]:
+def _exact(unit: str) -> Callable[[Any], str | None]:
     """Return the writer of a number with its unit, to the last bit."""
-    return lambda value: None if value is None else f"{value * factor!r} {unit}"
+    return lambda value: None if value is None else f"{value!r} {unit}"
 
 
 _PROVING = ("prove", "run", "compare", "fastest", "design")
@@ -233,7 +234,7 @@ TABLE: tuple[Option, ...] = (
         verbs=tuple(verb for verb in PLANNERS if verb != "fastest"),
         help="Share of the acceleration and jerk limits that the planner uses.",
         default=DEFAULT_LIMITS, attribute="limit_share", parse=parse_share,
-        recorded=FileForm(key="limits", write=_exact("%", 100.0), read=parse_share),
+        recorded=FileForm(key="limits", write=recorded_share, read=parse_share),
     ),
     Option(
         name="shaper", many=("compare",), group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS, SWITCHES),
@@ -304,7 +305,7 @@ TABLE: tuple[Option, ...] = (
             "judge": _AS_GIVEN,
         },
         attribute="robust_share", parse=parse_robust,
-        recorded=FileForm(key="robust", write=_exact("%", 100.0), read=parse_robust),
+        recorded=FileForm(key="robust", write=recorded_share, read=parse_robust),
         label="Robust", placeholder="default",
     ),
     Option(

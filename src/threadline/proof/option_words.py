@@ -297,6 +297,18 @@ def share_words(share: float) -> str:
     return f"{share!r}"
 
 
+def recorded_share(share: float | None) -> str | None:
+    """Return a share in percent, as a plain number where percents would change its last bit.
+
+    >>> recorded_share(0.25), recorded_share(0.8117000000000002)
+    ('25.0 %', '0.8117000000000002')
+    """
+    if share is None:
+        return None
+    text = f"{share * 100.0!r} %"
+    return text if parse_quantity(text, "") == share else f"{share!r}"
+
+
 def parse_damping(given: str | float) -> float:
     """Return a damping ratio, a number or a text such as ``"0.17"`` or ``"17 %"``.
 

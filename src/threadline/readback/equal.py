@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from threadline.base.progress import Progress
+from threadline.base.summary import Summarised, Summary
 from threadline.commands.boards import BOARDS
 from threadline.commands.plan import Plan
 from threadline.commands.write import TABLES
@@ -106,9 +107,9 @@ class Equal:
         return {name: getattr(self, name) for name in names}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Equality:
-    """A plan beside the files of controllers.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Equality(Summarised):
+    """A plan beside the files of controllers; prints itself as a table.
 
     Parameters
     ----------
@@ -140,6 +141,10 @@ class Equality:
             "missing": self.missing,
             "targets": [one.content() for one in self.targets],
         }
+
+    def _summary(self) -> Summary:
+        title = f"{self.plan.job.name} on {self.plan.machine.name}"
+        return Summary(title, HEADER, [one.row() for one in self.targets], self.closing())
 
     def closing(self) -> str:
         """Return the answer in one line."""

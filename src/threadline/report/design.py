@@ -15,7 +15,7 @@ from threadline.report.document import Document, Table, origin_facts
 from threadline.report.front import front_figure, front_rows, front_title
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
-from threadline.search.design import DesignResult
+from threadline.search.design import DesignResult, candidate_cells
 from threadline.search.design_proof import Candidate, ProvedDesign
 from threadline.verdict import Verdict, closing, percent_used, verdict_rows
 
@@ -81,47 +81,20 @@ def candidate_rows(result: DesignResult) -> _Table:
     """Return the Pareto set and the machines that it is compared with."""
     names = list(result.space.names)
     header = ["machine", *names, "cost", f"of the limit, {result.screened}", "limited by"]
-    rows = [_row("as it is", names, result.as_built)]
-    rows += [_row(name, names, candidate) for name, candidate in result.known.items()]
+    rows = [candidate_cells("as it is", names, result.as_built)]
+    rows += [candidate_cells(name, names, candidate) for name, candidate in result.known.items()]
     if result.found is not None:
-        rows.append(_row("smallest change", names, result.found.candidate))
-    rows += [_row("cost against margin", names, candidate) for candidate in result.pareto]
-    return header, rows
-
-
-def _row(title: str, names: list[str], candidate: Candidate) -> list[str]:
-    return [
-        title,
-        *(f"{candidate.factors[n]:.3g}" for n in names),
-        f"{candidate.cost:.2f}",
-        percent_used(min(candidate.ratio, 999.0)),
-        candidate.binding.replace("_", " "),
+        rows.append(candidate_cells("smallest change", names, result.found.candidate))
+    rows += [
+        candidate_cells("cost against margin", names, candidate) for candidate in result.pareto
     ]
+    return header, rows
 
 
 def corners_title(corners: Verdict) -> str:
     """Return the title of the verdict over the corners of the redesign's tolerances."""
     count = corners.runs + corners.machines
     return f"Verdict of one run at each of {count} corners of the tolerances of [design]"
-
-
-def design_sentence(result: DesignResult) -> str:
-    """Return one sentence: the design that was found, or the criterion that prevents one."""
-    if result.found is not None:
-        level = f"in spec ({result.found.verdict.level})"
-        candidate = result.found.candidate
-        changed = [f"{n} x {f:.3g}" for n, f in candidate.factors.items() if f != 1.0]
-        return (
-            f"{level} with {', '.join(changed) or 'new settings alone'}: cost "
-            f"{candidate.cost:.3f}, limited by {candidate.binding.replace('_', ' ')}"
-        )
-    nearest = result.nearest
-    refused = f" (refused by the whole pipeline: {result.refused[0]})" if result.refused else ""
-    binding = nearest.binding.replace("_", " ")
-    return (
-        f"no change within the bounds is in spec ({result.level}): {binding} binds, "
-        f"at best {percent_used(nearest.ratio)} of its limit in {result.screened}{refused}"
-    )
 
 
 def write_design_report(result: DesignResult, folder: Path) -> Path:
@@ -182,7 +155,7 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
             Document(
                 title=f"{result.job.name} on {result.machine.name}: redesign",
                 subtitle=result.machine.title,
-                verdicts=[(design_sentence(result), result.found is not None)],
+                verdicts=[(result.sentence(), result.found is not None)],
                 tables=tables,
                 figures=figures,
                 captions=captions,

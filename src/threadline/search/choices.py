@@ -27,6 +27,7 @@ from threadline.proof.option_words import (
     LEAST_CONTOUR_M,
     Reserve,
     parse_reserve,
+    parse_share,
     parse_tolerance_m,
     parse_width_s,
 )
@@ -38,6 +39,8 @@ CHOSEN = (
     "tolerance", "outside", "narrow", "reserve", "smoothing", "contour", "feed_forward",
 )  # fmt: skip
 """Options of a plan that a search may choose, where they were not given."""
+LIMIT_SHARE = "limits"
+"""Option that a search chooses where no plan within the full limits is in specification."""
 RESERVES = ("volts", "current")
 """The two knobs of ``reserve``."""
 BUDGET = "contour_error"
@@ -56,6 +59,7 @@ _CAUTION = 2.0  # power of the chance to pass: small steps that pass teach more 
 _CLAMPED, _FREE = 1.1, 0.9  # stand for the use of a limit of 0 that is broken, and kept
 _MENDED = 0.1  # of a limit: corners that are missed by more are not mended one by one
 _BESIDES = 0.01  # of a limit: by how much more a corner is mended than it was missed
+_LEAST_SHARE = 0.05  # of the limits of acceleration and jerk
 _LEAST_VOLTS = 0.0025  # reserve: a loop asks for some, whatever the motion
 _AT_CORNERS = frozenset({"contour_error", "turning_point_error"})
 _OF_PLANS = frozenset({"travel", "velocity", "acceleration", "jerk"})
@@ -76,6 +80,8 @@ class Knob:
         Values are multiples of this.
     typed
         Reads a number in the unit that is typed, so that what is typed gives the same value.
+    power
+        Values follow this power of the place, so that small ones lie closer together.
     """
 
     word: str
@@ -83,19 +89,27 @@ class Knob:
     bold: float
     digit: float
     typed: Callable[[str], float] = float
+    power: int = 1
 
     def value(self, place: float) -> float:
         """Return the value at a place from 0 to 1."""
-        steps = round((self.careful + place * (self.bold - self.careful)) / self.digit)
+        along = place**self.power
+        steps = round((self.careful + along * (self.bold - self.careful)) / self.digit)
         return self.typed(f"{steps * self.digit:.9g}")
 
     def place(self, value: float) -> float:
         """Return the place of a value."""
-        return min(max((value - self.careful) / (self.bold - self.careful), 0.0), 1.0)
+        along = min(max((value - self.careful) / (self.bold - self.careful), 0.0), 1.0)
+        return along if self.power == 1 else float(along ** (1.0 / self.power))
 
 
 def knobs_of(
-    machine: Machine, spec: Spec, options: Options, free: frozenset[str]
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    free: frozenset[str],
+    *,
+    limits_too: bool = False,
 ) -> tuple[Knob, ...]:
     """Return what a search may choose for a job.
 
@@ -107,6 +121,8 @@ def knobs_of(
         Options of the plan; with or without feed-forward.
     free
         Options that were not given.
+    limits_too
+        Whether the search may choose the share of the limits, too.
     """
     spent_m = budget_m(spec)
     found = []
@@ -142,7 +158,13 @@ def knobs_of(
                 typed=_ms,
             )
         )
-    return tuple(knob for knob in found if knob.word in free or knob.word in RESERVES)
+    chosen_ones = [knob for knob in found if knob.word in free or knob.word in RESERVES]
+    if limits_too:
+        share = Knob(
+            word=LIMIT_SHARE, careful=_LEAST_SHARE, bold=1.0, digit=1e-4, typed=_share, power=2
+        )
+        chosen_ones.append(share)
+    return tuple(chosen_ones)
 
 
 def budget_m(spec: Spec) -> float | None:
@@ -190,6 +212,7 @@ def chosen(
         if "volts" in values
         else options.reserve,
         feed_forward_s=values.get("smoothing", options.feed_forward_s),
+        limit_share=values.get(LIMIT_SHARE, options.limit_share),
     )
 
 
@@ -203,6 +226,10 @@ def _ms(text: str) -> float:
 
 def _percent(text: str) -> float:
     return parse_reserve(f"{float(text) * 1e2:.6g} %").volts
+
+
+def _share(text: str) -> float:
+    return parse_share(f"{float(text) * 1e2:.6g} %")
 
 
 def _typed_m(length_m: float) -> float:
@@ -261,6 +288,7 @@ def places_of(options: Options, knobs: Sequence[Knob], machine: Machine) -> tupl
         "volts": kept.volts,
         "current": kept.current,
         "smoothing": options.feed_forward_s or 0.0,
+        LIMIT_SHARE: options.limit_share,
     }
     return tuple(knob.place(values[knob.word]) for knob in knobs)
 

@@ -25,6 +25,7 @@ from threadline.proof.pipeline import plan_job, try_plan
 from threadline.search.allowance import LIMITS, FastestJob, Rung, rung_of
 from threadline.search.choices import (
     BUDGET,
+    LIMIT_SHARE,
     Knob,
     Tried,
     best_of,
@@ -47,14 +48,13 @@ from threadline.verdict import Verdict
 _CONFIRMED = 200  # runs, by which a plan must pass that is to be the best so far
 _MOST_NARROWED = 6
 _STEPS = 6  # plans between careful and bold
-_SHARES = (0.85, 0.7, 0.5, 0.3)  # of the limits, where no plan at all of them passes
 _LEAST_PLANS, _MOST_PLANS = 12, 240
 _ALL_TICKS = 150_000  # of all plans of a search together
 PROCESSOR_S = 600.0
 """Processor time after which a search without ``--within`` that has an answer plans no more."""
 BOLD: Mapping[str, float] = {
     "tolerance": 0.8, "outside": 1.0, "volts": 0.9, "current": 0.7, "contour": 0.6,
-    "smoothing": 0.57,
+    "smoothing": 0.57, LIMIT_SHARE: 0.8,
 }  # fmt: skip
 """Places of the knobs of the boldest plan that is tried first."""
 
@@ -175,22 +175,29 @@ class Choosing:
 
 
 def fastest_chosen(asked: Question) -> FastestJob:
-    """Return the fastest plan in spec over all options of ``optimal`` that were not given."""
+    """Return the fastest plan in spec over all options of ``optimal`` that were not given.
+
+    Plans use the full limits of acceleration and jerk. Only where none of them is in specification
+    the search may choose the share of these limits, too.
+    """
     machine, until = asked.machine, asked.until
     top = feed_range_m_s(machine)[1] if asked.high is None else asked.high
     options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
     tick_s = float(machine.tick_clock.period_s)
     searches: list[Choosing] = []
     with until_deadline(until, lambda: any(one.rungs for one in searches)):
-        for one in _followings(options, asked):
-            knobs = knobs_of(machine, asked.spec, one, asked.free)
+        for one, limits_too in _with_limits(options, asked):
+            knobs = knobs_of(machine, asked.spec, one, asked.free, limits_too=limits_too)
             search = Choosing(asked, knobs, one)
             searches.append(search)
             careful = places_of(one, knobs, machine)
-            bold, steps = tuple(BOLD[knob.word] for knob in knobs), _STEPS
-            if one.limit_share < asked.options.limit_share:
-                bold, steps = careful, 1
-            tried = boldest(search.attempt, careful, bold, steps)
+            if limits_too:
+                careful = tuple(
+                    0.0 if knob.word == LIMIT_SHARE else place
+                    for knob, place in zip(knobs, careful, strict=True)
+                )
+            bold = tuple(BOLD[knob.word] for knob in knobs)
+            tried = boldest(search.attempt, careful, bold, _STEPS)
             if best_of(tried) is None:
                 continue
             ticks = max(search.best_s / tick_s, 1.0)
@@ -219,20 +226,22 @@ def _left(search: Choosing) -> int:
     return max(search.most - search.tried + 1, 0)
 
 
+def _with_limits(options: Options, asked: Question) -> Iterator[tuple[Options, bool]]:
+    """Yield options to search with, each with whether the share of the limits is chosen, too."""
+    for limits_too in (False, True):
+        for one in _followings(options, asked):
+            yield one, limits_too
+
+
 def _followings(options: Options, asked: Question) -> Iterator[Options]:
     """Yield the options with feed-forward, if the machine and the question allow it, and as given.
 
     Loads that follow the motion itself leave it by less than the loops of motors that follow it, so
-    they come first. A hard stop of a heavy axis may ring whatever the choices are, so smaller
-    shares of the limits follow.
+    they come first.
     """
     able = not asked.machine.takes_positions and options.timing.shaper is None
     if options.feed_forward_s is None and "feed_forward" in asked.free and able:
-        following = replace(options, feed_forward_s=parse_width_s(OPTIMAL_FEED_FORWARD))
-        yield following
-        yield from (
-            replace(following, limit_share=share * options.limit_share) for share in _SHARES
-        )
+        yield replace(options, feed_forward_s=parse_width_s(OPTIMAL_FEED_FORWARD))
     yield options
 
 

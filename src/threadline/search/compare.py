@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Sequence
 from contextvars import Context
@@ -9,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from threadline.base.progress import Progress
+from threadline.base.summary import Summarised, Summary
 from threadline.commands.plan import Plan
 from threadline.errors import PlanError
 from threadline.jobs.operations import Job
@@ -28,15 +30,44 @@ from threadline.proof.pipeline import (
 from threadline.search.allowance import FastestJob
 from threadline.search.least_limits import fastest_job
 from threadline.search.paced import Question
-from threadline.verdict import Spec
+from threadline.verdict import Spec, closing_of_all, in_a_word
 from threadline.verdict.fibre import MEASURED, PLANNED
 
 PLACEMENT = ("contour_error", "turning_point_error", *MEASURED, *PLANNED)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Comparison:
-    """Result of a comparison.
+_COLUMNS = (
+    ("tracking_error", "tracking mm"),
+    ("contour_error", "contour mm"),
+    ("turning_point_error", "turning point mm"),
+    ("path_deviation", "plan misses mm"),
+)
+_STEP_COLUMNS = (
+    ("cycle_time", "cycle s"),
+    ("residual_vibration", "rings mm"),
+    ("settling_time", "settles s"),
+    ("end_position_error", "end missed mm"),
+)
+
+_WINDING_COLUMNS = (
+    ("contour_error", "contour mm"),
+    ("turning_point_error", "turning point mm"),
+    ("slip_tendency", "slip %"),
+    ("laid_error", "fibre off mm"),
+    ("coverage_gap", "gap mm"),
+    ("tension_variation", "tension varies %"),
+)
+"""With a product; the tension with a spool in the machine file."""
+_STITCH_COLUMNS = (
+    ("stitch_residual", "residual mm"),
+    ("servo_force", "force %"),
+    ("window_use", "window %"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Comparison(Summarised):
+    """Result of a comparison; prints itself as a table.
 
     Parameters
     ----------
@@ -56,6 +87,82 @@ class Comparison:
     fastest: dict[str, FastestJob]
     refused: tuple[tuple[str, str], ...] = ()
     as_run_s: tuple[float | None, ...] = ()
+
+    def _summary(self) -> Summary:
+        first = self.proofs[0].plan.options
+        differ = [
+            key
+            for key in ("interpolation", "feed", "shaper")
+            if any(one.plan.options.get(key) != first.get(key) for one in self.proofs)
+        ]
+        fastest = "; .fastest has the fastest of each" if self.fastest else ""
+        below = f"{closing_of_all([one.verdict for one in self.proofs])}{fastest}"
+        return Summary(*compared_table(self, differ or ["interpolation"]), below)
+
+
+def compared_table(
+    found: Comparison, shown: Sequence[str] = ("interpolation", "feed")
+) -> tuple[str, list[str], list[list[str]]]:
+    """Return title, header and rows of the compared proofs; ``shown`` names compared options."""
+    first = found.proofs[0].plan
+    stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
+    sewn = any(result.name == _STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
+    columns: tuple[tuple[str, str], ...] = _COLUMNS
+    if stepwise or sewn:
+        columns = _STEP_COLUMNS if stepwise else _STITCH_COLUMNS
+    wound = "product" in first.options
+    if wound:
+        columns = _WINDING_COLUMNS
+    # Without dynamics no placement is measured, and without a spool no tension.
+    if wound or first.machine.without_dynamics:
+        columns = tuple(
+            (name, title)
+            for name, title in columns
+            if any(_worst(proof, name) != "-" for proof in found.proofs)
+        )
+    own = ["as run s"] if any(found.as_run_s) else []
+    header = [*shown, "time s", *own, *(title for _, title in columns), "verdict"]
+    rows = [
+        [
+            *(_label(proof, key) for key in shown),
+            f"{proof.plan.duration_s:.3f}",
+            *(["-" if run_s is None else f"{run_s:.3f}"] if own else []),
+            *(_worst(proof, name) for name, _ in columns),
+            in_a_word(proof.verdict),
+        ]
+        for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
+    ]
+    if "shaper" in shown:
+        blank = [""] * (len(header) - len(shown) - 1)
+        for shaper, _ in found.refused:
+            rows.append([*(shaper if k == "shaper" else "" for k in shown), *blank, "refused"])
+    level = found.proofs[0].verdict.level
+    return f"{first.job.name} on {first.machine.name}, {level}", header, rows
+
+
+def _label(proof: Proof, key: str) -> str:
+    """Return the value of the compared option ``key`` in this proof."""
+    if key == "interpolation":
+        return proof.plan.interpolation
+    return proof.plan.options.get(key, "none")
+
+
+def _worst(proof: Proof, name: str) -> str:
+    """Return the worst value of a criterion: length in mm, time in s, share in %.
+
+    ``-`` if it was not measured.
+    """
+    sizes = [
+        (abs(r.measured), r.unit)
+        for r in proof.verdict.results
+        if r.name == name and r.measured is not None and r.unit in {"m", "s", ""}
+    ]
+    if not sizes:
+        return "-"
+    size, unit = max(sizes)
+    if math.isinf(size):
+        return "never"
+    return {"m": f"{size * 1e3:.3f}", "s": f"{size:.3f}"}.get(unit, f"{100.0 * size:.1f}")
 
 
 def placement_spec(spec: Spec) -> Spec:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from threadline.base.reading import note_input
+from threadline.base.summary import Summarised, Summary
 from threadline.base.writing import check_output
 from threadline.dynamics.analysis import AxisAnalysis, analyse
 from threadline.dynamics.contouring import cross_coupled
@@ -74,9 +75,9 @@ class Wanted:
     coupling: str | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ControlDesign:
-    """A designed machine.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ControlDesign(Summarised):
+    """A designed machine; prints itself as a table.
 
     Parameters
     ----------
@@ -107,6 +108,16 @@ class ControlDesign:
     def delay_s(self, controller: Designed) -> float:
         """Return the time by which a controller delays the motion."""
         return controller.delay_ticks * float(self.base.clock(controller.clock).period_s)
+
+    def _summary(self) -> Summary:
+        rows = [
+            [", ".join(one.axes), ", ".join(one.sensors), str(len(one.A)),
+             f"{1e3 * self.delay_s(one):g} ms"]
+            for one in self.controllers
+        ]  # fmt: skip
+        loops = "; ".join(one.verdict() for one in self.axes.values())
+        title = f"{self.design} for {self.base.name}, written to {self.file}"
+        return Summary(title, ["axes", "sensors", "states", "delay"], rows, loops)
 
     def content(self) -> dict[str, Any]:
         """Return the answer as JSON content."""

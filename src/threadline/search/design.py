@@ -10,6 +10,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.progress import Progress
+from threadline.base.summary import Summarised, Summary
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
@@ -37,12 +38,13 @@ from threadline.search.design_searches import (
 from threadline.search.design_single_proofs import JobReader
 from threadline.search.design_space import Space, design_space
 from threadline.verdict import Spec
+from threadline.verdict.rendering import percent_used
 from threadline.verdict.types import Level
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DesignResult:
-    """Result of a search for the smallest change.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class DesignResult(Summarised):
+    """Result of a search for the smallest change; prints itself as a table.
 
     Parameters
     ----------
@@ -86,6 +88,45 @@ class DesignResult:
     screened: str
     refused: tuple[str, ...]
     front: tuple[CandidateYield, ...] = ()
+
+    def sentence(self) -> str:
+        """Return one sentence: the design that was found, or the criterion that prevents one."""
+        if self.found is not None:
+            candidate = self.found.candidate
+            changed = [f"{n} x {f:.3g}" for n, f in candidate.factors.items() if f != 1.0]
+            return (
+                f"in spec ({self.found.verdict.level}) with "
+                f"{', '.join(changed) or 'new settings alone'}: cost {candidate.cost:.3f}, "
+                f"limited by {candidate.binding.replace('_', ' ')}"
+            )
+        nearest = self.nearest
+        refused = f" (refused by the whole pipeline: {self.refused[0]})" if self.refused else ""
+        return (
+            f"no change within the bounds is in spec ({self.level}): "
+            f"{nearest.binding.replace('_', ' ')} binds, at best {percent_used(nearest.ratio)} of "
+            f"its limit in {self.screened}{refused}"
+        )
+
+    def _summary(self) -> Summary:
+        names = list(self.space.names)
+        tried = [("as it is", self.as_built), *self.known.items()]
+        if self.found is not None:
+            tried.append(("smallest change", self.found.candidate))
+        rows = [candidate_cells(title, names, one) for title, one in tried]
+        header = ["machine", *names, "cost", "of the limit", "limited by"]
+        title = f"{self.job.name} on {self.machine.name}: {self.sentence()}"
+        return Summary(title, header, rows)
+
+
+def candidate_cells(title: str, names: Sequence[str], candidate: Candidate) -> list[str]:
+    """Return title, factors, cost, share of the limit, and the criterion of a candidate."""
+    return [
+        title,
+        *(f"{candidate.factors[name]:.3g}" for name in names),
+        f"{candidate.cost:.2f}",
+        percent_used(min(candidate.ratio, 999.0)),
+        candidate.binding.replace("_", " "),
+    ]
 
 
 _RETRIED = 8  # settings of a known answer that are tried over the tolerances

@@ -10,6 +10,7 @@ from typing import Any
 from threadline.base.arrays import finite
 from threadline.base.option_defaults import FEED_FORWARD, OPTIMAL_FEED_FORWARD, USUAL
 from threadline.base.progress import Progress
+from threadline.base.summary import Summarised, Summary
 from threadline.commands.learned import learned_commands, learned_plan
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
@@ -35,7 +36,7 @@ from threadline.search.repeats import (
     with_followed,
 )
 from threadline.units import parse_number
-from threadline.verdict import Judge, Spec, verdict_json
+from threadline.verdict import Judge, Spec, closing, verdict_json
 
 
 def check_table_file(file: Path) -> None:
@@ -86,8 +87,8 @@ def rules_of(gain: str | float, low_pass: str | None, sensed: Sensed) -> Rules:
     return Rules(gain=share, low_pass_hz=hz, sensed=sensed)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LearnedJob:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class LearnedJob(Summarised):
     """A job learned on one simulated machine or on several, each with its own table.
 
     Parameters
@@ -128,6 +129,14 @@ class LearnedJob:
     def write(self, file: str | Path) -> Written:
         """Write the best table of the only machine (.npz, .csv), for ``--table``."""
         return write_table(self.table, Path(file))
+
+    def _summary(self) -> Summary:
+        rows = [
+            [name, str(one.best), str(len(one.repeats) - 1), closing(one.proof.verdict)]
+            for name, one in self.machines
+        ]
+        title = f"{self.base.job.name} on {self.base.machine.name}, learned"
+        return Summary(title, ["machine", "best run", "repeats", "verdict"], rows)
 
     def content(self) -> dict[str, Any]:
         """Return the answer for JSON."""
@@ -234,8 +243,8 @@ def learned_on_twins(
     return LearnedJob(base=plan, spec=spec, machines=tuple(found))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LearnedRuns:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class LearnedRuns(Summarised):
     """The next table of a job, learned from recorded runs.
 
     Parameters
@@ -274,6 +283,17 @@ class LearnedRuns:
     def write(self, file: str | Path) -> Written:
         """Write the next table (.npz, .csv), for ``--table``."""
         return write_table(self.table, Path(file))
+
+    def _summary(self) -> Summary:
+        rows = [
+            [str(at), "yes" if run.verdict.passed else "no", f"{100.0 * run.share:.0f} %",
+             f"{1e3 * run.error_m:.4g} mm", "" if run.followed else "worse: undone"]
+            for at, run in enumerate(self.repeats)
+        ]  # fmt: skip
+        title = f"{self.base.job.name} on {self.base.machine.name}, learned from recorded runs"
+        header = ["run", "in spec", "of the limit", "error", "note"]
+        below = f"gain {self.gain:.3g} after run {self.best}" if self.gain else self.note
+        return Summary(title, header, rows, f"next table: {below}")
 
     def content(self) -> dict[str, Any]:
         """Return the answer for JSON."""

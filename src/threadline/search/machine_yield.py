@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil, floor
 from pathlib import Path
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.summary import Summarised, Summary
 from threadline.base.workers import Done, workers
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
@@ -21,8 +23,9 @@ from threadline.proof.worst_machine import WithinTolerances, Worst, shares_of
 from threadline.proof.worst_search import WorstSearch
 from threadline.search.yield_state import YieldState
 from threadline.verdict import CriterionRow, EachRun, Spec
-from threadline.verdict.each_run import clopper_pearson
+from threadline.verdict.each_run import CONFIDENCE, clopper_pearson
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.rendering import shown
 from threadline.verdict.replayed import NUMBERS, product_of, toleranced
 
 AT_ONCE = 4096
@@ -55,9 +58,9 @@ def planned_yield(words: Words, job: Path, machine: Machine) -> tuple[MachineYie
     return MachineYield(plan, asked), asked
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Yield:
-    """Results of machines drawn over the tolerances.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Yield(Summarised):
+    """Results of machines drawn over the tolerances; prints itself as a table.
 
     Parameters
     ----------
@@ -87,6 +90,13 @@ class Yield:
     def interval(self) -> tuple[float, float]:
         """Confidence interval (95 %) of the yield of all machines."""
         return clopper_pearson(self.passed, self.found.runs)
+
+    def _summary(self) -> Summary:
+        title = (
+            f"{self.passed} of {self.found.runs} machines in spec; {yield_words(self.interval)} of "
+            f"all machines, with {100.0 * CONFIDENCE:.0f} % confidence"
+        )
+        return Summary(title, CRITERION_HEADER, [*map(criterion_cells, limited_rows(self))])
 
 
 class MachineYield(WithinTolerances):
@@ -244,6 +254,30 @@ def limited_rows(found: Yield) -> list[CriterionRow]:
         if row.limit is not None and not row.of_plan
         and ((row.values > 0.0).any() or row.missed.any())
     ]  # fmt: skip
+
+
+def yield_words(interval: tuple[float, float]) -> str:
+    """Return a confidence interval in words, rounded outwards: never better than it is.
+
+    >>> yield_words((0.989979, 0.99742)), yield_words((0.025 ** (1 / 10_000), 1.0))
+    ('98.99 to 99.75 %', 'at least 99.963 %')
+    """
+    low, high = interval
+    if high == 1.0:
+        return f"at least {floor(1e5 * low) / 1e3:.5g} %"
+    return f"{floor(1e4 * low) / 1e2:.4g} to {ceil(1e4 * high) / 1e2:.4g} %"
+
+
+CRITERION_HEADER = ("criterion", "half up to", "99 % up to", "most", "limit", "failed")
+
+
+def criterion_cells(row: CriterionRow) -> list[str]:
+    """Return the cells of a criterion with a limit, under ``CRITERION_HEADER``."""
+    assert row.limit is not None
+    values = [quantile(row, share) for share in (0.5, 0.99, 1.0)]
+    measured = ["-" if np.isnan(value) else shown(value, row.unit) for value in values]
+    out = f"{int((row.failed | row.missed).sum())}"
+    return [row.text, *measured, shown(row.limit, row.unit), out]
 
 
 def quantile(row: CriterionRow, share: float) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
+from threadline.base.summary import Summarised, Summary
 from threadline.dynamics.analysis import LoopFigures
 from threadline.dynamics.loop_design import NAMES, ControllerKind, with_controller
 from threadline.dynamics.responses import Step
@@ -152,9 +153,9 @@ class JobRun:
         return max(values, default=None)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tuning:
-    """The answer of ``tune``.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Tuning(Summarised):
+    """The answer of ``tune``; prints itself as a table.
 
     Parameters
     ----------
@@ -183,6 +184,19 @@ class Tuning:
             one = axis.loop(kind, rule)
             made = with_controller(made, axis.axis, kind, one.gains)
         return made
+
+    def _summary(self) -> Summary:
+        rows = []
+        for axis in self.axes:
+            for one in axis.loops:
+                figures = one.figures.as_json()
+                cells = [figures[key] for key in ("crossover_hz", "phase_margin_deg")]
+                gains = " ".join(f"{key} {value:.4g}" for key, value in one.gains.items())
+                shown = ["-" if cell is None else f"{cell:.1f}" for cell in cells]
+                stable = "stable" if one.figures.stable else "unstable"
+                rows.append([axis.axis, one.name, gains, *shown, stable])
+        header = ["axis", "controller", "gains", "crossover Hz", "phase margin deg", "loop"]
+        return Summary(f"Controllers of {self.machine.name}", header, rows)
 
     def content(self) -> dict[str, Any]:
         """Return the answer as JSON content."""

@@ -114,6 +114,9 @@ class Spec:
     sha256: str = ""
     file: str = ""
 
+    def __repr__(self) -> str:
+        return f"<Spec {self.name!r}: {len(self.criteria)} criteria>"
+
     def with_margin(self, share: float) -> Spec:
         """Return the specification with a share of every limit kept free.
 
@@ -334,6 +337,11 @@ class Verdict:
     limits_alone: bool = False
     recorded: bool = False
     disturbances: tuple[Disturbance, ...] = ()
+
+    def __repr__(self) -> str:
+        count = {status: sum(r.status is status for r in self.results) for status in Status}
+        told = ", ".join(f"{n} {status.value}" for status, n in count.items() if n)
+        return f"<Verdict {'passed' if self.passed else 'not passed'} ({self.level}): {told}>"
 
     @property
     def level(self) -> Level:

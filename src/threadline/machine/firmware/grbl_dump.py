@@ -32,6 +32,8 @@ _FLUIDNC = {
     "steps_per_mm": "steps", "max_rate_mm_per_min": "rate",
     "acceleration_mm_per_sec2": "acceleration", "max_travel_mm": "travel",
 }  # fmt: skip
+_FLUIDNC_TAKES = {"steps": "80", "rate": "1000", "acceleration": "25", "travel": "1000"}
+"""What FluidNC takes for an axis whose keys its file leaves out (``Axis.h``)."""
 _OF_TERMINAL = re.compile(r"(?:\[|<|>|\$|ok\b|\.\.\.$|---)")
 
 
@@ -133,6 +135,8 @@ def is_fluidnc(lines: Sequence[str]) -> bool:
 def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
     """Return the settings of axes and planner in a YAML of FluidNC; keys ignore case.
 
+    A key that an axis leaves out has the value that FluidNC takes for it.
+
     Raises
     ------
     MachineError
@@ -159,6 +163,8 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
         above = [name for _, name in path]
         _refuse_elsewhere(typed, key, value, above, place)
         path.append((indent, key))
+        if above == ["axes"] and not value and typed.upper() in _LETTERS:
+            settings.axes.setdefault(typed.upper(), AxisSettings())
         if len(above) == 2 and above[0] == "axes" and key in _FLUIDNC:
             letter = above[1].upper()
             if letter in _LETTERS:
@@ -170,6 +176,10 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
             settings.refuse_kinematics(f"kinematics: {value[:40]}", place)
         elif not above and key == "junction_deviation_mm":
             settings.set_planner("junction_deviation", value, place, key)
+    for letter, axis in settings.axes.items():
+        for what, number in _FLUIDNC_TAKES.items():
+            if getattr(axis, what) is None:
+                settings.say(letter, what, number, Place(file), "default of fluidnc")
     return settings
 
 
