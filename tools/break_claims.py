@@ -138,6 +138,7 @@ class Claim:
         self._judge = RunsJudge(plan, limited(words.spec(machine)), threads=1)
         self.tried, self.worst, self.at = 0, 0.0, np.zeros(self.box.size)
         self.criterion = ""
+        self._begun_s = time.process_time()
 
     def shares(self, places: FloatArray) -> FloatArray:
         """Return the (k,) used shares of (k, size) places; print what is worse than all before."""
@@ -157,6 +158,7 @@ class Claim:
             "share": self.worst,
             "criterion": self.criterion,
             "tried": self.tried,
+            "processor_s": round(time.process_time() - self._begun_s, 1),
             "numbers": {path: float(values[0]) for path, values in numbers.items()},
             "phases": phases[0].tolist(),
         }

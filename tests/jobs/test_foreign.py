@@ -314,3 +314,16 @@ def test_a_table_that_is_no_motion_is_refused(
 def test_a_winding_definition_is_named(tmp_path: Path, axy: Machine) -> None:
     with pytest.raises(JobError, match="a winding definition of FiberPath"):
         made(tmp_path, "{}", axy, "a.wind")
+
+
+@pytest.mark.parametrize("dialect", ["linuxcnc", "fluidnc", "grbl"])
+def test_the_block_that_ends_a_program_is_enough_behind_a_percent_sign(
+    tmp_path: Path, axy: Machine, dialect: str
+) -> None:
+    """CAM programs whose last lines a mail or an editor took; a control of tapes waits for %."""
+    text = "%\nG21\nG90\nG1 X5 F600\nM30\n\n"
+    job = made(tmp_path, text, axy, dialect=dialect)
+    assert moves(job) == moves(made(tmp_path, text + "%\n", axy, "b.nc", dialect=dialect))
+    for cut, strict in [(text.replace("M30\n", ""), dialect), (text.replace("X5", "X5."), "fanuc")]:
+        with pytest.raises(JobError, match="the % on line 1 opens the program and none closes it"):
+            made(tmp_path, cut, axy, "c.nc", dialect=strict)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -15,7 +16,6 @@ from tests.panel.browsing import (
     SIZE,
     Browser,
     Page,
-    WaitedTooLong,
     expect,
     opened,
     shot,
@@ -25,6 +25,9 @@ from tests.panel.test_page_keyboard import NAME, enter, tab_to
 from tests.panel.test_page_looks import nothing_is_wider
 from tests.panel.test_page_operator import panel
 from tests.panel.test_panel_killed import Plant
+
+if TYPE_CHECKING:
+    from playwright.sync_api import FileChooser
 
 SLOW = 0.15
 """A run of seconds, so that there is time to go to a button by Tab on a busy computer."""
@@ -103,17 +106,19 @@ def looked_at(page: Page) -> None:
 
 def brought(page: Page, file: Path) -> None:
     """Choose a file by the keyboard; again, where a busy computer has lost control meanwhile."""
+    opened_lists: list[FileChooser] = []
+    page.on("filechooser", opened_lists.append)
+    page.wait_for_timeout(1000)  # the browser is told to hand its list over
     for _ in range(10):
         if page.get_by_role("button", name="Take control", exact=True).is_visible():
             enter(page, "Take control")
         tab_to(page, "Load a program into the project folder")
-        try:
-            with page.expect_file_chooser(timeout=10_000) as chooser:
-                page.keyboard.press("Enter")
-        except WaitedTooLong:
-            continue
-        chooser.value.set_files(file)
-        return
+        page.keyboard.press("Enter")
+        for _ in range(50):
+            if opened_lists:
+                opened_lists[0].set_files(file)
+                return
+            page.wait_for_timeout(200)
     raise AssertionError("ten times Enter opened no list of files")
 
 

@@ -1,6 +1,6 @@
 """``equal`` for firmwares that plan by themselves: their own code, step by step, where it is named.
 
-Klipper's host and grbl's code are no packages: ``docs/equal.md`` says how to get them.
+Klipper's host, grbl's code and Marlin's are no packages: ``docs/equal.md`` says how to get them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import pytest
 from tests.conftest import NO_FIRMWARE
 
 import threadline as tl
-from threadline.readback import grbl_steps, klipper_host
+from threadline.readback import grbl_steps, klipper_host, marlin_steps
 from threadline.readback.stepped import Steps, beside
 
 CIRCUIT = "G21 G90\nG1 X60 A490.961 F6000\nG1 A590.961\nG4 P0.2\nG1 X0 A781.922\nG1 A891.922\nM30\n"
@@ -43,7 +43,7 @@ def test_a_winders_program_is_the_plan_on_each_of_its_boards(job: Path, target: 
         assert one.curve is not None and one.curve.time_s[0] == 0.0  # drawn from the beginning
         assert one.time_s is not None and one.time_limit_s is not None
         assert abs(one.time_s) < one.time_limit_s
-        assert bool(one.missing) == (target in {"grbl", "klipper"})
+        assert bool(one.missing) == (target in {"grbl", "klipper", "marlin"})
 
 
 def test_klippers_host_makes_each_step_of_the_plan(job: Path, tmp_path: Path) -> None:
@@ -94,11 +94,52 @@ def test_grbls_own_code_follows_the_plan(job: Path, tmp_path: Path) -> None:
             assert one.time_s == pytest.approx(0.1, abs=0.012)
 
 
+def test_marlins_own_planner_follows_the_plan(job: Path, tmp_path: Path) -> None:
+    """Within a step of each axis of the path; an end, a wait and a feed that changed are found."""
+    needs(marlin_steps.missing())
+    machine = "stepper-winder+marlin"
+    (one,) = tl.equal(job, machine, ["marlin"], interpolation="firmware").targets
+    assert (one.reader, one.verdict, one.unit) == ("Marlin's own planner", "equal", "m")
+    assert one.time_s is not None and abs(one.time_s) < 0.003
+    file = tmp_path / "c.gcode"
+    tl.compile(job, machine, "marlin", file, interpolation="firmware")
+    text = file.read_text()
+    for digit, to in (("A490.961", "A491.961"), ("G4 P200", "G4 P300"), ("X0 F2", "X0 F1")):
+        assert digit in text
+        file.write_text(text.replace(digit, to))
+        (one,) = tl.equal(job, machine, files=[f"marlin={file}"], interpolation="firmware").targets
+        assert one.verdict == "differs" and one.place is not None and one.time_s is not None
+        if digit[0] == "A":
+            assert 1.0e-4 < one.place < 1.6e-4
+        else:
+            assert abs(one.time_s) > 0.09
+
+
+@pytest.mark.parametrize("short", [True, False])
+def test_steps_of_a_block_come_as_its_trapezoid_says(short: bool) -> None:
+    """400 or 30 steps from 100 to 100 steps/s, 1000 at most, by 5000 steps/s^2."""
+    count, up, first, top, gain = (
+        (30, 15, 100.0, 1000.0, 5e3) if short else (400, 99, 1e2, 1e3, 5e3)
+    )
+    at_s = marlin_steps.event_times(count, first, top, first, up, count - up, gain)
+    peak = np.sqrt(first**2 + 2.0 * gain * up)
+    ramp_s = (peak - first) / gain
+    assert at_s[up - 1] == pytest.approx(ramp_s, rel=1e-9)
+    cruise_s = 0.0 if short else (count - 2 * up) / top
+    assert at_s[-1] == pytest.approx(2.0 * ramp_s + cruise_s, rel=6e-3)
+    each_s = np.diff(np.append(0.0, at_s))
+    assert (each_s > 0.0).all()
+    np.testing.assert_allclose(each_s, each_s[::-1], rtol=1e-9)
+
+
 def test_what_is_not_installed_is_told(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The variable is named, and a folder that is no checkout."""
     monkeypatch.delenv(klipper_host.CHECKOUT, raising=False)
     monkeypatch.delenv(grbl_steps.FOLDER, raising=False)
-    found = tl.equal(job, "stepper-winder+klipper", ["klipper", "grbl"], interpolation="firmware")
+    monkeypatch.delenv(marlin_steps.FOLDER, raising=False)
+    targets = ["klipper", "grbl", "marlin"]
+    found = tl.equal(job, "stepper-winder+klipper", targets, interpolation="firmware")
+    assert marlin_steps.FOLDER in found.missing["marlin"]
     assert klipper_host.CHECKOUT in found.missing["klipper"]
     assert grbl_steps.FOLDER in found.missing["grbl"]
     assert found.passed and {one.verdict for one in found.targets} == {"read back"}
@@ -106,6 +147,8 @@ def test_what_is_not_installed_is_told(job: Path, monkeypatch: pytest.MonkeyPatc
     assert "has no klippy/klippy.py" in klipper_host.missing()
     monkeypatch.setenv(grbl_steps.FOLDER, "/nonexistent")
     assert "has no gcode.c" in grbl_steps.missing()
+    monkeypatch.setenv(marlin_steps.FOLDER, "/nonexistent")
+    assert "has no Configuration.h" in marlin_steps.missing()
 
 
 def test_steps_beside_a_motion(job: Path) -> None:

@@ -1,10 +1,11 @@
 """Programs for firmwares that plan by themselves: the firmware's own code beside the plan.
 
-Where the code of the firmware is at hand (``klipper_host``, ``grbl_steps``), it runs the program,
-and every step that it makes is compared. With ``--interpolation firmware`` the plan itself is what
-the firmware makes of the job: steps and plan are compared at the same instants. Every other plan
-has times of its own. Then the program must follow the path of the plan, and its steps are compared
-with Threadline's model of the firmware, whose time the plan of a workshop rests on.
+Where the code of the firmware is at hand (``klipper_host``, ``grbl_steps``, ``marlin_steps``), it
+runs the program, and every step that it makes is compared. With ``--interpolation firmware`` the
+plan itself is what the firmware makes of the job: steps and plan are compared at the same instants.
+Every other plan has times of its own. Then the program must follow the path of the plan, and its
+steps are compared with Threadline's model of the firmware, whose time the plan of a workshop rests
+on.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from threadline.motion.path import plan_path, programmed_path
 from threadline.motion.path.interpolations import FIRMWARE
 from threadline.motion.timing import plan_trajectory
 from threadline.motion.timing.types import Trajectory
-from threadline.readback import grbl_steps, klipper_host
+from threadline.readback import grbl_steps, klipper_host, marlin_steps
 from threadline.readback.equal_found import Found
 from threadline.readback.equal_path import PLACE_M, radius_m
 from threadline.readback.equal_programs import TIME_SHARE, compare_read_back, firmware_note
@@ -80,6 +81,13 @@ ORACLES: Mapping[str, Oracle] = {
         run=grbl_steps.steps_on_grbl,
         same_instant=False,
         slack_s=SEGMENT_S,
+    ),
+    "marlin": Oracle(
+        name="Marlin's own planner",
+        missing=marlin_steps.missing,
+        unfit=marlin_steps.unfit,
+        run=marlin_steps.steps_on_marlin,
+        same_instant=False,
     ),
 }
 """By target. Firmwares without an entry are read back by Threadline alone."""

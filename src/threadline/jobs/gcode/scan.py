@@ -14,7 +14,7 @@ from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS, plain_rea
 from threadline.jobs.gcode.printer_lines import number_of_line
 from threadline.jobs.gcode.subprograms import Call, Collector, Program, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
-from threadline.jobs.gcode.words import ONE, TAPE, Tapes
+from threadline.jobs.gcode.words import ONE, READ_TO_TAPE, TAPE, Tapes
 from threadline.jobs.gcode.zeros import FIRST, SystemsUsed, ToolLengths, moves_length
 
 MAX_REMEMBERED = 1000
@@ -147,16 +147,18 @@ class Scanner:
                 self._take(block, offset, lines.offset)
         number = max(1, lines.number - 1)
         program = self._programs.current
+        dialect = self._reading.dialect
+        ended = program is None or self._ended is not None
         if program is not None and self._ended is not None:
             block, behind = self._ended
             program.closes = block.line
             self._programs.end(block.program, behind)
-        elif program is not None and not self._reading.dialect.needs_end:
+        elif program is not None and not dialect.needs_end:
             program.stops += 1
             program.closes = number + 1
             self._programs.end(30, lines.offset)
-        self._tapes.finish(number)
-        if self._reading.dialect.grammar.tape == "refused":
+        self._tapes.finish(number, ended=ended and dialect.name not in READ_TO_TAPE)
+        if dialect.grammar.tape == "refused":
             self.findings.tape = self._tapes.first
         self.findings.length = self._lengths.line
         self.findings.rapid_f = int(self._plain.state[RAPID_F])

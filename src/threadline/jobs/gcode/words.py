@@ -308,23 +308,25 @@ class Tapes:
                 remedy="Take it out.",
             )
 
-    def finish(self, line: int) -> None:
-        """End the file behind ``line``.
+    def finish(self, line: int, *, ended: bool) -> None:
+        """End the file behind ``line``; ``ended`` says whether its last block ends the program.
 
         Raises
         ------
         JobError
-            If a % has opened the program and no % closes it.
+            If a % has opened the program, and neither a % nor a last block ends it.
         """
-        if len(self._lines) == 1:
+        if len(self._lines) == 1 and not ended:
             raise JobError(
                 f"the % on line {self._lines[0]} opens the program and none closes it: the file "
                 "may be truncated",
                 place=self._file.place(line),
-                remedy="Add a line with % at the end.",
+                remedy="Add M30, or a line with %, at the end.",
             )
 
 
+READ_TO_TAPE = frozenset({"winder", "fanuc"})
+"""Controls that read a program up to its second %; to others the block that ends it is enough."""
 O_WORDS = (
     "endrepeat", "endwhile", "continue", "elseif", "repeat", "return", "endsub", "endif", "while",
     "break", "alarm", "error", "call", "else", "sub", "do", "if",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NoReturn
@@ -19,13 +20,14 @@ from threadline.jobs.gcode.parametric.parameters import Values
 from threadline.jobs.gcode.parametric.statements import Code, code_of
 from threadline.jobs.gcode.scan import Findings
 from threadline.jobs.gcode.textfile import Lines, SourceFile
-from threadline.jobs.gcode.words import ONE, TAPE, Tapes, refuse_switched
+from threadline.jobs.gcode.words import ONE, READ_TO_TAPE, TAPE, Tapes, refuse_switched
 from threadline.jobs.gcode.zeros import SystemsUsed, ToolLengths, moves_length, zeros_of
 from threadline.jobs.operations import Move, MoveRun, Operation, Source, Stop
 from threadline.machine import Machine
 
 MOST_BYTES = 16 << 20
 _AXIS_NAMES = {f"_{letter}": letter.upper() for letter in "xyzabcuvw"}
+_ENDS = re.compile(r"[Mm]0*(?:2|30)(?![\d.])")
 _PLANES = {170: 170.0, 180: 180.0, 190: 190.0}
 
 
@@ -76,7 +78,9 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
             if o is not None:
                 flow.take(o, number - 1)
         codes.append(code)
-    tapes.finish(max(1, lines.number - 1))
+    last = next((code.text for code in reversed(codes) if code.text), "")
+    ended = reading.dialect.name not in READ_TO_TAPE and _ENDS.search(last) is not None
+    tapes.finish(max(1, lines.number - 1), ended=ended)
     if not begun:
         raise JobError(
             "the file holds no block", place=file.place(), remedy="Name a file with a program."

@@ -1,8 +1,12 @@
-// Marlin's planner by itself: the blocks that it makes of moves, and how long they take.
-//
-// In: words with their numbers ("steps", "rate", "most" for X Y Z A; "travel"; "corner", which is
-// the junction deviation or the jumps of X Y Z A; "go"), then one move a line: x y z a speed.
-// Out: the time of every block, and "total" with their sum, s.
+"""The program that stands for all of Marlin but its planner; ``marlin_steps`` compiles it."""
+
+MAIN = r"""
+// In: words with their numbers ("steps", "rate", "most" for X Y Z I; "travel"; "least"; "short";
+// "corner", which is the junction deviation or the jumps of X Y Z I; "go"), then one move a line:
+// x y z i speed, whether all blocks end behind it, and the seconds that it waits there.
+// Out: a block a line (its steps by axis, step events, speeds at the begin, at most and at the end,
+// the steps where it stops to grow and begins to fall, acceleration, and how long it takes), a wait
+// in a line of its own, and "end".
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -12,9 +16,9 @@
 #include "src/module/motion.h"
 #include "src/module/planner.h"
 #include "src/module/stepper.h"
+#include "src/module/temperature.h"
 
 static block_t *under_way = nullptr;
-static double total_s = 0.0;
 
 bool Stepper::is_block_busy(const block_t * const block) { return block == under_way; }
 void Stepper::enable_axis(const AxisEnum) {}
@@ -53,9 +57,13 @@ static double lasts_s(const block_t &b) {
 static bool goes_on() {
   if (!under_way) under_way = planner.get_current_block();
   if (!under_way) return false;
-  const double time_s = lasts_s(*under_way);
-  total_s += time_s;
-  printf("%.9f\n", time_s);
+  const block_t &b = *under_way;
+  for (int axis = 0; axis < 4; ++axis)
+    printf("%s%lu ", b.direction_bits[axis] ? "" : "-", (unsigned long)b.steps[axis]);
+  printf("%lu %.9g %.9g %.9g %.9g %.9g %.9g %.9f\n", (unsigned long)b.step_event_count,
+         (double)b.initial_rate, (double)b.nominal_rate, (double)b.final_rate,
+         (double)b.accelerate_before, (double)b.decelerate_start,
+         (double)b.acceleration_steps_per_s2, lasts_s(b));
   planner.release_current_block();
   under_way = nullptr;
   under_way = planner.get_current_block();
@@ -63,7 +71,17 @@ static bool goes_on() {
 }
 
 // The planner is idle when there is no room: so there are always as many blocks as it can hold.
-void Marlin::idle(const bool) { goes_on(); }
+#if IDLE_ALONE  // before it became part of a class, in 2025
+  void idle(const bool) { goes_on(); }
+#else
+  void Marlin::idle(const bool) { goes_on(); }
+#endif
+
+// A few blocks alone are held back for a while.
+static void to_its_end() {
+  for (int waits = 0; planner.has_blocks_queued() && waits < 1000;)
+    waits = goes_on() ? 0 : waits + 1;
+}
 
 static double number() {
   double value;
@@ -85,6 +103,8 @@ int main() {
     else if (!strcmp(word, "rate")) four(settings.max_feedrate_mm_s);
     else if (!strcmp(word, "most")) four(settings.max_acceleration_mm_per_s2);
     else if (!strcmp(word, "travel")) settings.travel_acceleration = number();
+    else if (!strcmp(word, "least")) settings.min_travel_feedrate_mm_s = number();
+    else if (!strcmp(word, "short")) settings.min_segment_time_us = number();
     else if (!strcmp(word, "corner")) {
       #if HAS_JUNCTION_DEVIATION
         planner.junction_deviation_mm = number();
@@ -104,10 +124,13 @@ int main() {
     to[0] = x;
     for (int axis = 1; axis < 4; ++axis) to[axis] = number();
     planner.buffer_line(to, number());
+    const bool rests = number() > 0.0;
+    const double wait_s = number();
+    if (rests || wait_s > 0.0) to_its_end();
+    if (wait_s > 0.0) printf("%.9g\n", wait_s);
   }
-  // A few blocks alone are held back for a while.
-  for (int waits = 0; planner.has_blocks_queued() && waits < 1000;)
-    waits = goes_on() ? 0 : waits + 1;
-  printf("total %.9f\n", total_s);
+  to_its_end();
+  printf("end\n");
   return 0;
 }
+"""
