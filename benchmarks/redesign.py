@@ -24,9 +24,9 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.machine import load_machine
 from threadline.proof.options import Options
-from threadline.search.design_alone import JobReader
 from threadline.search.design_evaluate import Effort, Evaluator
 from threadline.search.design_search import SEED, first_sample, least_change
+from threadline.search.design_single_proofs import JobReader
 from threadline.search.design_space import Space, design_space
 from threadline.verdict import load_spec
 

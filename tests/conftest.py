@@ -221,7 +221,7 @@ def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     For tests of what is made of its answer; ``tests/search`` tests the answer itself.
     """
     from threadline.search import fastest
-    from threadline.search import forbidden as edges
+    from threadline.search import feed_ranges as edges
 
     spaced: Any = fastest._spaced
     finer: Any = fastest._finer

@@ -20,10 +20,10 @@ from threadline.cli.main import app
 from threadline.commands.learned import text_of
 from threadline.errors import InputError, OptionError
 from threadline.files import Clock, Stream, TickBlock, TickTable
-from threadline.proof.asked import as_arguments
 from threadline.proof.option_form import Door, Group, Option, Type
 from threadline.proof.option_table import PYTHON_VERBS, RECORDED, TABLE, options_for, python_name
 from threadline.proof.options import Options
+from threadline.proof.request import as_arguments
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"

@@ -28,7 +28,7 @@ from threadline.jobs.operations import Pace
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.pipeline import Trials
 from threadline.search.by_pace import SEARCHES
-from threadline.search.question import ASKED
+from threadline.search.question import PACE_OPTIONS
 from threadline.verdict import load_spec
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
@@ -38,7 +38,7 @@ PAGE = ROOT / "docs" / "api.md"
 
 
 def test_every_pace_of_a_job_has_its_search() -> None:
-    assert set(SEARCHES) == set(OUTPUTS) == set(ASKED) == {*get_args(Pace), OPTIMAL}
+    assert set(SEARCHES) == set(OUTPUTS) == set(PACE_OPTIONS) == {*get_args(Pace), OPTIMAL}
 
 
 def test_the_page_lists_the_face_and_nothing_else() -> None:

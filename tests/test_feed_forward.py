@@ -30,7 +30,7 @@ from threadline.search import mismatch
 from threadline.search.by_pace import speeds
 from threadline.search.fastest import COARSE, Fastest
 from threadline.search.paced import Question
-from threadline.search.studied import studied
+from threadline.search.report_data import report_data
 from threadline.verdict import load_spec, verdict_json
 from threadline.verdict.needle import has_stitches, planned_stitches
 
@@ -240,7 +240,7 @@ def test_every_end_of_the_tolerances_is_tried(machine, seam, monkeypatch):
 
     spec, job = load_spec(PLACE, machine), open_job(seam, machine, AHEAD)
     asked = Question(job=job, machine=machine, spec=spec, options=AHEAD, high=78.0)
-    cells = mismatch.off_tolerances(asked, lambda one: speeds(search(one, COARSE)))
+    cells = mismatch.at_tolerance_ends(asked, lambda one: speeds(search(one, COARSE)))
     wanted = [(m, k) for m in (0.9, 1.0, 1.1) for k in (0.8, 1.0, 1.2)]
     np.testing.assert_allclose(seen, wanted)
     np.testing.assert_allclose([(c.mass, c.stiffness) for c in cells],
@@ -274,7 +274,7 @@ def test_titles_say_what_was_asked_for(capsys, proof, tmp_path, monkeypatch):
     show_proof(proof)
     out = capsys.readouterr().out
     assert "corner.seam.toml on stitcher, auto, feed-forward" in out
-    page = write_report(studied(proof), tmp_path / "report").read_text(encoding="utf-8")
+    page = write_report(report_data(proof), tmp_path / "report").read_text(encoding="utf-8")
     assert "interpolation auto, feed-forward, feed programmed" in page
     assert "chords" not in out
     assert "interpolation chords" not in page

@@ -13,7 +13,7 @@ from threadline.proof.kinds import KINDS, kind_of, kind_of_commands
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, prove, prove_plan, simulate, write
 from threadline.report.proof import REPORTS
-from threadline.search.studied import STUDIES
+from threadline.search.report_data import REPORT_DATA
 from threadline.verdict import judge, load_spec
 from threadline.verdict.judge import RUNS
 from threadline.verdict.measure import OfPlan
@@ -31,7 +31,7 @@ def test_every_table_has_a_row_for_every_kind() -> None:
     """What the judge and the reports keep of a kind in their own rooms is there."""
     assert set(KINDS) == set(WORK)
     assert {kind.intent for kind in KINDS.values()} == set(RUNS)
-    assert set(RUNS) == set(REPORTS) == set(STUDIES)
+    assert set(RUNS) == set(REPORTS) == set(REPORT_DATA)
     assert {kind_of(load_machine(name)).name for name in library_names()} <= set(KINDS)
     names = [name for kind in KINDS.values() for name in kind.targets]
     assert len(names) == len(set(names))

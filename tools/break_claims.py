@@ -40,10 +40,10 @@ from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at
 from threadline.machine.variants import numbers_at, uncertain
 from threadline.machine.vary import Days, varied_numbers
-from threadline.proof.asked import Words
 from threadline.proof.judge_runs import RunsJudge
 from threadline.proof.option_form import Door, Word
 from threadline.proof.pipeline import open_job, plan_job
+from threadline.proof.request import Words
 from threadline.verdict import EachRun, Spec
 
 FRICTION, SUPPLY = 0.3, 0.05  # of a day, as shares on either side (docs/specs.md)

@@ -50,7 +50,7 @@ def page() -> str:
         parts += [_section(one) for one in TABLE if one.group is group]
     parts.append(
         "## Options of one command alone\n\nThese say what a command writes, draws or executes; no "
-        "other command has them, or each says its own thing by them.\n\n"
+        "other command has them, or they have another meaning there.\n\n"
     )
     parts += [_of_command(name) for name in COMMANDS]
     return "".join(parts).rstrip() + "\n"

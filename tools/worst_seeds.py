@@ -16,10 +16,10 @@ import numpy as np
 
 from threadline.machine import load_machine
 from threadline.machine.vary import REPEAT_SEED, drawn_days
-from threadline.proof.asked import Words
 from threadline.proof.option_form import Door, Word
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import open_job, plan_job
+from threadline.proof.request import Words
 from threadline.proof.worst_machine import WithinTolerances, shares_of
 from threadline.proof.worst_search import WorstSearch
 

@@ -172,7 +172,7 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["grbl", "mine"], "Name what grbl answers to $$ with --from"),
+        (["grbl", "mine"], "Name grbl's answer to $$ with --from"),
         (
             ["winder", "mine", "--set", "mass=1 kg"],
             "--limits-only do not apply to the kind",

@@ -14,7 +14,7 @@ from threadline.cli import yield_tables as why
 from threadline.cli.main import main
 from threadline.machine.variants import Uncertain
 from threadline.proof.worst_search import WorstSearch
-from threadline.search.machine_yield import Yield, quantile
+from threadline.search.machine_yield import Yield, criterion_cells, quantile
 from threadline.verdict import CriterionRow, EachRun
 
 JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"

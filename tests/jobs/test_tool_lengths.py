@@ -65,7 +65,7 @@ def test_the_motion_rests_where_a_length_is_taken(tmp_path: Path, told: Machine)
     [
         ("G43 H9\nG0 Z1\nG53 Z0\nM2\n", "a.nc:3: G53 goes to a place of the machine, and how far"),
         ("G53 G0 Z0\nG43 H9\nX1\nM2\n", "G43 H9 begins it between moves of Z"),
-        ("G43 H9\nG0 Z1\nG43 H1\nZ2\nM2\n", "G43 H1 ends the one of line 1"),
+        ("G43 H9\nG0 Z1\nG43 H1\nZ2\nM2\n", "G43 H1 ends the tool length of line 1"),
         ("G43\nG0 Z1\n#1=0\nG53 Z#1\nM2\n", "a.nc:4: G53 goes to a place of the machine"),
     ],
 )

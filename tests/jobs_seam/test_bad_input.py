@@ -139,7 +139,7 @@ BAD_SVG = {
         f'{SVG}{LINE}\n<rect width="3em" height="2" stroke="red"/></svg>',
         "t.svg:2: width is '3em', not a length in known units. Write it in mm",
     ),
-    "blank": (f'{SVG}\n<circle r="3 mm" stroke="red"/></svg>', "t.svg:2: r is '3 mm', not a length"),
+    "blank": (f'{SVG}\n<circle r="3 mm" stroke="red"/></svg>', "r is '3 mm', not a length"),
     "page in em": ('<svg xmlns="http://www.w3.org/2000/svg" width="9em"/>', "t.svg:1: width is"),
     "half a point": (f'{SVG}{LINE}\n<path d="M0 0L 9"/></svg>', "t.svg:2: the data of a path"),
     "latin": (f"{SVG}<desc>\u00e4</desc></svg>".encode("latin-1"), "byte 0xe4 is not UTF-8"),

@@ -9,7 +9,7 @@ import pytest
 from tools import machine_reference as reference
 
 from threadline.dynamics.analysis import unstable_loops
-from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.machine import load_machine
 from threadline.machine.numbers import field_node, plain_node
 from threadline.machine.quantity import Provenance
@@ -76,7 +76,7 @@ def test_the_example_is_a_machine_that_works(small_winder: Path) -> None:
     machine = load_machine(small_winder)
     assert machine.axis_names == ("A", "X")
     assert unstable_loops(machine) == []
-    assert suspicions(machine) == []
+    assert plausibility_warnings(machine) == []
     # Its scales agree: counts per rad of the motor are counts per m times 10 mm.
     counts_per_rad = machine.sensors["x"].reads["x"].si
     assert machine.axes["X"].counts.si * 0.010 == pytest.approx(counts_per_rad, rel=1e-6)

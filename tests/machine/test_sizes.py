@@ -11,7 +11,7 @@ import pytest
 from threadline.dynamics.analysis import analyse_axis
 from threadline.dynamics.linear_model import locked_modes
 from threadline.dynamics.loop import axis_loop
-from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import load_machine
@@ -98,7 +98,7 @@ def test_every_small_number_of_the_stitcher_is_answered_or_refused(tmp_path: Pat
         for size in ("0", "1e-15", "1e15"):
             try:
                 machine = load_machine(overlaid(tmp_path, "stitcher", key, size))
-                found = suspicions(machine)
+                found = plausibility_warnings(machine)
                 analyse_axis(machine, "X")
             except MachineError:
                 continue

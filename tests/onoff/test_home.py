@@ -295,8 +295,8 @@ def test_a_miss_that_two_moves_share_is_told_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, _, err = compiled(CYCLE.read_text(encoding="utf-8"), tmp_path, capsys)
-    assert (code, err.count("is told 202.10 mm instead of 200.00 mm")) == (0, 1)
-    assert "list.toml:50, 89: X is told" in err
+    assert (code, err.count("is commanded to 202.10 mm instead of 200.00 mm")) == (0, 1)
+    assert "list.toml:50, 89: X is commanded to" in err
 
 
 def test_times_of_the_way_home_hold_over_the_tolerances(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from threadline.search.broken_beam import (
     move_sweep,
     train_of,
 )
-from threadline.search.studied import studied
+from threadline.search.report_data import report_data
 from threadline.verdict import load_spec
 
 TRIMMED = "letter-placer+whole-scans+own-damping"
@@ -183,10 +183,10 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     assert sum(not str(line.get_label()).startswith("_") for line in frame.lines) == 2
     lanes = [t.get_text() for t in cycle.axes[-1].get_yticklabels()]
     assert lanes == list(machine.outputs)
-    scheduled = replace(proof.plan.scheduled, warnings=("X is told 50.1 mm instead",))
+    scheduled = replace(proof.plan.scheduled, warnings=("X is commanded to 50.1 mm instead",))
     proof = replace(proof, plan=replace(proof.plan, intent=scheduled))
-    page = write_report(studied(proof), tmp_path / "report").read_text(encoding="utf-8")
-    assert "X is told 50.1 mm instead" in page
+    page = write_report(report_data(proof), tmp_path / "report").read_text(encoding="utf-8")
+    assert "X is commanded to 50.1 mm instead" in page
     assert "IN SPEC" in page
     hertz, ratio = flow_mode(machine, "X")
     assert page.count(f"shaped by zv for {hertz:.4g} Hz, damping ratio {ratio:.4g}") == 2

@@ -15,7 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.onoff.cycles import run
-from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 from threadline.proof.options import Options
@@ -160,9 +160,9 @@ def test_lengths_and_angles_are_not_mixed(tmp_path: Path, old: str, new: str, me
 
 def test_a_torque_that_cannot_bring_the_load_to_speed_is_told(tmp_path: Path) -> None:
     """12 N m accelerate 0.3 kg m^2 by 40 rad/s2; 240 deg/s in 60 ms are 69.8 rad/s2."""
-    assert suspicions(load_machine(EXAMPLES / "swivel.toml")) == []
+    assert plausibility_warnings(load_machine(EXAMPLES / "swivel.toml")) == []
     heavy = changed(tmp_path, ('inertia = "0.012 kg m^2', 'inertia = "0.3 kg m^2'))
-    (told,) = suspicions(load_machine(heavy))
+    (told,) = plausibility_warnings(load_machine(heavy))
     assert "20.94 N m" in told
     assert "12 N m" in told
 

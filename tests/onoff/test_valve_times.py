@@ -27,7 +27,7 @@ from threadline.motion.shaping.onoff.switched import Valves
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
 from threadline.search.cycle_robust import robust_cycle
-from threadline.search.move_commands import left_ringing
+from threadline.search.move_commands import residual_ringing
 from threadline.search.move_list import move_list
 from threadline.search.paced import Question
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
@@ -147,8 +147,10 @@ def test_what_a_command_leaves_is_known_in_closed_form(tmp_path: Path) -> None:
     valves = valves_of(machine.cylinders["X"].forward, 0.01)
     ringing = step_ringing(machine, "X")
     turn = complex(np.exp(ringing.pole * 0.01))
-    left = left_ringing(move.levels.ticks, move.levels.levels, turn, valves)
-    instant = left_ringing(move.levels.ticks, move.levels.levels, turn, Valves(flows=(0.63, 0.37)))
+    left = residual_ringing(move.levels.ticks, move.levels.levels, turn, valves)
+    instant = residual_ringing(
+        move.levels.ticks, move.levels.levels, turn, Valves(flows=(0.63, 0.37))
+    )
     recording = simulate_switching(made.commands, machine, SwitchOptions(after_s=2.0))
     from_s = 0.01 * move.last_tick + machine.cylinders["X"].rest_s(forward=True) + 0.3
     found = ringing_m(recording, "X", from_s, ringing.pole)

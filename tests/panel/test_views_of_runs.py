@@ -14,7 +14,7 @@ from tests.panel.bench import EXAMPLES, PROGRAM
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
 from threadline.files import Channel, ChannelKind
-from threadline.jobs.holes import hole_operations
+from threadline.jobs.needle_holes import hole_operations
 from threadline.live.continuing import operation_at
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.path_window import rests_of

@@ -9,9 +9,9 @@ from threadline.dynamics.margins import (
     DOUBLE,
     SIMPLE,
     not_decaying,
-    off_the_circle,
     size_of,
     swinging,
+    unstable_eigenvalues,
 )
 
 
@@ -63,6 +63,6 @@ def test_the_norm_does_not_depend_on_units() -> None:
 
 
 def test_an_integrator_is_on_the_circle_and_a_slow_growth_is_not() -> None:
-    assert not len(off_the_circle(np.array([[1.0 + 5e-10]])))
-    assert len(off_the_circle(np.array([[1.0 + 1e-8]]))) == 1
+    assert not len(unstable_eigenvalues(np.array([[1.0 + 5e-10]])))
+    assert len(unstable_eigenvalues(np.array([[1.0 + 1e-8]]))) == 1
     assert SIMPLE < DOUBLE

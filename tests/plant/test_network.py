@@ -11,7 +11,7 @@ import pytest
 from threadline.dynamics.groups import connected_groups
 from threadline.dynamics.linear_model import linear_model
 from threadline.dynamics.network import piecewise_linear
-from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
 from threadline.files import Stream, TickBlock, TickTable
@@ -240,4 +240,7 @@ voltage_limit = "9 V exact, assumed"
             for mode, like in zip(one.modes, other.modes, strict=True):
                 np.testing.assert_array_equal(mode.law, like.law)
     said = "1.3 ms for each ampere at 9 V, is not simulated"
-    assert [any(said in one for one in suspicions(machine)) for machine in made] == [True, False]
+    assert [any(said in one for one in plausibility_warnings(machine)) for machine in made] == [
+        True,
+        False,
+    ]

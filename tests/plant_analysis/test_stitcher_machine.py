@@ -9,7 +9,7 @@ import pytest
 
 from threadline.dynamics.eccentric import current_needed, rigid_motion
 from threadline.dynamics.linear_model import linear_model
-from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 from threadline.machine.load import library_file
@@ -79,7 +79,7 @@ def test_the_stiff_flexible_machine_tends_to_the_rigid_one():
 
 def test_suspicions_name_the_matter():
     """18.9 and 22.9 of 27 A at 7.5 in/s; Kt = 0.5, Kv = 60 V/krpm = 0.573."""
-    found = suspicions(load_machine("stitcher"))
+    found = plausibility_warnings(load_machine("stitcher"))
     assert any("x_motor" not in t and "18.9 A of the 27 A of drives.x" in t for t in found)
     assert any("22.9 A of the 27 A of drives.y" in t for t in found)
     assert sum("disagree by 15 %" in t for t in found) == 2
@@ -90,7 +90,7 @@ def test_suspicions_name_the_matter():
 
 def test_the_ceiling_of_a_drive_is_named_beside_the_limit_of_its_axis(tmp_path) -> None:
     """By hand: 10 V times 0.45 over 8.6 V/krpm, through the counts of the axes; no friction."""
-    found = suspicions(load_machine("lathe-winder"))
+    found = plausibility_warnings(load_machine("lathe-winder"))
     motor_rad_s = 10.0 * 0.45 / (8.6 * 60.0 / (2.0 * np.pi * 1000.0))
     turn = motor_rad_s / (2.0 * np.pi) * 4000.0  # counts per second
     expected = {
@@ -108,14 +108,14 @@ def test_the_ceiling_of_a_drive_is_named_beside_the_limit_of_its_axis(tmp_path) 
     within = {"A": "900 deg/s", "X": "0.6 m/s", "Y": "0.55 m/s"}
     lines = [f'[axes.{k}]\nvelocity = "{v} exact, assumed"' for k, v in within.items()]
     slower.write_text('base = "lathe-winder"\nname = "slower"\n' + "\n".join(lines))
-    assert suspicions(load_machine(str(slower))) == []
+    assert plausibility_warnings(load_machine(str(slower))) == []
 
 
 def test_the_acceleration_of_a_drive_is_what_its_current_leaves() -> None:
     """The stitcher's X by hand: (J + M r^2) a / r = Kt 27 A, its friction at rest being nothing."""
     torque = 0.5 * 27.0
     reached = torque * RATIO / (4.75e-4 + 111 * RATIO**2)
-    (said,) = [t for t in suspicions(load_machine("stitcher")) if "acceleration is" in t]
+    (said,) = [t for t in plausibility_warnings(load_machine("stitcher")) if "acceleration is" in t]
     assert (
         f"27.74 m/s^2 in the machine file, but drives.x reaches at most {reached:.4g} m/s^2" in said
     )
@@ -183,8 +183,10 @@ def test_counts_that_the_encoder_does_not_give_are_named(tmp_path, change, said)
     """By hand: 8000 counts a turn, 29 mm behind 6:1."""
     file = tmp_path / "mine.toml"
     file.write_text(f'base = "stitcher"\n{change}\n')
-    before = suspicions(load_machine("stitcher"))
-    (found,) = [text for text in suspicions(load_machine(str(file))) if "counts is" in text]
+    before = plausibility_warnings(load_machine("stitcher"))
+    (found,) = [
+        text for text in plausibility_warnings(load_machine(str(file))) if "counts is" in text
+    ]
     assert said in found
     assert not any("counts is" in text for text in before)
 
@@ -198,7 +200,9 @@ def test_a_motor_without_back_emf_is_suspicious(tmp_path) -> None:
     )
     file = tmp_path / "no-back-emf.toml"
     file.write_text(text)
-    found = suspicions(load_machine(str(file)))
+    found = plausibility_warnings(load_machine(str(file)))
     assert len(found) == 3
     assert all("back_emf 0 V s/rad" in text and "100 %" in text for text in found)
-    assert not any("back_emf" in text for text in suspicions(load_machine(f"{file}+current")))
+    assert not any(
+        "back_emf" in text for text in plausibility_warnings(load_machine(f"{file}+current"))
+    )

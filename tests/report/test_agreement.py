@@ -19,7 +19,7 @@ from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, Trials, prove
 from threadline.report.proof import write_report
-from threadline.search.studied import studied
+from threadline.search.report_data import report_data
 from threadline.units import parse_quantity
 from threadline.verdict import load_spec, verdict_json
 
@@ -125,7 +125,7 @@ def test_json_terminal_screen_and_paper_tell_the_same(
     blank_pictures(monkeypatch)
     proof = make(tmp_path)
     told = verdict_json(proof.verdict, proof.plan)
-    page = write_report(studied(proof), tmp_path / "report").read_text(encoding="utf-8")
+    page = write_report(report_data(proof), tmp_path / "report").read_text(encoding="utf-8")
     show_proof(proof)
     terminal = capsys.readouterr().out
     paper = [re.sub(r"\s+", " ", text) for text in texts_of(tmp_path / "report" / "report.pdf")]
@@ -172,7 +172,7 @@ def test_json_terminal_screen_and_paper_tell_the_same(
 
 def test_bars_are_of_axes_that_move(tmp_path: Path) -> None:
     """Of a program of X alone; A and Y have results all the same."""
-    page = write_report(studied(winder(tmp_path)), tmp_path / "report")
+    page = write_report(report_data(winder(tmp_path)), tmp_path / "report")
     assert not re.search(r'<figure id="profile-[AY]"', page.read_text(encoding="utf-8"))
     pdf = PdfReader(tmp_path / "report" / "report.pdf")
     text = "\n".join(each.extract_text() for each in pdf.pages)

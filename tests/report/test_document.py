@@ -12,7 +12,7 @@ from matplotlib import image as plt_image
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from threadline.cli.found import show_mismatch
+from threadline.cli.search_text import show_mismatch
 from threadline.dynamics.analysis import analyse_axis
 from threadline.files import Recording
 from threadline.jobs import read_job
@@ -29,7 +29,7 @@ from threadline.report.searches import draw_mismatch
 from threadline.report.style import AXES, LIMIT, figure_style, headed
 from threadline.report.traces import collect
 from threadline.search import Mismatch, compare
-from threadline.search.forbidden import Interval
+from threadline.search.feed_ranges import Interval
 from threadline.search.mismatch import CYCLE, NEEDLE
 from threadline.verdict import Status, Verdict, load_spec
 from threadline.verdict.rendering import closing_of_all

@@ -15,7 +15,7 @@ from threadline.report import seam
 from threadline.report.proof import write_report
 from threadline.report.seam import seam_figure
 from threadline.report.style import figure_style
-from threadline.search.studied import studied
+from threadline.search.report_data import report_data
 from threadline.verdict import load_spec, sewn_stitches
 
 SEAM = """
@@ -92,7 +92,7 @@ def test_the_worst_stitch_is_that_of_the_verdict(proof: Proof) -> None:
 
 @pytest.mark.long(shown_by="test_the_worst_stitch_is_that_of_the_verdict")
 def test_the_report_has_the_picture(proof: Proof, tmp_path: Path) -> None:
-    page = write_report(studied(proof), tmp_path / "report")
+    page = write_report(report_data(proof), tmp_path / "report")
     assert (tmp_path / "report" / "report-seam.png").stat().st_size > 10_000
     assert "needle-down" in page.read_text(encoding="utf-8")
     assert mpl.get_backend().lower() == "agg"

@@ -12,11 +12,11 @@ import pytest
 from threadline.commands.plan import Plan
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.proof.asked import Words
 from threadline.proof.option_form import Door
 from threadline.proof.option_words import share_words
 from threadline.proof.options import Options, describe, options_from, options_of
 from threadline.proof.pipeline import NOMINAL, open_job
+from threadline.proof.request import Words
 from threadline.search import chosen_plans
 from threadline.search.by_pace import answered
 from threadline.search.choices import (
@@ -30,10 +30,10 @@ from threadline.search.choices import (
     narrowed,
     places_of,
 )
+from threadline.search.deadline import Deadline
 from threadline.search.least_times import least_on_any_path, shortened_way
 from threadline.search.paced import Question
 from threadline.search.question import question_of
-from threadline.search.until import Until
 from threadline.verdict import Result, Status, Verdict, load_spec
 from threadline.verdict.contour import POINT_MISSED
 
@@ -254,13 +254,13 @@ def test_a_search_ends_in_a_reasonable_time_and_says_what_it_left(
         Words.of("fastest", Door.PYTHON, words), EXAMPLES / "x-180.prg", "lathe-winder"
     )
     shares: list[float] = []
-    until = Until()
+    until = Deadline()
     found = answered(replace(asked, until=until, progress=lambda _, share: shares.append(share)))
     assert found.duration_s is not None
     assert found.of.left == 3
     assert until.ended == "after 1e-06 min of processor time"
     assert shares == sorted(shares)
 
-    whole = answered(replace(asked, until=Until.within(600.0)))
+    whole = answered(replace(asked, until=Deadline.within(600.0)))
     assert whole.of.left == 0
     assert len(whole.of.rungs) > len(found.of.rungs)

@@ -18,8 +18,7 @@ from tests.search.dying import Deadly
 from tests.search.fleet import Fleet
 
 from threadline.base import cluster as of_cluster
-from threadline.base.cluster import Cluster
-from threadline.base.cluster_address import parse_cluster
+from threadline.base.cluster import Cluster, parse_cluster
 from threadline.cli.main import main
 from threadline.errors import LinkFaultError, OptionError
 from threadline.machine import load_machine

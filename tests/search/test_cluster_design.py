@@ -16,9 +16,9 @@ from threadline.machine import load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials
 from threadline.search import design
-from threadline.search.design_alone import JobReader
 from threadline.search.design_evaluate import Effort, Evaluator, Tried
 from threadline.search.design_judge import OtherRuns
+from threadline.search.design_single_proofs import JobReader
 from threadline.search.design_space import design_space
 from threadline.verdict import load_spec
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.cli.found import alone_words, forbidden_words
+from threadline.cli.search_text import alone_words, forbidden_words
 from threadline.machine import load_machine
 from threadline.search import feed_range_m_s, find_fastest
 from threadline.search.fastest import Grid
-from threadline.search.forbidden import joined
+from threadline.search.feed_ranges import joined
 from threadline.verdict import Result, Status, Verdict
 
 

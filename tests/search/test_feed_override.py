@@ -22,11 +22,11 @@ from threadline.errors import OptionError, PlanError
 from threadline.jobs import Job, read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine, load_machine
-from threadline.proof.asked import Words
 from threadline.proof.option_form import Door
 from threadline.proof.option_words import feed_words, parse_feed
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, plan_job, write
+from threadline.proof.request import Words
 from threadline.search.feed import search_range, searched_by
 from threadline.search.least_limits import fastest_job
 from threadline.search.paced import Question

@@ -21,7 +21,7 @@ from threadline.search import least_limits as gentle
 from threadline.search.allowance import Rung
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
-from threadline.search.forbidden import Interval
+from threadline.search.feed_ranges import Interval
 from threadline.search.paced import Question
 from threadline.verdict import Verdict, load_spec
 

@@ -19,10 +19,10 @@ from threadline.files.formats import read_table
 from threadline.files.formats.tick_table import write_table_csv, write_table_npz
 from threadline.machine import load_machine
 from threadline.machine.vary import corners, off_tolerance
-from threadline.proof.asked import Words
 from threadline.proof.option_form import Door
 from threadline.proof.options import describe, options_from, options_of
 from threadline.proof.pipeline import open_job, plan_job
+from threadline.proof.request import Words
 from threadline.search.learn import Learner, learn
 from threadline.search.learned_job import LearnedJob, learned_from, typed_options
 from threadline.search.question import question_of

@@ -16,8 +16,8 @@ from tests.jobs.made_machines import made_machine
 from tests.search.test_fastest import verdict
 from tools import long_winding
 
-from threadline.cli.found import settings_words
 from threadline.cli.main import main
+from threadline.cli.search_text import settings_words
 from threadline.commands.plan import Plan
 from threadline.jobs import Job, own_product, read_job
 from threadline.jobs.operations import Feed, FeedMode, Move
@@ -29,11 +29,11 @@ from threadline.proof.pipeline import open_job, plan_job, try_plan, with_product
 from threadline.search import fastest_job, least_limits
 from threadline.search import paced as search_paced
 from threadline.search.allowance import FastestJob, Rung
-from threadline.search.distinct import distinct_parts, moves_in
+from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline
 from threadline.search.fastest import Fastest, Grid, Interval, find_fastest
 from threadline.search.feed import fastest_feed
 from threadline.search.paced import Question
-from threadline.search.until import INTERRUPTED, OUT_OF_TIME, Until
+from threadline.search.shortened_jobs import distinct_parts, moves_in
 from threadline.verdict import Verdict, load_spec
 from threadline.winding.product import product_of_text
 
@@ -254,7 +254,7 @@ def test_the_answer_is_of_the_whole_job(tmp_path: Path, machine: Machine) -> Non
 
 
 def test_time_that_is_over_gives_the_best_so_far() -> None:
-    until = Until()
+    until = Deadline()
 
     def judged(feed: float) -> Verdict:
         if feed < 0.5:
@@ -278,7 +278,7 @@ def test_an_interrupt_gives_the_best_so_far_and_another_signal_does_not() -> Non
                 raise raised
             return verdict_at(feed)
 
-        until = Until()
+        until = Deadline()
         if answers:
             found = find_fastest(judged, 0.1, 10.0, Grid(points=9), until=until)
             assert not found.complete and found.best is not None and found.best > 0.5
@@ -288,7 +288,7 @@ def test_an_interrupt_gives_the_best_so_far_and_another_signal_does_not() -> Non
                 find_fastest(judged, 0.1, 10.0, Grid(points=9), until=until)
     with pytest.raises(KeyboardInterrupt):
         find_fastest(
-            lambda feed: (_ for _ in ()).throw(KeyboardInterrupt()), 0.1, 1.0, until=Until()
+            lambda feed: (_ for _ in ()).throw(KeyboardInterrupt()), 0.1, 1.0, until=Deadline()
         )
 
 

@@ -17,8 +17,8 @@ from threadline.machine.radii import with_radii
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, try_plan
 from threadline.search import fastest_job
-from threadline.search.distinct import LongMoves
 from threadline.search.paced import Question
+from threadline.search.shortened_jobs import LongMoves
 from threadline.verdict import load_spec
 
 FEED = Feed(FeedMode.FASTEST_AXIS, 0.15)

@@ -210,7 +210,7 @@ def test_its_report_is_that_of_the_cycle_that_was_found(
     with pytest.raises(SystemExit) as ended:
         main(["prove", str(file), "-m", "letter-placer", "-s", str(spec)])
     assert ended.value.code == 0
-    assert "is told" not in capsys.readouterr().err
+    assert "is commanded to" not in capsys.readouterr().err
 
 
 @pytest.mark.long(shown_by=OF_A_BAND)

@@ -11,16 +11,16 @@ from tests.search.test_fastest import verdict
 from tests.search.test_long_jobs import winding_blocks, written
 
 from threadline.base.progress import Progress
-from threadline.cli.found import resolution_words, settings_words
+from threadline.cli.search_text import resolution_words, settings_words
 from threadline.errors import LimitError
 from threadline.machine import Machine
 from threadline.proof.options import Options
 from threadline.search import fastest_job
 from threadline.search import least_limits as gentle
+from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline, HaltError
 from threadline.search.fastest import RANGE, Fastest, Grid, Interval, find_fastest
 from threadline.search.least_limits import Shares
 from threadline.search.paced import Question
-from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until
 from threadline.verdict import Result, Status, Verdict, load_spec
 
 SPEC = 'name = "any"\n[[criteria]]\nname = "contour_error"\nlimit = "1 mm"\nrequired = true\n'
@@ -35,7 +35,7 @@ def shares_of(
     durations: dict[float, float],
     at_top: dict[float, float],
     told: list[float] | None = None,
-    until: Until | None = None,
+    until: Deadline | None = None,
 ) -> tuple[Shares, list[float]]:
     """Shares of a search that finds these durations, and the shares that it searches."""
     searched: list[float] = []
@@ -101,7 +101,7 @@ def test_how_far_it_is_only_grows_and_stays_below_all() -> None:
 
 
 def test_an_interrupt_while_the_best_is_planned_leaves_it() -> None:
-    until = Until()
+    until = Deadline()
     shares, _ = shares_of({1.0: 1000.0}, {}, until=until)
     planned: list[float] = []
 
@@ -128,7 +128,7 @@ def test_a_finer_search_that_is_ended_keeps_what_was_known() -> None:
     seen: dict[float, Verdict] = {}
     coarse = find_fastest(judged, 0.1, 10.0, Grid(points=9), seen=seen)
     before = len(asked)
-    until = Until()
+    until = Deadline()
     until.ended = OUT_OF_TIME
     ended = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4), until=until, seen=seen)
     assert len(asked) == before and not ended.complete and ended.best == coarse.best
@@ -175,7 +175,7 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
             options=Options(),
             low=0.019,
             high=0.02,
-            until=Until(),
+            until=Deadline(),
         )
     )
     assert result.best.share == 1.0 and result.best.duration_s > 300.0

@@ -13,7 +13,7 @@ from threadline.commands.schedule_moves import AT_ONCE
 from threadline.motion.shaping.onoff.flow_levels import FlowMove
 from threadline.motion.shaping.onoff.flow_search import shortest_flow_command
 from threadline.motion.shaping.onoff.switched import Valves
-from threadline.search.move_commands import gapped, left_ringing, stepped, time_optimal_s
+from threadline.search.move_commands import gapped, residual_ringing, stepped, time_optimal_s
 
 SCAN_S = 0.01
 POLE = -0.15 + 18.3j
@@ -53,7 +53,7 @@ def integrated(ticks: tuple[int, ...], levels: tuple[float, ...]) -> float:
 def test_closed_form_is_what_an_integrator_finds(
     ticks: tuple[int, ...], levels: tuple[float, ...]
 ) -> None:
-    assert abs(left_ringing(ticks, levels, TURN, AT_ONCE)) == pytest.approx(
+    assert abs(residual_ringing(ticks, levels, TURN, AT_ONCE)) == pytest.approx(
         integrated(ticks, levels), abs=1e-8
     )
 
@@ -70,7 +70,7 @@ def test_candidates_cover_the_distance_and_keep_the_dwell() -> None:
         assert float(spans @ command.levels[:-1]) == pytest.approx(47.0, abs=1e-9)
         assert abs(command.left) <= 0.1
         assert command.left == pytest.approx(
-            left_ringing(command.ticks, command.levels, TURN, AT_ONCE), abs=1e-12
+            residual_ringing(command.ticks, command.levels, TURN, AT_ONCE), abs=1e-12
         )
 
 

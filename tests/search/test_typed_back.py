@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.cli.found import typed
 from threadline.cli.main import main
+from threadline.cli.search_text import typed
 from threadline.jobs import read_job
 from threadline.jobs.operations import FeedMode
 from threadline.machine import Machine, load_machine
@@ -213,7 +213,7 @@ def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
         job=job, machine=machine, spec=spec, options=options, low=0.020, high=0.045,
         by=FeedMode.FASTEST_AXIS,
     )  # fmt: skip
-    cells = mismatch.off_tolerances(asked, lambda one: speeds(fastest_feed(one, COARSE)))
+    cells = mismatch.at_tolerance_ends(asked, lambda one: speeds(fastest_feed(one, COARSE)))
     assert len(cells) == 4 and all(cell.intervals for cell in cells)
     for cell in cells:
         actual = off_tolerance(machine, mass=cell.mass, stiffness=cell.stiffness)

@@ -20,9 +20,9 @@ from threadline.machine import load_machine
 from threadline.machine.variants import drawn, uncertain, variant
 from threadline.machine.vary import REPEAT_SEED
 from threadline.proof import pipeline
-from threadline.proof.asked import trials_of
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, prove_plan, yielding
+from threadline.proof.request import trials_of
 from threadline.search.design import Wanted, design
 from threadline.search.design_evaluate import Evaluator, Tried
 from threadline.search.design_proof import ProvedDesign

@@ -23,18 +23,18 @@ from threadline.search import cycle_robust
 from threadline.search import shaft as shaft_search
 from threadline.search.cycle import fastest_cycle
 from threadline.search.cycle_robust import robust_cycle
+from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline, HaltError, until_deadline
 from threadline.search.fastest import Grid, find_fastest
 from threadline.search.feed import fastest_needle
 from threadline.search.least_limits import fastest_job
 from threadline.search.paced import Question
 from threadline.search.shaft import fastest_shaft
-from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until, as_far_as
 from threadline.verdict import Criterion, Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-class After(Until):
+class After(Deadline):
     """The time is over when so many plans were asked for, or somebody interrupts then."""
 
     def __init__(self, plans: int, *, interrupts: bool = False) -> None:
@@ -49,7 +49,7 @@ class After(Until):
         return bool(self.ended)
 
 
-def needle(until: Until) -> tuple[float | None, int]:
+def needle(until: Deadline) -> tuple[float | None, int]:
     machine = load_machine("stitcher-rigid")
     spec = load_spec(None, machine)
     seam = EXAMPLES / "strap.seam.toml"
@@ -67,7 +67,7 @@ def needle(until: Until) -> tuple[float | None, int]:
     return found.best, found.tried
 
 
-def shaft(until: Until) -> tuple[float | None, int]:
+def shaft(until: Deadline) -> tuple[float | None, int]:
     machine = load_machine("table-embroiderer")
     job = open_job(EXAMPLES / "rosette.dst", machine, Options())
     found = fastest_shaft(
@@ -79,7 +79,7 @@ def shaft(until: Until) -> tuple[float | None, int]:
     return found.constant.best, found.constant.tried
 
 
-def optimal(until: Until) -> tuple[float | None, int]:
+def optimal(until: Deadline) -> tuple[float | None, int]:
     machine = load_machine("lathe-winder")
     options = Options(interpolation=OPTIMAL)
     job = open_job(EXAMPLES / "x-180.prg", machine, options)
@@ -92,7 +92,7 @@ def optimal(until: Until) -> tuple[float | None, int]:
     return found.best.found.best, len(found.rungs)
 
 
-SEARCHES: dict[str, Callable[[Until], tuple[float | None, int]]] = {
+SEARCHES: dict[str, Callable[[Deadline], tuple[float | None, int]]] = {
     "needle": needle,
     "shaft": shaft,
     "optimal": optimal,
@@ -111,7 +111,7 @@ def test_a_search_that_is_ended_answers_with_what_it_tried(name: str, interrupts
 
 def test_a_plan_that_outlasts_the_time_is_broken_off() -> None:
     """The second plan goes on for as long as a day; what was tried before is the answer."""
-    until = Until.within(1000.0)
+    until = Deadline.within(1000.0)
     slow: list[float] = []
 
     def judged(feed: float) -> Verdict:
@@ -129,11 +129,11 @@ def test_a_plan_that_outlasts_the_time_is_broken_off() -> None:
 
 
 def test_an_end_that_passed_breaks_off_at_once() -> None:
-    until = Until.within(1e-6)
+    until = Deadline.within(1e-6)
     with pytest.raises(HaltError), until.interrupting():
         time.sleep(86_400.0)
     assert until.ended == OUT_OF_TIME
-    with as_far_as(until, lambda: True), pytest.raises(HaltError):
+    with until_deadline(until, lambda: True), pytest.raises(HaltError):
         until.check()
 
 
@@ -142,8 +142,8 @@ def test_a_signal_during_machine_code_ends_a_search_as_any_other(
     signal_raises: type[BaseException],
 ) -> None:
     """Compiled code that hands over its arguments fails with errors of its own around it."""
-    until = Until.within(1000.0)
-    with as_far_as(until, lambda: True):
+    until = Deadline.within(1000.0)
+    with until_deadline(until, lambda: True):
         try:
             try:
                 raise signal_raises
@@ -152,7 +152,7 @@ def test_a_signal_during_machine_code_ends_a_search_as_any_other(
         except SystemError as error:
             raise SystemError("a kernel returned a result with an exception set") from error
     assert (until.ended == INTERRUPTED) is (signal_raises is KeyboardInterrupt)
-    with pytest.raises(SystemError, match="alone"), as_far_as(until, lambda: True):
+    with pytest.raises(SystemError, match="alone"), until_deadline(until, lambda: True):
         raise SystemError("alone")
 
 
@@ -161,7 +161,7 @@ def test_outside_the_main_thread_a_search_goes_on() -> None:
     done = []
 
     def search() -> None:
-        with Until.within(1e-6).interrupting():
+        with Deadline.within(1e-6).interrupting():
             done.append(True)
 
     thread = threading.Thread(target=search)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tools.second_stitches import frames, fresh_swings, total_s
 
-from threadline.commands.stitch_priced import Asked, priced_turns
+from threadline.commands.stitch_priced import PricedRequest, priced_turns
 from threadline.commands.stitch_shorten import shortened
 from threadline.commands.stitch_swings import Limits, Swung
 from threadline.machine import load_machine
@@ -17,7 +17,7 @@ from threadline.machine import load_machine
 MACHINE = load_machine("schiffli-frame")
 SHARE, PARTS, DAMPINGS = 1.0 / 3.0, 5, (0.7, 1.0, 1.3)
 PRICE_S, MOST = 20.0, 1.0
-ALONE = Asked(tolerance_m=1e-4, price_s=PRICE_S, most=MOST, width=10_000, cells=1e6)
+ALONE = PricedRequest(tolerance_m=1e-4, price_s=PRICE_S, most=MOST, width=10_000, cells=1e6)
 CHANGE = 4.0 / 3.0 * 3.0 / (2.0 * np.pi)  # of the square of the speed, by the spindle, 1/s^2
 FIRST_S, STEP = 0.4, 1e-3  # table of swings: its turn times
 CHOICE_S = [FIRST_S * np.exp(STEP * np.arange(5, 200, 60)) for _ in range(6)]
@@ -114,7 +114,7 @@ def test_a_stretch_goes_on_from_the_swing_and_speed_before_it_and_into_turns_tha
 
 
 def test_what_is_refused_everywhere_is_not_found() -> None:
-    strict = Asked(tolerance_m=1e-7, price_s=PRICE_S, most=MOST, width=10, cells=3.0)
+    strict = PricedRequest(tolerance_m=1e-7, price_s=PRICE_S, most=MOST, width=10, cells=3.0)
     assert priced_turns(CHOICE_S[:5], 0, np.ones(5), (limits(5), swung()), strict) is None
 
 

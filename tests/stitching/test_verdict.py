@@ -20,7 +20,7 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, plan_job, prove
 from threadline.report.proof import write_report
 from threadline.report.stitched import design_figure
-from threadline.search.studied import studied
+from threadline.search.report_data import report_data
 from threadline.verdict import Status, judge, load_spec
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -122,7 +122,7 @@ def test_the_picture_draws_the_way_of_every_stitch() -> None:
 
 def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:
     """The table beside a report: its worst rows are the verdict's, and its places the design's."""
-    write_report(studied(proof()), tmp_path)
+    write_report(report_data(proof()), tmp_path)
     with (tmp_path / "report-stitches.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     verdict, turns = proof().verdict, proof().plan.stitched.turns

@@ -10,8 +10,8 @@ import pytest
 from threadline.commands.plan import Plan
 from threadline.files import Recording, TickTable
 from threadline.machine import Machine, load_machine
-from threadline.proof.asked import options_of
 from threadline.proof.pipeline import open_job, plan_job
+from threadline.proof.request import options_of
 from threadline.twin import simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

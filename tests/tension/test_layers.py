@@ -18,8 +18,8 @@ from threadline.jobs import read_job
 from threadline.jobs.tensions import tensions_of
 from threadline.live import links
 from threadline.machine import Machine, load_machine
-from threadline.proof.asked import options_of
 from threadline.proof.pipeline import open_job, plan_job, with_product
+from threadline.proof.request import options_of
 from threadline.twin import simulate
 from threadline.verdict import Spec, judge
 from threadline.verdict.types import Criterion, Result, Status

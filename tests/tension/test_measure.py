@@ -15,8 +15,8 @@ from threadline.files import ChannelKind, Recording, RecordingBlock
 from threadline.files.formats.common import parse_column
 from threadline.machine import load_machine
 from threadline.machine.variants import uncertain
-from threadline.proof.asked import options_of
 from threadline.proof.pipeline import Trials, prove_plan, with_product
+from threadline.proof.request import options_of
 from threadline.report.figures import tension_figure
 from threadline.verdict import Spec, judge, load_spec
 from threadline.verdict.types import Result, Status

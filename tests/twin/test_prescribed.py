@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from threadline.cli.main import main
 from threadline.dynamics.analysis import unstable_loops
 from threadline.dynamics.loop import axis_loop
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.dynamics.prescribed import Prescribed, prescribed, resonance_hz
-from threadline.dynamics.suspicions import suspicions
 from threadline.dynamics.without_loop import analyse_moving
 from threadline.errors import MachineError, OptionError
 from threadline.files import RunEnd, Stream, TickBlock, TickTable
@@ -264,7 +264,7 @@ def test_a_motion_that_loses_steps_is_out_of_spec(tmp_path: Path) -> None:
         assert proof.verdict.passed == (status is Status.PASSED)
     assert result.measured is not None and result.measured > 1.0
     assert result.job_line in {3, 4} and result.time_s is not None
-    assert any("drives.x needs" in s and "has 0.08" in s for s in suspicions(weak))
+    assert any("drives.x needs" in s and "has 0.08" in s for s in plausibility_warnings(weak))
 
 
 def test_what_has_no_loop_is_not_refused_for_one(machine: Machine) -> None:

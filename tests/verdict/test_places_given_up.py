@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from threadline.files import ChannelKind, Recording, Stream
-from threadline.verdict import Criterion, Judge, advance, judge
+from threadline.verdict import Criterion, Judge, judge, progress_error
 
 from .builders import TICK_S, follow, plan_through, record, spec_of
 
@@ -50,13 +50,13 @@ def late(by: int) -> np.ndarray:
 def again(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Note each second reading."""
     seen: list[int] = []
-    read = advance._Progress._again
+    read = progress_error._Progress._again
 
     def counted(self):
         seen.append(1)
         return read(self)
 
-    monkeypatch.setattr(advance._Progress, "_again", counted)
+    monkeypatch.setattr(progress_error._Progress, "_again", counted)
     return seen
 
 

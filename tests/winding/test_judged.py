@@ -18,7 +18,6 @@ from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
-from threadline.proof.asked import Words
 from threadline.proof.option_form import Door
 from threadline.proof.options import describe, options_from, options_of
 from threadline.proof.pipeline import (
@@ -29,11 +28,12 @@ from threadline.proof.pipeline import (
     with_product,
     with_shaping,
 )
+from threadline.proof.request import Words
 from threadline.report.proof import write_report
 from threadline.report.solid import wound_glb
 from threadline.search.compare import compare, placement_spec
 from threadline.search.question import question_of
-from threadline.search.studied import Studied
+from threadline.search.report_data import ReportData
 from threadline.verdict import Spec, load_spec
 from threadline.verdict.fibre import (
     MEASURED,
@@ -209,7 +209,7 @@ def test_a_run_is_judged_like_its_plan(
     assert results["free_length"].measured == pytest.approx(programs.FREE_M, rel=0.03)
     assert not proof.verdict.passed  # one circuit leaves gaps
     monkeypatch.setattr("threadline.report.traces.MAX_SAMPLES", 5000)
-    page = write_report(Studied(proof=proof), tmp_path / "report")
+    page = write_report(ReportData(proof=proof), tmp_path / "report")
     names = {file.name for file in page.parent.iterdir()}
     assert {"report-winding-map.svg", "report-winding-along.svg", "report-winding-map.glb"} <= names
     # The page names the product and does not quote it.

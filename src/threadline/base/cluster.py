@@ -18,6 +18,7 @@ was quick.
 from __future__ import annotations
 
 import hashlib
+import ipaddress
 import logging
 import pickle
 import time
@@ -29,7 +30,6 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import Any, TypeVar
 
-from threadline.base.cluster_address import parse_cluster
 from threadline.base.cluster_worker import (
     KEPT,
     Answer,
@@ -54,8 +54,47 @@ TASK_S = 1.0
 """Time that the items of a task take a worker, about."""
 _AHEAD = 4  # tasks on their way for each core
 _LEAST_AHEAD = 16
-_LAST = 3  # tasks for each core that are made of what is left
+_LAST = 3  # tasks for each core that the last items are divided into
 _RESUME = "What was finished is in the file of --resume, if there is one: repeat the command."
+
+
+def parse_cluster(text: str) -> str:
+    """Return the address of a scheduler: on this computer, or by TLS.
+
+    >>> parse_cluster("localhost:8786"), parse_cluster("tls://lab.example:8786")
+    ('tcp://localhost:8786', 'tls://lab.example:8786')
+
+    Raises
+    ------
+    OptionError
+        If it is no address, or an address of another computer without TLS.
+    """
+    way, _, rest = text.strip().rpartition("://")
+    way = way or "tcp"
+    host, _, port = rest.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    number = int(port[:9]) if port.isascii() and port.isdigit() else 0
+    if way not in {"tcp", "tls"} or not host or not 1 <= number <= 65535:
+        raise OptionError(
+            f"--cluster {text[:80]!r} is no address of a scheduler",
+            remedy='Write it like "localhost:8786", or "tls://HOST:8786" for another computer.',
+        )
+    if way == "tcp" and not _on_this_computer(host):
+        raise OptionError(
+            f"--cluster {text[:80]!r} is another computer, without encryption: a scheduler runs "
+            "whatever it is sent",
+            remedy=f'Start the scheduler with TLS, and write "tls://{rest}".',
+        )
+    return f"{way}://{rest}"
+
+
+def _on_this_computer(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def items_at_once(item_s: float, left: int, cores: int) -> int:
@@ -161,7 +200,7 @@ class Cluster:
                 future.release()
                 self._check_bits(found, digest)
                 before_s = self._item_s.get(digest, found.item_s)
-                # The first one loads machine code, too: what counts are those that follow.
+                # The first task loads machine code, too: only later tasks are measured.
                 self._item_s[digest] = 0.5 * (before_s + found.item_s)
                 for item, answer in zip(task, found.answers, strict=True):
                     if done is not None:

@@ -31,7 +31,7 @@ class Work(Protocol[T_contra, R_co]):
     """
 
     def answer(self, item: T_contra, done: Done | None = None, /) -> R_co:
-        """Return the answer to one item; ``done`` is told about machines of this item alone."""
+        """Return the answer to one item; ``done`` counts the machines of this item alone."""
         ...
 
     def machines(self, item: T_contra, /) -> int:
@@ -57,7 +57,7 @@ class Workers(Protocol):
 
 
 _WORKERS: ContextVar[Workers | None] = ContextVar("workers", default=None)
-_AHEAD = 2  # items for each thread that are taken before the first answer is asked for
+_AHEAD = 2  # items for each thread that are taken before the first answer is read
 
 
 def workers() -> Workers | None:
@@ -67,7 +67,7 @@ def workers() -> Workers | None:
 
 @contextmanager
 def working_on(chosen: Workers) -> Iterator[None]:
-    """Let all batches that are asked for inside be answered by ``chosen``."""
+    """Let ``chosen`` answer all batches that are started inside."""
     before = _WORKERS.set(chosen)
     try:
         yield
@@ -126,7 +126,7 @@ def _in_threads(
     waiting: deque[Future[R]] = deque()
     try:
         for item in items:
-            # A thread of a pool has no context of its own: progress is told to the command
+            # A thread of a pool has no context of its own: progress is reported to the command
             # that asked.
             waiting.append(pool.submit(copy_context().run, work.answer, item, told))
             if len(waiting) >= _AHEAD * threads:

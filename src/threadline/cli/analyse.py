@@ -13,7 +13,7 @@ from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, say
 from threadline.dynamics.lead import LeadDesign, design_lead
 from threadline.dynamics.loop import axis_loop
-from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.dynamics.without_loop import Analysis, analyse_moving
 from threadline.errors import OptionError
 from threadline.identify.read_response import read_response
@@ -90,7 +90,7 @@ def analyse(
         if measured is None
         else {name: measured.against(axis_loop(chosen, name)) for name in names}
     )
-    warnings = suspicions(chosen)
+    warnings = plausibility_warnings(chosen)
     tried = {name: run_experiments(chosen, name) for name in names} if experiments else {}
     written = (
         None

@@ -11,10 +11,10 @@ from threadline.base.writing import together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, MachineOption, keep_inputs
 from threadline.cli.output import check_outputs, progress_bar, say, tell
-from threadline.proof.asked import Words
 from threadline.proof.pipeline import NOMINAL, with_shaping
 from threadline.proof.pipeline import prove as prove_job
 from threadline.proof.recorded import warnings_of
+from threadline.proof.request import Words
 from threadline.report.animation import needs_of, write_animation
 from threadline.verdict import closing
 

@@ -11,16 +11,16 @@ import typer
 from threadline.base.option_defaults import AUTO, DEFAULT_INTERPOLATION, UNSHAPED_WORD
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, ReportOption
-from threadline.cli.found import AXES_ALONE, command_line, limit_words
 from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say, warn
+from threadline.cli.search_text import AXES_ALONE, command_line, limit_words
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode
 from threadline.motion.path.interpolations import FIRMWARE
-from threadline.proof.asked import Words, with_radii_of
 from threadline.proof.kinds import kind_of
 from threadline.proof.pipeline import open_job
 from threadline.proof.recorded import proof_warnings
+from threadline.proof.request import Words, with_radii_of
 from threadline.report.proof import write_comparison
 from threadline.search import Comparison, FastestJob
 from threadline.search import compare as compare_job

@@ -17,9 +17,9 @@ from threadline.commands.passes import check_passes, write_passes
 from threadline.errors import OptionError
 from threadline.files.formats.common import Written, written
 from threadline.motion.timing import check_limits
-from threadline.proof.asked import Words, check_target
 from threadline.proof.pipeline import open_job, plan_job, write
 from threadline.proof.recorded import tolerance_warnings
+from threadline.proof.request import Words, check_target
 
 
 def compile_(

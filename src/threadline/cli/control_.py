@@ -26,7 +26,7 @@ def control(
     gain: Annotated[
         float | None,
         typer.Option(
-            help="lqg, preview, zpetc: gain at rest, in gains at rest of the present controllers. "
+            help="lqg, preview, zpetc: static gain, as a multiple of the present controllers'. "
             "Default: 1."
         ),
     ] = None,
@@ -41,12 +41,12 @@ def control(
         int | None,
         typer.Option(
             help="zpetc: references, an odd number, in each of the four averages before the "
-            "inverse: whole counts step, and an inverse makes much of steps. Default: 1."
+            "inverse: references are whole counts, and an inverse amplifies steps. Default: 1."
         ),
     ] = None,
     axes: Annotated[
         str | None,
-        typer.Option(help="cross-coupled: the two axes; without it the first two linear ones."),
+        typer.Option(help="cross-coupled: the two axes. Default: the first two linear axes."),
     ] = None,
     direction: Annotated[
         str | None,
@@ -57,7 +57,7 @@ def control(
     coupling: Annotated[
         str | None,
         typer.Option(
-            help="cross-coupled: what an error across the line weighs more than lag. Default: 50 %."
+            help="cross-coupled: added weight of an error across the line over lag. Default: 50 %."
         ),
     ] = None,
     json: JsonOption = False,

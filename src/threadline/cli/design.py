@@ -19,17 +19,17 @@ from threadline.cli.arguments import (
     keep_inputs,
 )
 from threadline.cli.design_sharing import (
-    DesignAsked,
+    DesignRequest,
     design_of_parts,
     make_part,
     merged_design,
     tell_part,
 )
-from threadline.cli.found import command_line, typed
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
-from threadline.cli.yield_sharing import asked_here, check_part_options
+from threadline.cli.search_text import command_line, typed
+from threadline.cli.yield_sharing import check_part_options, question_from_words
 from threadline.errors import OptionError
-from threadline.proof.asked import Words, level_option
+from threadline.proof.request import Words, level_option
 from threadline.report.design import (
     candidate_rows,
     change_rows,
@@ -40,10 +40,10 @@ from threadline.report.design import (
 from threadline.report.front import front_rows, front_title
 from threadline.search.design import DesignResult
 from threadline.search.design import design as search_design
-from threadline.search.design_asked import MOST_FRONT, DesignAims, design_question
 from threadline.search.design_files import spec_file, write_design
 from threadline.search.design_parts import searches_of
 from threadline.search.design_proof import Candidate
+from threadline.search.design_question import MOST_FRONT, DesignAims, design_question
 from threadline.search.design_searches import MOST_SEARCHES
 from threadline.search.yield_parts import Part, parse_part
 from threadline.verdict import Verdict, closing, verdict_rows
@@ -77,8 +77,8 @@ class Seeking:
         typer.Option(
             min=1,
             max=MOST_SEARCHES,
-            help="Search so often, each time from other random numbers; the design is the best of "
-            "all. With --part: as many as there are parts, unless it is given.",
+            help="Number of searches, each from other random numbers; the best design counts. "
+            "With --part: by default the number of parts.",
         ),
     ] = 1
     part: Annotated[
@@ -169,7 +169,7 @@ def design(
 
 
 def _part(seeking: Seeking, report: Path | None) -> Part | None:
-    """Return the part that is asked for; None for the whole redesign."""
+    """Return the wanted part; None for the whole redesign."""
     if seeking.part is None:
         return None
     if seeking.merge:
@@ -182,7 +182,7 @@ def _part(seeking: Seeking, report: Path | None) -> Part | None:
 
 def _asked(
     files: Sequence[Path], machine: str | None, words: Words, seeking: Seeking, part: Part | None
-) -> DesignAsked:
+) -> DesignRequest:
     """Return whose redesign is wanted: by the command line, or with --merge by the parts."""
     searches = seeking.searches
     if part is not None:
@@ -193,8 +193,8 @@ def _asked(
     )
     if seeking.merge:
         return design_of_parts(files, machine, words, aims)
-    here = asked_here(files, machine, words)
-    return DesignAsked(job=here.job, machine=here.machine, words=words, aims=aims)
+    here = question_from_words(files, machine, words)
+    return DesignRequest(job=here.job, machine=here.machine, words=words, aims=aims)
 
 
 def _check_output(

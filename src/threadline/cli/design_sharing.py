@@ -9,13 +9,12 @@ from pathlib import Path
 from threadline.base.progress import Progress
 from threadline.cli.output import print_json, say
 from threadline.cli.yield_sharing import (
-    asked_in_part,
     check_merge_options,
+    recorded_words,
     words_for_part,
 )
-from threadline.proof.asked import Words
+from threadline.proof.request import Words
 from threadline.search.design import DesignResult, redesign
-from threadline.search.design_asked import DesignAims, DesignQuestion
 from threadline.search.design_parts import (
     DesignPart,
     DesignRecord,
@@ -24,11 +23,12 @@ from threadline.search.design_parts import (
     searches_of,
     write_design_part,
 )
+from threadline.search.design_question import DesignAims, DesignQuestion
 from threadline.search.yield_parts import Part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DesignAsked:
+class DesignRequest:
     """Whose redesign is wanted: by the command line, or by the record of the parts.
 
     Parameters
@@ -48,7 +48,7 @@ class DesignAsked:
 
 def design_of_parts(
     files: Sequence[Path], machine: str | None, words: Words, aims: DesignAims
-) -> DesignAsked:
+) -> DesignRequest:
     """Return the question that the record of the parts in ``files`` states.
 
     Parameters
@@ -73,15 +73,15 @@ def design_of_parts(
     check_merge_options(machine, words, given)
     parts = read_design_parts(files)
     record = parts[0].record
-    job, named, own = asked_in_part("design", record.words, parts[0].path)
+    job, named, own = recorded_words("design", record.words, parts[0].path)
     told = replace(aims, corners=record.corners, front=record.front, searches=record.searches)
-    return DesignAsked(job=job, machine=named, words=own, aims=told, parts=parts)
+    return DesignRequest(job=job, machine=named, words=own, aims=told, parts=parts)
 
 
 def make_part(
     output: Path,
     part: Part,
-    asked: DesignAsked,
+    asked: DesignRequest,
     wanted: DesignQuestion,
     progress: Progress,
 ) -> DesignRecord:
@@ -101,7 +101,7 @@ def make_part(
 
 
 def tell_part(output: Path, record: DesignRecord, *, json: bool) -> None:
-    """Say what a part has."""
+    """Print the content of a part."""
     numbers = searches_of(record.part, record.searches)
     if json:
         print_json(

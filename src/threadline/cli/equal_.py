@@ -10,11 +10,11 @@ import typer
 
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, ReportOption
-from threadline.cli.found import command_line
 from threadline.cli.messages import PLANNING_STAGE, warning
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
-from threadline.proof.asked import Words
+from threadline.cli.search_text import command_line
 from threadline.proof.pipeline import open_job, plan_job
+from threadline.proof.request import Words
 from threadline.readback.equal import HEADER, asked_of, equal_targets
 from threadline.report.differences import write_equality
 

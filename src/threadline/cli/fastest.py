@@ -14,14 +14,14 @@ from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, nam
 from threadline.cli.fastest_cycle import CycleOutput, write_move_list
 from threadline.cli.fastest_optimal import OptimalOutput
 from threadline.cli.fastest_output import FeedOutput, NeedleOutput, SearchOutput, ShaftOutput
-from threadline.cli.found import as_typed, command_line
 from threadline.cli.output import check_outputs, print_json, progress_bar, tell, warn
+from threadline.cli.search_text import as_typed, command_line
 from threadline.commands.write import TICK_TARGETS
 from threadline.motion.path.interpolations import FIRMWARE, OPTIMAL
-from threadline.proof.asked import Words, level_option
+from threadline.proof.request import Words, level_option
 from threadline.search.by_pace import answered
+from threadline.search.deadline import Deadline
 from threadline.search.question import question_of, refuse_others, searched_as
-from threadline.search.until import Until
 
 
 def fastest(
@@ -76,7 +76,7 @@ def fastest(
     output_class = OUTPUTS[searched_as(asked.job, asked.options)]
     warn(asked.machine, asked.job, own_feed=False)
     with progress_bar(not json) as progress:
-        found = answered(replace(asked, until=asked.until or Until(), progress=progress))
+        found = answered(replace(asked, until=asked.until or Deadline(), progress=progress))
         output = output_class(found, f"{asked.job.name} on {asked.machine.name}")
     tell(output.warnings())
     page = None if report is None else output.report(report)

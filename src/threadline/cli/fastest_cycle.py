@@ -8,19 +8,19 @@ from typing import Any
 
 from threadline.base.writing import together
 from threadline.cli.fastest_output import SearchOutput, verdict_content
-from threadline.cli.found import limit_words
+from threadline.cli.search_text import limit_words
 from threadline.machine import Machine
 from threadline.proof.pipeline import Proof
 from threadline.report.document import Printed
 from threadline.report.switching import write_switching
 from threadline.search.by_pace import Answer
 from threadline.search.cycle import FastestCycle, cycle_s
-from threadline.search.cycle_beside import BesideRow, cycles_beside
+from threadline.search.cycle_comparison import CycleRow, compare_cycles
 from threadline.search.cycle_forecast import MoveChoice
 from threadline.search.cycle_robust import RobustCycle
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import move_list
-from threadline.search.studied import studied
+from threadline.search.report_data import report_data
 from threadline.verdict import closing, verdict_rows
 from threadline.verdict.rendering import continuous
 
@@ -83,7 +83,7 @@ def _produced(proof: Proof) -> str:
     return f" behind the first, {steady['pieces_per_hour']:.0f} pieces an hour" if steady else ""
 
 
-def beside_table(rows: Sequence[BesideRow], title: str, band: float | None) -> Printed:
+def comparison_table(rows: Sequence[CycleRow], title: str, band: float | None) -> Printed:
     """Return one table of several cycles, with verdicts for the nominal machine and the band."""
     header = ["cycle", "s", "rings mm", "as typed"]
     if band is not None:
@@ -128,7 +128,7 @@ def robust_json(robust: RobustCycle) -> dict[str, Any]:
     }
 
 
-def beside_json(rows: Sequence[BesideRow]) -> list[dict[str, Any]]:
+def comparison_json(rows: Sequence[CycleRow]) -> list[dict[str, Any]]:
     """Return the table of several cycles as JSON content."""
     return [
         {
@@ -151,7 +151,7 @@ class CycleOutput(SearchOutput):
 
     def __init__(self, found: Answer, title: str) -> None:
         super().__init__(found, title)
-        self._beside = cycles_beside(self.asked, self.of, found.over_band)
+        self._beside = compare_cycles(self.asked, self.of, found.over_band)
 
     def _table(self) -> Printed:
         return moves_table(self.of, self.title)
@@ -189,13 +189,13 @@ class CycleOutput(SearchOutput):
         return robust_table(robust, self.title, self.asked.band or 0.0)
 
     def _cycles(self) -> Printed:
-        return beside_table(self._beside, self.title, self.asked.band)
+        return comparison_table(self._beside, self.title, self.asked.band)
 
     def _page(self, folder: Path) -> Path | None:
         robust = self.found.over_band
         proof = self.of.proof if robust is None else robust.proof
         moves = self._table() if robust is None else self._banded(robust)
-        return write_switching(studied(proof), folder, [moves, self._cycles()])
+        return write_switching(report_data(proof), folder, [moves, self._cycles()])
 
     def _details(self) -> dict[str, Any]:
         found, robust = self.of, self.found.over_band
@@ -220,7 +220,7 @@ class CycleOutput(SearchOutput):
                 }
                 for move in found.moves
             ],
-            "beside": beside_json(self._beside),
+            "beside": comparison_json(self._beside),
             **(
                 {"continuous": steady}
                 if (steady := continuous(found.proof.verdict, found.proof.plan))

@@ -9,7 +9,7 @@ from typing import Any
 
 from threadline.base.option_defaults import NO_CONTOUR
 from threadline.cli.fastest_output import SearchOutput
-from threadline.cli.found import limit_words, margin_words, typed
+from threadline.cli.search_text import limit_words, margin_words, typed
 from threadline.proof.option_words import reserve_words, share_words
 from threadline.proof.options import Options
 from threadline.report.document import Printed

@@ -10,7 +10,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from threadline.cli.found import (
+from threadline.cli.output import print_table, say
+from threadline.cli.search_text import (
     AXES_ALONE,
     END,
     alone_words,
@@ -25,7 +26,6 @@ from threadline.cli.found import (
     typed,
     until_words,
 )
-from threadline.cli.output import print_table, say
 from threadline.commands.plan import Following
 from threadline.jobs.operations import FeedMode
 from threadline.proof.option_words import share_words
@@ -36,9 +36,9 @@ from threadline.report.proof import write_report
 from threadline.search import Fastest, FastestJob
 from threadline.search.by_pace import Answer
 from threadline.search.fastest import RANGE
-from threadline.search.forbidden import joined
+from threadline.search.feed_ranges import joined
+from threadline.search.report_data import report_data
 from threadline.search.shaft import FastestShaft
-from threadline.search.studied import studied
 from threadline.verdict import Verdict, closing, criteria_json, verdict_rows
 
 
@@ -99,7 +99,7 @@ class SearchOutput(ABC):
         asked = self.asked
         plan = self.found.plan()
         proof = prove_plan(plan, asked.spec, trials=asked.trials, actual=asked.actual)
-        return write_report(studied(proof), folder)
+        return write_report(report_data(proof), folder)
 
     def report(self, folder: Path) -> Path | None:
         """Write the picture of a mismatch search, if there was one; else the report."""

@@ -38,7 +38,7 @@ FIRMWARES = {
 """The firmware of each kind of project."""
 KINDS = tuple(FIRMWARES)
 ANSWERS_TO = {
-    "grbl": "what grbl answers to $$",
+    "grbl": "grbl's answer to $$",
     "fluidnc": "the YAML of FluidNC",
     "marlin": "what Marlin answers to M503",
     "klipper": "printer.cfg",

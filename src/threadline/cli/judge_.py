@@ -11,8 +11,8 @@ from threadline.cli import option_parameters
 from threadline.cli.arguments import JsonOption
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.prove import show_steps
-from threadline.proof.asked import Words
 from threadline.proof.recorded import judge_files
+from threadline.proof.request import Words
 from threadline.verdict import closing, happened_lines, verdict_json, verdict_rows
 
 

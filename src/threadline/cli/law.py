@@ -26,7 +26,7 @@ def law(
         ),
     ] = None,
     mode: Annotated[
-        str | None, typer.Option(help='Rank by the vibration left on this mode: "12 Hz".')
+        str | None, typer.Option(help='Rank by the residual vibration of this mode: "12 Hz".')
     ] = None,
     damping: Annotated[
         float, typer.Option(parser=ratio("--damping"), help="Damping ratio of the mode.")
@@ -58,7 +58,9 @@ def law(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "--output", help="Write the law, or the one made, as a table (.csv)."
+            "--out",
+            "--output",
+            help="Write the law, or the one made for the mode, as a table (.csv).",
         ),
     ] = None,
     report: ReportOption = None,

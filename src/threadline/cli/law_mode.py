@@ -308,7 +308,7 @@ def _outside_table(made: MadeLaw) -> Table:
         for ratio, left, copied in zip(*_beside(made), strict=True)
     ]
     return Table(
-        title="The law made for the mode is a notch: what it leaves on other modes, mm",
+        title="The law made for the mode is a notch: its residual vibration on other modes, mm",
         header=["Hz", "off", "made", f"{COPIED} in the same window", "note"],
         rows=rows,
     )

@@ -18,15 +18,15 @@ from threadline.cli.arguments import (
     ReportOption,
     keep_inputs,
 )
-from threadline.cli.found import command_line
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say, tell
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
+from threadline.cli.search_text import command_line
 from threadline.errors import OptionError, StoreError
 from threadline.files import Recording
 from threadline.live.store.run_store import TRACE, opened
 from threadline.live.store.whole_trace import whole_recording
-from threadline.proof.asked import Words, level_option
 from threadline.proof.recorded import warnings_of
+from threadline.proof.request import Words, level_option
 from threadline.search.learn import REPEATS
 from threadline.search.learned_job import (
     LearnedJob,
@@ -61,8 +61,8 @@ class Learning:
     low_pass: Annotated[
         str | None,
         typer.Option(
-            help='Errors above this frequency are not learned: "20 Hz". Default: the lowest at '
-            "which the loop answers with a tenth of its reference."
+            help='Errors above this frequency are not learned: "20 Hz". Default: the lowest '
+            "frequency at which the loop answers with a tenth of its reference."
         ),
     ] = None
     measured: Annotated[

@@ -94,7 +94,7 @@ def new(
         Path | None,
         typer.Option(
             "--from",
-            help="Settings of the controller: what grbl answers to $$, Marlin to M503, a FluidNC "
+            help="Settings of the controller: grbl's answer to $$, Marlin's to M503, a FluidNC "
             "YAML, a printer.cfg, a config.g of RepRapFirmware, an INI of LinuxCNC. A log of a "
             "terminal will do, prompts and time stamps included.",
         ),
@@ -111,7 +111,7 @@ def new(
         typer.Option(
             "--limits-only",
             help="For a controller's machine: take only its limits, without motors and masses. "
-            "Jobs are then proven for limits and time, not for placement. So it is, too, where "
+            "Jobs are then proven for limits and time, not for placement. The same holds if "
             "--set names no motor and no mass.",
         ),
     ] = False,
@@ -136,7 +136,7 @@ def new(
     if kind is None or folder is None:
         if json or not somebody_at_the_keys():
             raise OptionError(
-                "say what the machine is" if kind is None else f"give a folder for the {kind}",
+                "name the kind of machine" if kind is None else f"give a folder for the {kind}",
                 remedy=f"Like threadline new {kind or 'grbl'} my-machine. Kinds: "
                 f"{', '.join([*KINDS, *PROJECTS])}.",
             )

@@ -66,7 +66,7 @@ class AtTheKeys:
         self._alone = HoldAlone(desk)
         self._told = terminal is None
         self._asked: int | None = None  # override in %, by the latest keys
-        self._overridden = MOST_PERCENT  # that was told
+        self._overridden = MOST_PERCENT  # the override last reported
         self.time_s = 0.0
         """Time of the run at its latest step, s."""
 
@@ -174,7 +174,7 @@ ContinueOption = Annotated[
 AtOption = Annotated[
     str | None,
     typer.Option(
-        help="With --continue: where the work begins again: block (the one under way at the end), "
+        help="With --continue: where the work begins again: block (the interrupted operation), "
         'circuit, "circuit 12", "line 40", "stitch 120", or "back 10" for ten stitches before.'
     ),
 ]
@@ -213,7 +213,7 @@ def continued_run(
 ) -> tuple[Continued | None, dict[str, str]]:
     """Return the rest of a broken-off run, and what its recording says about the first part.
 
-    Both are empty if no run is continued. The operator is told what will be run.
+    Both are empty if no run is continued. A message says which part will be run.
 
     Parameters
     ----------

@@ -16,9 +16,9 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from threadline.cli.messages import note
-from threadline.proof.asked import Words
 from threadline.proof.option_form import Option, Type
 from threadline.proof.option_table import options_for
+from threadline.proof.request import Words
 
 _NAMED: Mapping[Type, Any] = {
     Type.TEXT: str,

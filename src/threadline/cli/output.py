@@ -184,9 +184,9 @@ def warn(machine: Machine, job: Job, more: Iterable[str] = (), *, own_feed: bool
 
     ``own_feed``: the job runs at its own feeds, which are then checked too.
     """
-    from threadline.dynamics.suspicions import suspicions
+    from threadline.dynamics.plausibility import plausibility_warnings
 
-    tell([*suspicions(machine), *job.suspicions(own_feed=own_feed), *more])
+    tell([*plausibility_warnings(machine), *job.suspicions(own_feed=own_feed), *more])
 
 
 def tell(warnings: Iterable[str]) -> None:

@@ -22,8 +22,8 @@ from threadline.live.links import at_link
 from threadline.live.port import bare, in_url, is_host
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
 from threadline.live.store.run_store import check_folder
-from threadline.proof.asked import chosen_machine
 from threadline.proof.pipeline import check_machine
+from threadline.proof.request import chosen_machine
 from threadline.verdict import load_spec
 
 _MOST_SPEED = 100.0

@@ -23,11 +23,11 @@ from threadline.cli.output import check_outputs, print_json, print_table, progre
 from threadline.errors import OptionError
 from threadline.files.formats import write_recording
 from threadline.machine import Machine
-from threadline.proof.asked import Words
 from threadline.proof.kinds.kind import WRITING, Share
 from threadline.proof.pipeline import Proof, with_shaping
 from threadline.proof.pipeline import prove as prove_job
 from threadline.proof.recorded import warnings_of
+from threadline.proof.request import Words
 from threadline.report.lines import about
 from threadline.verdict import (
     Verdict,
@@ -110,10 +110,10 @@ def prove(
             if report is not None:
                 # Searches take a while to load, and most proofs have no report.
                 from threadline.report.proof import write_report
-                from threadline.search.studied import studied
+                from threadline.search.report_data import report_data
 
                 progress("drawing the report", 0.0)
-                written = write_report(studied(proof), report)
+                written = write_report(report_data(proof), report)
                 worst = write_worst_beside(proof, report, worst)
     tell(warnings_of(proof))
     if json:
@@ -123,7 +123,10 @@ def prove(
         if proof_file is not None:
             content["proof"] = str(proof_file)
         if worst is not None:
-            told = {"command": again(job, machine, words, worst), "product": worst_product(proof)}
+            told = {
+                "command": worst_machine_command(job, machine, words, worst),
+                "product": worst_product(proof),
+            }
             content["worst"] = {"file": str(worst), **told}
         print_json(content)
     else:
@@ -134,7 +137,10 @@ def prove(
             say(f"Proof: {proof_file}")
         if worst is not None:
             say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
-            for line in (f"  {again(job, machine, words, worst)}", *product_lines(proof)):
+            for line in (
+                f"  {worst_machine_command(job, machine, words, worst)}",
+                *product_lines(proof),
+            ):
                 say(line)
     raise typer.Exit(0 if proof.verdict.passed else 1)
 
@@ -174,9 +180,9 @@ def product_lines(proof: Proof) -> list[str]:
     return [f"Its product, as numbers for the file of --product: {product}"] if product else []
 
 
-def again(job: Path, machine: str, words: Words, worst: Path) -> str:
+def worst_machine_command(job: Path, machine: str, words: Words, worst: Path) -> str:
     """Return the command that proves the plan on the worst machine, in as many runs."""
-    from threadline.cli.found import command_line  # loads the searches
+    from threadline.cli.search_text import command_line  # loads the searches
 
     return command_line("prove", job, {"-m": machine, **words.typed(), "--actual": worst})
 

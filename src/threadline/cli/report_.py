@@ -17,14 +17,14 @@ from threadline.files.formats import read_recording, write_recording
 from threadline.live.store.index import REFUSED, RunRecord
 from threadline.live.store.run_store import INPUTS, PROOF, TRACE, opened
 from threadline.live.store.whole_trace import as_one, joined_with, whole_recording
-from threadline.proof.asked import Words
 from threadline.proof.option_form import Door
 from threadline.proof.pipeline import Proof
 from threadline.proof.proof_file import read_proof
 from threadline.proof.proof_hash import spec_sha256
 from threadline.proof.recorded import judge_files
+from threadline.proof.request import Words
 from threadline.report.proof import write_report
-from threadline.search.studied import studied
+from threadline.search.report_data import report_data
 from threadline.verdict import verdict_json
 
 
@@ -99,7 +99,7 @@ def report(
     with together(csv):
         if csv is not None:
             write_recording(recording, csv)
-        written = write_report(studied(proof), pages)
+        written = write_report(report_data(proof), pages)
     override = record.override
     if json:
         content = verdict_json(judged.verdict, judged.plan)

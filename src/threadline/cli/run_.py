@@ -60,10 +60,10 @@ from threadline.live.sim_process import REAL_TIME
 from threadline.live.store.run_store import RunStore, check_folder
 from threadline.live.store.whole_trace import as_one
 from threadline.live.supervised import check_halts, check_override, check_runnable, interventions
-from threadline.proof.asked import Words
 from threadline.proof.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.proof.proof_file import read_proof, write_proof
 from threadline.proof.recorded import warnings_of
+from threadline.proof.request import Words
 from threadline.verdict import (
     closing,
     happened_lines,
@@ -120,7 +120,7 @@ class Execution:
         typer.Option(
             "--approach",
             help="With grbl: move the axes to where the program begins, one after the other at "
-            "their manual feeds, linear ones first.",
+            "their manual feeds, linear axes first.",
         ),
     ] = False
     pass_stops: Annotated[

@@ -434,7 +434,7 @@ def _export(name: str, made: Shaper, mode: FlexibleMode, seen: Measured | None) 
 
 
 def _firmware(name: str | None, klipper: bool, modes: int) -> str | None:
-    """Return the firmware whose settings are asked for; None if none is."""
+    """Return the firmware whose settings are wanted; None without one."""
     if name is not None and name not in _EXPORTS:
         raise OptionError(
             f"--firmware {name!r} is unknown", remedy=f"Firmwares: {', '.join(_EXPORTS)}."

@@ -19,7 +19,13 @@ from threadline.identify.experiment_run import LINKS
 from threadline.identify.machine_file import base_lines
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at, number_tables
-from threadline.search.tune import asked, parse_controller, parse_rule, tune, usual_controller
+from threadline.search.tune import (
+    parse_controller,
+    parse_rule,
+    tune,
+    usual_controller,
+    wanted_tuning,
+)
 from threadline.search.tuned_file import write_tuned
 from threadline.search.tuning import MEASURES, RULES, JobRun, TunedAxis, Tuning, label
 from threadline.units import parse_quantity
@@ -65,7 +71,7 @@ def tune_loops(
         bool,
         typer.Option(
             "--trim",
-            help="Instead, run the axes at constant speeds over a link, and say the factors by "
+            help="Instead, run the axes at constant speeds over a link, and print the factors by "
             "which the potentiometers of the amplifiers must change their gains.",
         ),
     ] = False,
@@ -116,7 +122,7 @@ def tune_loops(
         raise OptionError("--spec is the specification of jobs", remedy="Add --job FILE.")
     kind = usual_controller(chosen) if controller is None else parse_controller(controller)
     by = parse_rule(rule or "margin")
-    wanted = asked(chosen, axis, margin or "60 deg", crossover)
+    wanted = wanted_tuning(chosen, axis, margin or "60 deg", crossover)
     judged = None if spec is None else load_spec(spec, chosen)
     with progress_bar(not json) as progress:
         found = tune(chosen, wanted, job or (), judged, progress)

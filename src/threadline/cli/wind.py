@@ -175,7 +175,7 @@ def _check_program(product: Path, machine: str | None, out: Path | None, bare: P
 def _write_program(
     winding: Winding, laid: tuple[Laid, ...], machine: str, out: Path, dialect: str | None
 ) -> tuple[str, tuple[str, ...]]:
-    """Write the circuits as passes; return what the file is, and the warnings of the job."""
+    """Write the circuits as passes; describe the file, and return the warnings of the job."""
     chosen = load_machine(machine)
     job = job_of(winding, laid, chosen)
     return write_passes(job, chosen, out, dialect), job.warnings

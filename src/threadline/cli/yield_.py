@@ -23,7 +23,6 @@ from threadline.cli.arguments import (
     ThisMachineOption,
     keep_inputs,
 )
-from threadline.cli.found import command_line
 from threadline.cli.output import (
     check_outputs,
     print_json,
@@ -33,13 +32,14 @@ from threadline.cli.output import (
     tell,
     warn,
 )
+from threadline.cli.search_text import command_line
 from threadline.cli.yield_sharing import (
     Question,
-    asked_here,
-    asked_of_parts,
     check_part_options,
     finish_part,
     part_identity,
+    question_from_parts,
+    question_from_words,
     record_of,
 )
 from threadline.cli.yield_tables import (
@@ -53,9 +53,9 @@ from threadline.cli.yield_tables import (
 )
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError
-from threadline.proof.asked import Words
 from threadline.proof.option_words import parse_yield
 from threadline.proof.proof_hash import spec_sha256
+from threadline.proof.request import Words
 from threadline.proof.worst_machine import Worst, worst_toml
 from threadline.search.influence import MACHINES, CheapestSet, cheapest_set
 from threadline.search.machine_yield import (
@@ -241,7 +241,7 @@ def _merged(
 
 
 def _part(drawing: Drawing, report: Path | None) -> Part | None:
-    """Return the part that is asked for; None for the whole yield."""
+    """Return the wanted part; None for the whole yield."""
     if drawing.part is None:
         if drawing.output is not None:
             raise OptionError(
@@ -268,13 +268,13 @@ def _question(
 ) -> Question:
     """Return whose yield is wanted: by the command line, or with --merge by the parts."""
     if not drawing.merge:
-        return asked_here(files, machine, words, drawing.variants, drawing.seed)
+        return question_from_words(files, machine, words, drawing.variants, drawing.seed)
     given = {
         "--resume": drawing.resume,
         "--variants": None if drawing.variants == _VARIANTS else drawing.variants,
         "--seed": None if drawing.seed == _SEED else drawing.seed,
     }
-    return asked_of_parts(files, machine, words, given)
+    return question_from_parts(files, machine, words, given)
 
 
 def _check_files(

@@ -13,11 +13,11 @@ from threadline.base.writing import is_stdout
 from threadline.cli.output import print_json, say
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, RecordingError
-from threadline.proof.asked import Words, known_words
 from threadline.proof.option_form import Door, Group, Type, Word
 from threadline.proof.option_table import options_for
 from threadline.proof.proof_file import options_sha256
 from threadline.proof.proof_hash import spec_sha256
+from threadline.proof.request import Words, known_words
 from threadline.search.machine_yield import Yield
 from threadline.search.yield_parts import Part, PartFile, Record, read_parts, write_part
 from threadline.verdict import Spec
@@ -48,7 +48,7 @@ class Question:
     parts: Sequence[PartFile] = ()
 
 
-def asked_here(
+def question_from_words(
     files: Sequence[Path], machine: str | None, words: Words, variants: int = 0, seed: int = 0
 ) -> Question:
     """Return the question of the command line.
@@ -70,7 +70,7 @@ def asked_here(
     return Question(job=files[0], machine=machine, words=words, variants=variants, seed=seed)
 
 
-def asked_of_parts(
+def question_from_parts(
     files: Sequence[Path], machine: str | None, words: Words, given: Mapping[str, object]
 ) -> Question:
     """Return the question that the record of the parts in ``files`` states.
@@ -93,7 +93,7 @@ def asked_of_parts(
     check_merge_options(machine, words, given)
     parts = read_parts(files)
     record = parts[0].record
-    job, named, own = asked_in_part("yield", record.words, parts[0].path)
+    job, named, own = recorded_words("yield", record.words, parts[0].path)
     return Question(
         job=job,
         machine=named,
@@ -123,7 +123,7 @@ def check_merge_options(machine: str | None, words: Words, given: Mapping[str, o
         )
 
 
-def asked_in_part(verb: str, words: Mapping[str, Word], path: Path) -> tuple[Path, str, Words]:
+def recorded_words(verb: str, words: Mapping[str, Word], path: Path) -> tuple[Path, str, Words]:
     """Return job, machine and options that the record of the part in ``path`` states.
 
     Raises

@@ -22,7 +22,7 @@ from threadline.base.arrays import FloatArray
 from threadline.base.progress import WRITING
 from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, read_written, refuse_lost
 from threadline.commands.early_moves import early_moves
-from threadline.commands.endless_numbers import EndlessNumbers
+from threadline.commands.endless_axes import EndlessNumbers
 from threadline.commands.merged_chords import Chord, Chords, travels
 from threadline.commands.merging import CLOSE_M
 from threadline.commands.nc_blocks import operation_words

@@ -12,7 +12,7 @@ from threadline.motion.shaping.firmwares import (
     shortest_for_all,
     shortest_type,
 )
-from threadline.motion.shaping.response import BAND, LEFT, most_left
+from threadline.motion.shaping.response import BAND, LEFT, largest_residual
 from threadline.motion.shaping.types import FlexibleMode
 
 
@@ -55,8 +55,8 @@ def marlin_commands(machine: Machine, axes: Sequence[str]) -> list[str]:
         damped_hz = damped_frequency_hz(mode)
         train = marlin_impulses(damped_hz, mode.damping_ratio)
         said[axis] = (
-            f"{why}: Marlin's ZV leaves {most_left(train, [mode], band=0.0):.1%} of it, and "
-            f"{most_left(train, [mode]):.0%} at most, {BAND:.0%} off"
+            f"{why}: Marlin's ZV leaves {largest_residual(train, [mode], band=0.0):.1%} of it, and "
+            f"{largest_residual(train, [mode]):.0%} at most, {BAND:.0%} off"
         )
         commands.append(f"M593 {axis} F{damped_hz:.6g} D{mode.damping_ratio:.6g}")
     return [*said.values(), *commands]

@@ -275,7 +275,7 @@ def home_order(scheduled: Scheduled) -> tuple[str, ...]:
 
     The order is the list's ``home``. Without ``home``, the order is the order of the last moves of
     the cylinders: a list ends at its start, so its last moves are the way back. Cylinders that
-    never move come first. A cylinder comes after those that its interlock needs at home.
+    never move come first. A cylinder comes after the cylinders that its interlock needs at home.
 
     Raises
     ------
@@ -317,7 +317,7 @@ def _locked(machine: Machine) -> Iterator[tuple[str, str, str]]:
 
 
 def _behind_needed(wanted: list[str], machine: Machine) -> Iterator[str]:
-    """Yield cylinders in order, but each after those that its interlock needs at home."""
+    """Yield cylinders in order, each after the cylinders that its interlock needs at home."""
     left = list(wanted)
     while left:
         waits = {axis for axis, other, _ in _locked(machine) if other in left and other != axis}
@@ -435,7 +435,7 @@ def _places_with(
 
 
 def _weakest(found: list[tuple[Reading, ...]]) -> tuple[tuple[Reading, ...], ...]:
-    """Return the conditions without those that are stricter than another one.
+    """Return the conditions, except conditions that are stricter than another one.
 
     If one condition is empty, the result is empty.
     """

@@ -265,7 +265,7 @@ def tell_distance(
     if off_m <= (_MEANT * tick_s * levels.speed_m_s if written else _SEEN_M):
         return
     told = (
-        f"{axis} is told {cylinder.place(levels.commanded_m, '.2f')} instead of "
+        f"{axis} is commanded to {cylinder.place(levels.commanded_m, '.2f')} instead of "
         f"{cylinder.place(levels.wanted_m, '.2f')}: "
     )
     if written:

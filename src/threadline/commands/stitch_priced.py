@@ -24,7 +24,7 @@ _TO_RANK = 1e9  # times of states are compared to 1 ns: not by the rounding of a
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Asked:
+class PricedRequest:
     """What a priced search asks for.
 
     Parameters
@@ -38,7 +38,7 @@ class Asked:
     width
         States kept per turn at each time.
     cells
-        Cells of the swing per tolerance, by which states are told apart.
+        Cells of the swing per tolerance, by which states are distinguished.
     """
 
     tolerance_m: float
@@ -50,7 +50,7 @@ class Asked:
 
 def priced_turns(
     lists_s: list[FloatArray], first: int, turns: FloatArray, given: tuple[Limits, Swung],
-    asked: Asked,
+    asked: PricedRequest,
 ) -> FloatArray | None:  # fmt: skip
     """Return the turns of a stretch that cost least; None if none is found.
 
@@ -92,7 +92,7 @@ def priced_turns(
 def _watched(swung: Swung) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Return the columns of a search, 1 at the last of each group, and places among them.
 
-    The places are of the columns by whose swings states are told apart (the middle of the band of
+    The places are of the columns whose swings distinguish states (the middle of the band of
     each axis), and of those for a lower bound (ends and middle). Modes far from the middle of the
     band come first: with them a state over the tolerance is found early.
     """

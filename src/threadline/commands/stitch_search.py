@@ -117,7 +117,7 @@ class Swings:
     axis, last
         (M,) axis, and whether the column is the last of its axis and machine.
     named
-        (A,) the column of each axis by which states are told apart.
+        (A,) the column of each axis that distinguishes states.
     """
 
     poles: ComplexArray
@@ -364,7 +364,7 @@ def _selected(
 ) -> int:  # fmt: skip
     """Fill ``chosen`` with the first of each speed and cell in ``order``; return their number.
 
-    Only the swings of those that still have a place at their speed are calculated.
+    Swings are calculated only for states that still have a place at their speed.
     """
     of_speed[:] = 0
     states = 0

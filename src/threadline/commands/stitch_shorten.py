@@ -5,8 +5,9 @@ misses passages that are narrower than its grid. Here the turns of a window of t
 together, by a little: the swings are linear in that change, the limit of the spindle is linear in
 the square of the speed. What is over the tolerance costs a price, so a start that is over it is
 mended. Windows overlap, and are solved one after the other until none gains any more. Swings bend:
-what a step leaves over the tolerance by the exact sum of swings is taken off what the program may
-use, and the program is solved again. A step that does not gain is not taken; the next is smaller.
+if the exact sum of swings after a step exceeds the tolerance, the excess is taken off what the
+program may use, and the program is solved again. A step that does not gain is not taken; the next
+is smaller.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.base.linear_programs import solved
-from threadline.commands.stitch_priced import Asked, priced_turns
+from threadline.commands.stitch_priced import PricedRequest, priced_turns
 from threadline.commands.stitch_swings import (
     BEFORE,
     Limits,
@@ -72,7 +73,7 @@ def shortest_turns(
     grid = np.arange(np.log(limits.shortest_s.min()), np.log(limits.slowest_s), _GRID)
     starts: list[Callable[[], FloatArray | None]] = [lambda: found_s]
     for price, share in _SEARCHES:
-        asked = Asked(
+        asked = PricedRequest(
             tolerance_m=limits.tolerance_m * _INSIDE * share,
             price_s=price * float(limits.shortest_s.min()),
             most=_REFUSED,
@@ -260,7 +261,7 @@ def _rows_of(
 ) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
     """Return (R, n) rows, (R,) room left and (R,) needle of each, in shares of the tolerance.
 
-    Of neighbours in frequency, the one with the largest swing has a row.
+    Of neighbours in frequency, only the mode with the largest swing has a row.
     """
     first, end, watched, before = span[0], span[1], span[2], span[3]
     groups = len(row)

@@ -22,7 +22,7 @@ _IN_BLOCK = 256
 _BLOCK_S = 32.0  # longest block: samples of slow turns would not fit into the fast memory
 _WHOLE = 1e-3  # units: how near a place must be to the grid of the design
 _BUDGET_S = 1e-9
-# A search plans one job at many shaft speeds, and what it finds is planned again to be proved.
+# A search plans one job at many shaft speeds, and plans its result again for the proof.
 _PACES: Recent[tuple[Machine, Law, float, float], Pace] = Recent(
     8, lambda a, b: a[2:] == b[2:] and a[1] is b[1] and (a[0] is b[0] or a[0] == b[0])
 )

@@ -63,7 +63,7 @@ _PANEL_OUTPUTS = {
     "place": ("INT", "0", "the step counter: one of the constants s_..."),
     "count": ("DINT", "0", "cycles since power-on"),
     "step_text": ("STRING", "'idle'", ""),
-    "hint_text": ("STRING", "''", "why nothing happens, and what is asked for next"),
+    "hint_text": ("STRING", "''", "why nothing happens, and the next action"),
     "fault_text": ("STRING", "''", ""),
     "fault_step": ("STRING", "''", "the step in which it stopped"),
     "contact_text": ("STRING", "''", ""),

@@ -355,7 +355,7 @@ def _within(first: NamedPlace, last: NamedPlace) -> str:
 
 
 def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
-    yield "(* The outputs: off, but for those that the place has on. *)"
+    yield "(* The outputs: off, except the outputs that this place switches on. *)"
     for word in words.outputs.values():
         yield f"{word} := FALSE;"
     for one in sequence.guarded:

@@ -101,7 +101,7 @@ def panel_texts(sequence: Sequence, words: Words, machine: Machine) -> Iterator[
         yield f"  contact_address := '{machine.contacts[contact].address}';"
         yield "END_IF;"
     yield ""
-    yield "(* Why nothing happens, and what is asked for next. *)"
+    yield "(* Why nothing happens, and the next action. *)"
     yield "hint_text := '';"
     yield f"IF place = {sequence.idle} THEN"
     hints = (

@@ -41,7 +41,7 @@ class Waits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tables:
-    """The tables of a sequence, and the names of those that a machine has by its parts.
+    """The tables of a sequence, and the names of the tables that depend on the parts of a machine.
 
     Parameters
     ----------

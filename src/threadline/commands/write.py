@@ -19,13 +19,13 @@ from threadline.motion.path.types import ProgrammedPath
 from threadline.motion.timing.types import Trajectory
 
 if TYPE_CHECKING:
-    from threadline.files.formats.tick_table import Beside
+    from threadline.files.formats.tick_table import NeedleSource
 
 
 class TableWriter(Protocol):
     """Writes a tick table."""
 
-    def __call__(self, table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+    def __call__(self, table: TickTable, path: Path, needle: NeedleSource | None = None) -> Written:
         """Write ``table`` to ``path``; rows of a seam also have the columns of ``needle``."""
         ...
 

@@ -17,9 +17,9 @@ from threadline.dynamics.margins import (
     bandwidth_rad_s,
     loop_grid,
     margins_of,
-    off_the_circle,
     swinging,
     unstable_count,
+    unstable_eigenvalues,
 )
 from threadline.dynamics.poles import chain_of, closed_poles, stable_gains, zeros_of
 from threadline.dynamics.responses import Step, step_response
@@ -316,7 +316,7 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
     if model == "sampled":
         closed_loop = loop.closed()
         z = closed_loop.eigenvalues()
-        unstable = len(off_the_circle(closed_loop.A))
+        unstable = len(unstable_eigenvalues(closed_loop.A))
         # A pole within 0.1 of the origin decays within a tick, so its s has no meaning.
         poles = np.asarray(np.log(z[np.abs(z) > 0.1]) / loop.period_s, dtype=np.complex128)
     else:
@@ -365,7 +365,7 @@ def unstable_loops(machine: Machine) -> list[str]:
     """
     found = []
     for axis, loop in axis_loops(machine).items():
-        if len(off_the_circle(loop.closed().A)):
+        if len(unstable_eigenvalues(loop.closed().A)):
             _check_gain(machine, loop)
             found.append(_verdict(axis, loop_figures(loop, "sampled")))
     return found

@@ -7,7 +7,7 @@ Srinivasan, "Optimal contouring control of multi-axial feed drive servomechanism
 Engineering for Industry 111, 1989). Here the compensation goes through the filters that the axes
 have: each acts on the errors :math:`e + k n n^T e`, so that the error across the line weighs
 :math:`1 + k`, and the lag along it as before. Where both axes answer alike the error has no part
-across the line, and the controller is the one of the axes apart.
+across the line, and the controller is the controller of the separate axes.
 
 The direction is fixed, because the matrices are: on lines in another direction the coupling takes
 lag along the line for an error across it.

@@ -208,7 +208,7 @@ class MatrixLoop(Loop):
         )
 
     def responder(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
-        """Return minus the response from this axis' voltage to what the controller gives back."""
+        """Return minus the response from this axis' voltage to the controller's output."""
         if model != "sampled":
             raise self._refused()
         read = self.plant.select(list(self.plant.inputs), list(self.readings))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.dynamics.lead import lead_from_response
 from threadline.dynamics.loop import Loop
-from threadline.dynamics.margins import off_the_circle
+from threadline.dynamics.margins import unstable_eigenvalues
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine.controllers import (
@@ -308,7 +308,7 @@ def _stable(machine: Machine, loop: Loop, kind: ControllerKind, gains: Mapping[s
     from threadline.dynamics.loop import axis_loop
 
     made = with_controller(machine, loop.axis, kind, gains)
-    return not len(off_the_circle(axis_loop(made, loop.axis).closed().A))
+    return not len(unstable_eigenvalues(axis_loop(made, loop.axis).closed().A))
 
 
 def _shape(kind: ControllerKind, omega: FloatArray, period_s: float) -> ComplexArray:

@@ -77,7 +77,7 @@ def swinging(matrix: FloatArray) -> ComplexArray:
     return found[found.imag > DOUBLE * size_of(matrix)]
 
 
-def off_the_circle(matrix: FloatArray) -> ComplexArray:
+def unstable_eigenvalues(matrix: FloatArray) -> ComplexArray:
     """Return the eigenvalues of ``x[k+1] = matrix x[k]`` outside the unit circle, beyond rounding.
 
     The position in a velocity loop has the eigenvalue 1, which is not an instability. An eigenvalue

@@ -343,7 +343,7 @@ def short_of_torque(machine: Machine) -> list[str]:
     """Return a warning for each rotary cylinder with too little torque for its load.
 
     The speed follows the flow with a first-order lag, so that the load first accelerates by the
-    speed over the lag. The exhaust still has pressure then: what is left of the torque is less.
+    speed over the lag. The exhaust still has pressure then, which reduces the remaining torque.
     """
     found = []
     for name, cylinder in machine.cylinders.items():

@@ -156,8 +156,8 @@ def regulators(
     Parameters
     ----------
     gain
-        q of the cost, in gains at rest of the present controllers (0.02 DAC levels per count for a
-        controller that has none, such as an integrating one).
+        q of the cost, as a multiple of the present controllers' static gain (0.02 DAC levels per
+        count for a controller that has none, such as an integrating one).
     others
         Sensors to read besides the encoders of the axes.
 

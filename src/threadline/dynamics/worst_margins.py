@@ -2,7 +2,7 @@
 
 A number moves the logarithm of the plant's response nearly by itself: the changes of several
 numbers are added, and the worst corner of their tolerances is climbed to, one number after the
-other. The margins that are told are computed exactly on the machine of that corner. It is the worst
+other. The reported margins are computed exactly on the machine of that corner. It is the worst
 that was found, not a proof that there is no worse one.
 """
 
@@ -23,7 +23,7 @@ from threadline.dynamics.loop_design import (
     open_plant,
     with_controller,
 )
-from threadline.dynamics.margins import off_the_circle
+from threadline.dynamics.margins import unstable_eigenvalues
 from threadline.machine import Machine
 from threadline.machine.variants import uncertain, variant
 
@@ -126,7 +126,7 @@ class Spread:
         loop = axis_loop(made, self.axis)
         plant = open_plant(loop, self.plant.omega_rad_s)
         L = plant.response * plant.controller(kind, gains)
-        stable = not len(off_the_circle(loop.closed().A))
+        stable = not len(unstable_eigenvalues(loop.closed().A))
         return grid_margins(L, plant.omega_rad_s), stable
 
 

@@ -23,9 +23,15 @@ from threadline.identify.commissioning import fit, measure, trim
 from threadline.machine import Machine
 from threadline.motion.shaping.designs import shaper
 from threadline.motion.timing.retime import retime
-from threadline.proof.asked import Words, check_target, chosen_machine, with_options, with_radii_of
 from threadline.proof.option_form import Door, Word
 from threadline.proof.option_table import options_for
+from threadline.proof.request import (
+    Words,
+    check_target,
+    chosen_machine,
+    with_options,
+    with_radii_of,
+)
 
 if TYPE_CHECKING:
     from threadline.files.formats import Written

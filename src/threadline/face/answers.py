@@ -136,7 +136,7 @@ class Proved(Answer):
     def report(self, folder: PathLike) -> Path:
         """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
         from threadline.report.proof import write_report
-        from threadline.search.studied import studied
+        from threadline.search.report_data import report_data
 
         place = Path(folder)
         if place.exists() and not place.is_dir():
@@ -144,7 +144,7 @@ class Proved(Answer):
                 f"cannot write {str(place)!r}: it is a file, not a folder",
                 remedy="Give the folder of the report.",
             )
-        return write_report(studied(self.of), place)
+        return write_report(report_data(self.of), place)
 
     @checked
     def write(self, file: PathLike, sign: PathLike | None = None) -> Written:

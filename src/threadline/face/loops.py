@@ -14,7 +14,7 @@ from threadline.base.writing import check_machine_output
 from threadline.errors import OptionError
 from threadline.face.answers import PathLike
 from threadline.machine import Machine
-from threadline.proof.asked import chosen_machine, in_arguments
+from threadline.proof.request import chosen_machine, in_arguments
 
 if TYPE_CHECKING:
     from threadline.dynamics.without_loop import Analysis
@@ -150,7 +150,7 @@ def tune(
     InputError
         As on the command line.
     """
-    from threadline.search.tune import asked, parse_controller, parse_rule, usual_controller
+    from threadline.search.tune import parse_controller, parse_rule, usual_controller, wanted_tuning
     from threadline.search.tune import tune as tune_machine
     from threadline.search.tuned_file import write_tuned
 
@@ -160,7 +160,7 @@ def tune(
     if out is not None:
         check_machine_output(Path(out))
     found = tune_machine(
-        chosen, asked(chosen, axis, margin, crossover), [Path(job) for job in jobs]
+        chosen, wanted_tuning(chosen, axis, margin, crossover), [Path(job) for job in jobs]
     )
     if out is not None:
         write_tuned(found, kind, by, Path(out))

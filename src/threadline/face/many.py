@@ -9,8 +9,8 @@ from threadline.base.arguments import checked
 from threadline.errors import OptionError
 from threadline.face.answers import PathLike
 from threadline.machine import Machine
-from threadline.proof.asked import Words, with_options
 from threadline.proof.option_form import Door, Word
+from threadline.proof.request import Words, with_options
 
 if TYPE_CHECKING:
     from threadline.search.design import DesignResult
@@ -102,7 +102,7 @@ def design(
         If the cluster fails.
     """
     from threadline.search.design import design as search
-    from threadline.search.design_asked import DesignAims, design_question
+    from threadline.search.design_question import DesignAims, design_question
 
     asked = Words.of("design", Door.PYTHON, words)
     aims = DesignAims(corners=corners, plot=plot, front=front, searches=searches)

@@ -12,8 +12,8 @@ from threadline.base.arguments import checked
 from threadline.errors import RecordingError
 from threadline.face.answers import Answer, PathLike
 from threadline.machine import Machine
-from threadline.proof.asked import Words, with_options
 from threadline.proof.option_form import Door, Word
+from threadline.proof.request import Words, with_options
 
 if TYPE_CHECKING:
     from threadline.files import Recording

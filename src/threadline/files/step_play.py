@@ -343,7 +343,7 @@ def _step_play(*values: Any) -> StepPlay:
     return StepPlay(**dict(zip(names, values, strict=True)))
 
 
-def one_behind_the_other(tables: tuple[StepTable, ...]) -> tuple[IntArray, IntArray]:
+def concatenated_intervals(tables: tuple[StepTable, ...]) -> tuple[IntArray, IntArray]:
     """Return the intervals of all tables in one array, and the start index of each table.
 
     ``np.add.reduceat`` takes both; a call per table would be slow for hundreds of tables.
@@ -358,7 +358,7 @@ def _spans(tables: tuple[StepTable, ...]) -> IntArray:
     """Return the length of each table in counts, shape (k + 1,); the last entry, 0, is for none."""
     spans = np.zeros(len(tables) + 1, dtype=np.int64)
     if tables:
-        intervals, begins = one_behind_the_other(tables)
+        intervals, begins = concatenated_intervals(tables)
         spans[:-1] = np.add.reduceat(intervals, begins)
     spans.setflags(write=False)
     return spans

@@ -140,7 +140,7 @@ def predict(machine: Machine, planned: Experiment) -> Prediction:
         speed=float(np.abs(columns[f"{axis}.velocity"]).max()),
         current_a=float(np.abs(columns[f"{axis}.current_peak"]).max()),
     )
-    # Friction is what a coast is to find: it may be far less than the machine file says.
+    # A coast measures the friction: it may be far less than the machine file says.
     farthest = found.highest
     if planned.cut_at_si is not None:
         farthest = planned.cut_at_si + _SPARE * (found.highest - planned.cut_at_si)
@@ -267,7 +267,7 @@ def _connected(
 ) -> AbstractContextManager[Connection]:
     start = planned.commands.start_counts
     if link == "sim":
-        # The simulated machine gives itself out for the one in the file, as a real one would.
+        # The simulated machine reports itself as the machine in the file, as a real one would.
         far = machine if actual is None else replace(actual, sha256=machine.sha256)
         check_same_axes(machine, far)
         return sim_link(planned.on(far), start, speed, fault)
@@ -292,7 +292,7 @@ def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> Mea
     With M and U the transforms of a period, H is ``sum(M U*) / sum(|U|^2)`` and the coherence
     ``|sum(M U*)|^2 / (sum(|M|^2) sum(|U|^2))`` (Bendat and Piersol, *Random Data*, 2010, section
     6.1). Volts that are held for a tick act as the continuous volts times
-    ``(1 - exp(-j w T)) / (j w T)``, which is divided out; what aliases is left.
+    ``(1 - exp(-j w T)) / (j w T)``, which is divided out; aliased components remain.
 
     Of a controller that runs faster than its references (``stitcher``) the volts are seen at some
     ticks only, the same ones after each new reference. Its volts are computed from the error

@@ -139,7 +139,7 @@ def measured_mode(
     Parameters
     ----------
     axis
-        The axis that was shaken; None: the one with the highest peak.
+        The axis that was shaken; None: the axis with the highest peak.
     damping
         Damping ratio, where it is known otherwise; None: fitted.
 
@@ -320,7 +320,7 @@ def _least_squares(
     starts: tuple[float, ...],
     damping: float | None,
 ) -> _Fit:
-    """Fit the logarithm of the power: a robust loss, and the covariance of what is left.
+    """Fit the logarithm of the power: a robust loss, and the covariance of the residuals.
 
     ``starts`` are the frequency and the damping ratios from which the fit begins.
     """

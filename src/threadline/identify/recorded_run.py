@@ -141,7 +141,7 @@ def commands_in(
                 f"{name}.commanded lies up to {off:.2g} counts beside whole counts of "
                 f"{machine.name} ({axis.counts.si:.6g} {axis.counts.unit})",
                 place=place,
-                remedy="Give the machine file of the run, and the commands as it was told them.",
+                remedy="Give the machine file and the commands of the run.",
             )
     rows = np.diff(counts, axis=0)
     block = TickBlock(first_tick=0, counts=rows, operation=np.zeros(len(rows), dtype=np.int64))

@@ -100,7 +100,7 @@ class RecordingData:
 
     @property
     def robust(self) -> bool:
-        """No: what is left over is rounding, or what the model lacks."""
+        """No: the residuals are rounding, or effects that the model lacks."""
         return False
 
     @property

@@ -168,7 +168,7 @@ def material_of(
     Parameters
     ----------
     row
-        ``name``; ``kind`` with all numbers of that kind, or ``like`` with those that differ.
+        ``name``; ``kind`` with all numbers of that kind, or ``like`` with the numbers that differ.
     known
         Materials that ``like`` may name.
     refuse

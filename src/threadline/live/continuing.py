@@ -19,7 +19,7 @@ from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LimitError, OptionError
 from threadline.files import Channel, ChannelKind, Event, RecordingBlock
 from threadline.files.formats import read_recording
-from threadline.jobs.holes import hole_operations
+from threadline.jobs.needle_holes import hole_operations
 from threadline.live.braking import CountLimits
 from threadline.live.derived import Rest
 from threadline.live.jogging import manual_feed

@@ -17,7 +17,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.reading import noting_inputs, reading_within
-from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.errors import ThreadlineError
 from threadline.files import ChannelKind
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source, begins_circuit
@@ -26,7 +26,6 @@ from threadline.machine import Machine
 from threadline.panel.job_views import plan_views
 from threadline.panel.programs import PROGRAMMED, by_priority, planned, program_path, words_of
 from threadline.panel.welcoming import mandrel_of
-from threadline.proof.asked import chosen_machine, trials_of
 from threadline.proof.pipeline import (
     Proof,
     Trials,
@@ -37,6 +36,7 @@ from threadline.proof.pipeline import (
 )
 from threadline.proof.proof_file import read_proof, write_proof
 from threadline.proof.recorded import warnings_of
+from threadline.proof.request import chosen_machine, trials_of
 from threadline.verdict import Spec, closing, load_spec
 from threadline.verdict.rendering import criteria_json
 from threadline.verdict.replayed import least_friction, recorded_fibre, wound_job
@@ -100,7 +100,7 @@ def figures(proof: Proof) -> dict[str, Any]:
     circuits, points = circuits_and_points(plan.job)
     ticks = plan.commands.tick_count()
     times_s, planned_at = _commanded(proof)
-    doubts = suspicions(plan.machine)
+    doubts = plausibility_warnings(plan.machine)
     return {
         "program": plan.job.name,
         "passed": verdict.passed,

@@ -20,7 +20,7 @@ from threadline.base.arrays import FloatArray
 from threadline.errors import InputError, JobError, Place
 from threadline.geometry.contours import drop_zero_lengths
 from threadline.geometry.curves import Pieces
-from threadline.geometry.dxf_remarks import filled_by, measured_rings, read_remarks
+from threadline.geometry.dxf_annotations import filled_by, measured_rings, read_remarks
 from threadline.geometry.read_dxf import read_dxf
 from threadline.geometry.strokes import Drawing, LineStyle, Stroke
 from threadline.geometry.svg.read_svg import read_svg

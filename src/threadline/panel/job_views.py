@@ -18,7 +18,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.reading import reading_within
 from threadline.errors import ThreadlineError
 from threadline.files import ChannelKind, Recording
-from threadline.jobs.holes import entering
+from threadline.jobs.needle_holes import entering
 from threadline.jobs.operations import (
     Job,
     Move,
@@ -33,9 +33,9 @@ from threadline.machine import Machine
 from threadline.panel.programs import program_path
 from threadline.panel.protocol import Preview
 from threadline.panel.welcoming import mandrel_of
-from threadline.proof.asked import chosen_machine
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import Proof, open_job
+from threadline.proof.request import chosen_machine
 from threadline.verdict import sewn_stitches
 from threadline.verdict.needle import has_stitches
 from threadline.verdict.stitch_run import StitchRun

@@ -48,7 +48,7 @@ def bits_of(found: EachRun) -> bytes:
     return digest.digest()
 
 
-class AloneJudge:
+class SerialJudge:
     """Judges machines within the tolerances of a plan's machine, one by one, under its commands.
 
     Encoders stand in the middle of a count.
@@ -129,7 +129,7 @@ class AloneJudge:
         return bits_of(self._own)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return AloneJudge, (self._plan, self._spec)
+        return SerialJudge, (self._plan, self._spec)
 
     def why_not(self, parts: FloatArray) -> str:
         """Return why a machine at (n,) parts cannot be simulated to its end; empty if it can."""
@@ -446,7 +446,7 @@ class _SoFar:
         self._count, self._plan, self.told, self._share = count, plan, told, 0.0
 
     def tell(self, share: float) -> None:
-        """Tell that a share of the motion was judged, if it is more than was told."""
+        """Report the judged share of the motion, if it has grown since the last report."""
         if share > self._share and self.told is not None:
             self.told(self._count * (share - self._share))
             self._share = share

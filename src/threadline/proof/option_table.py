@@ -102,7 +102,7 @@ TABLE: tuple[Option, ...] = (
         help="Machine that runs the plan made for --machine: a file or a library name.",
         helps={
             "run": "With --link sim: the simulated machine, planned for --machine: a file or a "
-            "library name. It is proved as --machine says.",
+            "library name. The proof is for --machine.",
             "judge": "The machine that ran the plan; default: the recording's.",
             "learn": "Machine that repeats the job, planned for --machine: a file or a library "
             "name. Default: the same machine.",
@@ -184,8 +184,8 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="product", group=Group.PLAN, kinds=(TICKS,),
         verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "equal"}),
-        help="Product of a winder (NAME.wind.toml, or a file of FiberPath or CADFIL): where its "
-        "fibre lies is judged as well.",
+        help="Product of a winder (NAME.wind.toml, or a file of FiberPath or CADFIL), to judge "
+        "the place of its fibre, too.",
         helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
         attribute="product", parse=product_text,
         recorded=FileForm(key="product", write=_same, read=product_text),
@@ -297,11 +297,11 @@ TABLE: tuple[Option, ...] = (
         'within this share of their tolerances: "100 %". --smoothing is then the time in which '
         "the speed may change, by default four turns of a seam's needle. On an embroidery frame: "
         "every needle enters within the tolerance for all of them; by default for 5 % of the "
-        "tolerances, about as well as a mode is measured.",
+        "tolerances, the usual accuracy of a measured mode.",
         helps={
             "fastest": "One plan for all machines with loads and springs at the ends of this share "
-            'of their tolerances, each judged in one run: "100 %"; and what that costs. With '
-            "--feed-forward it is planned for all of them.",
+            'of their tolerances, each judged in one run: "100 %". The answer also gives the '
+            "loss of speed. With --feed-forward the plan is made for all of them.",
             "judge": _AS_GIVEN,
         },
         attribute="robust_share", parse=parse_robust,
@@ -390,13 +390,13 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
         help="Also judge the worst machine within the tolerances of the machine file that a search "
-        "finds, and 200 drawn ones.",
+        "finds, and 200 drawn machines.",
         doors=(Door.LINE,),
     ),
     Option(
         name="yield", group=Group.LEVEL, verbs=_PROVING,
         help='Share of the machines within the tolerances that must be in spec: "99 %", judged '
-        "by the lower end of the exact 95 % interval of 1000 of them.",
+        "by the lower end of the exact 95 % interval of 1000 drawn machines.",
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(

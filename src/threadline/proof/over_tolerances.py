@@ -21,7 +21,7 @@ from threadline.proof.kinds.variants import UNANSWERED, unanswered
 from threadline.proof.worst_machine import WithinTolerances, Worst, shares_of, unanswered_in
 from threadline.proof.worst_search import WorstSearch
 from threadline.verdict import Result, Spec, Status, Verdict, with_lines
-from threadline.verdict.each_run import at_least, in_others, worst_of
+from threadline.verdict.each_run import at_least, with_other_machines, worst_of
 from threadline.verdict.types import REPEATED_RUNS, OverTolerances
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def _found(
     except (MachineError, RecordingError):
         of_worst, judged = None, ()
     others = found.taken(np.flatnonzero(np.arange(found.runs) != at))
-    results = [*with_lines(in_others(verdict, others).results, within.plan)]
+    results = [*with_lines(with_other_machines(verdict, others).results, within.plan)]
     stuck = np.flatnonzero(unanswered_in(found))
     if len(stuck):
         why = [within.why_not(search.parts[stuck[0]])] * len(stuck)

@@ -86,7 +86,7 @@ class Trials:
     product: tuple[float, ...] = ()
 
     def others(self, machine: Machine) -> dict[Literal["ends", "band"], Others]:
-        """Return the machines that must pass besides those that are drawn, by their option.
+        """Return the machines that must pass besides the drawn machines, by their option.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class Trials:
 
 NOMINAL: Trials = Trials()
 REPEATED: Trials = Trials(repeats=REPEATED_RUNS)
-TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
+TOLERANCES: Trials = Trials(repeats=REPEATED_RUNS, machines=200)
 
 
 def yielding(share: float) -> Trials:
@@ -374,7 +374,7 @@ def prove_plan(
     Raises
     ------
     OptionError
-        If other machines are asked for, and no number has a tolerance or there are no dynamics.
+        If other machines are wanted, and no number has a tolerance or there are no dynamics.
     """
     judge = Judge(plan, spec) if judge is None else judge
     if trials != trials.alone:

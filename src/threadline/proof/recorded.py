@@ -11,18 +11,18 @@ from pathlib import Path
 from threadline.base.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
 from threadline.commands.learned import table_words
 from threadline.commands.plan import Plan
-from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.plausibility import plausibility_warnings
 from threadline.errors import OptionError
 from threadline.files import Recording
 from threadline.files.formats import read_recording
 from threadline.jobs.operations import FeedMode, Job, MoveRun
 from threadline.machine import Machine
 from threadline.motion.path.interpolations import KEEPING_TOLERANCE, on_chords
-from threadline.proof.asked import Words, chosen_machine
 from threadline.proof.option_table import RECORDED
 from threadline.proof.option_words import parse_tolerance_m
 from threadline.proof.options import options_from, options_of
 from threadline.proof.pipeline import Proof, open_job, plan_job, with_shaping
+from threadline.proof.request import Words, chosen_machine
 from threadline.verdict import Spec, Verdict, judge
 from threadline.verdict.deviation import measure_path_deviation
 from threadline.verdict.registry import MEASURES
@@ -204,7 +204,7 @@ def warnings_of(proof: Proof) -> list[str]:
     """Return every warning of a proof: about its machine, job, plan and verdict."""
     plan = proof.plan
     return [
-        *suspicions(plan.machine),
+        *plausibility_warnings(plan.machine),
         *(plan.machine.planner.left_out if plan.machine.planner is not None else []),
         *plan.job.suspicions(own_feed=plan.feed_override is not None),
         *plan.intent.warnings,

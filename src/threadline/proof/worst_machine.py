@@ -26,7 +26,7 @@ from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at, number_tables, with_numbers
 from threadline.machine.variants import check_uncertain, load_by_counts, numbers_at, one_at_a_time
 from threadline.machine.vary import Days, on_days
-from threadline.proof.judge_runs import AloneJudge, RunsJudge, Variants
+from threadline.proof.judge_runs import RunsJudge, SerialJudge, Variants
 from threadline.proof.kinds import kind_of
 from threadline.twin import fastest_rates
 from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
@@ -80,9 +80,9 @@ class WithinTolerances:
             self._many = RunsJudge(plan, spec, threads=threads, extremes=extremes)
         own = self._many
         if own is None:
-            self._alone = AloneJudge(plan, spec)
+            self._alone = SerialJudge(plan, spec)
         else:
-            self._alone = AloneJudge(own.plan, spec, own.judge)
+            self._alone = SerialJudge(own.plan, spec, own.judge)
 
     def _fastest_corner(self) -> FloatArray:
         """Return (k, n) parts of machines whose rates bound the rates of all drawn machines.

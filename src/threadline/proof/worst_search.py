@@ -89,7 +89,7 @@ class WorstSearch:
     done
         Called with the number of judged machines.
     searched
-        Number of machines that were tried so far, without those that were drawn.
+        Number of machines tried so far, without the drawn machines.
     drawn
         Numbers of the drawn machines.
     """
@@ -121,7 +121,7 @@ class WorstSearch:
 
     @property
     def parts(self) -> FloatArray:
-        """(k, n) parts of all judged machines, in their order; those that were drawn as well."""
+        """(k, n) parts of all judged machines in their order, drawn machines included."""
         return np.concatenate(self._parts)
 
     @property
@@ -234,7 +234,7 @@ class WorstSearch:
             step()
 
     def _worst_rows(self) -> IntArray:
-        """Return the numbers of all rows, those that are closest to their limits first."""
+        """Return the numbers of all rows, the rows closest to their limits first."""
         return np.argsort(-_clipped(self._shares).max(axis=1), kind="stable")
 
     def _near_rows(self) -> list[int]:
@@ -388,7 +388,7 @@ class WorstSearch:
     def _round(
         self, climbs: Sequence[_Climb], moves: Callable[[_Climb], list[FloatArray]]
     ) -> tuple[list[_Climb], list[_Climb]]:
-        """Take one step of every climb; return those that got worse, and those that did not."""
+        """Take one step of every climb; return the climbs that got worse, and the others."""
         tried = [moves(one) for one in climbs]
         count = len(climbs)
         share = max(self._left // count, 1)

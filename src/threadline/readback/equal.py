@@ -23,10 +23,10 @@ from threadline.commands.plan import Plan
 from threadline.commands.write import TABLES
 from threadline.errors import InputError, OptionError, PlanError
 from threadline.machine import Machine
-from threadline.proof.asked import check_target
 from threadline.proof.kinds import kind_of
 from threadline.proof.options import Options
 from threadline.proof.pipeline import target_names, write
+from threadline.proof.request import check_target
 from threadline.readback.equal_found import UNITS, Curve, Found
 from threadline.readback.equal_text import check_version, other_text
 

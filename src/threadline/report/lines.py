@@ -199,7 +199,7 @@ def _instead_lines(proof: Proof) -> Iterator[str]:
 
 
 def _points_line(added: float) -> str:
-    return f"Points added:         {added:.0f} (path_deviation is what is left, and where)"
+    return f"Points added:         {added:.0f} (path_deviation gives the remaining error)"
 
 
 def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:

@@ -31,10 +31,10 @@ from threadline.units import without_noise
 from threadline.verdict import closing, verdict_rows
 
 if TYPE_CHECKING:
-    from threadline.search.studied import Studied
+    from threadline.search.report_data import ReportData
 
 
-def write_motion(studied: Studied, folder: Path) -> Path:
+def write_motion(studied: ReportData, folder: Path) -> Path:
     """Write the report of a proof into ``folder``; return the path of the HTML page.
 
     Raises

@@ -16,7 +16,7 @@ from threadline.report.switching import write_switching, write_switching_compari
 
 if TYPE_CHECKING:
     from threadline.search import Comparison
-    from threadline.search.studied import Studied
+    from threadline.search.report_data import ReportData
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +31,7 @@ class KindReport:
         Writes the report of a comparison, with the printed tables, into a folder.
     """
 
-    write: Callable[[Studied, Path], Path]
+    write: Callable[[ReportData, Path], Path]
     compare: Callable[[Comparison, Path, Sequence[Printed]], Path]
 
 
@@ -43,10 +43,10 @@ REPORTS: Mapping[type, KindReport] = {
 """By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``KINDS``."""
 
 
-def write_report(studied: Studied, folder: Path) -> Path:
+def write_report(studied: ReportData, folder: Path) -> Path:
     """Write the report of a proof into ``folder``; return the path of the HTML page.
 
-    ``threadline.search.studied`` describes the content of ``studied``.
+    ``threadline.search.report_data`` describes the content of ``studied``.
 
     Raises
     ------

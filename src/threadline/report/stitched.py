@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from threadline.search import Comparison
-    from threadline.search.studied import Studied
+    from threadline.search.report_data import ReportData
 
 
 _THIN, _THICK = 0.35, 2.4
@@ -246,7 +246,7 @@ _LEFT_OUT = ("feed-mode", "limits", "interpolation")
 """Options without effect on a frame that moves from stitch to stitch by a motion law."""
 
 
-def write_stitched(studied: Studied, folder: Path) -> Path:
+def write_stitched(studied: ReportData, folder: Path) -> Path:
     """Write the report of a proof into ``folder``; return the path of the HTML page.
 
     Raises

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from threadline.search import Comparison
     from threadline.search.broken_beam import BreakSweep
-    from threadline.search.studied import Studied
+    from threadline.search.report_data import ReportData
 
 
 MICRO = 1e6
@@ -256,7 +256,7 @@ _CAPTIONS = {
 }
 
 
-def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = ()) -> Path:
+def write_switching(studied: ReportData, folder: Path, tables: Sequence[Printed] = ()) -> Path:
     """Write the report of a proof into ``folder``; return the path of the HTML page.
 
     ``tables`` are from the search that found the job; they follow the tables of the proof.

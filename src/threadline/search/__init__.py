@@ -4,7 +4,7 @@ from threadline.search.allowance import FastestJob, Rung
 from threadline.search.compare import PLACEMENT, Comparison, compare, placement_spec
 from threadline.search.fastest import Fastest, Grid, find_fastest
 from threadline.search.feed import fastest_feed, fastest_needle, feed_range_m_s, needle_range_hz
-from threadline.search.forbidden import Interval
+from threadline.search.feed_ranges import Interval
 from threadline.search.least_limits import fastest_job
 from threadline.search.least_times import Bound
 from threadline.search.mismatch import Certainty, Mismatch

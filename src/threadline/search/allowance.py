@@ -22,12 +22,12 @@ from threadline.jobs.operations import Feed, FeedMode
 from threadline.proof.option_words import LEAST_CONTOUR_M
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
+from threadline.search.deadline import until_deadline
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
-from threadline.search.forbidden import Interval, closeness, worst_criterion
+from threadline.search.feed_ranges import Interval, closeness, worst_criterion
 from threadline.search.least_times import Bound, bounds_of
 from threadline.search.paced import Question, beyond
-from threadline.search.until import as_far_as
 from threadline.verdict import Verdict
 
 
@@ -87,7 +87,7 @@ class FastestJob:
     by
         Meaning of the feeds.
     enough
-        Where only the limits are asked and even the highest feed passes: the lowest feed found, in
+        If only limits are judged and even the highest feed passes: the lowest feed found, in
         the same unit, with which the job takes at most 0.1 % longer. Otherwise None.
     """
 
@@ -160,7 +160,7 @@ def fastest_allowed(asked: Question) -> FastestJob:
     rungs: dict[float, Rung] = {}
     next_one = _next_contour if by_contour else _next_share
     amount: float | None = options.timing.contour_m if by_contour else options.limit_share
-    with as_far_as(until, lambda: rungs):
+    with until_deadline(until, lambda: rungs):
         while amount is not None:
             rungs[amount] = proved(amount)
             alone = by_contour and options.contour_m is not None

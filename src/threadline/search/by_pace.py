@@ -30,9 +30,10 @@ from threadline.proof.pipeline import plan_job
 from threadline.search.allowance import FastestJob, options_at
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
 from threadline.search.cycle_robust import RobustCycle, robust_cycle
+from threadline.search.deadline import with_answer
 from threadline.search.fastest import COARSE, Fastest
 from threadline.search.feed import fastest_feed, fastest_needle, feed_unit, search_range, sewn_at
-from threadline.search.forbidden import Interval
+from threadline.search.feed_ranges import Interval
 from threadline.search.least_limits import fastest_job, planned_at
 from threadline.search.mismatch import (
     CYCLE,
@@ -45,8 +46,8 @@ from threadline.search.mismatch import (
     Certainty,
     Mismatch,
     Searched,
+    at_tolerance_ends,
     near_best,
-    off_tolerances,
 )
 from threadline.search.paced import Question
 from threadline.search.question import searched_as
@@ -57,7 +58,6 @@ from threadline.search.shaft import (
     fastest_shaft,
     speed_range_hz,
 )
-from threadline.search.until import with_answer
 from threadline.verdict import Verdict
 
 
@@ -91,7 +91,7 @@ class Answer:
     plan
         Plans the best; where nothing is in spec, plans the question's own options.
     over_band
-        The cycle for a band of modes; None where no band was asked for.
+        The cycle for a band of modes; None without a band.
     certainty
         Speed lost by passing at the ends of the tolerances; None where this was not asked for.
     mismatch
@@ -116,7 +116,7 @@ class Answer:
 
     @property
     def passed(self) -> bool:
-        """Whether a plan is in spec, and passes all over the band where a band was asked for."""
+        """Whether a plan is in spec, and passes all over the band if there is one."""
         if self.over_band is not None:
             return self.over_band.job is not None
         return self.best is not None
@@ -333,7 +333,7 @@ def answered(asked: Question) -> Answer:
     Raises
     ------
     OptionError
-        If ends of tolerances are asked for and no number has a tolerance, or the time was over
+        If ends of tolerances are wanted and no number has a tolerance, or the time was over
         before a plan was judged.
     """
     search = SEARCHES[searched_as(asked.job, asked.options)]
@@ -342,7 +342,7 @@ def answered(asked: Question) -> Answer:
         certainty = _certainty(found, search)
         cells: tuple[Mismatch, ...] = ()
         if asked.mismatch:
-            cells = off_tolerances(asked, search.again(asked, found))
+            cells = at_tolerance_ends(asked, search.again(asked, found))
     return replace(found, certainty=certainty, mismatch=cells)
 
 

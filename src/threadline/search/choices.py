@@ -1,4 +1,4 @@
-"""Search over all that a plan of ``optimal`` may choose, by what the loops make of each plan.
+"""Search over all choices of a plan of ``optimal``, by the following error of the loops.
 
 A plan may choose how far its path leaves the program on the inside and the outside of corners, how
 much of volts and current it leaves to the loops, over which time feed-forward smooths, and how far

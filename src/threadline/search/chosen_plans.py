@@ -38,11 +38,11 @@ from threadline.search.choices import (
     places_of,
     used_of,
 )
+from threadline.search.deadline import HaltError, until_deadline
 from threadline.search.feed import feed_range_m_s
-from threadline.search.forbidden import closeness
+from threadline.search.feed_ranges import closeness
 from threadline.search.least_times import Bound, bounds_of, least_on_any_path
 from threadline.search.paced import Question, beyond
-from threadline.search.until import HaltError, as_far_as
 from threadline.verdict import Verdict
 
 _CONFIRMED = 200  # runs, by which a plan must pass that is to be the best so far
@@ -185,7 +185,7 @@ def fastest_chosen(asked: Question) -> FastestJob:
     options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
     tick_s = float(machine.tick_clock.period_s)
     searches: list[Choosing] = []
-    with as_far_as(until, lambda: any(one.rungs for one in searches)):
+    with until_deadline(until, lambda: any(one.rungs for one in searches)):
         for one, limits_too in _with_limits(options, asked):
             knobs = knobs_of(machine, asked.spec, one, asked.free, limits_too=limits_too)
             search = Choosing(asked, knobs, one)

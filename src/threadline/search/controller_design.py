@@ -1,4 +1,4 @@
-"""Controllers for many sensors: what is asked for, its design, and the machine file with it."""
+"""Controllers for many sensors: the wanted design, its result, and the machine file with it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Wanted:
     design
         One of ``DESIGNS``.
     gain
-        Gain at rest, in gains at rest of the present controllers; 1.
+        Static gain, as a multiple of the present controllers' static gain; 1.
     sensors
         Sensors to read besides the encoders of the axes; none.
     ahead

@@ -17,10 +17,10 @@ from threadline.jobs.operations import Job
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, plan_job, try_plan
 from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
+from threadline.search.deadline import until_deadline
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import overlapped, with_choices
 from threadline.search.paced import Question
-from threadline.search.until import as_far_as
 from threadline.verdict import Status
 
 _ROUNDS = 14
@@ -107,7 +107,7 @@ def fastest_cycle(asked: Question) -> FastestCycle:
             tried=1,
         )
     tried = 1
-    with as_far_as(until, lambda: base):
+    with until_deadline(until, lambda: base):
         for round_ in range(_ROUNDS):
             if until is not None:
                 until.check()

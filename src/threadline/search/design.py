@@ -17,7 +17,6 @@ from threadline.machine.model import check_dynamics
 from threadline.proof.kinds import kind_of
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, Trials
-from threadline.search.design_alone import JobReader
 from threadline.search.design_evaluate import AHEAD, FEW, THOROUGH, Effort, Evaluator, Tried
 from threadline.search.design_front import CandidateYield, marked
 from threadline.search.design_judge import OtherRuns
@@ -36,6 +35,7 @@ from threadline.search.design_searches import (
     pooled,
     within_progress,
 )
+from threadline.search.design_single_proofs import JobReader
 from threadline.search.design_space import Space, design_space
 from threadline.verdict import Spec
 from threadline.verdict.rendering import percent_used
@@ -65,7 +65,7 @@ class DesignResult(Summarised):
     simulated
         Number of machines simulated in the search.
     level
-        Level at which the design was asked for.
+        Wanted level of the design.
     screened
         Runs over which ``Candidate.ratio`` is the worst, in words.
     refused

@@ -23,14 +23,14 @@ from threadline.machine.numbers import with_numbers
 from threadline.proof.option_words import parse_width_s
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, plan_job
-from threadline.search.design_alone import (
+from threadline.search.design_judge import HOPELESS, DesignJudge, OtherRuns, Ratios, design_judge
+from threadline.search.design_single_proofs import (
     NO_COMMANDS,
-    AloneItem,
-    AloneProofs,
+    SingleItem,
+    SingleProofs,
     Used,
     bits_of_used,
 )
-from threadline.search.design_judge import HOPELESS, DesignJudge, OtherRuns, Ratios, design_judge
 from threadline.search.design_space import Space
 from threadline.verdict import Spec
 
@@ -207,7 +207,7 @@ class Tried:
         (n,) index of the share of the acceleration.
     ratio
         (n,) worst ratio of measured to limit, at the best needle delay. It includes other runs and
-        machines where they are asked for and the first run is in spec. At most 1 is in spec.
+        machines if they are wanted and the first run is in spec. At most 1 is in spec.
     nominal
         (n,) the ratio of the first run.
     delay
@@ -280,12 +280,12 @@ class Evaluator:
         self.read, self._spec, self._options = read, spec, options
         self.simulated = 0
         self.judges: tuple[DesignJudge, ...] = ()
-        self._alone: AloneProofs | None = None
+        self._alone: SingleProofs | None = None
         if space.ahead:
             return
         if space.alone:
             plan_job(read(space.machine), space.machine, options)  # may refuse the machine
-            self._alone = AloneProofs(space.machine, read, spec, options, self.others.repeats)
+            self._alone = SingleProofs(space.machine, read, spec, options, self.others.repeats)
             return
         judges = []
         for share in space.levels:
@@ -346,14 +346,14 @@ class Evaluator:
         return replace(self._options, feed_forward_s=parse_width_s(FEED_FORWARD), change_s=width_s)
 
     def _one_by_one(
-        self, proofs: AloneProofs, points: FloatArray, level: IntArray, beyond: float
+        self, proofs: SingleProofs, points: FloatArray, level: IntArray, beyond: float
     ) -> Tried:
         """Prove every candidate by itself."""
         items = []
         for point, share in zip(points, level.tolist(), strict=True):
             numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
             numbers |= self.space.slower(self.space.levels[share])
-            items.append(AloneItem(numbers=numbers, beyond=beyond))
+            items.append(SingleItem(numbers=numbers, beyond=beyond))
         found = list(answers(proofs, items))
         self.simulated += sum(one.simulated for one in found)
         return Tried(

@@ -97,7 +97,7 @@ class ProvedDesign:
 
     @property
     def passed(self) -> bool:
-        """Whether the machine, and every corner that was asked for, is in specification."""
+        """Whether the machine, and every wanted corner, is in specification."""
         return self.verdict.passed and (self.corners is None or self.corners.passed)
 
 
@@ -182,7 +182,7 @@ def _prove(
     trials: Trials,
     corners: bool,
 ) -> ProvedDesign:
-    """Prove one candidate by the whole pipeline, and its corners where they are asked for.
+    """Prove one candidate by the whole pipeline, and its corners if they are wanted.
 
     Raises
     ------

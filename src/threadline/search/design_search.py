@@ -60,7 +60,7 @@ def region_of(
     usage
         (P,) typical change of each parameter along the Pareto set, times its weight.
     plotted
-        Two parameters; None: first those that cost most at ``centre``, then those most used.
+        Two parameters; None: first the costliest at ``centre``, then the most used.
     """
     names = plotted or _important(space, centre, usage)
     if names is None or not evaluator.effort.side:

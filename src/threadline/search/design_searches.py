@@ -34,7 +34,7 @@ class Search:
     tried
         All its candidates.
     yields
-        Yields of candidates that trade cost for margin, where they are asked for.
+        Yields of candidates that trade cost for margin, if they are wanted.
     simulated
         Number of machines that it simulated.
     """

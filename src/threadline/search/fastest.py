@@ -19,7 +19,8 @@ import numpy as np
 
 from threadline.base.progress import Progress
 from threadline.errors import OptionError
-from threadline.search.forbidden import (
+from threadline.search.deadline import Deadline, HaltError
+from threadline.search.feed_ranges import (
     INSIDE,
     Forbidden,
     Interval,
@@ -31,7 +32,6 @@ from threadline.search.forbidden import (
     typeable,
     worst_criterion,
 )
-from threadline.search.until import HaltError, Until
 from threadline.verdict import Status, Verdict
 
 EDGE_RELATIVE = 2e-3
@@ -66,9 +66,9 @@ class Grid:
         however slow the motion was. Slower intervals that this scan meets come from the scan and
         the bisection of edges alone.
     between
-        Whether every feed between two that pass passes, too, as where nothing is asked but limits
-        that the planner keeps at every feed. If both ends of the range pass, no other is tried;
-        without ``every``, the highest feed and one a few steps below it.
+        Whether every feed between two passing feeds passes, too, as where nothing is judged but
+        limits that the planner keeps at every feed. If both ends of the range pass, no other is
+        tried; without ``every``, the highest feed and one a few steps below it.
     """
 
     points: int = 48
@@ -169,7 +169,7 @@ def find_fastest(
     grid: Grid = PLAIN,
     *,
     progress: Progress | None = None,
-    until: Until | None = None,
+    until: Deadline | None = None,
     seen: dict[float, Verdict] | None = None,
 ) -> Fastest:
     """Scan feeds from ``low`` to ``high``, then refine every edge between pass and fail.

@@ -18,9 +18,9 @@ from threadline.machine import Machine
 from threadline.motion.path import programmed_path
 from threadline.proof.judge_runs import kept_in_memory
 from threadline.proof.pipeline import open_job, plan_job
-from threadline.search.distinct import LongMoves, moves_in
 from threadline.search.fastest import FINE, Fastest, Grid
 from threadline.search.paced import Paced, Question, fastest_paced
+from threadline.search.shortened_jobs import LongMoves, moves_in
 from threadline.verdict import Verdict
 
 

@@ -25,7 +25,7 @@ from threadline.machine import Machine
 from threadline.machine.vary import REPEAT_SEED, corners, drawn_days, ends_of, off_tolerance, vary
 from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import NOMINAL, Trials, prove_plan
-from threadline.search.forbidden import used
+from threadline.search.feed_ranges import used
 from threadline.search.repeats import (
     GIVEN_UP,
     Learned,

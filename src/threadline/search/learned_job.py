@@ -19,12 +19,12 @@ from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.machine.vary import ends_of
 from threadline.motion.path.interpolations import OPTIMAL
-from threadline.proof.asked import Words, with_radii_of
 from threadline.proof.option_form import Type
 from threadline.proof.option_table import RECORDED
 from threadline.proof.options import Options, options_from
 from threadline.proof.pipeline import check_machine, open_job, plan_job, with_shaping
 from threadline.proof.recorded import refuse_other_files
+from threadline.proof.request import Words, with_radii_of
 from threadline.search.learn import MOST_REPEATS, Learner, check_learnable, learn
 from threadline.search.repeats import (
     Learned,

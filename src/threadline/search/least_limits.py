@@ -25,12 +25,12 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import check_loops, plan_job
 from threadline.search.allowance import FastestJob, Rung, fastest_allowed
 from threadline.search.chosen_plans import fastest_chosen
-from threadline.search.distinct import LongMoves, distinct_parts, moves_in
+from threadline.search.deadline import Deadline, HaltError, no_answer, until_deadline
 from threadline.search.fastest import FINE, RANGE, Fastest, Grid, check_range
 from threadline.search.feed import fastest_feed, feed_unit, search_range, searched_by
-from threadline.search.forbidden import Interval, closeness, worst_criterion
+from threadline.search.feed_ranges import Interval, closeness, worst_criterion
 from threadline.search.paced import Question
-from threadline.search.until import HaltError, Until, as_far_as, no_answer
+from threadline.search.shortened_jobs import LongMoves, distinct_parts, moves_in
 from threadline.verdict import Verdict
 from threadline.winding.product import product_text
 
@@ -69,7 +69,7 @@ class Shares:
     at_top_s: Callable[[float], float]
     expected: int
     progress: Progress | None
-    until: Until | None
+    until: Deadline | None
     rungs: dict[float, Rung] = field(default_factory=dict)
     left_out: set[float] = field(default_factory=set)
     top_s: float | None = None
@@ -240,7 +240,7 @@ def fastest_job(asked: Question) -> FastestJob:
         whole = False
         if asked.progress is not None:
             asked.progress("the whole job", shares.steps / (shares.steps + 1))
-        with as_far_as(until, lambda: rungs):
+        with until_deadline(until, lambda: rungs):
             best = _of_whole(best, asked)
             rungs[best.share] = best
             whole = True
@@ -305,7 +305,7 @@ def of_a_part(asked: Question) -> Question:
 
 
 def _only_limits(asked: Question) -> bool:
-    """Return whether less acceleration cannot win: nothing is asked but the machine's own limits.
+    """Return whether less acceleration cannot win: only the machine's own limits are judged.
 
     A machine without dynamics does not ring, so only a criterion of the specification could ask
     for less than its limits.

@@ -17,8 +17,8 @@ from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.machine.pneumatics import TIMES
 from threadline.machine.variants import MOST_CORNERS, Uncertain, corners, drawn, not_drawn
-from threadline.proof.asked import Words
 from threadline.proof.pipeline import check_machine, open_job, plan_job, with_product
+from threadline.proof.request import Words
 from threadline.proof.worst_machine import WithinTolerances, Worst, shares_of
 from threadline.proof.worst_search import WorstSearch
 from threadline.search.yield_state import YieldState
@@ -159,7 +159,7 @@ class MachineYield(WithinTolerances):
         Raises
         ------
         OptionError
-            If no machine is asked for, or the seed is out of range.
+            If the number of machines is 0, or the seed is out of range.
         RecordingError
             If the first machine's result differs from the state's.
         """

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from threadline.errors import OptionError
 from threadline.machine.vary import off_tolerance
 from threadline.proof.pipeline import NOMINAL
-from threadline.search.forbidden import Interval
+from threadline.search.feed_ranges import Interval
 from threadline.search.paced import Question
 
 ENDS = (-1.0, 0.0, 1.0)
@@ -87,7 +87,9 @@ BestPace = tuple[float | None, Sequence[Interval], str]
 """The best pace, all intervals in spec, the fastest first, and the limiting criterion."""
 
 
-def off_tolerances(asked: Question, again: Callable[[Question], BestPace]) -> tuple[Mismatch, ...]:
+def at_tolerance_ends(
+    asked: Question, again: Callable[[Question], BestPace]
+) -> tuple[Mismatch, ...]:
     """Return the results of a search on machines at the ends of the tolerances, one run each.
 
     Plans are made for the machine of the file. The machine that runs them has other numbers, as a

@@ -56,10 +56,10 @@ class LevelCommand:
 
     def on(self, turn: complex, valves: Valves) -> LevelCommand:
         """Return the same command with its ringing on a machine with another mode."""
-        return replace(self, left=left_ringing(self.ticks, self.levels, turn, valves))
+        return replace(self, left=residual_ringing(self.ticks, self.levels, turn, valves))
 
 
-def left_ringing(
+def residual_ringing(
     ticks: tuple[int, ...], levels: tuple[float, ...], turn: complex, valves: Valves
 ) -> complex:
     """Return the complex ringing after a command at its last switching, in full steps.
@@ -150,7 +150,7 @@ def stepped(
         on = nominal + round(on_scans - whole)
         for span in range(dwell, min(on - dwell, longest) + 1):
             ticks = (0, span, on, on + span)
-            left = left_ringing(ticks, levels, turn, valves)
+            left = residual_ringing(ticks, levels, turn, valves)
             if abs(left) <= most:
                 found.append(LevelCommand("levels", ticks, levels, left))
     return found
@@ -253,7 +253,7 @@ class MoveCommands:
             own = self._plan_with(move.axis, name).get(move.operation)
             if own is None:
                 continue  # the cylinder's valves cannot make this command
-            left = left_ringing(own.ticks, own.levels, turn, valves)
+            left = residual_ringing(own.ticks, own.levels, turn, valves)
             if abs(left) <= most:
                 found.append(LevelCommand(name, own.ticks, own.levels, left))
         return found
@@ -279,7 +279,7 @@ def step_scans(turn: complex) -> int:
 
 
 def _thinned(commands: list[LevelCommand]) -> list[LevelCommand]:
-    """Return fewer commands: for each duration those with the least ringing, and some others."""
+    """Return fewer commands: for each duration the ones that ring least, and some others."""
     kept: list[LevelCommand] = []
     by_scans: dict[int, list[LevelCommand]] = {}
     for command in sorted(commands, key=lambda c: (c.scans, abs(c.left))):

@@ -19,10 +19,10 @@ from threadline.proof.option_form import Word
 from threadline.proof.options import Options
 from threadline.proof.over_tolerances import Suspects
 from threadline.proof.pipeline import NOMINAL, Trials, try_plan
+from threadline.search.deadline import Deadline
 from threadline.search.fastest import FINE, Fastest, Grid, check_range, find_fastest
-from threadline.search.forbidden import used
+from threadline.search.feed_ranges import used
 from threadline.search.learn import learned_verdict
-from threadline.search.until import Until
 from threadline.verdict import Result, Spec, Status, Verdict
 
 
@@ -72,7 +72,7 @@ class Question:
     low: float | None = None
     high: float | None = None
     by: FeedMode | None = None
-    until: Until | None = None
+    until: Deadline | None = None
     progress: Progress | None = None
     margin: float = 0.0
     band: float | None = None

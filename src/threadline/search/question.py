@@ -13,16 +13,16 @@ from threadline.jobs.operations import FeedMode, Job
 from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
 from threadline.machine import Machine
 from threadline.motion.path.interpolations import OPTIMAL
-from threadline.proof.asked import Words, with_radii_of
 from threadline.proof.kinds import kind_of
 from threadline.proof.option_words import parse_feed, parse_margin, parse_robust
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, with_product, with_shaping
+from threadline.proof.request import Words, with_radii_of
 from threadline.search.choices import CHOSEN
+from threadline.search.deadline import Deadline
 from threadline.search.feed import searched_by
 from threadline.search.learn import MOST_REPEATS, check_learnable
 from threadline.search.paced import Question
-from threadline.search.until import Until
 from threadline.units import parse_number, parse_quantity
 
 Span = tuple[float | None, float | None, FeedMode | None]
@@ -111,7 +111,7 @@ def _shaft_hz(text: str) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class PaceOptions:
     """The options of a search by one pace.
 
     Parameters
@@ -130,14 +130,14 @@ class Asked:
 
 
 _SPAN = frozenset({"--low", "--high", "--robust", "--shaper", "--mismatch", "--learned"})
-ASKED: Mapping[str, Asked] = {
-    "feed": Asked(searched="the feed is", takes=_SPAN, span=_feeds),
-    OPTIMAL: Asked(
+PACE_OPTIONS: Mapping[str, PaceOptions] = {
+    "feed": PaceOptions(searched="the feed is", takes=_SPAN, span=_feeds),
+    OPTIMAL: PaceOptions(
         searched="no feed is", takes=frozenset({"--high", "--robust", "--shaper"}), span=_capped
     ),
-    "needle": Asked(searched="the speed of the needle is", takes=_SPAN, span=_needles),
-    "shaft": Asked(searched="the speed of the shaft is", takes=_SPAN, span=_shaft_speeds),
-    "switchings": Asked(
+    "needle": PaceOptions(searched="the speed of the needle is", takes=_SPAN, span=_needles),
+    "shaft": PaceOptions(searched="the speed of the shaft is", takes=_SPAN, span=_shaft_speeds),
+    "switchings": PaceOptions(
         searched="commands and waits are",
         takes=frozenset({"--out", "--mismatch"}),
         span=lambda *_: (None, None, None),
@@ -184,7 +184,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     refuse_others(job, options, given)
     search = searched_as(job, options)
     learned = _learned(words, job, chosen, options)
-    low, high, by = ASKED[search].span(job, chosen, words.text("low"), words.text("high"))
+    low, high, by = PACE_OPTIONS[search].span(job, chosen, words.text("low"), words.text("high"))
     spec = with_product(words.spec(chosen), chosen, options).with_margin(margin)
     actual, mismatch, band = words.actual(), words.flag("mismatch"), None
     if job.paced_by == "switchings":  # commands made for a band are judged over the whole band
@@ -280,7 +280,7 @@ def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> No
     OptionError
         If an option does not apply; the message names the option and the alternative.
     """
-    search = ASKED[searched_as(job, options)]
+    search = PACE_OPTIONS[searched_as(job, options)]
     for name, value in given.items():
         if value is not None and name not in search.takes:
             typed = name if value is True else f"{name} {str(value)!r}"
@@ -290,7 +290,7 @@ def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> No
             )
 
 
-def _until(within: str | None) -> Until | None:
+def _until(within: str | None) -> Deadline | None:
     if within is None:
         return None
     within_s = parse_number("--within", within, "s", "5 min")
@@ -299,4 +299,4 @@ def _until(within: str | None) -> Until | None:
             f"--within {within!r} must be greater than 0",
             remedy="Give how long the search may take, like '5 min', or leave it out.",
         )
-    return Until.within(within_s)
+    return Deadline.within(within_s)

@@ -11,7 +11,7 @@ from threadline.commands.plan import Plan
 from threadline.dynamics.learning import LearningFilter
 from threadline.machine import Machine
 from threadline.proof.pipeline import Proof
-from threadline.search.forbidden import used
+from threadline.search.feed_ranges import used
 from threadline.verdict import Verdict
 
 Sensed = Literal["head", "motor"]

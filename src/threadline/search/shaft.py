@@ -15,9 +15,9 @@ from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
 from threadline.proof.option_words import parse_tolerance_m, tolerance_words
 from threadline.proof.pipeline import NOMINAL, Proof, check_machine, plan_job, try_plan
+from threadline.search.deadline import until_deadline
 from threadline.search.fastest import Fastest, Grid
 from threadline.search.paced import Paced, Question, fastest_paced
-from threadline.search.until import as_far_as
 from threadline.verdict import Spec, Verdict
 
 GRID = Grid(points=24, near=3, edge=5e-3)
@@ -205,7 +205,7 @@ def _schedule(asked: Question) -> Proof | None:
     best = proof_at(low)
     if not best.verdict.passed:
         return None
-    with as_far_as(until, lambda: best):
+    with until_deadline(until, lambda: best):
         for _ in range(_HALVINGS):
             if until is not None:
                 until.check()

@@ -60,7 +60,7 @@ class Wanted:
     phase_margin_deg
         Phase margin of the rule ``margin``.
     crossover_hz
-        Crossover of that rule; None for the one with the largest gain at low frequencies.
+        Crossover of that rule; None for the crossover with the largest gain at low frequencies.
     axes
         Axes to tune; all with a loop where it is empty.
     """
@@ -267,7 +267,7 @@ def _job_runs(tuning: Tuning, job: Path, spec: Spec | None) -> list[JobRun]:
     return found
 
 
-def asked(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
+def wanted_tuning(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
     """Return what loops are tuned for, as it was typed.
 
     Raises

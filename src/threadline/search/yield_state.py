@@ -172,7 +172,7 @@ class YieldState:
     def add(self, found: EachRun) -> None:
         """Keep the results of the next machines of the sequence."""
         self._append(content_of_runs(found, sum(part.runs for part in self._known)))
-        self._known.append(found)  # joined when it is asked for: in each call all would be copied
+        self._known.append(found)  # joined when read: each call would copy all
 
     def check_first(self, found: EachRun) -> None:
         """Compare the file's result of the first machine with its new result.

@@ -19,7 +19,7 @@ from threadline.base.compiled import njit
 from threadline.dynamics.prescribed import prescribed
 from threadline.errors import MachineError
 from threadline.files import StepPlay, StepTable, StitchBlock
-from threadline.files.step_play import one_behind_the_other
+from threadline.files.step_play import concatenated_intervals
 from threadline.machine import Machine
 from threadline.machine.sources import PulseServo
 
@@ -179,7 +179,7 @@ class Library:
 @lru_cache(maxsize=1)
 def _joined(tables: tuple[StepTable, ...]) -> Library:
     """Return the joined tables; cached, because a proof plays the same ones in all its runs."""
-    intervals, begins = one_behind_the_other(tables)
+    intervals, begins = concatenated_intervals(tables)
     times = np.cumsum(intervals)
     before = np.concatenate(([0], times[begins[1:] - 1]))
     return Library(

@@ -5,8 +5,8 @@ and from the spool of the machine file. The fibre is laid as ``winding.replay`` 
 tick; its speed through the eye moves spool and arm (``dynamics.spool``), and their tension pulls at
 the eye and turns the mandrel back. No plan is read.
 
-Until the mandrel is told to turn the fibre is only tied: under tension and in the direction in
-which the winding begins, if the mandrel knows that, else slack with the arm on its lower stop.
+Until the mandrel is commanded to turn, the fibre is only tied: under tension and in the direction
+in which the winding begins, if the mandrel knows that, else slack with the arm on its lower stop.
 Where the place of the fibre is lost, nothing is drawn until it is found again.
 """
 

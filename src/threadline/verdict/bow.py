@@ -337,7 +337,7 @@ NO_BETWEEN = Between(
 )
 
 
-class WaysBetween:
+class MotionBetween:
     """Makes ``Between`` of each block of a recording that has velocities at its samples."""
 
     def __init__(self, setting: Setting) -> None:

@@ -341,12 +341,12 @@ _CHANGES = {
         Change.SATURATION, 0.0, "the controller of {axis} gave all that it has, first",
     ),
     "step_loss": (
-        Change.LOST_STEPS, 1.0, "the drive of {axis} lost steps: it was asked for {share} of its "
-        "torque or force, the most",
+        Change.LOST_STEPS, 1.0, "the drive of {axis} lost steps: the motion needed up to {share} "
+        "of its torque or force",
     ),
     "servo_force": (
-        Change.LOST_STEPS, 1.0, "the drive of {axis} was asked for {share} of its torque or force, "
-        "the most",
+        Change.LOST_STEPS, 1.0, "the motion of {axis} needed up to {share} of its drive's torque "
+        "or force",
     ),
 }  # fmt: skip
 """By measure: the effect on the motion, and the measured value above which it is listed."""

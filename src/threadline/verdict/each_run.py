@@ -38,8 +38,8 @@ class CriterionRow:
     of_plan
         Whether it is measured on the plan alone, and so equal in every run.
     places
-        The finding, with time, operation and note, of each run among the worst of those that were
-        measured together, by the index of the run.
+        The finding, with time, operation and note, of each run among the worst of the runs that
+        were measured together, by the index of the run.
     """
 
     name: str
@@ -305,7 +305,7 @@ def worst_of(
     return replace(worst, ends=count) if over == "ends" else replace(worst, band=count)
 
 
-def in_others(verdict: Verdict, others: EachRun, told: str = _WITHIN) -> Verdict:
+def with_other_machines(verdict: Verdict, others: EachRun, told: str = _WITHIN) -> Verdict:
     """Return ``verdict`` with every result replaced by the worst of other machines, if it is worse.
 
     Such a result has the place where the worst machine had this value; the line is left to

@@ -1,4 +1,8 @@
-"""Measures of the laid fibre, by the replay of a run or of the planned motion on its product."""
+"""Measures of the laid fibre, by the replay of a run or of the planned motion on its product.
+
+``criteria_of`` returns the criteria that a winder's product, and the spool of its fibre, add to a
+specification.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
+from threadline.machine.spool import Spool
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.laid_error import Apart
 from threadline.verdict.measure import Measure, Option
@@ -22,11 +27,16 @@ from threadline.verdict.replayed import (
     wound_job,
 )
 from threadline.verdict.samples import Block, Setting
+from threadline.verdict.types import Criterion
 from threadline.winding.laying import BRIDGED, LIFTED, WAITING
+from threadline.winding.product import Product
 
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
 EVENNESS_OPTIONS = {"over": Option(unit="s", default=0.02, above_0=True)}
 _AT_REST_M_S = 1e-4  # speed of the fibre below which it rests: no winding is as slow
+_LEAST_M = 5e-5  # lifted or bridged: a tow is thicker
+MOST_VARIATION = 0.05
+"""Largest allowed variation of the tension, as the winder thesis has it (section 2.4)."""
 
 
 Values = Callable[[Wound, int], FloatArray]
@@ -212,7 +222,7 @@ class _Evenness:
     def _windows(
         self, run: int, time_s: FloatArray, length: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Add the whole windows of a stretch; return what is left of it."""
+        """Add the whole windows of a stretch; return the rest of it."""
         count = int((time_s[-1] - time_s[0]) / self._over_s + 1e-9)
         edges = time_s[0] + self._over_s * np.arange(count + 1)
         drawn = np.interp(edges, time_s, length)
@@ -358,3 +368,45 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     if note:
         found["planned_slip_tendency"] = [replace(slip, note=note)]
     return found
+
+
+def criteria_of(
+    product: Product, spool: Spool | None = None, tensions_n: Sequence[float] = ()
+) -> tuple[Criterion, ...]:
+    """Return the criteria that a product asks for, beside the criteria of the specification.
+
+    With a spool its arm limits the slack, unless the product says what is taken up, and the
+    tension may vary by ``MOST_VARIATION``. A brake that can be set follows the tensions of the
+    layers; the least that the arm takes up at one of them counts.
+    """
+    slip = least_friction(product)
+    take_up = product.take_up
+    if take_up is None and spool is not None:
+        follows = tensions_n if spool.most_torque is not None else ()
+        take_up = min((spool.take_up_at(one) for one in follows), default=spool.take_up_m)
+    wanted: dict[str, float | None] = {
+        "planned_slip_tendency": slip,
+        "planned_bridging": _LEAST_M,
+        "planned_lifting": _LEAST_M,
+        "slip_tendency": slip,
+        "bridging": _LEAST_M,
+        "lifting": _LEAST_M,
+        "clearance": 0.0,
+        "slack": take_up,
+        "laid_error": None,
+        "free_length": None,
+        "fibre_speed": None,
+        "fibre_speed_variation": None,
+        "planned_pattern_closure": None,
+        "pattern_closure": None,
+    }
+    if product.covered is not None:
+        wanted |= {"planned_coverage_gap": product.gap, "coverage_gap": product.gap}
+    found = [
+        Criterion(name=name, limit=limit, required=limit is not None)
+        for name, limit in wanted.items()
+    ]
+    if spool is not None:
+        # Not required: a real machine may have no sensor of the tension.
+        found.append(Criterion(name="tension_variation", limit=MOST_VARIATION))
+    return tuple(found)

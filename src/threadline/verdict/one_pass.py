@@ -18,7 +18,7 @@ Findings = dict[Key, list[RunFindings]]
 
 
 class _Begun:
-    """The started measures of one run, and the reasons for those that cannot be measured."""
+    """The started measures of one run, and the reasons for measures that cannot start."""
 
     def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], together: bool) -> None:
         self.run = run

@@ -10,7 +10,6 @@ from threadline.commands.plan import Motion, Plan, Stitched
 from threadline.files import ChannelKind
 from threadline.verdict import demands, electrical, repeat, seam, settling, switch_measures, turning
 from threadline.verdict import stitch_run as stitches
-from threadline.verdict.advance import start_progress
 from threadline.verdict.bow import FOLLOWED
 from threadline.verdict.contour import start_contour
 from threadline.verdict.demands import (
@@ -34,6 +33,7 @@ from threadline.verdict.measure import (
     whole,
     whole_runs,
 )
+from threadline.verdict.progress_error import start_progress
 from threadline.verdict.samples import Setting
 from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun

@@ -82,7 +82,7 @@ class Follower:
     def values(self, block: RecordingBlock, count: int) -> FloatArray:
         """Return the (count, ...) samples of a block, for a channel with the same instants."""
         values = finite_samples(self._channel, block)
-        # Samples missing in this block are NaN; the measures that need them are told why.
+        # Samples missing in this block are NaN; the measures that need them get the reason.
         lacking = max(count - len(values), 0)
         known = values[:count]
         return known if not lacking else np.concatenate([known, np.full(lacking, np.nan)])

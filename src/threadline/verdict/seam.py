@@ -61,7 +61,7 @@ class _Seam:
         return [self._worst.found()]
 
     def _judge(self, until: int) -> None:
-        """Judge the buffered stitches up to ``until``; discard those that no other needs."""
+        """Judge the buffered stitches up to ``until``; discard stitches that no other needs."""
         held = self._held
         if held is None or until <= self._judged:
             return

@@ -21,7 +21,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.commands.turns import Stitched
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
-from threadline.files.step_play import one_behind_the_other
+from threadline.files.step_play import concatenated_intervals
 from threadline.verdict.coverage import Coverage
 from threadline.verdict.demands import SLACK
 from threadline.verdict.finding import Finding, RunFindings, Worst
@@ -385,7 +385,7 @@ def window_uses(stitched: Stitched) -> FloatArray:
 def step_rates_hz(stitched: Stitched, column: int) -> FloatArray:
     """Return (n,) highest step rate of an axis in each turn, Hz; 0 while it stands."""
     commands, turns = stitched.commands, stitched.turns
-    shortest = np.minimum.reduceat(*one_behind_the_other(commands.library)).astype(np.float64)
+    shortest = np.minimum.reduceat(*concatenated_intervals(commands.library)).astype(np.float64)
     tick_s = np.full(len(turns), float(commands.clock.period_s))
     if commands.counted_by == "angle":
         tick_s *= turns.window / commands.window_angle

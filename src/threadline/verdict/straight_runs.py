@@ -17,7 +17,7 @@ from threadline.motion.path.types import VertexBlock
 
 _BESIDE_M = 1e-9  # vertices no farther than this beside a line are on it
 _SAME_SPEED = 1e-6  # relative
-_MOST_PARTS = 1 << 16  # moves of one run that are told apart by their lines
+_MOST_PARTS = 1 << 16  # moves of one run whose job lines are kept
 
 
 @dataclass(frozen=True, slots=True)

@@ -159,7 +159,7 @@ class _Variation:
 
 
 def _of_run(parts: Sequence[_Sums], asked: Sequence[float]) -> Finding:
-    """Return the finding of the part that varies most, with the tension that was asked for there.
+    """Return the finding of the part that varies most, with the tension set there.
 
     Parts without samples do not count: their fibre is shorter than the length that is left out.
     """

@@ -14,7 +14,7 @@ from threadline.verdict.bow import (
     NO_BETWEEN,
     NO_VELOCITY,
     Between,
-    WaysBetween,
+    MotionBetween,
     beside,
     turning_places,
     turns,
@@ -382,7 +382,7 @@ class _TurningPoints(SweptMeasure):
             for column in range(axes)
         ]
         self._lag, self._interval_s = setting.lag_samples, setting.interval_s
-        self._ways = WaysBetween(setting)
+        self._ways = MotionBetween(setting)
         self._path: PathWindow | None = None
         self._last: FloatArray | None = None
         self._part: TurningPart | None = None

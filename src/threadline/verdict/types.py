@@ -304,7 +304,7 @@ class Verdict:
         Number of other machines within its tolerances, drawn at random.
     tolerances
         What a search for the worst machine and the drawn machines tell of all machines within the
-        tolerances; None if neither was asked for.
+        tolerances; None if neither was wanted.
     wanted_yield
         Share of these machines that must be in specification; None: every one.
     ends

@@ -85,7 +85,7 @@ class NeedleRows:
         return f"{down},{int(self.up[begin])},{int(self.trim[begin])}"
 
 
-class Beside(Protocol):
+class NeedleSource(Protocol):
     """Source of the needle columns of a table."""
 
     def rows(self, block: TickBlock) -> NeedleRows:
@@ -205,7 +205,7 @@ def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
     return table
 
 
-def write_table_npz(table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+def write_table_npz(table: TickTable, path: Path, needle: NeedleSource | None = None) -> Written:
     """Write ``table`` as an archive of columns: ``numpy.load(path)["counts"]`` is (n, axes).
 
     Memory is bounded by a block; the columns grow in temporary files beside ``path``.
@@ -329,7 +329,7 @@ def csv_columns(axes: Sequence[str], needle: bool) -> list[str]:
     return ["tick", *counts, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
 
 
-def write_table_csv(table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+def write_table_csv(table: TickTable, path: Path, needle: NeedleSource | None = None) -> Written:
     """Write ``table`` as text: comment lines with its description, then one line per tick.
 
     Parameters
@@ -369,7 +369,7 @@ def write_text(
     return written(path)
 
 
-def _csv_rows(needle: Beside | None, period_s: float, block: TickBlock, axes: int) -> str:
+def _csv_rows(needle: NeedleSource | None, period_s: float, block: TickBlock, axes: int) -> str:
     cells: dict[int, list[Event]] = {}
     for event in block.events:
         cells.setdefault(event.tick, []).append(event)

@@ -32,7 +32,7 @@ from threadline.files.formats.tick_table import (
     END,
     NEEDLE_COLUMNS,
     READ_ROWS,
-    Beside,
+    NeedleSource,
     checked_counts,
     empty_block,
     write_text,
@@ -47,7 +47,7 @@ def _columns(axes: Sequence[str], needle: bool) -> list[str]:
     return ["ticks", *of_axis, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
 
 
-def write_array(table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+def write_array(table: TickTable, path: Path, needle: NeedleSource | None = None) -> Written:
     """Write ``table`` as a trajectory array.
 
     Parameters
@@ -61,11 +61,13 @@ def write_array(table: TickTable, path: Path, needle: Beside | None = None) -> W
     return write_text(table, path, TITLE, columns, partial(_text, needle, period_s))
 
 
-def _text(needle: Beside | None, period_s: float, block: TickBlock, axes: int) -> str:
+def _text(needle: NeedleSource | None, period_s: float, block: TickBlock, axes: int) -> str:
     return "".join(_lines(needle, period_s, block, axes))
 
 
-def _lines(needle: Beside | None, period_s: float, block: TickBlock, axes: int) -> Iterator[str]:
+def _lines(
+    needle: NeedleSource | None, period_s: float, block: TickBlock, axes: int
+) -> Iterator[str]:
     from threadline.files.formats.array_runs import runs  # slow to import: it loads numba
 
     pending = list(block.events)

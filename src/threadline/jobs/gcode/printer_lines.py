@@ -288,7 +288,7 @@ def _refuse_for_reprapfirmware(code: str, bare: str, place: Place) -> None:
     if meta is not None:
         why = f"{meta[1]} is a meta command of reprapfirmware, which is not run here"
     elif "{" in bare or "}" in bare:
-        why = "expressions in braces are not read: what they are worth only the firmware knows"
+        why = "expressions in braces are not read: only the firmware knows their values"
     elif "(" in bare or ")" in bare:
         why = (
             "reprapfirmware reads the letters in parentheses as words, unless M453 has made it a "

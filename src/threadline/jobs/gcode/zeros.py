@@ -114,7 +114,7 @@ class ToolLengths:
         """
         if length in self.known:
             if self.line:
-                self._refuse(f"{length} ends the one of line {self.line}", line)
+                self._refuse(f"{length} ends the tool length of line {self.line}", line)
         elif length and (length != self._now or later) and (self._moved or later):
             self._refuse(f"{length} begins it", line)
         if length:

@@ -21,7 +21,7 @@ class ShortestMove:
         Distance in m or rad, not negative.
     jerk_s, push_s, cruise_s
         Time of each of the four phases with jerk, of each of the two with constant acceleration,
-        and of the one with constant velocity; 0 for a phase that vanishes.
+        and of the phase with constant velocity; 0 for a phase that vanishes.
     velocity_si, acceleration_si
         Largest velocity and acceleration of the move.
     """

@@ -18,7 +18,6 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.motion.path.greville import AHEAD, CUT, REACH
-from threadline.motion.path.outside import EVEN, Corners, moved_outside
 from threadline.motion.path.polygon import (
     CUBIC,
     EVEN_CUT,
@@ -32,6 +31,7 @@ from threadline.motion.path.polygon import (
 from threadline.motion.path.runs import COINCIDENT_M, Chunk, Vertices, join_vertices, runs
 from threadline.motion.path.thinned import thinned_runs
 from threadline.motion.path.types import PieceBlock, ProgrammedPath
+from threadline.motion.path.wide_corners import EVEN, Corners, moved_outside
 
 if TYPE_CHECKING:
     from threadline.machine.mandrel import LocalRadii

@@ -18,7 +18,6 @@ from threadline.motion.path.auto import auto_pieces, points_added
 from threadline.motion.path.bspline import PULLS, Pull
 from threadline.motion.path.deviation import path_deviation
 from threadline.motion.path.durations import polynomial_limits, smoothing_for, smoothing_share
-from threadline.motion.path.outside import EVEN, Corners
 from threadline.motion.path.polygon import CUBIC, QUARTIC
 from threadline.motion.path.runs import (
     ALONG_ITSELF,
@@ -27,6 +26,7 @@ from threadline.motion.path.runs import (
 )
 from threadline.motion.path.straight import blended_pieces, polynomial_pieces
 from threadline.motion.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
+from threadline.motion.path.wide_corners import EVEN, Corners
 
 P = ParamSpec("P")
 

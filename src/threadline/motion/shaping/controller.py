@@ -245,7 +245,7 @@ def _width(train: Shaper, band: Band) -> float:
 
 
 def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) -> Shaper:
-    """Return the train with the widest bands among those with about the least V over them.
+    """Return the train with the widest bands among the trains with about the least V over them.
 
     A train must not exceed the nearest ticks' V and its tolerance over a band. The band over which
     it keeps the tolerance may be narrower than the band of the nearest ticks, but by a smaller

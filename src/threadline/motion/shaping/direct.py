@@ -158,7 +158,7 @@ def _solve(problem: _Problem) -> Train:
 
 
 def _pruned(x: FloatArray, n: int) -> tuple[FloatArray, int]:
-    """Merge impulses that have met and drop those that have vanished."""
+    """Merge impulses at the same time, and drop impulses of amplitude zero."""
     t, a = np.concatenate(([0.0], x[: n - 1])), x[n - 1 :]
     order = np.argsort(t, kind="stable")
     t, a = t[order], a[order]

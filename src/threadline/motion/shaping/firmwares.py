@@ -31,7 +31,12 @@ from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.motion.shaping.closed import fitted_humps, modified_zv
 from threadline.motion.shaping.designs import mzv_shape
-from threadline.motion.shaping.response import LEFT, most_left, residual_vibration, vibration_of
+from threadline.motion.shaping.response import (
+    LEFT,
+    largest_residual,
+    residual_vibration,
+    vibration_of,
+)
 from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 MATCH = 0.01
@@ -123,12 +128,12 @@ def _ei_middle(zeta: float, v: float) -> float:
 def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
     """Return Klipper's shortest type that keeps a mode at rest over a band, and its residual V.
 
-    The residual is ``most_left``, at most ``LEFT``. None if no type achieves that: each accepts
-    damping ratios up to a limit of its own.
+    The residual is ``largest_residual``, at most ``LEFT``. None if no type achieves that: each
+    accepts damping ratios up to a limit of its own.
     """
     for name, most in _MAX_DAMPING.items():
         if mode.damping_ratio <= most:
-            left = most_left(klipper_impulses(name, mode), [mode])
+            left = largest_residual(klipper_impulses(name, mode), [mode])
             if left <= LEFT:
                 return name, left
     return None
@@ -215,7 +220,7 @@ def _with_parameters(shaper: Shaper, mode: FlexibleMode) -> list[str]:
 def _played(
     firmware: str, shaper: Shaper, mode: FlexibleMode, trains: Mapping[str, Shaper]
 ) -> FirmwareExport:
-    """Return the one of ``trains`` that plays a shaper, or the nearest substitute."""
+    """Return the train of ``trains`` that equals a shaper, or the nearest substitute."""
     f = mode.frequency_hz * np.linspace(0.75, 1.25, 201)
     ours = residual_vibration(shaper, f, mode.damping_ratio)
 
@@ -346,9 +351,9 @@ def reprap_impulses(shaper_type: str, frequency_hz: float, damping_ratio: float)
 def shortest_for_all(modes: Sequence[FlexibleMode]) -> Chosen | None:
     """Return the shortest train of RepRapFirmware that keeps all ``modes`` at rest over a band.
 
-    Its residual V is at most ``LEFT`` over the band of each mode, by ``most_left``; None if no type
-    achieves that. With several modes the frequency lies between the slowest and the fastest, and
-    the damping ratio is their mean.
+    Its residual V is at most ``LEFT`` over the band of each mode, by ``largest_residual``; None if
+    no type achieves that. With several modes the frequency lies between the slowest and the
+    fastest, and the damping ratio is their mean.
     """
     found: tuple[float, Chosen] | None = None
     slowest, fastest = (end(mode.frequency_hz for mode in modes) for end in (min, max))
@@ -361,7 +366,7 @@ def shortest_for_all(modes: Sequence[FlexibleMode]) -> Chosen | None:
             length_s = float(train.times_s[-1])
             if found is not None and length_s >= found[0]:
                 continue
-            left = most_left(train, modes)
+            left = largest_residual(train, modes)
             if left <= LEFT:
                 found = length_s, Chosen(name, float(f), damping, left)
     return None if found is None else found[1]

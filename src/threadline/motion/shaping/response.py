@@ -305,7 +305,7 @@ LEFT = 0.05
 """Largest V that such a type may leave: the tolerance of the firmwares' own EI types."""
 
 
-def most_left(shaper: Shaper, modes: Sequence[FlexibleMode], *, band: float = BAND) -> float:
+def largest_residual(shaper: Shaper, modes: Sequence[FlexibleMode], *, band: float = BAND) -> float:
     """Return the largest residual V of ``shaper`` on ``modes`` over f (1 +- ``band``) of each."""
     return max(
         float(

@@ -167,7 +167,7 @@ def on_ticks(
 class _Search:
     """Descends from one start after the other; ``seen`` collects its trains, by cost.
 
-    ``sound`` are those within the tolerance at the modelled frequencies.
+    ``sound`` trains are within the tolerance at the modelled frequencies.
     """
 
     def __init__(

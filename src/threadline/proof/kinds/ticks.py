@@ -35,8 +35,8 @@ from threadline.machine import Machine
 from threadline.machine.variants import numbers_at, variant
 from threadline.machine.vary import derate, drawn_days, varied_numbers, vary, with_reserve
 from threadline.motion.path import chord_path, on_chords, plan_path, programmed_path
-from threadline.motion.path.outside import Corners
 from threadline.motion.path.types import PlannedPath, ProgrammedPath
+from threadline.motion.path.wide_corners import Corners
 from threadline.motion.timing import (
     Pace,
     check_budget,
@@ -348,7 +348,7 @@ def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:
     """
     if options.product is not None:
         from threadline.jobs.winding.layers import tensions_in  # of windings alone
-        from threadline.verdict.wound_criteria import criteria_of
+        from threadline.verdict.fibre import criteria_of
 
         given = {criterion.name for criterion in spec.criteria}
         tensions_n = () if machine.spool is None else tensions_in(options.product)

@@ -17,7 +17,7 @@ from threadline.motion.timing.optimal.followers import Follower, Past
 from threadline.motion.timing.optimal.following_error import followed
 from threadline.motion.timing.optimal.in_time import in_time
 from threadline.motion.timing.optimal.motion_limits import Limits, limits_of
-from threadline.motion.timing.optimal.shaped import shaped
+from threadline.motion.timing.optimal.run_elements import run_elements
 from threadline.motion.timing.optimal.solve import fastest
 from threadline.motion.timing.optimal.windows import ADDED, SEEN, windowed
 from threadline.motion.timing.types import TrajectoryBlock, held_block
@@ -99,7 +99,7 @@ def limited_blocks(
             block = None
             if follower is None and len(run) == 1 and not run.coefficients[0, 2:].any():
                 block = _line(run, limits, now)
-            if block is None and (shape := shaped(run, path.radius_m, within)) is not None:
+            if block is None and (shape := run_elements(run, path.radius_m, within)) is not None:
                 del run  # likewise
                 elements = shape.elements
                 del shape

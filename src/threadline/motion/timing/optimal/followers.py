@@ -117,7 +117,7 @@ def blamed(error, tick, fine, acceleration, swing, tolerance):
 
 @njit()
 def aligned(time_s, tangent, before_s, after_s):
-    """Return the (n,) least cosine between a tangent and those within a window of time.
+    """Return the (n,) least cosine between a tangent and the tangents within a window of time.
 
     0 if one of them is at a right angle or points back, or if the motion ends within it.
     """

@@ -20,7 +20,7 @@ from threadline.motion.timing.optimal.elements import Elements, PiecesAhead, joi
 from threadline.motion.timing.optimal.first_guess import evenly
 from threadline.motion.timing.optimal.in_time import as_it_is, in_time
 from threadline.motion.timing.optimal.motion_limits import Limits
-from threadline.motion.timing.optimal.shaped import Shaped, shaped
+from threadline.motion.timing.optimal.run_elements import RunElements, run_elements
 from threadline.motion.timing.optimal.solve import Problem, Solution, bernstein
 from threadline.motion.timing.types import TrajectoryBlock
 
@@ -71,7 +71,7 @@ class _Kept:
     tangent: FloatArray
     ending: FloatArray
     borders: FloatArray
-    shape: Shaped
+    shape: RunElements
     fresh: float
     cut: float
 
@@ -233,7 +233,7 @@ class _Plan:
     problem: Problem
     ending: FloatArray
     borders: FloatArray
-    shape: Shaped
+    shape: RunElements
 
 
 def _planned(
@@ -251,7 +251,7 @@ def _planned(
     before, fine = None, True if dense else None
     if kept is not None:
         before, fine = kept.shape, fine if kept.cut < _CUT else False
-    shape = shaped(
+    shape = run_elements(
         run, radius_m, limits, before, to_rest=after is None, dense=fine, slow=SLOW_PIECES
     )
     if shape is None:
@@ -276,7 +276,7 @@ def _planned(
 
 
 def _slow_way(
-    shape: Shaped,
+    shape: RunElements,
     level: float | None,
     after: PieceBlock | None,
     radius_m: FloatArray,
@@ -304,7 +304,7 @@ def _slow_way(
     ends = np.cumsum(at.length)
     zone = (1.0 - _EVEN) * shape.length[-shape.slow - 1 :].sum()  # and one to slow down in
     count = int((ends > ends[-1] - zone).sum())
-    beyond = shaped(after, radius_m, limits, shape, to_rest=False, dense=True)
+    beyond = run_elements(after, radius_m, limits, shape, to_rest=False, dense=True)
     if beyond is not None:
         at = join([at, beyond.elements])
     most = np.append(most, np.full(len(at) - n, np.inf))
@@ -377,7 +377,7 @@ def _place(elements: Elements, b: FloatArray, to_go_s: float) -> float:
     return float(elements.length[: len(after_s) - int(np.searchsorted(after_s, to_go_s))].sum())
 
 
-def _ends_of(shape: Shaped) -> FloatArray:
+def _ends_of(shape: RunElements) -> FloatArray:
     """Return the (n,) ends of the pieces; a lead-in lengthens the first."""
     total = float(shape.elements.length.sum())
     return np.asarray(total - (shape.length.sum() - np.cumsum(shape.length)))

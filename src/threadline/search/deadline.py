@@ -24,7 +24,7 @@ class HaltError(BaseException):
 
 
 @dataclass(slots=True)
-class Until:
+class Deadline:
     """The deadline of a search, and the reason why it stopped.
 
     Parameters
@@ -39,7 +39,7 @@ class Until:
     ended: str = ""
 
     @classmethod
-    def within(cls, span_s: float | None) -> Until:
+    def within(cls, span_s: float | None) -> Deadline:
         """Return a deadline ``span_s`` seconds from now; None: no deadline."""
         return cls(math.inf if span_s is None else time.monotonic() + span_s)
 
@@ -137,7 +137,7 @@ def with_answer() -> Iterator[None]:
 
 
 @contextmanager
-def as_far_as(until: Until | None, known: Callable[[], object]) -> Iterator[None]:
+def until_deadline(until: Deadline | None, known: Callable[[], object]) -> Iterator[None]:
     """Search in this block; if its time ends or a user asks, leave it with the results so far.
 
     Parameters

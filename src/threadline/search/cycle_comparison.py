@@ -21,7 +21,7 @@ AS_LISTED = "unshaped, as listed"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BesideRow:
+class CycleRow:
     """One cycle of the comparison.
 
     Parameters
@@ -44,9 +44,9 @@ class BesideRow:
     over_passed: bool | None
 
 
-def cycles_beside(
+def compare_cycles(
     asked: Question, found: FastestCycle, robust: RobustCycle | None
-) -> tuple[BesideRow, ...]:
+) -> tuple[CycleRow, ...]:
     """Return rows for the unshaped cycle, for one shaper on every move, and for the found cycles.
 
     All rows but the first overlap moves where the list allows it. The shaper row shows the shaper
@@ -89,16 +89,16 @@ def cycles_beside(
     return tuple(shown)
 
 
-def _best(rows: list[BesideRow], passed: list[bool]) -> BesideRow:
+def _best(rows: list[CycleRow], passed: list[bool]) -> CycleRow:
     if any(passed):
         held = [row for row, ok in zip(rows, passed, strict=True) if ok]
         return min(held, key=lambda row: row.cycle_s)
     return min(rows, key=lambda row: row.worst_m if row.over_m is None else row.over_m)
 
 
-def _row(name: str, duration_s: float, verdict: Verdict, over: tuple[BandRun, ...]) -> BesideRow:
+def _row(name: str, duration_s: float, verdict: Verdict, over: tuple[BandRun, ...]) -> CycleRow:
     found = [r.measured for r in verdict.results if r.name == MEASURE and r.measured is not None]
-    return BesideRow(
+    return CycleRow(
         name="unshaped, overlapped" if name == "none" else name,
         cycle_s=duration_s,
         worst_m=max(found, default=0.0),

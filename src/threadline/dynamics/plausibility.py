@@ -28,7 +28,7 @@ _SPARE = 1.0 + 1e-9
 _BEYOND = 1.05  # allowed ratio of an axis limit to its drive's limit: data sheets are rounded
 
 
-def suspicions(machine: Machine) -> list[str]:
+def plausibility_warnings(machine: Machine) -> list[str]:
     """Return one sentence for every suspicious number.
 
     Suspicious are

@@ -69,7 +69,7 @@ def _sha256(file: Path) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AloneItem:
+class SingleItem:
     """A candidate: numbers of its machine that differ, by path; and when further runs follow."""
 
     numbers: Mapping[str, float]
@@ -102,7 +102,7 @@ def bits_of_used(used: Used) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class AloneProofs:
+class SingleProofs:
     """Proves candidates one by one, each with a plan of its own.
 
     Parameters
@@ -123,7 +123,7 @@ class AloneProofs:
     options: Options
     repeats: int
 
-    def answer(self, item: AloneItem, _done: Done | None = None) -> Used:
+    def answer(self, item: SingleItem, _done: Done | None = None) -> Used:
         """Return the used share of a candidate's limits.
 
         Further runs follow where the share in the first run is at most ``item.beyond``.
@@ -143,13 +143,13 @@ class AloneProofs:
             return Used(first=HOPELESS, worst=HOPELESS, binding=NO_COMMANDS, simulated=simulated)
         return Used(first=first, worst=worst, binding=binding, simulated=simulated)
 
-    def machines(self, _item: AloneItem) -> int:
+    def machines(self, _item: SingleItem) -> int:
         """Return 1: candidates are proved one by one."""
         return 1
 
     def known(self) -> bytes:
         """Return the bits of the result of the machine as its file says, in one run."""
-        return bits_of_used(self.answer(AloneItem(numbers={}, beyond=-1.0)))
+        return bits_of_used(self.answer(SingleItem(numbers={}, beyond=-1.0)))
 
 
 def share_used(verdict: Verdict) -> tuple[float, str]:

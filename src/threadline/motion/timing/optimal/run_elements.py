@@ -24,7 +24,7 @@ _AT_SPEED = 0.1  # of the run-up time of the axes: duration of a lead-in at spee
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shaped:
+class RunElements:
     """Elements of consecutive pieces, and the data needed to continue after them.
 
     Parameters
@@ -51,7 +51,7 @@ class Shaped:
     def __len__(self) -> int:
         return len(self.length)
 
-    def in_units_of(self, unit: float) -> Shaped:
+    def in_units_of(self, unit: float) -> RunElements:
         """Return the same in a common parameter of another unit."""
         end = self.ending
         return replace(
@@ -62,16 +62,16 @@ class Shaped:
         )
 
 
-def shaped(
+def run_elements(
     run: PieceBlock,
     radius_m: FloatArray,
     limits: Limits,
-    before: Shaped | None = None,
+    before: RunElements | None = None,
     *,
     to_rest: bool = True,
     dense: bool | None = None,
     slow: int = 1,
-) -> Shaped | None:
+) -> RunElements | None:
     """Return the elements of pieces; with limits along the path, path length is their last axis.
 
     None if nothing moves.
@@ -114,7 +114,7 @@ def shaped(
         c = with_length(c, limits.along.radius_m)
         last = np.append(last, c[-1, :, -1] @ np.arange(6.0))
     share = _lead_share(c[0, 1], nominal_s[0], limits), _lead_share(last, nominal_s[-1], limits)
-    return Shaped(
+    return RunElements(
         elements=elements_of(
             c,
             ratio,

@@ -14,9 +14,9 @@ from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials, prove
 from threadline.search.design import Wanted, design
-from threadline.search.design_alone import share_used
 from threadline.search.design_evaluate import Effort
 from threadline.search.design_files import write_design
+from threadline.search.design_single_proofs import share_used
 from threadline.verdict import Result, Status, Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.proof.asked import Words
 from threadline.proof.option_words import parse_width_s
 from threadline.proof.options import Options
 from threadline.proof.pipeline import with_shaping
+from threadline.proof.request import Words
 from threadline.search.design import Wanted
 from threadline.search.design_searches import MOST_SEARCHES
 from threadline.verdict import Spec
@@ -40,7 +40,7 @@ class DesignAims:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignQuestion:
-    """A job, a machine, and what a redesign has to meet."""
+    """A job, a machine, and the requirements of a redesign."""
 
     job: Path
     machine: Machine

@@ -16,7 +16,7 @@ from threadline.proof.option_form import Word
 from threadline.search import FastestJob, Mismatch
 from threadline.search.allowance import ALLOWED, LIMITS
 from threadline.search.fastest import RANGE, Fastest
-from threadline.search.forbidden import Forbidden
+from threadline.search.feed_ranges import Forbidden
 from threadline.search.mismatch import Certainty, Searched
 
 END = "the end of the search (--high)"
@@ -86,7 +86,7 @@ def forbidden_words(
 ) -> Iterator[str]:
     """Yield a line on the criteria that fail, and one on feeds that pass in one run only.
 
-    >>> from threadline.search.forbidden import Forbidden
+    >>> from threadline.search.feed_ranges import Forbidden
     >>> slow = Forbidden(name="repeatability", low=1.0, high=5.0, feeds=9, repeated=9)
     >>> fast = Forbidden(name="contour_error", low=6.0, high=8.0, feeds=3, repeated=0)
     >>> first, second = forbidden_words([slow, fast], "repeatability", "F {:g}".format)

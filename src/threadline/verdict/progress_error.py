@@ -11,7 +11,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.motion.timing import TrajectoryReader
 from threadline.verdict.blocks import judged_blocks
-from threadline.verdict.bow import NO_VELOCITY, WaysBetween
+from threadline.verdict.bow import NO_VELOCITY, MotionBetween
 from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
@@ -68,7 +68,7 @@ class _Progress(SweptMeasure):
         self._at: IntArray = np.zeros(runs, dtype=np.int64)
         self._side: FloatArray = np.zeros(runs)
         self._worst = Worst(runs, axes, note="the recording is empty")
-        self._ways, self._charge = WaysBetween(setting), np.zeros(runs)
+        self._ways, self._charge = MotionBetween(setting), np.zeros(runs)
         self._trajectory = setting.plan.motion.trajectory
         self._columns = [self._trajectory.axes.index(axis) for axis in setting.axes]
         self._planned: TrajectoryReader | None = None

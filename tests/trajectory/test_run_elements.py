@@ -6,7 +6,7 @@ import numpy as np
 
 from threadline.motion.path.types import PieceBlock
 from threadline.motion.timing.optimal.motion_limits import Limits
-from threadline.motion.timing.optimal.shaped import shaped
+from threadline.motion.timing.optimal.run_elements import run_elements
 
 
 def test_pieces_of_femtometres_beside_a_rest_are_left_out():
@@ -23,9 +23,9 @@ def test_pieces_of_femtometres_beside_a_rest_are_left_out():
         line=np.arange(5),
     )
     limits = Limits(velocity=np.ones(1), acceleration=np.ones(1), jerk=np.ones(1))
-    whole = shaped(run, np.ones(1), limits)
+    whole = run_elements(run, np.ones(1), limits)
     assert whole is not None
     assert sorted(set(whole.elements.operation.tolist())) == [1, 2, 3]
-    went_on = shaped(run, np.ones(1), limits, to_rest=False)
+    went_on = run_elements(run, np.ones(1), limits, to_rest=False)
     assert went_on is not None
     assert sorted(set(went_on.elements.operation.tolist())) == [1, 2, 3, 4]

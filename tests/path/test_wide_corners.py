@@ -9,8 +9,8 @@ import pytest
 
 from tests.path.test_greville import programmed
 from threadline.motion.path.auto import auto_pieces
-from threadline.motion.path.outside import Corners
 from threadline.motion.path.polygon import QUARTIC
+from threadline.motion.path.wide_corners import Corners
 
 U = np.linspace(0.0, 1.0, 201)
 CUT_M = 1e-3

@@ -15,7 +15,7 @@ from threadline.search.broken_beam import BrokenBeam, broken_beam
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Studied:
+class ReportData:
     """A proof, and the further results of its report.
 
     Parameters
@@ -31,19 +31,19 @@ class Studied:
     beam: BrokenBeam | None = None
 
 
-def _alone(proof: Proof) -> Studied:
-    return Studied(proof=proof)
+def _alone(proof: Proof) -> ReportData:
+    return ReportData(proof=proof)
 
 
-def _schedule(proof: Proof) -> Studied:
+def _schedule(proof: Proof) -> ReportData:
     plan = proof.plan
     unshaped = None
     if "shaper" in plan.options:
         unshaped = prove_plan(plan_job(plan.job, plan.machine, Options()), proof.spec)
-    return Studied(proof=proof, unshaped=unshaped, beam=broken_beam(plan.scheduled))
+    return ReportData(proof=proof, unshaped=unshaped, beam=broken_beam(plan.scheduled))
 
 
-STUDIES: Mapping[type, Callable[[Proof], Studied]] = {
+REPORT_DATA: Mapping[type, Callable[[Proof], ReportData]] = {
     Motion: _alone,
     Scheduled: _schedule,
     Stitched: _alone,
@@ -51,6 +51,6 @@ STUDIES: Mapping[type, Callable[[Proof], Studied]] = {
 """By type of ``Plan.intent``; one entry for every ``Kind.intent`` in ``KINDS``."""
 
 
-def studied(proof: Proof) -> Studied:
+def report_data(proof: Proof) -> ReportData:
     """Return ``proof`` with the further results of its report, simulated in one run each."""
-    return STUDIES[type(proof.plan.intent)](proof)
+    return REPORT_DATA[type(proof.plan.intent)](proof)
