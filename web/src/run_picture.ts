@@ -7,7 +7,7 @@ const MOST = 160; // points
 /** Curves of a stored run. */
 export interface Trace {
   times_s: number[];
-  axes: Record<string, { commanded: number[]; actual: number[] }>;
+  axes: Record<string, { commanded: number[]; actual: number[]; measured: boolean }>;
 }
 
 /** The points of a picture, "x,y x,y", and what it shows. */

@@ -233,9 +233,12 @@ export class Traces {
       ...(dash ? { dash } : {}),
       spanGaps: true,
     });
-    const both = [line("commanded", "--done", [4, 3]), line("actual", "--measured")];
-    const beside = [line("commanded, other run", "--edge", [2, 3]), line("actual, other run", "--ink")];
+    const measured = tables.every((one) => one.measured);
+    const actual = (label: string, ink: string) => (measured ? [line(label, ink)] : []);
+    const both = [line("commanded", "--done", [4, 3]), ...actual("actual", "--measured")];
+    const beside = [line("commanded, other run", "--edge", [2, 3]), ...actual("actual, other run", "--ink")];
     const positions = [{}, ...both, ...(other ? beside : [])];
+    tell("trace-said", measured ? "" : "Nothing was measured: the curve is what the controller reported.");
     const differences = [
       {},
       line("actual minus commanded", "--measured"),
@@ -247,15 +250,18 @@ export class Traces {
     this.plots = [
       new uPlot(
         { ...more, height: 260, scales: { x }, series: positions },
-        joined((one) => [one.commanded, one.actual]),
+        joined((one) => (measured ? [one.commanded, one.actual] : [one.commanded])),
         by("trace"),
       ),
+    ];
+    if (!measured) return; // a difference of nothing would look like a perfect run
+    this.plots.push(
       new uPlot(
         { ...more, height: 200, scales: { x, y: { range: CLOSEST } }, series: differences },
         joined((one) => [one.difference]),
         by("trace"),
       ),
-    ];
+    );
   }
 
   /** The columns of a run for the chosen axis, in the units of the page; null without. */
@@ -267,7 +273,7 @@ export class Traces {
     const commanded = axis.commanded.map((at) => at * scale);
     const actual = axis.actual.map((at) => at * scale);
     const difference = actual.map((at, k) => at - commanded[k]!);
-    return { times: trace.times_s, commanded, actual, difference };
+    return { times: trace.times_s, commanded, actual, difference, measured: axis.measured };
   }
 
   /** Judge the chosen run again and save its report, which takes a while. */
@@ -301,4 +307,5 @@ interface Columns {
   commanded: number[];
   actual: number[];
   difference: number[];
+  measured: boolean;
 }

@@ -115,7 +115,7 @@ describe("a machine with cylinders", () => {
 });
 
 describe("the picture of a run", () => {
-  const axis = (...actual: number[]) => ({ commanded: actual, actual });
+  const axis = (...actual: number[]) => ({ commanded: actual, actual, measured: true });
   it("is its way from above, in one scale and in the middle", () => {
     const found = pictured({ times_s: [0, 1, 2], axes: { X: axis(0, 0.1, 0.1), Y: axis(0, 0, 0.1) } });
     expect(found).toEqual({ points: "34.0,30.0 62.0,30.0 62.0,2.0", label: "its way in X and Y" });

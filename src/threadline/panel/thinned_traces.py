@@ -28,7 +28,7 @@ def thinned(recording: Recording) -> dict[str, Any]:
 
     Instants are common to all axes: in each time interval those at which some deviation is least
     or largest, so that no peak is lost. Actual is the load position, or without one the encoder
-    reading.
+    reading, or the command if nothing is measured; ``measured`` says which.
     """
     pairs = _pairs(recording)
     if not pairs:
@@ -46,7 +46,11 @@ def thinned(recording: Recording) -> dict[str, Any]:
     return {
         "times_s": [round(float(k) * period_s, 6) for k in kept],
         "axes": {
-            name: {"commanded": _rounded(c[kept]), "actual": _rounded(a[kept])}
+            name: {
+                "commanded": _rounded(c[kept]),
+                "actual": _rounded(a[kept]),
+                "measured": pairs[name][0] is not pairs[name][1],
+            }
             for name, (c, a) in at.items()
         },
     }
