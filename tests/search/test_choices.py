@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.cli.fastest_optimal import OptimalOutput
 from threadline.commands.plan import Plan
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
@@ -239,6 +240,9 @@ def test_where_no_plan_at_the_full_limits_passes_their_share_is_chosen_too(
     assert shares[0] == 1.0
     assert 0.05 <= found.of.best.share <= 1.0 / 3.0
     assert found.again["limits"] == share_words(found.of.best.share)
+    _, header, rows = OptimalOutput(found, "x-180")._table()
+    assert header[1] == "limits used"
+    assert rows[-1][1] == found.again["limits"]
     assert found.plan().duration_s == found.duration_s
 
 
