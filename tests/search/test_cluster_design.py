@@ -15,11 +15,14 @@ from threadline.errors import JobError, OptionError
 from threadline.machine import load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials
+from threadline.search import design
 from threadline.search.design_evaluate import Effort, Evaluator, Tried
 from threadline.search.design_judge import OtherRuns
 from threadline.search.design_single_proofs import JobReader
 from threadline.search.design_space import design_space
 from threadline.verdict import load_spec
+
+QUICK = Effort(sample_log2=4, settings_log2=3, proposals=12, rounds=3, trade_rounds=0, side=0)
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +106,44 @@ def test_python_has_the_cluster_too(
     assert [r.measured for r in shared.of.best.found.verdict.results] == [
         r.measured for r in alone.of.best.found.verdict.results
     ]
+
+
+@pytest.mark.long(
+    shown_by="tests/search/test_cluster.py::test_an_answer_is_that_of_one_computer_to_the_bit"
+)
+def test_python_redesigns_on_the_cluster(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``tl.design`` by itself: candidates and drawn machines go to workers, the design is the same.
+
+    A batch of candidates that is too small to be worth sending stays here.
+    """
+    monkeypatch.setattr(design, "THOROUGH", QUICK)
+    job, spec = tmp_path / "turn.prg", tmp_path / "close.toml"
+    job.write_text("G91\nG1 X5 F2000\nG1 X-5\nM30\n")
+    spec.write_text(
+        'name = "close"\n[[criteria]]\nname = "tracking_error"\naxis = "X"\nlimit = "1.06 mm"\n'
+    )
+    words = {"spec": spec, "interpolation": "linear", "front": 12}
+    sent: list[object] = []
+    real = Cluster.answers
+
+    def counted(self: Cluster, work: object, items: object, done: object) -> object:
+        sent.append(work)
+        return real(self, work, items, done)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Cluster, "answers", counted)
+    here = tl.design(job, "lathe-winder", **words)
+    assert not sent
+    there = tl.design(job, "lathe-winder", cluster=fleet.address, **words)
+    assert sent and here.found is not None and there.found is not None
+    assert here.front and there.simulated == here.simulated
+    for one, other in [
+        (there.found.candidate, here.found.candidate),
+        (there.pareto, here.pareto),
+        (there.front, here.front),
+    ]:
+        assert repr(one) == repr(other)  # every digit of every number
 
 
 def test_a_cluster_that_would_judge_nothing_is_refused_before_it_is_asked(tmp_path: Path) -> None:

@@ -8,8 +8,15 @@ import { toldRun } from "./session";
 import type { Kept } from "./traces";
 import { isOf } from "./wording";
 
-const HINT =
-  "To continue an interrupted run: load its program, calculate it with the same options, home the machine, then choose the run. It goes on from the block that was under way, or from a circuit (circuit 12), a line (line 40) or a stitch (stitch 120).";
+/** How the rest of a run is prepared, with the places that the machine's work has. */
+export function hintOf(known: { cylinders: unknown[]; embroiders: boolean }): string {
+  const places = known.cylinders.length
+    ? "or from a line (line 40)"
+    : known.embroiders
+      ? "or from a stitch (stitch 120)"
+      : "or from a circuit (circuit 12), a line (line 40) or a stitch (stitch 120)";
+  return `To continue an interrupted run: load its program, calculate it with the same options, home the machine, then choose the run. It goes on from the block that was under way, ${places}.`;
+}
 /** Ends after which a run has no rest; see ``store/unfinished.py``. */
 const WHOLE = new Set(["completed", "refused"]);
 
@@ -110,7 +117,11 @@ export class RestHere {
 export class Continuing {
   private shown = "";
 
-  constructor(session: Session, program: Program, chosen: () => Kept | null) {
+  constructor(
+    private readonly session: Session,
+    program: Program,
+    chosen: () => Kept | null,
+  ) {
     const at = made("input");
     at.value = "block";
     at.size = 10;
@@ -133,7 +144,6 @@ export class Continuing {
       button("Go there", "approach-rest", () => session.hold({ what: "approach-rest" })),
       button("Start the rest", "start-rest", () => session.link.act({ what: "start-rest" })),
     );
-    by("rest-told").replaceChildren(made("li", HINT));
   }
 
   /** Why a run has no rest that can be run; empty if it has one. */
@@ -148,7 +158,7 @@ export class Continuing {
   show(state: State, run: Kept | null): void {
     const told = state.rest
       ? [state.rest.run, ...state.rest.told, "Start the rest confirms; a stop discards it"]
-      : [HINT, ...(run && this.whole(run) ? [`${run.run}: ${this.whole(run)}`] : [])];
+      : [hintOf(this.session), ...(run && this.whole(run) ? [`${run.run}: ${this.whole(run)}`] : [])];
     if (told.join("\n") === this.shown) return;
     this.shown = told.join("\n");
     by("rest-told").replaceChildren(...told.map((line) => made("li", line)));

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { brokenOff, howToGoOn, lastRun } from "../src/continuing";
+import { brokenOff, hintOf, howToGoOn, lastRun } from "../src/continuing";
 import { deviceName } from "../src/device";
 import { facts, nextTurn, reading, whyInWords } from "../src/facts";
 import { lineAt, Stretches } from "../src/live_error";
@@ -183,5 +183,15 @@ describe("the name of a browser", () => {
     const edge = "Mozilla/5.0 (Windows NT 10.0; Win64; x64) Chrome/142.0.0.0 Safari/537.36 Edg/142.0.0.0";
     expect(deviceName(edge)).toBe("Edge on Windows");
     expect(deviceName("curl")).toBe("a browser");
+  });
+});
+
+describe("how a rest is prepared", () => {
+  it("names only the places that the work has", () => {
+    const placer = hintOf({ cylinders: [1], embroiders: false });
+    expect(placer).toContain("(line 40)");
+    expect(placer).not.toMatch(/circuit|stitch/);
+    expect(hintOf({ cylinders: [], embroiders: true })).not.toMatch(/circuit/);
+    expect(hintOf({ cylinders: [], embroiders: false })).toMatch(/circuit 12.*stitch 120/);
   });
 });
