@@ -82,6 +82,48 @@ def test_the_vessel_of_the_text(tmp_path: Path) -> None:
     assert whole == pytest.approx(130.0, abs=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("room_mm", "ratio"),
+    [(200.0, 0.15), (70.0, None), (62.0, 0.18)],
+    ids=["long", "short", "too short for half a band"],
+)
+def test_an_open_end_turns_as_gently_as_the_mandrel_is_long(
+    tmp_path: Path, room_mm: float, ratio: float | None
+) -> None:
+    """On a cylinder a ratio l turns within R (1 / sin a - 1) / l; 15 % to 18 % of 20 % are taken.
+
+    The whole band stays on the mandrel: its centre turns half a band before the end.
+    """
+    radius, width, angle = 50.0, 6.0, math.radians(55.0)
+    text = f'''
+[[part]]
+kind = "cylinder"
+radius = "{radius} mm"
+length = "{2.0 * room_mm + 250.0} mm"
+[band]
+width = "{width} mm"
+[friction]
+value = "0.2"
+[coverage]
+begin = "{room_mm} mm"
+end = "{room_mm + 250.0} mm"
+[[layer]]
+angle = "55 deg"
+'''
+    (one,) = laid(tmp_path, text)
+    way = radius * (1.0 / math.sin(angle) - 1.0)
+    for turn in (one.circuit.left, one.circuit.right):
+        used = ratio or way / (room_mm - 0.5 * width)
+        assert turn.ratio == pytest.approx(used, rel=1e-4)
+        assert turn.ratio >= used * (1.0 - 1e-9) or ratio is not None
+        beyond = abs(turn.rows[-1, 1] - turn.rows[0, 1])
+        assert 1e3 * beyond == pytest.approx(way / turn.ratio, rel=1e-6)
+    if ratio != 0.18:  # another angle turns as far beyond the joint
+        other = one.wrap.circuit(constant_m=1e-3 * radius * math.sin(math.radians(54.5)))
+        rows = other.right.rows
+        assert abs(rows[-1, 1] - rows[0, 1]) == pytest.approx(beyond, rel=1e-6)
+
+
 def test_a_dwell_on_a_dome_needs_a_boss(tmp_path: Path) -> None:
     layer = '[[layer]]\nturn = "20 mm"\ncircuits = 103\nshift = 27\nclose = "dwell"\n'
     with pytest.raises(JobError, match=r"closes by dwell") as caught:

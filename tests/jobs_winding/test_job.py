@@ -493,6 +493,21 @@ def test_the_mandrel_comes_to_rest_evenly() -> None:
     assert np.diff(left_s[::-1])[: slow.sum() - 1].max() < 0.045
 
 
+def test_the_last_move_before_a_rest_has_steps_enough_for_marlin() -> None:
+    """Marlin passes over moves of fewer than six steps, and goes their way at the next one's speed.
+
+    The last part of half a cosine would so become a second at a hundredth of the speed.
+    """
+    machine = load_machine("stepper-winder+xyz+marlin")
+    job = read_job(Path(__file__).parents[2] / "examples" / "tube.wind.toml", machine)
+    last = [item for item in job.runs() if isinstance(item, MoveRun)][-1]
+    turn = job.axes.index("Y")
+    steps = np.diff(last.targets[:, turn]) * machine.counts_per_unit[turn]
+    assert steps[-1] > 8.0 and steps.min() > 6.0
+    (_, feed) = last.feeds[-1]
+    assert feed is not None and 1.0 / feed.value < 0.1
+
+
 def test_fewer_circuits_than_the_coverage_needs_are_refused(tmp_path: Path) -> None:
     """2 pi 50 mm cos(39.79 deg) / 5.6 mm = 43.1 bands lie side by side."""
     file = tmp_path / "p.wind.toml"

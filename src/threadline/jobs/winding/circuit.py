@@ -258,24 +258,30 @@ def turn_of(surface: Surface, site: Site, constant_m: float, ratio: float, name:
     return Turn(rows, ratio, float(surface.at(rows[-1:, 1])[1][0, 0]))
 
 
+def turns(surface: Surface, site: Site, constant_m: float, ratio: float, until: float) -> bool:
+    """Return whether a fibre turns at a friction ratio before it reaches a place u, m."""
+    if site.side * (until - site.joint) <= 0.0:
+        return False
+    return _traced(surface, (site.joint, constant_m), ratio, site.side, until)[1] == TURNED
+
+
 def _more(surface: Surface, site: Site, constant_m: float, ratio: float) -> str:
     """Return which friction would turn the fibre before the end of the mandrel."""
     if site.dome or ratio <= 0.0:
         return "Give a larger turn, or a mandrel that ends at a smaller opening."
     until = surface.length_m if site.side > 0 else 0.0
 
-    def turns(tried: float) -> bool:
-        begin = site.joint, constant_m
-        return _traced(surface, begin, tried, site.side, until)[1] == TURNED
+    def turned(tried: float) -> bool:
+        return turns(surface, site, constant_m, tried, until)
 
     low, high = ratio, 2.0 * ratio
-    while not turns(high):
+    while not turned(high):
         low, high = high, 2.0 * high
         if high > _MOST_RATIO:
             return "Make the mandrel longer, or the angle larger."
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if turns(middle) else (middle, high)
+        low, high = (low, middle) if turned(middle) else (middle, high)
     return (
         f"A ratio of {high:.3g} would turn it: pins, a longer mandrel or a larger angle help, too."
     )

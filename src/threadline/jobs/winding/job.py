@@ -43,6 +43,7 @@ _CHORD_M = 5e-4  # of the replay's check
 _TIED_M = 1e-3  # a tied place within this of the turn is the turn
 _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
 _LEAST_S = 1e-4  # of a move
+_LAST_STEPS = 8.0  # in the last move before a rest
 
 
 def is_winding(path: Path) -> bool:
@@ -130,7 +131,8 @@ def job_of(winding: Winding, laid: tuple[Laid, ...], machine: Machine) -> Job:
         said += words
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
     laps = [on_grid(one, Grid(linear)) for one in laps]
-    stream = Stream(moves_of, tuple(laps), str(path), machine.axis_names, (_approach(tool), linear))
+    order = _approach(tool), linear, _last_way(machine)
+    stream = Stream(moves_of, tuple(laps), str(path), machine.axis_names, order)
     return Job(
         capped=_capped(tuple(laps), machine, winding),
         name=winding.product.name,
@@ -141,6 +143,13 @@ def job_of(winding: Winding, laid: tuple[Laid, ...], machine: Machine) -> Job:
         operations=OperationStream(stream),
         warnings=tuple(said),
     )
+
+
+def _last_way(machine: Machine) -> tuple[float, ...]:
+    """Return the least way of the last move before a rest, m or rad: some steps of a stepper."""
+    if not machine.takes_positions:
+        return (0.0,) * len(machine.axis_names)
+    return tuple((_LAST_STEPS / machine.counts_per_unit).tolist())
 
 
 def _capped(laps: tuple[Laps, ...], machine: Machine, winding: Winding) -> tuple[str, ...]:

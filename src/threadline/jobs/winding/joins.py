@@ -88,7 +88,9 @@ def _joined(before: Laid, after: Laid, side: int, friction: float) -> Join | Non
     constant, wanted = before.circuit.constant_m, after.circuit.constant_m
     parts: list[FloatArray] = []
     at = from_[(side + 1) // 2]
-    _put(parts, _inwards(turn_of(surface, at, constant, _ratio(at, friction), name)), side)
+    turned = before.circuit.right if side > 0 else before.circuit.left
+    ratio = 0.0 if at.dome else turned.ratio
+    _put(parts, _inwards(turn_of(surface, at, constant, ratio, name)), side)
     most = 0.0
     for _ in range(_MOST_PASSES):
         side = -side
@@ -120,10 +122,6 @@ def _joined(before: Laid, after: Laid, side: int, friction: float) -> Join | Non
 
 def _deg(laid: Laid) -> str:
     return f"{np.degrees(laid.circuit.angle):.1f} deg"
-
-
-def _ratio(site: Site, friction: float) -> float:
-    return 0.0 if site.dome else friction
 
 
 def _moved(before: Laid, surface: Surface) -> tuple[Site, Site]:

@@ -80,11 +80,15 @@ def _left_s(nominal_s: FloatArray) -> FloatArray:
     return np.asarray(slow + np.maximum(nominal_s - own[-1], 0.0))
 
 
-def _to_rest(units: IntArray, seconds: FloatArray) -> tuple[IntArray, FloatArray]:
+def _to_rest(
+    units: IntArray, seconds: FloatArray, least: FloatArray
+) -> tuple[IntArray, FloatArray]:
     """Return the points of a circuit that ends at a rest, and the durations of its moves, s.
 
     A mandrel that stops from full speed swings back on its drive and lifts the fibre. Moves are
-    divided so that the speed falls in small steps.
+    divided so that the speed falls in small steps. The last move is ``least`` units long on one
+    axis at least: Marlin passes over moves of fewer than six steps, and goes their way at the speed
+    of the move that follows them.
     """
     left = float(seconds.sum()) - np.concatenate([[0.0], np.cumsum(seconds)])
     left[-1] = 0.0
@@ -97,7 +101,10 @@ def _to_rest(units: IntArray, seconds: FloatArray) -> tuple[IntArray, FloatArray
     places = np.column_stack([np.interp(-every, -left, column) for column in units.T])
     found = _COARSE * np.rint(places / _COARSE).astype(np.int64)
     found[: len(left)] = units
-    return found[order], -np.diff(_left_s(every[order]))
+    found, rest_s = found[order], _left_s(every[order])
+    kept = (np.abs(found - found[-1]) >= least).any(axis=1)
+    kept[-1] = True
+    return found[kept], -np.diff(rest_s[kept])
 
 
 def _feeds(seconds: FloatArray) -> tuple[tuple[int, Feed | None], ...]:
@@ -143,13 +150,15 @@ def moves_of(
     laps: tuple[Laps, ...],
     file: str,
     axes: tuple[str, ...],
-    order: tuple[tuple[str, ...], tuple[bool, ...]],
+    order: tuple[tuple[str, ...], tuple[bool, ...], tuple[float, ...]],
 ) -> Iterator[Operation | MoveRun]:
     """Yield the moves: to the first point, axis by axis, then every circuit.
 
-    ``order`` has the axes that move to the first point one by one, and which axes are linear.
+    ``order`` has the axes that move to the first point one by one, which axes are linear, and the
+    least way of the last move before a rest, m or rad.
     """
     approach, grid = order[0], Grid(order[1])
+    least = grid.units(np.array(order[2])).astype(float)
     first = grid.units(laps[0].points[0])
     at = np.zeros(len(axes), dtype=np.int64)
     turn = [index for index, name in enumerate(axes) if name not in approach]
@@ -176,7 +185,7 @@ def moves_of(
             if lap == 0 and (k == 0 or apart[k]):
                 seconds = _from_rest(seconds)
             if lap == one.count - 1 and apart[k + 1]:
-                points, seconds = _to_rest(points, seconds)
+                points, seconds = _to_rest(points, seconds, least)
             count = len(seconds)
             yield MoveRun(
                 targets=grid.places(points[1:] + lap * further),

@@ -31,6 +31,8 @@ _HOUR = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([A-Z]{3})\s*/\s*h\s*")
 MOST_CIRCUITS = 100_000
 MARGIN = 0.9
 """Share of the lower end of the friction that a planned path uses."""
+GENTLE = 0.75
+"""The same of a turn at an open end, where the mandrel is long enough for it."""
 USUAL_SPEED_M_S = 0.1
 """Speed of the fibre where the file names none."""
 _ENVELOPES_M = 1e-3, 1.0

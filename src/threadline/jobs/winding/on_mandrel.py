@@ -14,14 +14,16 @@ from threadline.jobs.winding.circuit import (
     Circuit,
     Site,
     circuit_of,
+    turns,
     widest,
 )
-from threadline.jobs.winding.layers import Layer, Winding
+from threadline.jobs.winding.layers import GENTLE, MARGIN, Layer, Winding
 from threadline.winding.surface import Surface
 
 _TURN = 2.0 * math.pi
 _BETWEEN = 1025  # places between begin and end
 _HOOP_ROWS = 100
+_HALVINGS = 12  # of the range of friction ratios of a turn
 _NEAR_BANDS = 3.0  # of a turn, within which a boss or pins hold a dwell
 
 
@@ -41,6 +43,8 @@ class Wrap:
         Of the band.
     friction
         Largest friction ratio.
+    turning
+        Friction ratios with which ``base`` turns, left and right; 0 on a dome.
     """
 
     winding: Winding
@@ -51,6 +55,7 @@ class Wrap:
     least_m: float
     width_m: float
     friction: float
+    turning: tuple[float, float]
 
     @property
     def name(self) -> str:
@@ -70,8 +75,11 @@ class Wrap:
         A positive ``ratio`` steers towards the pole: the fibre turns later and further round.
         """
         constant = self.base.constant_m if constant_m is None else constant_m
-        ratios = tuple(-ratio if site.dome else self.friction for site in self.sites)
-        made = circuit_of(self.surface, self.sites, constant, (ratios[0], ratios[1]), self.name)
+        left, right = (
+            -ratio if site.dome else self._open_ratio(site, own, constant)
+            for site, own in zip(self.sites, self.turning, strict=True)
+        )
+        made = circuit_of(self.surface, self.sites, constant, (left, right), self.name)
         if dwell == 0.0:
             return made
         can = [self.can_dwell(made, site) for site in self.sites]
@@ -81,6 +89,17 @@ class Wrap:
             left=replace(made.left, dwell=share if can[0] else 0.0),
             right=replace(made.right, dwell=share if can[1] else 0.0),
         )
+
+    def _open_ratio(self, site: Site, own: float, constant_m: float) -> float:
+        """Return the friction ratio that turns another angle as far beyond the joint as ``base``.
+
+        On a cylinder of radius R the turn takes ``(R / sin(a) - R) / ratio``.
+        """
+        if constant_m == self.base.constant_m:
+            return own
+        radius = float(self.surface.at(np.array([site.joint]))[1][0, 0])
+        ways = [radius / one - 1.0 for one in (constant_m, self.base.constant_m)]
+        return min(own * ways[0] / ways[1], self.friction) if ways[1] > 0.0 else own
 
     def slip_at(self, circuit: Circuit, site: Site) -> float:
         """Return the slip tendency of a dwell on the parallel where a circuit turns."""
@@ -170,13 +189,39 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
             "Give begin a smaller place along the mandrel than end.",
         )
     both = (sites[0], sites[1])
-    ratios = tuple(0.0 if site.dome else winding.friction for site in both)
+    left, right = (gentle_ratio(surface, site, constant, winding.friction, width) for site in both)
     name = f"layer {layer.number}: "
     try:
-        base = circuit_of(surface, both, constant, (ratios[0], ratios[1]), name)
+        base = circuit_of(surface, both, constant, (left, right), name)
     except JobError as error:
         winding.refuse(layer, error.message, error.remedy)
-    return Wrap(winding, layer, surface, both, base, least, width, winding.friction)
+    return Wrap(winding, layer, surface, both, base, least, width, winding.friction, (left, right))
+
+
+def gentle_ratio(
+    surface: Surface, site: Site, constant_m: float, friction: float, width_m: float
+) -> float:
+    """Return the friction ratio with which a fibre turns: 0 on a dome.
+
+    At an open end it is less than the friction allows, if the whole band then stays on the mandrel:
+    what the machine adds to the steering has room, too.
+    """
+    if site.dome:
+        return 0.0
+    end, half = (surface.length_m if site.side > 0 else 0.0), 0.5 * width_m
+
+    def fits(ratio: float) -> bool:
+        return turns(surface, site, constant_m, ratio, end - site.side * half)
+
+    low, high = GENTLE / MARGIN * friction, friction
+    if fits(low):
+        return low
+    if not fits(high):
+        return high
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if fits(middle) else (middle, high)
+    return high
 
 
 def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
@@ -212,7 +257,8 @@ def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     # Straight in u and angle round: a row in every radian or so is enough.
     rows = base.middle
     base = replace(base, middle=np.vstack([rows[:-1:_HOOP_ROWS], rows[-1:]]))
-    return Wrap(winding, layer, surface, sites, base, 0.0, width, friction)
+    both = friction, friction
+    return Wrap(winding, layer, surface, sites, base, 0.0, width, friction, both)
 
 
 def _full(winding: Winding, layer: Layer) -> tuple[float | None, float | None]:
