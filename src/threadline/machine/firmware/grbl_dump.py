@@ -177,9 +177,9 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
         elif not above and key == "junction_deviation_mm":
             settings.set_planner("junction_deviation", value, place, key)
     for letter, axis in settings.axes.items():
-        for what, number in _FLUIDNC_TAKES.items():
+        for what, taken in _FLUIDNC_TAKES.items():
             if getattr(axis, what) is None:
-                settings.say(letter, what, number, Place(file), "default of fluidnc")
+                settings.say(letter, what, taken, Place(file), "default of fluidnc")
     return settings
 
 
