@@ -300,8 +300,8 @@ def share_words(share: float) -> str:
 def recorded_share(share: float | None) -> str | None:
     """Return a share in percent, as a plain number where percents would change its last bit.
 
-    >>> recorded_share(0.25), recorded_share(0.4494910647887381)
-    ('25.0 %', '0.4494910647887381')
+    >>> recorded_share(0.25), recorded_share(0.0257)
+    ('25.0 %', '0.0257')
     """
     if share is None:
         return None
