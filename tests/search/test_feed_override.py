@@ -25,7 +25,7 @@ from threadline.machine import Machine, load_machine
 from threadline.proof.option_form import Door
 from threadline.proof.option_words import feed_words, parse_feed
 from threadline.proof.options import Options, options_of
-from threadline.proof.pipeline import NOMINAL, plan_job, write
+from threadline.proof.pipeline import plan_job, write
 from threadline.proof.request import Words
 from threadline.search.feed import search_range, searched_by
 from threadline.search.least_limits import fastest_job
@@ -167,8 +167,10 @@ def test_a_winding_is_searched_from_above(
 ) -> None:
     """Its slow feeds take longest to judge, and are never the answer."""
     tried: list[float] = []
+    runs: list[int] = []
 
     def judged(question: Question, plan: Plan) -> Verdict:
+        runs.append(question.trials.repeats)
         tried.append(float(plan.options["feed"].removesuffix(" %")))
         passed = tried[-1] < 1000.0
         result = Result(
@@ -180,10 +182,13 @@ def test_a_winding_is_searched_from_above(
     monkeypatch.setattr(Question, "judged", judged)
     words = Words.of("fastest", Door.PYTHON, {"interpolation": interpolation})
     asked = question_of(words, VESSEL, "lathe-winder")
-    found = fastest_job(replace(asked, trials=NOMINAL))
+    found = fastest_job(asked)
     assert found.by is FeedMode.OVERRIDE and found.best.found.best is not None
     assert 980.0 < 100.0 * found.best.found.best < 1000.0
     assert min(tried) > 100.0
+    # Searched in one run at each feed; the answer is judged in all of them, by the whole job.
+    assert asked.trials.repeats == 20 and runs[-1] == 20 and set(runs[:-1]) == {1}
+    assert found.whole
 
 
 @pytest.mark.long(shown_by="test_programs_with_feeds_that_differ_are_searched_by_their_override")

@@ -22,7 +22,7 @@ from threadline.motion.path.interpolations import OPTIMAL
 from threadline.motion.timing import Pace
 from threadline.proof.option_words import LEAST_SHARE
 from threadline.proof.options import Options
-from threadline.proof.pipeline import check_loops, plan_job
+from threadline.proof.pipeline import NOMINAL, Trials, check_loops, plan_job
 from threadline.search.allowance import FastestJob, Rung, fastest_allowed
 from threadline.search.chosen_plans import fastest_chosen
 from threadline.search.deadline import Deadline, HaltError, no_answer, until_deadline
@@ -178,7 +178,8 @@ def fastest_job(asked: Question) -> FastestJob:
     In a job of more than five minutes a share of the limits is skipped if even its highest feed
     takes no less time than the best result so far: it cannot be the answer. There, and in every
     winding, feeds are tried from above until four in a row are in spec. At the end only the fastest
-    interval and its upper edge are examined closely.
+    interval and its upper edge are examined closely. A winding is searched in one run of each plan;
+    the answer is judged in as many as asked.
     """
     job, machine, options, until = asked.job, asked.machine, asked.options, asked.until
     check_loops(machine)
@@ -197,9 +198,10 @@ def fastest_job(asked: Question) -> FastestJob:
         parts = distinct_parts(job, machine, joined=options.product is not None)
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
+    scanned = _in_one_run(asked)
 
     def searched(share: float, grid: Grid, telling: Progress | None) -> Fastest:
-        part = asked if parts == (job,) else of_a_part(asked)
+        part = scanned if parts == (job,) else of_a_part(scanned)
         with_share = replace(part.options, limit_share=share)
         question = replace(part, options=with_share, progress=telling)
         # The slow feeds of a winding take longest to judge, and are never its answer.
@@ -232,17 +234,16 @@ def fastest_job(asked: Question) -> FastestJob:
     except KeyboardInterrupt as signal:
         if until is None or not rungs or not until.interrupted(signal):
             raise
-    best = min(rungs.values(), key=_order)
+    best, stopped = min(rungs.values(), key=_order), until is not None and bool(until.ended)
     repeats, cut = parts != (job,), _cut(parts, machine, best, by)
-    stopped = until is not None and bool(until.ended)
-    whole = not stopped or not (repeats or cut)
-    if (repeats or cut) and not stopped and best.duration_s is not None:
+    partly = repeats or cut or scanned is not asked
+    whole = not stopped or not partly
+    if partly and not stopped and best.duration_s is not None:
         whole = False
         if asked.progress is not None:
             asked.progress("the whole job", shares.steps / (shares.steps + 1))
         with until_deadline(until, lambda: rungs):
-            best = _of_whole(best, asked)
-            rungs[best.share] = best
+            best = _whole(best, rungs, asked, 1 if scanned is asked else len(rungs))
             whole = True
     return FastestJob(
         best=best,
@@ -360,6 +361,27 @@ def planned_at(asked: Question, share: float, feed: float) -> Plan:
     by = FeedMode.FASTEST_AXIS if asked.by is None else asked.by
     options = replace(asked.options, limit_share=share, feed=Feed(by, feed))
     return plan_job(asked.job, asked.machine, options)
+
+
+def _in_one_run(asked: Question) -> Question:
+    """Return the question that a search asks at every feed: of a winding in one run.
+
+    Near a limit a verdict over repeats takes hundreds of runs, and a winding runs long.
+    """
+    repeats = Trials(repeats=asked.trials.repeats)
+    if asked.options.product is None or asked.trials != repeats or repeats == NOMINAL:
+        return asked
+    return replace(asked, trials=NOMINAL)
+
+
+def _whole(best: Rung, rungs: dict[float, Rung], asked: Question, most: int) -> Rung:
+    """Return the best rung as the whole job is judged; where it fails, the next ones."""
+    for rung in sorted(rungs.values(), key=_order)[:most]:
+        if rung.duration_s is not None:
+            rungs[rung.share] = best = _of_whole(rung, asked)
+            if best.duration_s is not None:
+                break
+    return best
 
 
 def _of_whole(best: Rung, asked: Question) -> Rung:
