@@ -125,7 +125,7 @@ def test_linuxcnc_alone_wraps(tmp_path: Path, wrapped: Machine) -> None:
     file = tmp_path / "on.nc"
     file.write_text("G1 A359 F600\nA1\nM2\n")
     with pytest.raises(
-        PlanError, match=r"axes\.A is wrapped: its control reads angles in one turn"
+        PlanError, match=r"axes\.A is wrapped: its control reads angles within one turn"
     ):
         tl.compile(file, wrapped, target="linuxcnc", out=tmp_path / "on.ngc", dialect="linuxcnc")
 

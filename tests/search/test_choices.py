@@ -87,7 +87,7 @@ def test_the_values_of_choices_are_typed_and_read_back() -> None:
     )
     spec, free = load_spec(None, machine), frozenset(CHOSEN)
     assert "limits" not in {knob.word for knob in knobs_of(machine, spec, options, free)}
-    knobs = knobs_of(machine, spec, options, free, gentle=True)
+    knobs = knobs_of(machine, spec, options, free, limits_too=True)
     job = open_job(EXAMPLES / "x-180.prg", machine, options)
     assert {knob.word for knob in knobs} == {
         "tolerance", "outside", "contour", "volts", "current", "smoothing", "limits",

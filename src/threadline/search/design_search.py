@@ -152,7 +152,6 @@ def _slice(
 
 SEED = 1994
 _ELITE = 8
-_CROSSED = 3  # candidates from which differences are taken
 _PATIENCE = 4
 _ENOUGH = 2e-3  # relative gain: less in several rounds is no progress
 _FIRST_STEP, _STEP_DECAY = 0.15, 0.85
@@ -381,33 +380,10 @@ def _proposals(
         other = random.integers(0, len(space.levels), len(moved))
         levels += np.where(random.random(len(moved)) < 0.2, other, level).tolist()
     every, of_level = np.concatenate(points), np.array(levels, dtype=np.int64)
-    if len(elite) < _CROSSED:
-        most *= 2
-    if len(every) > most:
-        chosen = np.sort(random.choice(len(every), most, replace=False))
+    if len(every) > 2 * most:
+        chosen = np.sort(random.choice(len(every), 2 * most, replace=False))
         every, of_level = every[chosen], of_level[chosen]
-    if len(elite) < _CROSSED:
-        return every, of_level
-    crossed = _differences(space, tried.points[elite], random, most)
-    return (
-        np.concatenate([every, crossed[0]]),
-        np.concatenate([of_level, tried.level[elite][crossed[1]]]),
-    )
-
-
-def _differences(
-    space: Space, elite: FloatArray, random: np.random.Generator, most: int
-) -> tuple[FloatArray, IntArray]:
-    """Return candidates of the elite moved by differences between two others, and from which each.
-
-    The elite lies along the edge of the specification, so that its differences follow the edge:
-    one number is traded for another, as in differential evolution (Storn and Price, "Differential
-    evolution", J. of Global Optimization 11, 1997). Half of the numbers without change keep none.
-    """
-    own, one, other = random.integers(0, len(elite), (3, most))
-    moved = elite[own] + random.uniform(0.3, 1.0, (most, 1)) * (elite[one] - elite[other])
-    still = (elite[own] == 0.0) & (random.random(moved.shape) < 0.5)
-    return np.clip(np.where(still, 0.0, moved), space.low, space.high), own
+    return every, of_level
 
 
 def pareto(space: Space, tried: Tried, most: float, apart: float = 0.05) -> IntArray:
