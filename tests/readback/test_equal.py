@@ -149,9 +149,7 @@ def test_foreign_files_are_refused_in_one_line(
         assert status(["equal", str(other), "-m", MACHINE, *typed, *words]) == 2
         error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
         assert len(error) == 1 and said in error[0]
-    with pytest.raises(
-        InputError, match="no target was compared: t15: no reader here"
-    ):
+    with pytest.raises(InputError, match="no target was compared: t15: no reader here"):
         tl.equal(examples / "rosette.dst", "table-embroiderer", ["t15"])
 
 
