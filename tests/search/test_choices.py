@@ -207,8 +207,11 @@ def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> No
         replace(one, limit=8.0) if one.name == "acceleration" else one
         for one in asked.spec.criteria
     )
-    spec = replace(asked.spec, criteria=criteria)
-    found = answered(replace(asked, spec=spec, trials=NOMINAL))
+    spec, shares = replace(asked.spec, criteria=criteria), list[float]()
+    reported = replace(asked, progress=lambda _, share: shares.append(share))
+    found = answered(replace(reported, spec=spec, trials=NOMINAL))
+    assert shares == sorted(shares)
+    assert len(shares) > 4
     assert found.duration_s is not None and found.again is not None
     assert found.again["feed_forward"] is True
     passed = {rung.share for rung in found.of.rungs if rung.duration_s is not None}

@@ -134,3 +134,27 @@ WRITING = WritingSoFar()
 
 Progress = Callable[[str, float], None]
 """Called with the name of the work and the fraction done."""
+
+
+def never_back(progress: Progress | None) -> Progress | None:
+    """Return a callback that reports the largest fraction so far; None for None.
+
+    Searches that follow each other know only their own number of trials, and so begin at 0 again.
+
+    >>> told = []
+    >>> forwards = never_back(lambda work, share: told.append(share))
+    >>> for share in (0.1, 0.4, 0.0, 0.5):
+    ...     forwards("proving", share)
+    >>> told
+    [0.1, 0.4, 0.4, 0.5]
+    """
+    if progress is None:
+        return None
+    most = 0.0
+
+    def forwards(work: str, share: float) -> None:
+        nonlocal most
+        most = max(most, share)
+        progress(work, most)
+
+    return forwards

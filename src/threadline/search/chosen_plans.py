@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from threadline.base.option_defaults import OPTIMAL_FEED_FORWARD
+from threadline.base.progress import never_back
 from threadline.commands.plan import Plan
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode
@@ -180,6 +181,7 @@ def fastest_chosen(asked: Question) -> FastestJob:
     Plans use the full limits of acceleration and jerk. Only where none of them is in specification
     the search may choose the share of these limits, too.
     """
+    asked = replace(asked, progress=never_back(asked.progress))
     machine, until = asked.machine, asked.until
     top = feed_range_m_s(machine)[1] if asked.high is None else asked.high
     options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
