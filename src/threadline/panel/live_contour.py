@@ -30,9 +30,8 @@ _NAME = "contour_error"
 _LOAD = (ChannelKind.TOOL, ChannelKind.LOAD)
 _ENCODER = (ChannelKind.MEASURED,)
 _ASKED = (ChannelKind.COMMANDED, ChannelKind.OPERATION)
-PIECE_S = 0.2
-"""Samples are measured in pieces of this length, s: 5 a second. A piece costs as much as a report
-of the machine; its worst place is exact, however long it is."""
+PIECE_S = 0.1
+"""Samples are measured in pieces of this length, s: 10 a second, as often as the page draws."""
 _ENDS_S = 5.0
 _REHEARSED = 8  # samples
 
