@@ -133,6 +133,7 @@ def enter_tab(page: Page, name: str) -> None:
 def test_each_kind_without_a_pointer(browser: Browser, plant: Plant, name: str) -> None:
     page = opened(browser, plant, name)
     walked(page, CASES[name].program, "IN SPEC", name)
+    assert "stopped" in page.locator("#kept tr[aria-current]").inner_text()
     page.close()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
 from typing import NamedTuple
@@ -23,13 +24,14 @@ class Summary(NamedTuple):
     below: str = ""
 
 
-class Summarised:
+class Summarised(ABC):
     """Prints ``_summary()`` as a table; an answer has many more fields than a reader wants."""
 
     __slots__ = ()
 
+    @abstractmethod
     def _summary(self) -> Summary:
-        raise NotImplementedError
+        """Return the whole table; printing shortens it."""
 
     def __repr__(self) -> str:
         title, header, rows, below = _shortened(self._summary())
