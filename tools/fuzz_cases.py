@@ -117,12 +117,12 @@ def run_case(case: Case, folder: Path) -> Outcome:
         watch(0)
     took_s = time.process_time() - began
     out.flush()
-    told = out.buffer.getvalue().decode("utf-8", "replace")
+    output = out.buffer.getvalue().decode("utf-8", "replace")
     said = WORD.sub("", err.getvalue())
     if hung and said != err.getvalue():
         return Outcome(_LONG, "", took_s)
     said = COMPILING.sub("", said)
-    problem = f"more than {HANG_S} s" if hung else _problem(case, status, told, said)
+    problem = f"more than {HANG_S} s" if hung else _problem(case, status, output, said)
     if not hung and not problem:
         problem = _changed(case, before, folder, status)
     return Outcome(status, problem, took_s)

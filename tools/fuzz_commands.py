@@ -377,9 +377,9 @@ def main() -> int:
         index += 1
     for kind in KINDS_OF_CASES:
         counts = {status: n for (which, status), n in sorted(tally.items()) if which == kind}
-        told = ", ".join(f"{n} with status {status}" for status, n in counts.items())
+        counted = ", ".join(f"{n} with status {status}" for status, n in counts.items())
         if counts:
-            print(f"{kind}: {sum(counts.values())} cases, {told}")
+            print(f"{kind}: {sum(counts.values())} cases, {counted}")
     print(f"slowest: {slowest[0]:.1f} s, {slowest[1]}")
     print(f"{tally.total()} cases, {failures} failures")
     return 1 if failures else 0

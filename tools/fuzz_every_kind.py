@@ -401,18 +401,18 @@ def main() -> int:
     parser.add_argument("--whole", type=int, default=100, help="one case of so many is a process")
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no round after them")
     parser.add_argument("--kept", type=Path, help="file of the rounds that were run (JSON lines)")
-    asked = parser.parse_args()
-    tallies = kept_tallies(asked.kept) if asked.kept else []
-    done = {(tally.round, tally.kind) for tally in tallies if tally.seed == asked.seed}
-    names = [asked.kind] if asked.kind else [kind.name for kind in kinds()]
-    rounds = range(asked.round, asked.round + asked.rounds)
+    options = parser.parse_args()
+    tallies = kept_tallies(options.kept) if options.kept else []
+    done = {(tally.round, tally.kind) for tally in tallies if tally.seed == options.seed}
+    names = [options.kind] if options.kind else [kind.name for kind in kinds()]
+    rounds = range(options.round, options.round + options.rounds)
     wanted = [(n, name) for n in rounds for name in names if (n, name) not in done]
-    end_s = time.monotonic() + 60.0 * asked.minutes
-    run = partial(_run_part, asked.seed, (asked.proved, asked.whole), asked.change)
-    for tally in _tallies(run, wanted, asked.processes, end_s):
+    end_s = time.monotonic() + 60.0 * options.minutes
+    run = partial(_run_part, options.seed, (options.proved, options.whole), options.change)
+    for tally in _tallies(run, wanted, options.processes, end_s):
         tallies.append(tally)
-        if asked.kept:
-            _keep(asked.kept, tally)
+        if options.kept:
+            _keep(options.kept, tally)
     failures = [failure for tally in tallies for failure in tally.failures]
     for failure in failures[:_SHOWN]:
         print(failure, file=sys.stderr)

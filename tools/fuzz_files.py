@@ -240,11 +240,11 @@ def _other_text(rng: random.Random, content: bytes) -> bytes:
     """Change a value of the description that is in a schema or at the head of a block."""
     begin, end = content.find(b"{"), content.rfind(b"}") + 1
     try:
-        told = json.loads(content[begin:end])
+        head = json.loads(content[begin:end])
     except ValueError:
         return content
-    _change(rng, told)
-    text = json.dumps(told).encode()
+    _change(rng, head)
+    text = json.dumps(head).encode()
     before = content[: max(begin - 4, 0)] + struct.pack("<I", len(text))
     return before + text + content[end:]
 

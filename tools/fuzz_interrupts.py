@@ -97,7 +97,7 @@ def tree(folder: Path) -> dict[str, bytes | None]:
     }
 
 
-def start(words: list[str], folder: Path, told: Path, most_bytes: int) -> int:
+def start(words: list[str], folder: Path, side: Path, most_bytes: int) -> int:
     """Run a command in a fork of this process; return its number."""
     child = os.fork()
     if child:
@@ -106,9 +106,9 @@ def start(words: list[str], folder: Path, told: Path, most_bytes: int) -> int:
         if most_bytes:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
         os.chdir(folder)
-        os.environ["TMPDIR"] = tempfile.tempdir = str(told)
+        os.environ["TMPDIR"] = tempfile.tempdir = str(side)
         for number, name in ((1, "out"), (2, "err")):
-            os.dup2(os.open(told / name, os.O_WRONLY | os.O_CREAT), number)
+            os.dup2(os.open(side / name, os.O_WRONLY | os.O_CREAT), number)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -134,10 +134,10 @@ def run(
 ) -> tuple[int, str]:
     """Run a case; return its status and what is wrong with it."""
     with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as side:
-        folder, told = Path(made), Path(side)
+        folder, side_path = Path(made), Path(side)
         lay_out(folder)
         before = tree(folder)
-        child = start(words, folder, told, most_bytes)
+        child = start(words, folder, side_path, most_bytes)
         for wait_s, number in at:
             time.sleep(wait_s)
             if os.waitpid(child, os.WNOHANG)[0]:
@@ -151,8 +151,8 @@ def run(
                 ended, raw = child, 0
         status = os.waitstatus_to_exitcode(raw)
         after = tree(folder)
-        err = WORD.sub("", (told / "err").read_text(errors="replace"))
-        left = [p.name for p in told.iterdir() if p.name not in {"out", "err"}]
+        err = WORD.sub("", (side_path / "err").read_text(errors="replace"))
+        left = [p.name for p in side_path.iterdir() if p.name not in {"out", "err"}]
     fresh = sorted(set(after) - set(before))
     changed = sorted(p for p in before if after.get(p, b"gone") != before[p])
     hidden = [p for p in fresh if any(part.startswith(".") for part in Path(p).parts)]

@@ -199,9 +199,9 @@ def spec_of(rng: random.Random, seed: Seed) -> str:
 
 def recording_of(seed: Seed, channels: dict[str, Channel]) -> Recording:
     """Return the channels as a recording; a block for each chunk."""
-    told = seed.proof.recording
+    recording = seed.proof.recording
     described = tuple(
-        replace(c, unit=channels[c.name].unit) for c in told.channels if c.name in channels
+        replace(c, unit=channels[c.name].unit) for c in recording.channels if c.name in channels
     )
     clock = described[0].clock.name
     chunks = {name: channel.chunks for name, channel in channels.items()}
@@ -212,7 +212,7 @@ def recording_of(seed: Seed, channels: dict[str, Channel]) -> Recording:
         )
         for i in range(len(next(iter(chunks.values()))))
     ]
-    return replace(told, channels=described, blocks=Stream.of(blocks))
+    return replace(recording, channels=described, blocks=Stream.of(blocks))
 
 
 MAKERS: dict[str, Callable[[random.Random, Seed], dict[str, Channel]]] = {
@@ -249,11 +249,11 @@ def check(kind: str, path: Path) -> None:
             verdict = judge([in_si(recording, Place(path.name))], seed.proof.plan, spec)
     if must:
         raise AssertionError(f"judged, although {must}")
-    told = json.loads(json.dumps(verdict_json(verdict, seed.proof.plan), allow_nan=False))
+    content = json.loads(json.dumps(verdict_json(verdict, seed.proof.plan), allow_nan=False))
     text = spec_file.read_text()
     wrong = cannot_pass(channels, seed.facts, text)
     statuses: dict[tuple[str, str], list[str]] = {}
-    for row in told["criteria"]:
+    for row in content["criteria"]:
         statuses.setdefault((row["name"], row["axis"]), []).append(row["status"])
     for (name, axis), why in wrong.items():
         found = statuses.get((name, axis), [])
@@ -264,7 +264,7 @@ def check(kind: str, path: Path) -> None:
         for (name, axis), (_, required) in asked(text, seed.facts).items()
         if required and (name, axis) in wrong
     }
-    if told["passed"] and lacking:
+    if content["passed"] and lacking:
         raise AssertionError(f"in spec, although {lacking}: {wrong}\n{text}")
 
 

@@ -139,10 +139,10 @@ def in_another_order(rng: random.Random, text: str) -> str:
     parts = []
     for table in tables:
         first, *lines = table.splitlines()
-        told = [line for line in lines if line.strip() and not line.startswith("#")]
-        if all(re.match(r"[\w.]+ = ", x) and x.count("[") == x.count("]") for x in told):
-            rng.shuffle(told)
-            lines = [f"{line}  # {rng.random()}" for line in told]
+        pairs = [line for line in lines if line.strip() and not line.startswith("#")]
+        if all(re.match(r"[\w.]+ = ", x) and x.count("[") == x.count("]") for x in pairs):
+            rng.shuffle(pairs)
+            lines = [f"{line}  # {rng.random()}" for line in pairs]
         parts.append("\n".join([first, *lines]))
     if not any(part.startswith("[[") for part in parts):
         rng.shuffle(parts)

@@ -144,8 +144,10 @@ class Twin:
     def verdict(self, options: Options) -> tuple[Told, float]:
         """Return the verdict on it, with the axes of before, and its time, s."""
         proof = prove(self.file, self.machine, load_spec(None, self.machine), options)
-        told = told_verdict(proof)
-        own = {(name, self.names.get(axis, ""), step): v for (name, axis, step), v in told.items()}
+        results = told_verdict(proof)
+        own = {
+            (name, self.names.get(axis, ""), step): v for (name, axis, step), v in results.items()
+        }
         return own, float(proof.plan.duration_s)
 
 
@@ -183,13 +185,13 @@ def check_program(path: Path) -> None:
     two = Twin(machine, path.with_name("two.nc"), names, mirrored)
     one.file.write_text(text_of(rng, moves, Style(), dialect))
     two.file.write_text(text_of(rng, others, style, dialect))
-    told = f"{dialect}, {style}, {names}, mirrored {mirrored!r}\n"
-    told += f"{one.file.read_text()}\n{two.file.read_text()}"
+    about = f"{dialect}, {style}, {names}, mirrored {mirrored!r}\n"
+    about += f"{one.file.read_text()}\n{two.file.read_text()}"
     before, after = one.path(dialect), two.path(dialect)
-    assert before.keys() == after.keys(), f"axes {list(before)} and {list(after)}: {told}"
+    assert before.keys() == after.keys(), f"axes {list(before)} and {list(after)}: {about}"
     for name, values in before.items():
         there = np.interp(before["way"], after["way"], after[name])
-        assert np.abs(there - values).max() < 1e-9, f"{name} is {there} and was {values}: {told}"
+        assert np.abs(there - values).max() < 1e-9, f"{name} is {there} and was {values}: {about}"
     if rng.randrange(WHOLE) == 0:
         kinds = _OF_LINES if style.split or rng.random() < 0.7 else _OF_POINTS
         options = Options(dialect=dialect, interpolation=rng.choice(kinds))
@@ -201,9 +203,9 @@ def check_program(path: Path) -> None:
         moved = bool(by or mirrored or sums)
         free = _OF_THE_CUT.get(options.interpolation, ()) if style.split else ()
         how = f"{options.interpolation}, shifted {by!r}"
-        same_verdicts(verdict, other, f"{how}, {told}", moved, free)
+        same_verdicts(verdict, other, f"{how}, {about}", moved, free)
         cuts = len(moves) if style.split else 0
-        _as_long(before_s, after_s, options.interpolation, cuts, f"{how}, {told}")
+        _as_long(before_s, after_s, options.interpolation, cuts, f"{how}, {about}")
 
 
 def _as_long(before_s: float, after_s: float, kind: str, cuts: int, said: str) -> None:

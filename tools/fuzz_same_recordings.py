@@ -123,8 +123,8 @@ def recording_of(
     seed: Seed, samples: Samples, edges: tuple[int, ...] = (), runs: int = 1
 ) -> Recording:
     """Return (n,) or (n, runs) samples as a recording, cut into blocks before rows ``edges``."""
-    told = seed.proof.recording
-    channels = tuple(c for c in told.channels if c.name in samples)
+    recording = seed.proof.recording
+    channels = tuple(c for c in recording.channels if c.name in samples)
     count = len(next(iter(samples.values())))
     ends = (0, *edges, count)
     blocks = [
@@ -134,7 +134,7 @@ def recording_of(
         )
         for a, b in pairwise(ends)
     ]
-    return replace(told, channels=channels, blocks=Stream.of(blocks), runs=runs)
+    return replace(recording, channels=channels, blocks=Stream.of(blocks), runs=runs)
 
 
 def rows_of(
@@ -339,10 +339,10 @@ def hold_against(
         same |= np.isnan(values) & np.isnan(kept.measured[key])
         same |= values == kept.measured[key]
         where = f"{' '.join(key)} of {kept.seed.proof.plan.machine.name}"
-        told = f"{values.tolist()}, before {kept.measured[key]!r}"
-        assert same.all(), f"{where} is {told} ({how})"
+        found = f"{values.tolist()}, before {kept.measured[key]!r}"
+        assert same.all(), f"{where} is {found} ({how})"
         if not turns and (twice, key[0]) != (True, "dac_saturation"):
-            assert (failed == must[key]).all(), f"{where} failed {failed.tolist()}: {told}"
+            assert (failed == must[key]).all(), f"{where} failed {failed.tolist()}: {found}"
 
 
 def _check_spread(rng: random.Random) -> None:
@@ -383,7 +383,7 @@ def _check_spread(rng: random.Random) -> None:
         spec = replace(seed.proof.spec, criteria=(own_one,))
         with plan_measured_once(seed.proof.plan):
             result = Judge(seed.proof.plan, spec).verdict(runs).result("repeatability")
-        told = f"{name} beside by {beside} in one of {count}: {result}, wanted {wanted}"
-        assert result.measured is not None, told
-        assert abs(result.measured - wanted) < 1e-6 * wanted + 1e-12, told
-        assert (result.status is Status.FAILED) == (factor == 0.999), told
+        about = f"{name} beside by {beside} in one of {count}: {result}, wanted {wanted}"
+        assert result.measured is not None, about
+        assert abs(result.measured - wanted) < 1e-6 * wanted + 1e-12, about
+        assert (result.status is Status.FAILED) == (factor == 0.999), about

@@ -302,10 +302,10 @@ class Placer:
         for number, one in enumerate(drawn or work.drawn):
             rows = []
             for key, value in one.items():
-                told = _told(value, inches=inches, seconds=words is not None)
+                text = _told(value, inches=inches, seconds=words is not None)
                 if key == "step" and names:
-                    told, steps[f"{value}{number}"] = f'"{value}{number}"', value
-                rows.append(f"{key} = {told}")
+                    text, steps[f"{value}{number}"] = f'"{value}{number}"', value
+                rows.append(f"{key} = {text}")
             if words:
                 words.shuffle(rows)
             lines += ["[[operation]]", *rows]

@@ -244,7 +244,7 @@ def measure(words: list[str]) -> tuple[int, float, float, float, float, str]:
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
     )
     assert child.stdout is not None
-    told, silence = b"", 0.0
+    output, silence = b"", 0.0
     while True:
         ready, _, _ = select.select([child.stdout], [], [], 1.0)
         now = time.monotonic()
@@ -253,12 +253,12 @@ def measure(words: list[str]) -> tuple[int, float, float, float, float, str]:
             part = os.read(child.stdout.fileno(), 1 << 16)
             if not part:
                 break
-            told, heard = told + part, now
+            output, heard = output + part, now
         if used_s(child.pid) > MOST_S:
             child.terminate()
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
-    lines = told.decode("utf-8", "replace").strip().splitlines()
+    lines = output.decode("utf-8", "replace").strip().splitlines()
     return (
         child.returncode, used.ru_maxrss / 1024, time.monotonic() - began,
         used.ru_utime + used.ru_stime, silence, lines[-1] if lines else "",

@@ -70,8 +70,8 @@ def _section(one: Option) -> str:
     if one.recorded is not None:
         rows.append(("recordings and proofs", f"`{one.recorded.key}`"))
     table = "".join(f"| {name} | {_cell(text)} |\n" for name, text in rows)
-    told = [one.help, *(f"`{verb}`: {text}" for verb, text in one.helps.items())]
-    return f"### {title}\n\n" + "\n\n".join(told) + f"\n\n| | |\n|---|---|\n{table}\n"
+    texts = [one.help, *(f"`{verb}`: {text}" for verb, text in one.helps.items())]
+    return f"### {title}\n\n" + "\n\n".join(texts) + f"\n\n| | |\n|---|---|\n{table}\n"
 
 
 def _cell(text: str) -> str:
@@ -188,10 +188,10 @@ _APART = ("interpolation", "feed", "offset")
 def _field(one: Option) -> str:
     """Return the field of an option with its help below it."""
     kind = 'type="checkbox"' if one.type is Type.FLAG else ""
-    told = "" if one.type is Type.FLAG else f'placeholder="{escape(one.placeholder, quote=False)}"'
+    shown = "" if one.type is Type.FLAG else f'placeholder="{escape(one.placeholder, quote=False)}"'
     return (
         f'<p class="option" data-option="{one.name}"><label for="{one.name}">{one.label}</label> '
-        f'<input id="{one.name}" {kind}{told} aria-describedby="{one.name}-told" />\n'
+        f'<input id="{one.name}" {kind}{shown} aria-describedby="{one.name}-told" />\n'
         f'              <small id="{one.name}-told">{escape(in_page_words(one.help))}</small></p>'
     )
 

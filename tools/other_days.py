@@ -40,18 +40,18 @@ def claims(page: str, text: str) -> Iterator[str]:
 
 def verdict(command: str, seed: int) -> str:
     """Return what ``prove`` says when its days are drawn from ``seed``."""
-    told, status = io.StringIO(), 0
+    output, status = io.StringIO(), 0
     before, _, last = command.rpartition(" && ")
     if before:
         verdict(before, seed)
-    with patch("threadline.proof.pipeline.REPEAT_SEED", seed), contextlib.redirect_stdout(told):
+    with patch("threadline.proof.pipeline.REPEAT_SEED", seed), contextlib.redirect_stdout(output):
         try:
             threadline([*shlex.split(last)[1:], "--json"])
         except SystemExit as stopped:
             status = int(stopped.code or 0)
     if status > 1:
         raise ValueError(f"{last} ends with {status}")
-    said = json.loads(told.getvalue())
+    said = json.loads(output.getvalue())
     if "tightest" not in said:
         return ""
     shares = {
@@ -67,8 +67,8 @@ def verdict(command: str, seed: int) -> str:
 def main(*words: str) -> None:
     """Print the verdicts of each claim."""
     seeds = int(words[0])
-    told = words[1:2] == ("--",)
-    for command in words[2:] if told else claims(*[*words[1:], "", ""][:2]):
+    apart = words[1:2] == ("--",)
+    for command in words[2:] if apart else claims(*[*words[1:], "", ""][:2]):
         print(command, flush=True)
         for seed in (REPEAT_SEED, *range(FIRST_SEED, FIRST_SEED + seeds)):
             print(f"    seed {seed}: {verdict(command, seed)}", flush=True)

@@ -36,9 +36,9 @@ def _interface(name: str, model: Mapping[str, Any]) -> str:
         if "description" in one:
             lines.append(f"  /** {' '.join(one['description'].split())} */")
         lines.append(f"  {prop}: {_type(one)};")
-    told = model.get("description", "").split("\n\n")[0]
+    text = model.get("description", "").split("\n\n")[0]
     return (
-        f"/** {' '.join(told.split())} */\nexport interface {name} {{\n"
+        f"/** {' '.join(text.split())} */\nexport interface {name} {{\n"
         + "\n".join(lines)
         + "\n}\n"
     )

@@ -77,7 +77,7 @@ def planned(count: int, *, thin: bool) -> tuple[float, float]:
 
 def measured(power: int, *, thin: bool) -> tuple[float, float, float]:
     """Return us of the processor a point, MB of memory and s of motion, in a process of its own."""
-    told = subprocess.run(
+    output = subprocess.run(
         [
             *(sys.executable, "-m", "tools.points_growth", str(power)),
             *(() if thin else ("--every-point",)),
@@ -86,7 +86,7 @@ def measured(power: int, *, thin: bool) -> tuple[float, float, float]:
         stdout=subprocess.PIPE,
         text=True,
     ).stdout
-    each_us, memory_mb, motion_s = map(float, told.split())
+    each_us, memory_mb, motion_s = map(float, output.split())
     print(
         f"10^{power} points: {each_us:.1f} us each, {memory_mb:.0f} MB, motion {motion_s:.3f} s",
         flush=True,
@@ -127,19 +127,19 @@ def main() -> None:
     parser.add_argument("last", type=int, nargs="?", help="without it: the three numbers alone")
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--every-point", action="store_true")
-    asked = parser.parse_args()
-    thin = not asked.every_point
-    if asked.last is None:
+    options = parser.parse_args()
+    thin = not options.every_point
+    if options.last is None:
         planned(2000, thin=False)  # in windows
         planned(4000, thin=thin)
-        seconds, motion_s = planned(10**asked.first, thin=thin)
+        seconds, motion_s = planned(10**options.first, thin=thin)
         memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        print(1e6 * seconds / 10**asked.first, memory_mb, motion_s)
+        print(1e6 * seconds / 10**options.first, memory_mb, motion_s)
         return
-    powers = range(asked.first, asked.last + 1)
+    powers = range(options.first, options.last + 1)
     rows = [measured(power, thin=thin) for power in powers]
-    if asked.picture is not None:
-        draw(powers, rows, asked.picture)
+    if options.picture is not None:
+        draw(powers, rows, options.picture)
 
 
 if __name__ == "__main__":

@@ -205,10 +205,10 @@ def by_retime(random: np.random.Generator, tally: Tally, number: int) -> None:
     try:
         motion = retime(points, **given)
     except ThreadlineError as error:
-        told = str(error)
+        message = str(error)
         tally.counted["refused in one line"] += 1
-        if "\n" in told or not told:
-            tally.fail(number, f"refused with {told!r}")
+        if "\n" in message or not message:
+            tally.fail(number, f"refused with {message!r}")
         return
     tally.counted["planned by retime"] += 1
     ends = motion(np.array([0.0, motion.duration_s]))
@@ -247,21 +247,21 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.random_paths", description=__doc__)
     parser.add_argument("count", nargs="?", type=int, default=1000)
     parser.add_argument("first", nargs="?", type=int, default=0)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     warnings.simplefilter("error")
     machine, tally = load_machine("lathe-winder"), Tally(Counter(), [])
     machine = without_drives(machine)
     began = perf_counter()
-    for number in range(asked.first, asked.first + asked.count):
+    for number in range(options.first, options.first + options.count):
         run_case(number, machine, tally)
-        done = number + 1 - asked.first
+        done = number + 1 - options.first
         if done % 1000 == 0:
             print(
                 f"{done} cases, {perf_counter() - began:.0f} s, failed {len(tally.failed)}: "
                 f"{dict(tally.counted)}, worst {tally.worst:.9f}, slowest {tally.slowest:.6f}",
                 flush=True,
             )
-    print(f"{asked.count} cases from {asked.first}: {dict(tally.counted)}")
+    print(f"{options.count} cases from {options.first}: {dict(tally.counted)}")
     print(
         f"most of a limit {tally.worst:.9f}; most of the time of auto {tally.slowest:.6f}; "
         f"failed {len(tally.failed)}; {perf_counter() - began:.0f} s"

@@ -139,7 +139,7 @@ def compared(name: str, axis: str, band: float, limit_s: float) -> dict[str, Any
     assert least is not None
     first = shortest_flow_command(move, least, longest)
     assert first is not None
-    told: dict[str, Any] = {
+    result: dict[str, Any] = {
         "unshaped_s": move.on_scans * scan_s,
         "bound_s": least * scan_s,
         "first_s": first.scans * scan_s,
@@ -152,13 +152,13 @@ def compared(name: str, axis: str, band: float, limit_s: float) -> dict[str, Any
         if what == "found" and left(move, levels) > 1.0:
             what = f"found with {left(move, levels):.4g} of the limit"
         took_s = time.perf_counter() - began
-        told["tried"][f"{scans * scan_s:.4g} s"] = f"{what} in {took_s:.2g} s"
+        result["tried"][f"{scans * scan_s:.4g} s"] = f"{what} in {took_s:.2g} s"
         if what == "found":
-            told["second_s"] = scans * scan_s
+            result["second_s"] = scans * scan_s
             break
-    if told["second_s"] is not None:
-        told["gain"] = 1.0 - told["second_s"] / told["first_s"]
-    return told
+    if result["second_s"] is not None:
+        result["gain"] = 1.0 - result["second_s"] / result["first_s"]
+    return result
 
 
 def answers(name: str, axis: str, band: str, limit_s: str = "600") -> dict[str, Any]:

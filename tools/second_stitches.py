@@ -290,7 +290,7 @@ def compared(
             break
         asked_m *= 0.997 * problem.tolerance_m / left_m
     first = plan.stitched.turns.turn_s
-    told: dict[str, Any] = {
+    result: dict[str, Any] = {
         "first_s": total_s(first, window),
         "first_leaves_m": swings_left(closer, ways_m, problem.needle, first, window),
         "bound_s": plan.stitched.bound_s,
@@ -298,8 +298,8 @@ def compared(
         "second_leaves_m": float(left_m),
     }
     if best is not None:
-        told["gain"] = 1.0 - told["second_s"] / told["first_s"]
-    return told
+        result["gain"] = 1.0 - result["second_s"] / result["first_s"]
+    return result
 
 
 def total_s(turn_s: Floats, share: float) -> float:

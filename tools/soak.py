@@ -297,12 +297,12 @@ def main() -> None:
         "--inside", action="store_true",
         help="the machine in the executor's process, as fast as it can: where others are at work",
     )  # fmt: skip
-    asked = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="soak-") as name:
         folder = Path(name)
         wrong = [
-            *kill(asked.kills, folder),
-            *run_a_day(asked.hours, asked.speed, folder, inside=asked.inside),
+            *kill(options.kills, folder),
+            *run_a_day(options.hours, options.speed, folder, inside=options.inside),
         ]
         print(f"index {(folder / 'day' / INDEX).stat().st_size} bytes")
     for line in wrong:

@@ -39,9 +39,11 @@ def main() -> None:
     for peak in (10.0, 20.0):
         for stop in (False, True):
             found = [distances(peak, tick, stop=stop) for tick in range(8, 630, 12)]
-            told, load = np.max(found, axis=0)
+            commanded, load = np.max(found, axis=0)
             what = "stop" if stop else "lost"
-            print(f"{peak * mm_s:6.1f} mm/s {what}: commanded {told:.2f} mm, load {load:.2f} mm")
+            print(
+                f"{peak * mm_s:6.1f} mm/s {what}: commanded {commanded:.2f} mm, load {load:.2f} mm"
+            )
 
 
 if __name__ == "__main__":

@@ -111,11 +111,11 @@ def rows_of(page: Path) -> Iterator[Row]:
 
 def _row(page: Path, line: int, claim: str, here: str, level: str, command: str) -> Row:
     """Return a row whose command stands in the cell ``command``."""
-    told = re.fullmatch(r"`([^`]+)`(?:: ((?:`[^`]+`(?:, )?)+))?(?: \((.+)\))?", command)
-    if told is None:
+    parts = re.fullmatch(r"`([^`]+)`(?:: ((?:`[^`]+`(?:, )?)+))?(?: \((.+)\))?", command)
+    if parts is None:
         raise ValueError(f"{page.name}:{line}: no command in {command!r}")
-    answers = tuple(re.findall(r"`([^`]+)`", told[2] or ""))
-    return Row(page, line, claim, here, level, told[1], answers, told[3] or "")
+    answers = tuple(re.findall(r"`([^`]+)`", parts[2] or ""))
+    return Row(page, line, claim, here, level, parts[1], answers, parts[3] or "")
 
 
 @cache
@@ -135,15 +135,15 @@ def answer(command: str) -> Any:
     words = shlex.split(command)
     if words[:2] == ["python", "-m"]:
         return importlib.import_module(words[2]).answers(*words[3:])
-    told, status = io.StringIO(), 0
-    with contextlib.redirect_stdout(told), contextlib.redirect_stderr(io.StringIO()) as wrong:
+    output, status = io.StringIO(), 0
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(io.StringIO()) as wrong:
         try:
             threadline([*words[1:], "--json"])
         except SystemExit as stopped:
             status = int(stopped.code or 0)
     if status > 1:
         raise ValueError(f"{command} ends with {status}: {wrong.getvalue().strip()[-300:]}")
-    return json.loads(told.getvalue())
+    return json.loads(output.getvalue())
 
 
 def find(said: Any, path: str) -> Any:
@@ -226,8 +226,8 @@ def differences(row: Row) -> list[str]:
             wrong.append(f"printed {number[0]}, answered {figure:.6g}")
     said = answer(row.command)
     if isinstance(said, dict) and isinstance(said.get("passed"), bool):
-        told = {True: "in spec" in row.here, False: "out of spec" in row.here}
-        if any(told.values()) and not told[said["passed"]]:
+        says = {True: "in spec" in row.here, False: "out of spec" in row.here}
+        if any(says.values()) and not says[said["passed"]]:
             wrong.append(f"printed {row.here!r}, and passed is {said['passed']}")
         if said.get("level") and said["level"] != row.level:
             wrong.append(f"printed {row.level!r}, and the level is {said['level']!r}")
@@ -256,19 +256,19 @@ def main() -> int:
     parser.add_argument("--long", action="store_true", help="rows that take long, too")
     parser.add_argument("page", nargs="?", default="", help="such as winder; every page without it")
     parser.add_argument("text", nargs="?", default="", help="only rows that have it in them")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     wrong = compared = left = 0
     for page in pages():
         for row in rows_of(page):
-            if asked.page not in page.name or asked.text not in f"{row.claim} {row.command}":
+            if options.page not in page.name or options.text not in f"{row.claim} {row.command}":
                 continue
-            if not row.compared or (row.takes and not asked.long):
+            if not row.compared or (row.takes and not options.long):
                 left += 1
                 continue
             compared += 1
             try:
                 found = differences(row)
-                if found and asked.write:
+                if found and options.write:
                     lines = page.read_text(encoding="utf-8").split("\n")
                     cell = f"| {row.here} |"
                     lines[row.line - 1] = lines[row.line - 1].replace(cell, f"| {rewritten(row)} |")

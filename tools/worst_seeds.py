@@ -24,9 +24,9 @@ from threadline.proof.worst_machine import WithinTolerances, shares_of
 from threadline.proof.worst_search import WorstSearch
 
 
-def main(seeds: str, job: str, reference: str, *told: str) -> None:
+def main(seeds: str, job: str, reference: str, *pairs_given: str) -> None:
     """Print a line for each seed."""
-    pairs = (one.split("=", 1) for one in told)
+    pairs = (one.split("=", 1) for one in pairs_given)
     given: dict[str, Word] = {word: True if text == "yes" else text for word, text in pairs}
     words, machine = Words.of("prove", Door.PYTHON, given), load_machine(reference)
     options = options_of(**words.planning())

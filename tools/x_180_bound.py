@@ -44,9 +44,9 @@ def responses(machine: Machine) -> tuple[float, np.ndarray, np.ndarray, np.ndarr
     """Return the tick, and what load (m), controller (V) and motor (A) answer to 1 m in a tick."""
     loop = axis_loops(machine)["X"]
     closed = loop.closed()
-    told = np.zeros((REMEMBERED, len(loop.filters)))
-    told[0, loop.index] = loop.counts_per_unit
-    answer = closed.respond(told)
+    commanded = np.zeros((REMEMBERED, len(loop.filters)))
+    commanded[0, loop.index] = loop.counts_per_unit
+    answer = closed.respond(commanded)
     load = answer[:, closed.outputs.index("X.load")]
     volts = answer[:, closed.outputs.index("controllers.x")]
     drive, inertia = machine.drives["x"], machine.bodies["x"].inertia.si
@@ -79,7 +79,7 @@ def farthest_m(
     period_s, load, volts, amperes = responses(machine)
     steps = 1 if kept == "free" else STEPS
     last, free, step_s = -(-count // steps) + AFTER, count - 1, period_s / steps
-    told: Any = sp.csr_matrix(
+    commanded: Any = sp.csr_matrix(
         sp.vstack(
             [sp.csr_matrix((4, free)), sp.eye(free), sp.csr_matrix((last * steps - free, free))]
         )
@@ -91,10 +91,10 @@ def farthest_m(
             offsets=[-k for k in range(len(taps))],
             shape=(last + 1, last + 1),
         )
-        return sp.csr_matrix(memory @ told[3::steps])
+        return sp.csr_matrix(memory @ commanded[3::steps])
 
     where = answered(load)
-    rates = [where if kept == "free" else told]
+    rates = [where if kept == "free" else commanded]
     for _ in range(3):
         rates.append((rates[-1][1:] - rates[-1][:-1]) / step_s)
     axis, drive = machine.axes["X"], machine.drives["x"]

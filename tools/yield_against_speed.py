@@ -114,8 +114,10 @@ def merged(which: str, paths: Sequence[Path]) -> Rows:
     counts: set[int] = set()
     for path in paths:
         content = _content(path)
-        told = content["identity"]
-        other = [name for name, value in identity(which).items() if told.get(name) != value]
+        identity_there = content["identity"]
+        other = [
+            name for name, value in identity(which).items() if identity_there.get(name) != value
+        ]
         if other:
             raise OptionError(f"{str(path)!r} was made with another {', '.join(other)}")
         number, count = content["part"]

@@ -152,7 +152,7 @@ def test_what_is_not_understood_is_refused_with_its_line(written: str) -> None:
         ('<rect width="-3" height="2"/>', "width is '-3', less than nothing"),
         ('<circle r="3ex"/>', "r is '3ex', not a length"),
         ('<polyline points="1 2 3"/>', "odd count"),
-        ('<polyline points="1 2, 3 x"/>', "'x' is no number"),
+        ('<polyline points="1 2, 3 x"/>', "'x' is not a number"),
         ('<rect width="nan" height="2"/>', "width is 'nan', not a length"),
     ],
 )

@@ -294,7 +294,7 @@ def test_a_long_table_is_read_in_order(tmp_path: Path, axy: Machine) -> None:
         ("A_deg,X_mm\n1,2\n2,3\n", "neither times nor feeds"),
         ("t_s,F_mm_min,X_mm\n0,5,2\n1,5,3\n", "both times and feeds"),
         ("t_s,X_mm\n0,2\n0,3\n", "a.csv:3: the row has no later time"),
-        ("t_s,X_mm\n0,2\n1,abc\n", "a.csv:3: 'abc' is no number"),
+        ("t_s,X_mm\n0,2\n1,abc\n", "a.csv:3: 'abc' is not a number"),
         ("t_s,X_mm\n0,2\n1,inf\n", "a.csv:3: a number is not finite"),
         ("t_s,X_mm\n0,2\n1,3,4\n", "a.csv:3: the row has 3 cells"),
         ("t_s,X\n0,2\n1,3\n", "column X has no unit"),

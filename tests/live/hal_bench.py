@@ -137,7 +137,7 @@ class Recorded(HalSession):
     def samples(self) -> Samples:
         found = super().samples()
         with self.box.open("ab") as box:
-            box.write(np.column_stack([found.record, found.told]).astype(np.float64).tobytes())
+            box.write(np.column_stack([found.record, found.commanded]).astype(np.float64).tobytes())
         return found
 
     def _play_out(self) -> None:

@@ -96,7 +96,7 @@ def test_3000_ticks_of_three_axes_at_1_ms_and_none_is_lost(tmp_path: Path) -> No
     finally:
         hal.close()
     record = np.concatenate([part.record for part in found])
-    told = np.concatenate([part.told for part in found])
+    told = np.concatenate([part.commanded for part in found])
     fresh = np.diff(record, prepend=-1) == 1
     assert fresh[record < first + 3000].all()  # none twice, none left out
     np.testing.assert_array_equal(told[fresh][first : first + 3000], rows)
@@ -389,6 +389,6 @@ def test_a_row_that_is_about_to_be_played_is_not_replaced() -> None:
             pytest.fail(str(late))
         assert not replaced
         time.sleep(0.1)
-        assert not hal.samples().told.any()
+        assert not hal.samples().commanded.any()
     finally:
         hal.close()

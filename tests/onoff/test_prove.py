@@ -287,7 +287,7 @@ def test_options_that_a_schedule_does_not_have_are_refused(cycle: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("zv:3Hz:x", "'x' is no number"),
+        ("zv:3Hz:x", "'x' is not a number"),
         ("X=zv, zv", "has no axis before it"),
         ("Q=zv", "no cylinder 'Q'"),
         ("X=zv,X=none", "has two"),

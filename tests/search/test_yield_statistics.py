@@ -98,7 +98,7 @@ def test_shares_are_those_of_scipy() -> None:
 
 
 def test_a_number_that_does_nothing_has_no_share_and_no_spread() -> None:
-    """Its interval was NaN, which is no number of JSON, with a warning of scipy."""
+    """Its interval was NaN, which is not a number of JSON, with a warning of scipy."""
     found = influence(lambda x: x[:, 0], [False, False], 2**6, 1)
     assert found.first[1] == found.total[1] == 0.0
     assert found.first_interval[:, 1].tolist() == found.total_interval[:, 1].tolist() == [0.0, 0.0]

@@ -93,7 +93,7 @@ def test_robust_move_of_two_modes_with_bands_of_their_own() -> None:
     [
         (["3Hz:0.01:20%", "3.5Hz:0.01:10%"], ["overlap from 3.15 to 3.6 Hz"]),
         (["3Hz:0.01:120%"], ["band must be between 0 and 100 %", "120%"]),
-        (["3Hz:0.01:x"], ["'x' is no number"]),
+        (["3Hz:0.01:x"], ["'x' is not a number"]),
         (["3Hz:0.01:20%:0"], ["tolerance must be between"]),
         (["3Hz:0.01:1%:1%:1%"], ["cannot be read", "3.04Hz:0.0089:20%:5%"]),
     ],

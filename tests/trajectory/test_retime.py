@@ -229,7 +229,7 @@ def test_what_is_no_number_in_range_is_refused_by_name(given, said):
     ],
 )
 def test_what_is_no_time_is_refused(times, said):
-    """A time that is no number got the start of the motion, without a word."""
+    """A time that is not a number got the start of the motion, without a word."""
     motion = retime([[0.0], [1.0]], 1.0, 1.0)
     with pytest.raises(PlanError, match=said):
         motion(times)

@@ -268,7 +268,7 @@ def test_speeds_need_a_sample_in_each_of_their_means() -> None:
 
 
 def test_a_trace_of_centuries_later_measures_nothing() -> None:
-    """Its instants are beyond any row: 1e300 s is no number of ticks."""
+    """Its instants are beyond any row: 1e300 s is not a number of ticks."""
     actual, _ = off_the_path()
     clock = Clock("logger", Fraction(10**300))
     verdict = judge(

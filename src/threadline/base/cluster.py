@@ -266,8 +266,8 @@ class Cluster:
     def _check_versions(self) -> None:
         """Refuse workers of other versions before anything is planned."""
         with self._failing(), _quiet():
-            told = self._client.run(self._versions_there, on_error="return")
-        for worker, found in told.items():
+            versions_of = self._client.run(self._versions_there, on_error="return")
+        for worker, found in versions_of.items():
             if isinstance(found, ModuleNotFoundError):
                 raise self._refused(worker, f"has no {found.name}")
             if isinstance(found, Exception):

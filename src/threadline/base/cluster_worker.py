@@ -139,8 +139,8 @@ def _prepared(content: bytes, digest: str) -> _Ready:
 def other_versions(here: Mapping[str, str], wanted: Mapping[str, str]) -> str:
     """Return in words which versions differ; empty if none does."""
     other = [
-        f"{name} {here.get(name, 'none')} instead of {told}"
-        for name, told in wanted.items()
-        if here.get(name) != told
+        f"{name} {here.get(name, 'none')} instead of {due}"
+        for name, due in wanted.items()
+        if here.get(name) != due
     ]
     return f"has {', '.join(other)}" if other else ""

@@ -115,7 +115,7 @@ def _in_threads(
 ) -> Iterator[R]:
     lock, ended = Lock(), Event()
 
-    def told(count: float) -> None:
+    def report(count: float) -> None:
         if ended.is_set():  # nobody waits for the rest of this answer
             raise CancelledError
         if done is not None:
@@ -128,7 +128,7 @@ def _in_threads(
         for item in items:
             # A thread of a pool has no context of its own: progress is reported to the command
             # that asked.
-            waiting.append(pool.submit(copy_context().run, work.answer, item, told))
+            waiting.append(pool.submit(copy_context().run, work.answer, item, report))
             if len(waiting) >= _AHEAD * threads:
                 yield waiting.popleft().result()
         while waiting:

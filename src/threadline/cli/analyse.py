@@ -67,11 +67,11 @@ def analyse(
         )
     names = list(chosen.moving) if axis is None else [axis]
     of_loops = {"--data": data is not None, "--lead": lead is not None}
-    asked = [name for name, given in (of_loops | {"--experiments": experiments}).items() if given]
+    named = [name for name, given in (of_loops | {"--experiments": experiments}).items() if given]
     without = [n for n in names if n not in chosen.axes or not chosen.axes[n].controller]
-    if asked and without:
+    if named and without:
         raise OptionError(
-            f"{asked[0]} needs a loop, and axis {without[0]} of {chosen.name!r} has none",
+            f"{named[0]} needs a loop, and axis {without[0]} of {chosen.name!r} has none",
             remedy="Leave it out, or name a machine with controllers and axes.",
         )
     if data is not None and axis is None and len(chosen.axes) > 1:

@@ -43,9 +43,9 @@ def animate(
     needs_of(out)
     check_outputs(file=out)
     options = words.options(job)
-    asked = with_shaping(words.spec(chosen), chosen, options)
+    spec = with_shaping(words.spec(chosen), chosen, options)
     with progress_bar() as progress:
-        proof = prove_job(job, chosen, asked, options, progress, NOMINAL, words.actual())
+        proof = prove_job(job, chosen, spec, options, progress, NOMINAL, words.actual())
         with together(out):
             scene = write_animation(proof, out, progress)
     tell(warnings_of(proof))

@@ -159,9 +159,9 @@ def _rows(study: CamStudy, *, everything: bool = False) -> Table:
         for k in range(len(table.h_m))
         if whole or k in notes
     ]
-    told = "" if whole else f", the ones of {len(table.h_m)} with a remark"
+    which = "" if whole else f", the ones of {len(table.h_m)} with a remark"
     return Table(
-        title=f"Rows of {table.file}{told}",
+        title=f"Rows of {table.file}{which}",
         header=["alpha deg", "h mm", "phi deg", f"{study.chosen} mm", "moved mm", "note"],
         rows=rows,
     )

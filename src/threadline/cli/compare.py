@@ -156,12 +156,12 @@ def _fastest_row(name: str, result: FastestJob, reference: FastestJob) -> list[s
     if best is None:
         return [name, "none", "-", "-", "-", rung.found.limited_by]
     mixed = reference.by is FeedMode.OVERRIDE
-    told = f"{best * 1e3:.1f}{' mm/s' if mixed else ''}"
+    answer = f"{best * 1e3:.1f}{' mm/s' if mixed else ''}"
     if result.by is FeedMode.OVERRIDE:
-        told = f"{best * 100.0:.4g} %"
+        answer = f"{best * 100.0:.4g} %"
     return [
         name,
-        f"{told}{' alone' if rung.alone else ''}",
+        f"{answer}{' alone' if rung.alone else ''}",
         f"{best / slowest:.2f}" if slowest and result.by is reference.by else "-",
         f"{rung.share:.0%}",
         f"{rung.duration_s:.3f}",

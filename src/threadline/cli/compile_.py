@@ -98,9 +98,9 @@ def compile_(
             tell(f"{file.sha256}  {file.path}")
             for fact in file.facts:
                 tell(fact)
-            for told in file.warnings:
-                if told not in plan.intent.warnings:
-                    note(told)
+            for warning in file.warnings:
+                if warning not in plan.intent.warnings:
+                    note(warning)
 
 
 def _content(file: Written) -> dict[str, Any]:

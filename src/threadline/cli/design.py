@@ -129,21 +129,21 @@ def design(
     Example: threadline design examples/stitcher-test-path.seam.toml -m stitcher -o found.toml
     """
     part = _part(seeking, report)
-    asked = _asked(job, machine, words, seeking, part)
-    words, job_file = asked.words, asked.job
-    chosen = words.machine(asked.machine)
+    request = _asked(job, machine, words, seeking, part)
+    words, job_file = request.words, request.job
+    chosen = words.machine(request.machine)
     output = seeking.output
     _check_output(output, [*job, job_file, chosen.file, *words.files()], part)
     check_outputs(file=output, folder=report)
-    wanted = design_question(words, job_file, chosen, asked.aims)
+    wanted = design_question(words, job_file, chosen, request.aims)
     trials = wanted.wanted.trials
     with progress_bar(not json) as progress:
         if part is not None and output is not None:
-            record = make_part(output, part, asked, wanted, progress)
+            record = make_part(output, part, request, wanted, progress)
             tell_part(output, record, json=json)
             raise typer.Exit(0)
-        if asked.parts:
-            result = merged_design(asked.parts, wanted, progress)
+        if request.parts:
+            result = merged_design(request.parts, wanted, progress)
         else:
             result = search_design(
                 job_file, chosen, wanted.spec, wanted.options, wanted.wanted, progress

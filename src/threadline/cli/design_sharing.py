@@ -74,14 +74,14 @@ def design_of_parts(
     parts = read_design_parts(files)
     record = parts[0].record
     job, named, own = recorded_words("design", record.words, parts[0].path)
-    told = replace(aims, corners=record.corners, front=record.front, searches=record.searches)
-    return DesignRequest(job=job, machine=named, words=own, aims=told, parts=parts)
+    joined = replace(aims, corners=record.corners, front=record.front, searches=record.searches)
+    return DesignRequest(job=job, machine=named, words=own, aims=joined, parts=parts)
 
 
 def make_part(
     output: Path,
     part: Part,
-    asked: DesignRequest,
+    request: DesignRequest,
     wanted: DesignQuestion,
     progress: Progress,
 ) -> DesignRecord:
@@ -89,13 +89,17 @@ def make_part(
     question = redesign(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)
     record = DesignRecord(
         identity=design_identity(question),
-        words={"job": str(asked.job), "machine": asked.machine, **words_for_part(asked.words)},
-        corners=asked.aims.corners,
-        front=asked.aims.front,
-        searches=asked.aims.searches,
+        words={
+            "job": str(request.job),
+            "machine": request.machine,
+            **words_for_part(request.words),
+        },
+        corners=request.aims.corners,
+        front=request.aims.front,
+        searches=request.aims.searches,
         part=part,
     )
-    found = question.searched(searches_of(part, asked.aims.searches), progress)
+    found = question.searched(searches_of(part, request.aims.searches), progress)
     write_design_part(output, record, found)
     return record
 

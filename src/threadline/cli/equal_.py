@@ -63,11 +63,11 @@ def equal_(
     check_outputs(folder=report)
     chosen, options = words.machine(machine), words.options()
     names = [] if targets is None else [name.strip() for name in targets.split(",")]
-    asked = asked_of(chosen, options, names, file or (), slower=slower)
+    question = asked_of(chosen, options, names, file or (), slower=slower)
     with progress_bar(not json) as progress:
         progress(PLANNING_STAGE, 0.0)
         plan = plan_job(open_job(job, chosen, options), chosen, options)
-        found = equal_targets(plan, options, asked, progress)
+        found = equal_targets(plan, options, question, progress)
     written = None
     if report is not None:
         typed = {"-m": machine, **words.typed("equal"), "--targets": targets}

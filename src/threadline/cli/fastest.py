@@ -70,33 +70,33 @@ def fastest(
 
     On/off machine: threadline fastest examples/letter-cycle.toml -m letter-placer -o best.toml
     """
-    asked = question_of(words, job, machine)
-    refuse_others(asked.job, asked.options, {"--out": out})
+    question = question_of(words, job, machine)
+    refuse_others(question.job, question.options, {"--out": out})
     check_outputs(file=out, folder=report)
-    output_class = OUTPUTS[searched_as(asked.job, asked.options)]
-    warn(asked.machine, asked.job, own_feed=False)
+    output_class = OUTPUTS[searched_as(question.job, question.options)]
+    warn(question.machine, question.job, own_feed=False)
     with progress_bar(not json) as progress:
-        found = answered(replace(asked, until=asked.until or Deadline(), progress=progress))
-        output = output_class(found, f"{asked.job.name} on {asked.machine.name}")
+        found = answered(replace(question, until=question.until or Deadline(), progress=progress))
+        output = output_class(found, f"{question.job.name} on {question.machine.name}")
     tell(output.warnings())
     page = None if report is None else output.report(report)
     written = None if out is None else write_move_list(found, out)
     again = None
     if written is not None or found.again is not None:
-        typed = words.typed(robust=asked.words.get("robust")) | {"--interpolation": None}
+        typed = words.typed(robust=question.words.get("robust")) | {"--interpolation": None}
         if output.on_ticks and words.text("law") is None:
-            typed["--interpolation"] = asked.options.interpolation
+            typed["--interpolation"] = question.options.interpolation
         best = as_typed(found.words or {}) if written is None else {}
-        options = {"-m": machine, **typed, **best, **level_option(asked.trials)}
-        if asked.learned is None:
+        options = {"-m": machine, **typed, **best, **level_option(question.trials)}
+        if question.learned is None:
             again = command_line("prove", written or job, options)
-            dialect = asked.machine.programs.dialect
-            if asked.options.interpolation == FIRMWARE and dialect in TICK_TARGETS:
+            dialect = question.machine.programs.dialect
+            if question.options.interpolation == FIRMWARE and dialect in TICK_TARGETS:
                 to = {"--target": dialect, "-o": f"faster-{job.name}"}
                 rest = {"-m": machine, **typed, "--interpolation": None, **best, **to}
                 output.faster = command_line("compile", job, rest)
         else:
-            options["--repeats"] = str(asked.learned)
+            options["--repeats"] = str(question.learned)
             again = command_line("learn", job, options)
     if json:
         extra = {"command": again} | ({} if page is None else {"report": str(page)})

@@ -151,7 +151,7 @@ class CycleOutput(SearchOutput):
 
     def __init__(self, found: Answer, title: str) -> None:
         super().__init__(found, title)
-        self._beside = compare_cycles(self.asked, self.of, found.over_band)
+        self._beside = compare_cycles(self.question, self.of, found.over_band)
 
     def _table(self) -> Printed:
         return moves_table(self.of, self.title)
@@ -186,10 +186,10 @@ class CycleOutput(SearchOutput):
         yield self._cycles()
 
     def _banded(self, robust: RobustCycle) -> Printed:
-        return robust_table(robust, self.title, self.asked.band or 0.0)
+        return robust_table(robust, self.title, self.question.band or 0.0)
 
     def _cycles(self) -> Printed:
-        return comparison_table(self._beside, self.title, self.asked.band)
+        return comparison_table(self._beside, self.title, self.question.band)
 
     def _page(self, folder: Path) -> Path | None:
         robust = self.found.over_band
@@ -232,15 +232,15 @@ class CycleOutput(SearchOutput):
 
 def write_move_list(found: Answer, file: Path) -> Path | None:
     """Write the move list of the shortest cycle; return its file, None if no cycle is in spec."""
-    asked, robust = found.asked, found.over_band
+    question, robust = found.question, found.over_band
     job = found.of.job if robust is None else robust.job
     if job is None:
         return None
-    over = "" if asked.band is None else f" for modes within {asked.band * 100:g} %"
+    over = "" if question.band is None else f" for modes within {question.band * 100:g} %"
     with together(file):
         file.write_text(
-            f"# The shortest cycle of {asked.file.name} in spec on {asked.machine.name}{over}, by "
-            f"threadline fastest.\n{move_list(job, asked.machine)}",
+            f"# The shortest cycle of {question.file.name} in spec on {question.machine.name}"
+            f"{over}, by threadline fastest.\n{move_list(job, question.machine)}",
             encoding="utf-8",
         )
     return file

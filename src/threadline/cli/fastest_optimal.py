@@ -40,7 +40,7 @@ class OptimalOutput(SearchOutput):
         ]
         by_share = self.of.best.contour_m is None
         header = ["acceleration limits used" if by_share else "contour mm", "job s", "verdict"]
-        how = f"{self.how}, optimal{margin_words(self.asked.margin)}"
+        how = f"{self.how}, optimal{margin_words(self.question.margin)}"
         return f"{how}: plans proved", header, rows
 
     def _chosen(self) -> Printed:
@@ -75,7 +75,7 @@ class OptimalOutput(SearchOutput):
             "smoothing ms",
             "contour mm",
         ]
-        how = f"{self.how}, optimal{margin_words(self.asked.margin)}"
+        how = f"{self.how}, optimal{margin_words(self.question.margin)}"
         return f"{how}: the best plans so far", header, rows
 
     def _lines(self) -> Iterator[str]:

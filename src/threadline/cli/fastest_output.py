@@ -57,8 +57,8 @@ class SearchOutput(ABC):
     """Whether the printed ``prove`` command names an interpolation."""
 
     def __init__(self, found: Answer, title: str) -> None:
-        self.found, self.asked, self.of = found, found.asked, found.of
-        self.title = f"{title}{margin_words(found.asked.margin)}"
+        self.found, self.question, self.of = found, found.question, found.of
+        self.title = f"{title}{margin_words(found.question.margin)}"
         self.how = title
         self.faster: str | None = None
         """The command that writes a file for the firmware with its corners rounded."""
@@ -96,9 +96,9 @@ class SearchOutput(ABC):
         return self._proved(folder) if self.found.passed else None
 
     def _proved(self, folder: Path) -> Path:
-        asked = self.asked
+        question = self.question
         plan = self.found.plan()
-        proof = prove_plan(plan, asked.spec, trials=asked.trials, actual=asked.actual)
+        proof = prove_plan(plan, question.spec, trials=question.trials, actual=question.actual)
         return write_report(report_data(proof), folder)
 
     def report(self, folder: Path) -> Path | None:
@@ -120,7 +120,7 @@ class SearchOutput(ABC):
             "intervals": [[i.low, i.high] for i in found.intervals],
             "limited_by": found.limited_by,
             "tried": found.tried,
-            "margin": self.asked.margin,
+            "margin": self.question.margin,
             "ended": self.ended,
             "verdict": verdict_content(found.verdict),
             **self._details(),
@@ -172,7 +172,7 @@ class SearchOutput(ABC):
     @property
     def ended(self) -> str:
         """Why the search stopped early; empty if it did not."""
-        return "" if self.asked.until is None else self.asked.until.ended
+        return "" if self.question.until is None else self.question.until.ended
 
 
 def show(parts: Iterable[Printed | str | None]) -> None:
@@ -214,7 +214,7 @@ class FeedOutput(SearchOutput):
     of: FastestJob
 
     def _warns(self) -> bool:
-        return self.found.passed or self.asked.options.following is Following.MOTOR
+        return self.found.passed or self.question.options.following is Following.MOTOR
 
     def _table(self) -> Printed:
         best, (unit, per_m_s) = self.of.best, _UNITS[self.of.by]
@@ -232,14 +232,14 @@ class FeedOutput(SearchOutput):
                     ]
                 )
         header = ["acceleration limits used", f"from {unit}", f"to {unit}", "job s", "limited by"]
-        options = self.asked.options
+        options = self.question.options
         ahead = ", feed-forward" if options.following is Following.LOAD else ""
-        how = f"{self.how}, {options.interpolation}{ahead}{margin_words(self.asked.margin)}"
+        how = f"{self.how}, {options.interpolation}{ahead}{margin_words(self.question.margin)}"
         return f"{how}: feeds in spec", header, merged(rows)
 
     @property
     def _end(self) -> str:
-        return AXES_ALONE if self.asked.high is None else END
+        return AXES_ALONE if self.question.high is None else END
 
     def _lines(self) -> Iterator[str]:
         best, tried, (unit, per_m_s) = self.of.best, self.found.tried, _UNITS[self.of.by]
@@ -311,14 +311,14 @@ class FeedOutput(SearchOutput):
             )
 
     def _after(self) -> Iterator[str]:
-        yield from settings_words(self.asked.job, self.asked.machine, self.of)
+        yield from settings_words(self.question.job, self.question.machine, self.of)
 
     def _details(self) -> dict[str, Any]:
         result = self.of
         by_word = result.by is FeedMode.F_WORD
         return {
             **_steps(result.best.found),
-            "feed": self.asked.job.feed_rule if by_word else result.by.value,
+            "feed": self.question.job.feed_rule if by_word else result.by.value,
             "limits": result.best.share,
             "duration_s": result.best.duration_s,
             "enough": result.enough,

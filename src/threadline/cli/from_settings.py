@@ -226,9 +226,9 @@ def _check(text: str, settings: Settings) -> None:
         except MachineError as error:
             lines = text.splitlines()
             at = error.place.line if error.place is not None else 0
-            told = f" ({lines[at - 1].strip()[:80]})" if 0 < at <= len(lines) else ""
+            quoted = f" ({lines[at - 1].strip()[:80]})" if 0 < at <= len(lines) else ""
             raise MachineError(
-                f"{error.message.rstrip('.')}{told}",
+                f"{error.message.rstrip('.')}{quoted}",
                 place=Place(settings.file),
                 remedy="Correct these settings, or write the machine file by hand.",
             ) from error

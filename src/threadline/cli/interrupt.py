@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
 _STDERR = 2
-_told = threading.Lock()  # held once the line of an interrupt has been written
+_line_written = threading.Lock()  # held once the line of an interrupt has been written
 _SAME_S = 1.0
 _AGAIN_S = 0.01
 _NOTHING = "nothing was left half-written"
@@ -96,7 +96,7 @@ class Termination:
         wrote
             Whether files were written before it: they are complete and stay.
         """
-        _told.acquire(blocking=False)
+        _line_written.acquire(blocking=False)
         status, said = _ENDS[self.number]
         return status, said.replace(_NOTHING, _WHOLE) if wrote else said
 
@@ -120,8 +120,8 @@ def terminating() -> Iterator[Termination]:
     or while an object is deleted. Such a lost interrupt is raised again.
     """
     termination = Termination()
-    if _told.locked():  # by an earlier command in this process
-        _told.release()
+    if _line_written.locked():  # by an earlier command in this process
+        _line_written.release()
     dropped = sys.unraisablehook
 
     def repeated(what: UnraisableHookArgs) -> None:
@@ -158,7 +158,7 @@ def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:
-    if not _told.acquire(blocking=False):  # an earlier signal is being answered
+    if not _line_written.acquire(blocking=False):  # an earlier signal is being answered
         return
     status, said = _ENDS[signal.Signals(number)]
     os.write(_STDERR, said.encode())

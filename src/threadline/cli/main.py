@@ -99,8 +99,8 @@ def _of_arguments(error: TyperException) -> str:
         if isinstance(raised := fault.get("ctx", {}).get("error"), ThreadlineError):
             return str(raised)
         what, remedy = field_fault(fault)
-        told = f"{error.param.get_error_hint()} {what}. {remedy}"
-        return f"[{OptionError.code}] {told} See the command's --help."
+        text = f"{error.param.get_error_hint()} {what}. {remedy}"
+        return f"[{OptionError.code}] {text} See the command's --help."
     # Imported only here: the table of options imports numpy.
     from threadline.proof.option_table import TABLE
 
@@ -122,7 +122,7 @@ def _run(given: list[str], termination: Termination) -> int:
     """Return the exit status of a command; end the program with one line at an error."""
     try:
         _refuse_undecodable(given)
-        with telling(starting="--help" not in given) as told, noting_inputs():
+        with telling(starting="--help" not in given) as messages, noting_inputs():
             # Typer's stand-alone mode prints four lines for a wrong option and none for an
             # interrupt. Without it typer returns the exit status, or None for 0.
             status = int(app(args=given or ["--help"], standalone_mode=False) or 0)
@@ -132,7 +132,7 @@ def _run(given: list[str], termination: Termination) -> int:
                     remedy="Call it from bash, zsh, fish or PowerShell.",
                 )
             _flush()
-            tell_warnings(told.warnings)
+            tell_warnings(messages.warnings)
     except ThreadlineError as error:
         fault = isinstance(error, LinkFaultError) and not isinstance(error, InputError)
         _stop(str(error), EXIT_FAULT if fault else EXIT_WRONG_INPUT, remedy=error.remedy)

@@ -206,20 +206,20 @@ ASKING = threading.Event()
 
 
 def _beat(held: Telling, ended: threading.Event) -> None:
-    began = told = time.monotonic()
+    began = last_s = time.monotonic()
     compiled_s: float | None = COMPILING.lasted_s()
     while not ended.wait(min(LOOK_S, EVERY_S)):
         if compiled_s is not None and COMPILING.lasted_s() - compiled_s > COMPILING_S:
             compiled_s = None
             note(f"compiling machine code, {_ONCE if COMPILING.kept else _EACH_TIME}")
         if ASKING.is_set():
-            began = told = time.monotonic()
-        if time.monotonic() - told < EVERY_S:
+            began = last_s = time.monotonic()
+        if time.monotonic() - last_s < EVERY_S:
             continue
-        told = time.monotonic()
+        last_s = time.monotonic()
         if not held.shown:
             doing = held.doing()
-            note(f"still at work after {told - began:.0f} s{doing and ': '}{doing}")
+            note(f"still at work after {last_s - began:.0f} s{doing and ': '}{doing}")
 
 
 def tell_warnings(warnings: Iterable[str]) -> None:

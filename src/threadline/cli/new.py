@@ -171,12 +171,12 @@ def _tell(
 ) -> None:
     """Print the files made, and the lines of the settings they come from."""
     if json:
-        told: dict[str, object] = {"folder": str(folder), "files": files, "prove": command}
+        content: dict[str, object] = {"folder": str(folder), "files": files, "prove": command}
         if read is not None:
             keys = ("setting", "value", "from")
-            told["read"] = [dict(zip(keys, row, strict=True)) for row in read.rows]
-            told |= {"form": read.form, "notes": read.notes, "left_out": read.left_out}
-        print_json(told)
+            content["read"] = [dict(zip(keys, row, strict=True)) for row in read.rows]
+            content |= {"form": read.form, "notes": read.notes, "left_out": read.left_out}
+        print_json(content)
         return
     if read is not None:
         print_table(f"settings of {read.form}", ("setting", "value", "from"), read.rows)

@@ -62,9 +62,9 @@ class AtTheKeys:
     ) -> None:
         self._desk, self._progress, self._terminal = desk, progress, terminal
         self._duration_s = max(duration_s, 1e-9)
-        self._told_hold = ""  # message already printed about the current hold
+        self._last_hold = ""  # message already printed about the current hold
         self._alone = HoldAlone(desk)
-        self._told = terminal is None
+        self._keys_shown = terminal is None
         self._asked: int | None = None  # override in %, by the latest keys
         self._overridden = MOST_PERCENT  # the override last reported
         self.time_s = 0.0
@@ -89,8 +89,8 @@ class AtTheKeys:
 
     def step(self, executor: Running) -> None:
         """Pass the keys to the desk; print progress, and a message while the run holds."""
-        if not self._told:
-            self._told = True
+        if not self._keys_shown:
+            self._keys_shown = True
             note(
                 "- and + override the feed by 10 %, h holds, r goes on, any other key stops; none "
                 "of them is the emergency stop"
@@ -130,14 +130,14 @@ class AtTheKeys:
         if self._terminal is None:
             self._alone.step(executor)
         if executor.state is not State.HOLDING:
-            self._told_hold = ""
+            self._last_hold = ""
             return
         alone = self._terminal is None
         can = _ALONE if alone else "r goes on, any other key stops"
-        told = f"holding: {executor.why}; {can}" if executor.why else f"holding: {can}"
-        if told != self._told_hold:
-            self._told_hold = told
-            note(told)
+        text = f"holding: {executor.why}; {can}" if executor.why else f"holding: {can}"
+        if text != self._last_hold:
+            self._last_hold = text
+            note(text)
 
 
 @contextmanager

@@ -85,9 +85,12 @@ def _parameter(one: Option, verb: str) -> inspect.Parameter:
     if default is None:
         kind = kind | None
     names = [one.typed, *([f"-{one.short}"] if one.short else [])]
-    told = typer.Option(*names, help=one.help_of(verb), min=one.least, max=one.most)
+    parameter = typer.Option(*names, help=one.help_of(verb), min=one.least, max=one.most)
     return inspect.Parameter(
-        one.word, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, told]
+        one.word,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=default,
+        annotation=Annotated[kind, parameter],
     )
 
 

@@ -92,9 +92,9 @@ def prove(
         keep_inputs(output, job, chosen.file, *words.files(), sign)
         check_outputs(file=output, folder=report, worst=worst)
     options = words.options(job)
-    asked = with_shaping(words.spec(chosen), chosen, options)
+    spec_asked = with_shaping(words.spec(chosen), chosen, options)
     with progress_bar(not json) as progress:
-        proof = prove_job(job, chosen, asked, options, progress, trials, words.actual())
+        proof = prove_job(job, chosen, spec_asked, options, progress, trials, words.actual())
         with together(recording, proof_file, worst):
             if recording is not None:
                 # A recording is a recipe: writing it simulates that run again.
@@ -123,11 +123,11 @@ def prove(
         if proof_file is not None:
             content["proof"] = str(proof_file)
         if worst is not None:
-            told = {
+            place = {
                 "command": worst_machine_command(job, machine, words, worst),
                 "product": worst_product(proof),
             }
-            content["worst"] = {"file": str(worst), **told}
+            content["worst"] = {"file": str(worst), **place}
         print_json(content)
     else:
         show_proof(proof)

@@ -162,7 +162,7 @@ def run(
     keep_inputs(recording, job, chosen.file, *words.files(), proof_file)
     check_outputs(file=recording)
     options = words.options(job)
-    asked = with_shaping(words.spec(chosen), chosen, options)
+    spec_asked = with_shaping(words.spec(chosen), chosen, options)
     check_machine(chosen)
     if proof_file is not None:
         read_proof(proof_file, secret)  # fail on an unreadable proof before planning
@@ -171,16 +171,16 @@ def run(
         check_halts(plan, answered=execution.pass_stops or somebody_at_the_keys())
         if proof_file is None:
             proof_file = Path(folder) / "proof.json"
-            proof = prove_plan(plan, asked, progress, trials)
+            proof = prove_plan(plan, spec_asked, progress, trials)
             tell(warnings_of(proof))
             write_proof(proof, proof_file)
-        known = check_runnable(proof_file, plan, asked, execution.override, secret)
+        known = check_runnable(proof_file, plan, spec_asked, execution.override, secret)
         for line in over.prepare(plan):
             note(line)
-        may = interventions(plan, asked)
+        may = interventions(plan, spec_asked)
         for line in may.notes:
             note(line)
-        told = {
+        recorded = {
             "link": execution.link,
             **({} if (twin := words.text("actual")) is None else {"simulated": twin}),
             **({"label": over.label} if over.label else {}),
@@ -194,17 +194,21 @@ def run(
             lambda operation: over.rest(plan, operation, at_rest=may.hold_at_rest),
             asks=not confirmed,
         )
-        told |= known_of
+        recorded |= known_of
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
         manner = Manner(
-            may=may, told=told, pass_stops=execution.pass_stops, again=again, confirmed=confirmed
+            may=may,
+            recorded=recorded,
+            pass_stops=execution.pass_stops,
+            again=again,
+            confirmed=confirmed,
         )
-        kept = RunStore(store).begin(plan, known, told, execution.speed, inputs, over.sent)
+        kept = RunStore(store).begin(plan, known, recorded, execution.speed, inputs, over.sent)
         done = execute(
             over, plan, kept, manner, lambda desk: at_the_keys(desk, plan.duration_s, progress)
         )
         _warn_unreached(done, plan, fault)
-    judged = judge_run(done, plan, asked, manner)
+    judged = judge_run(done, plan, spec_asked, manner)
     if judged.warned:
         warning(judged.warned)
     if recording is not None and judged.verdict is not None:

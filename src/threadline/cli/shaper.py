@@ -184,13 +184,13 @@ def shaper(
     moving = move is not None or acceleration is not None
     seen = _measured(measured, mode, axis, damping)
     wide = band is None and (moving or tick is not None or kind in BANDED)
-    asked = modes_of(mode or [], damping) if seen is None else (seen.given(banded=wide),)
-    modes = tuple(one.mode for one in asked)
+    of_modes = modes_of(mode or [], damping) if seen is None else (seen.given(banded=wide),)
+    modes = tuple(one.mode for one in of_modes)
     if still is not None and not moving:
         raise OptionError(
             "--still needs a move", remedy="Add --move and --acceleration, or leave it out."
         )
-    own_band = next((one.band for one in asked if one.band is not None), None)
+    own_band = next((one.band for one in of_modes if one.band is not None), None)
     said_band = band if own_band is None else own_band
     if said_band is not None and not (moving or tick is not None or kind in BANDED):
         raise OptionError(
@@ -201,12 +201,12 @@ def shaper(
         )
     if band is None and kind in BANDED:
         band = _SI_BAND
-    bands, tolerances = bands_of(asked, band or 0.0), tolerances_of(asked, tolerance)
+    bands, tolerances = bands_of(of_modes, band or 0.0), tolerances_of(of_modes, tolerance)
     firmware = _firmware(firmware, klipper, len(modes))
     klipper = firmware == "klipper"
     if klipper and len(modes) > 1:
         of_one_train = (tick, move, acceleration, report)
-        shape_two_axes(kind, asked, tolerances, bands, of_one_train, json)
+        shape_two_axes(kind, of_modes, tolerances, bands, of_one_train, json)
         return
     made = designed(kind, modes, tolerances, bands)
     realised = None
@@ -230,7 +230,7 @@ def shaper(
             made,
             modes,
             limits,
-            relative=[band if one.band is None else one.band for one in asked],
+            relative=[band if one.band is None else one.band for one in of_modes],
             tolerance=tolerances,
         )
         made = realised.shaper
@@ -251,7 +251,7 @@ def shaper(
             studied = study_move(
                 made_for,
                 made,
-                relative=bands_of(asked, _SI_BAND if band is None else band),
+                relative=bands_of(of_modes, _SI_BAND if band is None else band),
                 tolerance=_STILL if still is None else still,
                 tick_s=tick_s,
                 dwell_s=0.0 if dwell is None else parse_number("--dwell", dwell, "s", "20 ms"),

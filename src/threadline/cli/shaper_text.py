@@ -115,7 +115,8 @@ def _share(word: str, what: str, text: str) -> float:
         return float(number) / (100.0 if percent else 1.0)
     except ValueError:
         raise OptionError(
-            f"--mode {text!r}: {what} {word!r} is no number", remedy='Write it like "20%" or 0.2.'
+            f"--mode {text!r}: {what} {word!r} is not a number",
+            remedy='Write it like "20%" or 0.2.',
         ) from None
 
 
@@ -131,10 +132,10 @@ def _within(word: str, what: str, text: str) -> float:
     return value
 
 
-def _refuse_overlaps(asked: Sequence[GivenMode]) -> None:
+def _refuse_overlaps(modes: Sequence[GivenMode]) -> None:
     bands = sorted(
         (a.mode.frequency_hz * (1.0 - a.band), a.mode.frequency_hz * (1.0 + a.band), a)
-        for a in asked
+        for a in modes
         if a.band is not None
     )
     for (_, high, one), (low, _, other) in itertools.pairwise(bands):
@@ -146,14 +147,14 @@ def _refuse_overlaps(asked: Sequence[GivenMode]) -> None:
             )
 
 
-def bands_of(asked: Sequence[GivenMode], band: float) -> tuple[float, ...]:
+def bands_of(modes: Sequence[GivenMode], band: float) -> tuple[float, ...]:
     """Return the half band width of every mode: its own, else ``band``."""
-    return tuple(band if one.band is None else one.band for one in asked)
+    return tuple(band if one.band is None else one.band for one in modes)
 
 
-def tolerances_of(asked: Sequence[GivenMode], tolerance: float) -> tuple[float, ...]:
+def tolerances_of(modes: Sequence[GivenMode], tolerance: float) -> tuple[float, ...]:
     """Return the tolerance of every mode: its own, else ``tolerance``."""
-    return tuple(tolerance if one.tolerance is None else one.tolerance for one in asked)
+    return tuple(tolerance if one.tolerance is None else one.tolerance for one in modes)
 
 
 def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
@@ -174,9 +175,9 @@ def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
             )
 
 
-def missed(made: Shaper, asked: Sequence[tuple[FlexibleMode, float, float]]) -> Iterator[str]:
+def missed(made: Shaper, modes: Sequence[tuple[FlexibleMode, float, float]]) -> Iterator[str]:
     """Yield a warning for each mode at which a train exceeds the tolerance within the band."""
-    for mode, band, tolerance in asked:
+    for mode, band, tolerance in modes:
         parts = np.linspace(1.0 - band, 1.0 + band, _IN_BAND)
         left = [
             vibration_of(made, replace(mode, frequency_hz=mode.frequency_hz * part))
@@ -333,7 +334,7 @@ def damping_warnings(modes: Sequence[FlexibleMode]) -> list[str]:
 
 def shape_two_axes(
     kind: str,
-    asked: Sequence[GivenMode],
+    modes: Sequence[GivenMode],
     tolerances: Sequence[float],
     bands: Sequence[float],
     others: Sequence[object],
@@ -351,9 +352,9 @@ def shape_two_axes(
     OptionError
         If there are more than two modes, or one of ``others`` is given.
     """
-    if len(asked) > 2:
+    if len(modes) > 2:
         raise OptionError(
-            f"Klipper shapes one mode per axis, {len(asked)} are given",
+            f"Klipper shapes one mode per axis, {len(modes)} are given",
             remedy="Give one --mode for both axes, or two: of X, then of Y.",
         )
     if any(other is not None for other in others):
@@ -363,7 +364,7 @@ def shape_two_axes(
             remedy="Leave them out, or give one --mode.",
         )
     lines, found = _HEADER, {}
-    for axis, one, tolerance, band in zip("xy", asked, tolerances, bands, strict=True):
+    for axis, one, tolerance, band in zip("xy", modes, tolerances, bands, strict=True):
         made = designed(kind, (one.mode,), (tolerance,), (band,))
         export = klipper_export(made, one.mode, axes=axis)
         found[axis] = export
@@ -373,7 +374,7 @@ def shape_two_axes(
         notes = {axis: export.explanation for axis, export in found.items()}
         print_json({"klipper": whole or None, "klipper_note": notes})
         return
-    for said in damping_warnings([one.mode for one in asked]):
+    for said in damping_warnings([one.mode for one in modes]):
         warning(said)
     for axis, export in found.items():
         say(f"{axis.upper()}: {export.explanation}")

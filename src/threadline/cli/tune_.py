@@ -238,7 +238,7 @@ def _show(found: Tuning) -> None:
 def _rows(axis: TunedAxis) -> list[list[str]]:
     rows = []
     for one in axis.loops:
-        told = one.figures.as_json()
+        figures = one.figures.as_json()
         gains = " ".join(f"{key} {value:.4g}" for key, value in one.gains.items())
         if not one.figures.stable:
             rows.append([one.name, gains, "unstable", *["-"] * 6])
@@ -248,9 +248,9 @@ def _rows(axis: TunedAxis) -> list[list[str]]:
             [
                 one.name,
                 gains,
-                _number(told["crossover_hz"], ".1f"),
-                _number(told["phase_margin_deg"], ".1f"),
-                _number(told["gain_margin"], ".2f"),
+                _number(figures["crossover_hz"], ".1f"),
+                _number(figures["phase_margin_deg"], ".1f"),
+                _number(figures["gain_margin"], ".2f"),
                 _number(worst.phase_margin_deg, ".1f") if worst.stable else "unstable",
                 _number(worst.gain_margin, ".2f") if worst.stable else "unstable",
                 "-" if step is None else f"{1e3 * step.settling_s:.0f}",

@@ -156,14 +156,14 @@ def yield_(
     variants, seed = question.variants, question.seed
     chosen = question.words.machine(question.machine)
     _check_files(drawing, report, [*job, question.job, chosen.file, *question.words.files()])
-    judged, asked = planned_yield(question.words, question.job, chosen)
+    judged, judged_spec = planned_yield(question.words, question.job, chosen)
     if wanted is not None:
         _check_reachable(variants, wanted, at_least or "")
     warn(chosen, judged.plan.job, own_feed=question.words.options().own_feeds)
     with progress_bar(not json) as progress:
-        found = _found(question, part, (judged, asked), drawing.resume, progress)
+        found = _found(question, part, (judged, judged_spec), drawing.resume, progress)
         if part is not None and drawing.output is not None:
-            record = record_of(question, part_identity(judged.plan, asked), part)
+            record = record_of(question, part_identity(judged.plan, judged_spec), part)
             finish_part(drawing.output, record, found, json=json)
             raise typer.Exit(0)
         bad = judged.worst(found, counted(progress, "looking for the worst machine"))
@@ -204,9 +204,9 @@ def yield_(
 def _cheapest(
     judged: MachineYield, wanted: float, question: Question, progress: Progress
 ) -> CheapestSet:
-    told = counted(progress, "looking for the cheapest set of tolerances")
+    done = counted(progress, "looking for the cheapest set of tolerances")
     most = MACHINES if judged.together else min(MACHINES, question.variants)
-    return cheapest_set(judged, wanted, question.seed, machines=most, done=told)
+    return cheapest_set(judged, wanted, question.seed, machines=most, done=done)
 
 
 def _found(
@@ -217,23 +217,23 @@ def _found(
     progress: Progress,
 ) -> Yield:
     """Return the results of all machines, drawn or merged, or of the machines of one part."""
-    judged, asked = how
+    judged, judged_spec = how
     if question.parts:
-        return _merged(question.parts, judged, asked, progress)
+        return _merged(question.parts, judged, judged_spec, progress)
     seed, variants, state = question.seed, question.variants, None
     machines = range(variants) if part is None else part.machines(variants)
     if resume is not None:
         own = {} if part is None else {"part": f"{part} of {variants}"}
-        state = _opened(resume, _identity(judged.plan, asked, seed) | own)
-    told = counted(progress, "simulating and judging machines", len(machines))
-    return judged.drawn(len(machines), seed, told, state, first=machines.start)
+        state = _opened(resume, _identity(judged.plan, judged_spec, seed) | own)
+    done = counted(progress, "simulating and judging machines", len(machines))
+    return judged.drawn(len(machines), seed, done, state, first=machines.start)
 
 
 def _merged(
-    parts: Sequence[PartFile], judged: MachineYield, asked: Spec, progress: Progress
+    parts: Sequence[PartFile], judged: MachineYield, judged_spec: Spec, progress: Progress
 ) -> Yield:
     """Return the answer of all parts, if job, machine and versions here equal the parts'."""
-    identity = part_identity(judged.plan, asked)
+    identity = part_identity(judged.plan, judged_spec)
     for one in parts:
         here = replace(one.record, identity=identity)
         check_same(one, here, "this Threadline and the files here")

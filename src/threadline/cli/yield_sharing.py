@@ -131,8 +131,8 @@ def recorded_words(verb: str, words: Mapping[str, Word], path: Path) -> tuple[Pa
     OptionError, RecordingError
         If it does not name them, or a word is no option of the verb.
     """
-    told = dict(words)
-    job, named = told.pop("job", None), told.pop("machine", None)
+    left = dict(words)
+    job, named = left.pop("job", None), left.pop("machine", None)
     if not isinstance(job, str) or not isinstance(named, str):
         raise RecordingError(
             f"{str(path)!r} does not name its job and machine", remedy="Make that part again."
@@ -142,10 +142,10 @@ def recorded_words(verb: str, words: Mapping[str, Word], path: Path) -> tuple[Pa
             f"the parts are of job {job!r}, and it is not here",
             remedy="Merge in the folder in which the parts were made, or in a copy of it.",
         )
-    return Path(job), named, words_of_part(verb, told, path)
+    return Path(job), named, words_of_part(verb, left, path)
 
 
-def words_of_part(verb: str, told: Mapping[str, Word], path: Path) -> Words:
+def words_of_part(verb: str, recorded: Mapping[str, Word], path: Path) -> Words:
     """Return the words that the record of a part states.
 
     Raises
@@ -154,13 +154,13 @@ def words_of_part(verb: str, told: Mapping[str, Word], path: Path) -> Words:
         If a word is no option of the verb, or has another type.
     """
     table = {one.word: one for one in options_for(verb)}
-    for word, value in told.items():
+    for word, value in recorded.items():
         if word in table and type(value) is not _KINDS.get(table[word].type, str):
             raise RecordingError(
                 f"{str(path)!r} has an option {word!r} of another type",
                 remedy="Make that part again.",
             )
-    return Words(verb, known_words(verb, Door.LINE, told))
+    return Words(verb, known_words(verb, Door.LINE, recorded))
 
 
 def words_for_part(words: Words) -> dict[str, str | int | float | bool]:

@@ -192,7 +192,7 @@ class _Motion:
         from threadline.commands.short_table import short_table, shortened
 
         table = short_table(
-            self.machine, trajectory, reading.previews, reading.told, over_s, ends_m
+            self.machine, trajectory, reading.previews, reading.inverse_ends, over_s, ends_m
         )
         if table is None:
             return None
@@ -273,7 +273,7 @@ class _References:
         from threadline.dynamics.preview import AxisPreview
 
         self.previews = [AxisPreview(machine, axis, model) for axis in trajectory.axes]
-        self.told = [InverseEnds() for _ in trajectory.axes]
+        self.inverse_ends = [InverseEnds() for _ in trajectory.axes]
 
     def blocks(self) -> Iterator[TrajectoryBlock]:
         clock = self._machine.tick_clock
@@ -282,22 +282,22 @@ class _References:
         total = max(ceil(end_s / step - 1e-9), 0)
         motion = TrajectoryReader(self._trajectory)
         labels = _Labels(self._trajectory)
-        pairs = zip(self.previews, self.told, strict=True)
-        columns = [_Column(k, preview, told) for k, (preview, told) in enumerate(pairs)]
+        pairs = zip(self.previews, self.inverse_ends, strict=True)
+        columns = [_Column(k, preview, ends) for k, (preview, ends) in enumerate(pairs)]
         last: FloatArray | None = None
         for first in range(0, total, ROWS):
             count = min(ROWS, total - first)
             due = clock.times_s(first, count + 1)
-            told = np.stack([column.until(due, motion) for column in columns], axis=1)
+            references = np.stack([column.until(due, motion) for column in columns], axis=1)
             if last is not None:
-                told[0] = last
-            last = told[-1]
+                references[0] = last
+            last = references[-1]
             motion.drop(min(column.reached_s for column in columns))
             middle = due[:-1] + 0.5 * step
             yield TrajectoryBlock(
                 start_s=due[:-1],
                 duration_s=np.diff(due),
-                coefficients=np.stack([told[:-1], np.diff(told, axis=0)], axis=1),
+                coefficients=np.stack([references[:-1], np.diff(references, axis=0)], axis=1),
                 operation=labels.at(middle),
             )
 
@@ -309,7 +309,7 @@ class _Column:
         self._column, self._preview, self._ends = column, preview, ends
         self._next = self._next_early = 0  # ticks of the controller
         self._time_s: FloatArray = np.empty(0)
-        self._told: FloatArray = np.empty(0)
+        self._references: FloatArray = np.empty(0)
 
     @property
     def reached_s(self) -> float:
@@ -325,13 +325,13 @@ class _Column:
         self._next, self._next_early = stop, stop + preview.ahead
         now = motion.ladder(time_s, preview.orders)[:, :, self._column]
         early = motion.ladder(early_s, preview.orders)[:, :, self._column]
-        told = preview.feed(time_s, now, early)
+        references = preview.feed(time_s, now, early)
         self._ends.add(preview.latest)
         self._time_s = np.concatenate([self._time_s, time_s])
-        self._told = np.concatenate([self._told, told])
-        result = np.interp(due_s + timing.held_s, self._time_s, self._told)
+        self._references = np.concatenate([self._references, references])
+        result = np.interp(due_s + timing.held_s, self._time_s, self._references)
         kept = max(int(np.searchsorted(self._time_s, due_s[-1])) - 2, 0)
-        self._time_s, self._told = self._time_s[kept:], self._told[kept:]
+        self._time_s, self._references = self._time_s[kept:], self._references[kept:]
         return np.asarray(result)
 
 

@@ -81,17 +81,17 @@ def write_firmware_program(
     refuse_lost(job, machine, target)
     planned = Chords(target, job, trajectory, machine, override)
     with atomic_file(path) as file:
-        told, as_run_s = _written_once(planned, file, programmed, (0.25, 0.4))
+        summary, as_run_s = _written_once(planned, file, programmed, (0.25, 0.4))
         if not slower and _is_slower(as_run_s):
             if override is not None:
                 own = planned.at_own_feeds()
-                told, as_run_s = _written_once(own, file, programmed, (0.6, 0.75))
-                told += "; F is the job's own, since the planned speeds as F would be slower"
+                summary, as_run_s = _written_once(own, file, programmed, (0.6, 0.75))
+                summary += "; F is the job's own, since the planned speeds as F would be slower"
             refuse_slower(target, job, as_run_s, override)
         WRITING.pass_to(0.9)
         ways = (item.points for item in planned if isinstance(item, Chord))
         early = tuple(early_moves(job, ways, machine))
-    return replace(written(path, (f"{path.name}: {told}", *early)), as_run_s=as_run_s)
+    return replace(written(path, (f"{path.name}: {summary}", *early)), as_run_s=as_run_s)
 
 
 def _written_once(
@@ -108,7 +108,7 @@ def _written_once(
     file.writelines(f"{line}\n".encode() for line in _Lines(chords))
     file.flush()
     WRITING.pass_to(shares[1])
-    told, again, by_feed_s = _read_back(chords, Path(file.name))
+    summary, again, by_feed_s = _read_back(chords, Path(file.name))
     as_run_s = as_run_times_s(target, programmed, again, machine)
     planned_by = "which the firmware makes itself"
     if as_run_s is not None:
@@ -118,7 +118,7 @@ def _written_once(
         )
     rate = _rate_words(target, Path(file.name), by_feed_s)
     planned_s = chords.trajectory.duration_s
-    return f"{told}, {planned_s:.4g} s as planned with its ramps, {planned_by}{rate}", as_run_s
+    return f"{summary}, {planned_s:.4g} s as planned with its ramps, {planned_by}{rate}", as_run_s
 
 
 def _is_slower(as_run_s: tuple[float, float] | None) -> bool:
@@ -189,8 +189,8 @@ class _Lines:
         at, feed, now_s = _written_position(np.array(self._job.start), self._linear), "", 0.0
         turning = EndlessNumbers(self._target, self._job.axes, self._machine)
         if self._board.head is not None:
-            told = self._board.head(self._machine, self._job.axes)
-            yield from ((now_s, f"; {line}") for line in told)
+            head = self._board.head(self._machine, self._job.axes)
+            yield from ((now_s, f"; {line}") for line in head)
         yield from ((now_s, line) for line in self._board.begin)
         modal = -1
         waiting: list[ToolEvent] = []  # actions of chords too short for a printed digit
@@ -315,11 +315,11 @@ def _read_back(merged: Chords, path: Path) -> tuple[str, Job, float]:
     if next(moves, None) is not None:
         raise _not_the_plan(target, "goes on behind it", 0.0)
     by_feed_s = programmed_time_s(again, machine)
-    told = (
+    summary = (
         f"{count} blocks, read back: within {1e3 * worst_m:.2g} mm of the plan, "
         f"{by_feed_s:.4g} s by F alone"
     )
-    return told, again, by_feed_s
+    return summary, again, by_feed_s
 
 
 def _rate_words(target: str, path: Path, by_feed_s: float) -> str:

@@ -291,8 +291,8 @@ def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> 
     if not rapids:
         return written(path)
     count = "1 G0 is a G1" if rapids == 1 else f"{rapids} G0 are G1"
-    told = f"{count} with the planned time (G93)"
-    return written(path, (f"{path.name}: {told}; --target linuxcnc keeps G0",))
+    summary = f"{count} with the planned time (G93)"
+    return written(path, (f"{path.name}: {summary}; --target linuxcnc keeps G0",))
 
 
 def _dark_rapids(job: Job) -> int:

@@ -58,10 +58,10 @@ def write_passes(job: Job, machine: Machine, path: Path, dialect: str | None = N
         stream.flush()
         off_m = _off(job, machine, Path(stream.name), dialect)
     whole, short = sizes
-    told = f"{short} bytes, {whole} with every move written out"
+    summary = f"{short} bytes, {whole} with every move written out"
     if short >= whole:
-        told += ": passes save nothing, because no part is long and repeats"
-    return f"{told}; read back within {1e3 * off_m:.1g} mm"
+        summary += ": passes save nothing, because no part is long and repeats"
+    return f"{summary}; read back within {1e3 * off_m:.1g} mm"
 
 
 def check_passes(control: str) -> NcStyle:

@@ -162,10 +162,10 @@ def robust_averages(
             for alike in _departures_s(change_s, leads_s[0])
         ]
         try:
-            own[stop], told = program.speed_or_length(ways, turn_s)
+            own[stop], notes = program.speed_or_length(ways, turn_s)
         except PlanError as error:
             raise _without_limit(program, ways, turn_s, swing) or error from None
-        warnings += told
+        warnings += notes
     even = own[False]
     if steps.bent or steps.bends.any():
         # A step between moving pieces may be the start of one axis and the stop of another.

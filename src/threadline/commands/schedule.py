@@ -185,7 +185,7 @@ def creep_of(
     )
 
 
-def _creep_told(machine: Machine, move: ScheduledMove, creep: Creep) -> dict[str, float]:
+def _creep_warning(machine: Machine, move: ScheduledMove, creep: Creep) -> dict[str, float]:
     """Return what an opening covers, when the next one comes, and how much one rings."""
     assert machine.plc is not None
     scan_s = float(machine.clock(machine.plc.clock).period_s)
@@ -352,8 +352,8 @@ class _Builder:
         creep = creep_of(self.machine, move, self.tick, self._ticks(timeout_s), self.state)
         if creep is not None:
             self.creeps.append(creep)
-            told = _creep_told(self.machine, move, creep)
-            self.creeping.setdefault(move.axis, told)
+            warning = _creep_warning(self.machine, move, creep)
+            self.creeping.setdefault(move.axis, warning)
 
     def _check_interlocks(
         self, moving: list[str], before: Mapping[str, float], source: Source

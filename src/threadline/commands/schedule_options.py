@@ -133,7 +133,9 @@ def _number(text: str, whole: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise OptionError(f"shaper {whole[:80]!r}: {text!r} is no number", remedy=_REMEDY) from None
+        raise OptionError(
+            f"shaper {whole[:80]!r}: {text!r} is not a number", remedy=_REMEDY
+        ) from None
 
 
 _SEEN_M = 1e-6
@@ -222,10 +224,10 @@ def check_interlocks(
     PlanError
         If an interlock forbids the step; with the line, the switch and the piston's position.
     """
-    told = [(f"{axis} moves", machine.cylinders[axis].needs) for axis in moving]
-    told += [(f"{name} is on", machine.outputs[name].needs) for name in on]
+    interlocks = [(f"{axis} moves", machine.cylinders[axis].needs) for axis in moving]
+    interlocks += [(f"{name} is on", machine.outputs[name].needs) for name in on]
     going = set(on_its_way)
-    for what, needs in told:
+    for what, needs in interlocks:
         for name in needs:
             contact = machine.contacts[name]
             other = str(contact.cylinder)
@@ -264,20 +266,20 @@ def tell_distance(
     off_m = abs(levels.commanded_m - levels.wanted_m)
     if off_m <= (_MEANT * tick_s * levels.speed_m_s if written else _SEEN_M):
         return
-    told = (
+    text = (
         f"{axis} is commanded to {cylinder.place(levels.commanded_m, '.2f')} instead of "
         f"{cylinder.place(levels.wanted_m, '.2f')}: "
     )
     if written:
-        told += "so much its levels cover"
+        text += "so much its levels cover"
     else:
         meets_m_s = levels.speed_m_s * levels.wanted_m / levels.commanded_m
-        told += (
+        text += (
             f"whole scans of {tick_s * 1e3:g} ms at {cylinder.pace(levels.speed_m_s)}; set the "
             f"flow to {cylinder.pace(meets_m_s, '.6g')} to meet it"
         )
     for index, one in enumerate(warnings):
-        if one.endswith(f": {told}"):
-            warnings[index] = f"{one.removesuffix(f': {told}')}, {source.line}: {told}"
+        if one.endswith(f": {text}"):
+            warnings[index] = f"{one.removesuffix(f': {text}')}, {source.line}: {text}"
             return
-    warnings.append(f"{source.place}: {told}")
+    warnings.append(f"{source.place}: {text}")

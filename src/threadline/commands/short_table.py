@@ -56,12 +56,12 @@ class InverseEnds:
         self.first = self.last = InverseOutput.none()
         self.ticks = 0
 
-    def add(self, told: InverseOutput) -> None:
+    def add(self, outputs: InverseOutput) -> None:
         """Append the inverse output of the next ticks."""
-        self.ticks += len(told)
+        self.ticks += len(outputs)
         if len(self.first) < _KEPT_TICKS:
-            self.first = self.first.joined(told.part(0, _KEPT_TICKS - len(self.first)))
-        both = self.last.joined(told)
+            self.first = self.first.joined(outputs.part(0, _KEPT_TICKS - len(self.first)))
+        both = self.last.joined(outputs)
         self.last = both.part(max(len(both) - _KEPT_TICKS, 0), len(both))
 
     @property
@@ -71,8 +71,8 @@ class InverseEnds:
 
     def from_start(self, count: int, memory: int) -> InverseOutput:
         """Return the first ``count`` ticks, and as many more as the loop remembers."""
-        told = self.first.part(0, count + memory)
-        return told.held(count + memory - len(told))
+        first = self.first.part(0, count + memory)
+        return first.held(count + memory - len(first))
 
     def to_end(self, first: int, memory: int) -> InverseOutput:
         """Return the ticks from ``first`` on, then rest for as many as the loop remembers."""
@@ -109,7 +109,7 @@ def short_table(
     machine: Machine,
     trajectory: Trajectory,
     previews: Sequence[AxisPreview],
-    told: Sequence[InverseEnds],
+    inverse_ends: Sequence[InverseEnds],
     planned_s: float,
     within_m: float,
 ) -> ShortTable | None:
@@ -121,7 +121,7 @@ def short_table(
     ----------
     trajectory
         Motion of the loads, at rest at its end until the oscillation of the inverses has decayed.
-    told
+    inverse_ends
         Inverse output of each axis for this motion.
     planned_s
         Instant at which the motion and the wait after the motion are over.
@@ -134,9 +134,9 @@ def short_table(
     ends = {
         k: AxisEnds(machine, axis, previews[k], reserve_of(machine, axis))
         for k, axis in enumerate(axes)
-        if told[k].moves
+        if inverse_ends[k].moves
     }
-    ticks = max((of.ticks for of in told), default=0)
+    ticks = max((of.ticks for of in inverse_ends), default=0)
     least = ceil(planned_s / step_s - 1e-9)
     if trajectory.moves_s[1] > planned_s - step_s:  # else the job itself rests at the end
         least = max(least - EARLIEST, 2)
@@ -144,7 +144,7 @@ def short_table(
     if ticks - least + count > _KEPT_TICKS:
         return None
     begun = {
-        k: end.begun(told[k].from_start(count, end.memory), count, rest_si[0, k])
+        k: end.begun(inverse_ends[k].from_start(count, end.memory), count, rest_si[0, k])
         for k, end in ends.items()
     }
     # Ends close to each other err at the same time: their errors add up.
@@ -152,7 +152,7 @@ def short_table(
     for rows in range(least, ticks):
         found: dict[int, tuple[TableEnd, TableEnd]] = {}
         for k, end in ends.items():
-            tail = told[k].to_end(rows - count, end.memory)
+            tail = inverse_ends[k].to_end(rows - count, end.memory)
             start, stop = begun[k], end.ended(tail, count, rest_si[1, k])
             if start is None or stop is None:
                 break

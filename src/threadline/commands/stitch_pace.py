@@ -254,15 +254,15 @@ class Pace:
         shortest_s: FloatArray = np.minimum(
             np.maximum(rigid, self.loading_turns_s(moves)), self.shaft.slowest_turn.si
         )
-        speeds, asked_m = self._speeds(moves, shortest_s), self.tolerance_m
+        speeds, tolerance_m = self._speeds(moves, shortest_s), self.tolerance_m
         swings = self._swings(speeds)
         best: tuple[float, FastestTurns] | None = None
         bound_s: float | None = None
-        asked = (ways_m, moves.needle, shortest_s)
+        problem = (ways_m, moves.needle, shortest_s)
         for _ in range(_ROUNDS):
-            found = fastest_turns(speeds, swings, asked, asked_m, self.share)
+            found = fastest_turns(speeds, swings, problem, tolerance_m, self.share)
             if 0.0 < found.missed.mean() < _HOPELESS:
-                found = fastest_turns(speeds, swings, asked, asked_m, self.share, WIDER)
+                found = fastest_turns(speeds, swings, problem, tolerance_m, self.share, WIDER)
             # Later rounds ask for less, so their bounds are none for the tolerance.
             bound_s = found.bound_s if bound_s is None else bound_s
             most_m = float(self.robust_swings_m(moves, found.turn_s).max())
@@ -270,7 +270,7 @@ class Pace:
                 best = most_m, found
             if most_m <= self.tolerance_m * _EXCESS or found.missed.any():
                 break
-            asked_m *= _LESS * self.tolerance_m / most_m
+            tolerance_m *= _LESS * self.tolerance_m / most_m
         assert best is not None and bound_s is not None
         most_m, found = best
         slowest = np.full(len(moves.needle), self.shaft.slowest_turn.si)
@@ -278,20 +278,20 @@ class Pace:
             self.robust_swings_m(moves, slowest).max() < most_m
         ):
             return Schedule(turn_s=slowest, bound_s=bound_s)
-        turn_s = self._shortened(asked, moves, found.turn_s)
+        turn_s = self._shortened(problem, moves, found.turn_s)
         even = self._even_turn_s(moves, float(turn_s.mean()))
         if even is not None:
             count = len(moves.needle)
             return Schedule(turn_s=np.full(count, even), bound_s=min(bound_s, even * count))
         return Schedule(turn_s=turn_s, bound_s=bound_s)
 
-    def _shortened(self, asked: Asked, moves: Moves, found_s: FloatArray) -> FloatArray:
+    def _shortened(self, problem: Asked, moves: Moves, found_s: FloatArray) -> FloatArray:
         """Return the shortest turns in spec, s; within a narrow band the found turns stay."""
         widest = max((max(1.0 - low, high - 1.0) for low, high in self.bands.values()), default=0.0)
         if not _WIDE[0] <= widest <= _WIDE[1]:
             return found_s
         assert self.shaft.acceleration is not None
-        ways_m, needle, shortest_s = asked
+        ways_m, needle, shortest_s = problem
         limits = Limits(
             ways_m=ways_m,
             needle=np.asarray(needle, dtype=np.int64),

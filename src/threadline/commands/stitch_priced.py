@@ -50,7 +50,7 @@ class PricedRequest:
 
 def priced_turns(
     lists_s: list[FloatArray], first: int, turns: FloatArray, given: tuple[Limits, Swung],
-    asked: PricedRequest,
+    request: PricedRequest,
 ) -> FloatArray | None:  # fmt: skip
     """Return the turns of a stretch that cost least; None if none is found.
 
@@ -84,7 +84,8 @@ def priced_turns(
         np.ascontiguousarray(fresh[lower] * (1.0 - part) + fresh[lower + 1] * part),
         swung.poles[columns], swung.late, swung.axis[columns], last, named, bounding,
         begin, float(turns[first - 1]) if first > 0 else 0.0, limits.change, limits.share,
-        asked.tolerance_m, asked.price_s, stop == len(turns), asked.width, asked.most, asked.cells,
+        request.tolerance_m, request.price_s, stop == len(turns), request.width, request.most,
+        request.cells,
     )  # fmt: skip
     return found if np.isfinite(cost) else None
 

@@ -73,7 +73,7 @@ def shortest_turns(
     grid = np.arange(np.log(limits.shortest_s.min()), np.log(limits.slowest_s), _GRID)
     starts: list[Callable[[], FloatArray | None]] = [lambda: found_s]
     for price, share in _SEARCHES:
-        asked = PricedRequest(
+        request = PricedRequest(
             tolerance_m=limits.tolerance_m * _INSIDE * share,
             price_s=price * float(limits.shortest_s.min()),
             most=_REFUSED,
@@ -81,7 +81,7 @@ def shortest_turns(
             cells=_CELLS,
         )
         lists = [np.exp(grid)] * len(found_s)
-        starts.append(partial(priced_turns, lists, 0, found_s, given, asked))
+        starts.append(partial(priced_turns, lists, 0, found_s, given, request))
     best, kept = found_s, most_m(found_s) <= limits.tolerance_m * _EXCESS
     enough_s = _MUCH * total_s(found_s, limits.share)
     for start in starts:

@@ -162,11 +162,11 @@ def sized(scheduled: Scheduled, program: PlcProgram, path: Path) -> Written:
     """Return the written file with its size and the time of a scan, and a warning if it is long."""
     branches, scan_ms = branches_in_scan(program.block.body), program.interval_ms
     takes_ms = 1e-3 * _BRANCH_US * branches
-    told = f"{branches} branches in a scan take about {takes_ms:.3g} ms of {scan_ms} ms"
+    branching = f"{branches} branches in a scan take about {takes_ms:.3g} ms of {scan_ms} ms"
     kilobytes = content_of(path).stat().st_size / 1000.0
-    fact = f"{told} at {_BRANCH_US:g} us each; {kilobytes:.0f} kB of text"
+    fact = f"{branching} at {_BRANCH_US:g} us each; {kilobytes:.0f} kB of text"
     large = (
-        f"the program is large: {told} at {_BRANCH_US:g} us each; more than "
+        f"the program is large: {branching} at {_BRANCH_US:g} us each; more than "
         f"{_LARGE * 100.0:g} % of it is much for a small PLC. Measure its scan time, take a faster "
         "PLC or a longer scan, or divide the list",
         f"the program is large: {kilobytes:.0f} kB of text; a small PLC holds some hundred. Divide "

@@ -235,9 +235,9 @@ def _transitions(run: tuple[NamedPlace, ...], words: Words, sequence: Sequence) 
     opened = {run[i - 1].name: named for i, named in enumerate(run) if named.place.opens}
     step = None
     for named, then in zip(steady, (*steady[1:], None), strict=True):
-        told = [] if named.place.step == step else [f"(* Step {named.place.step} *)"]
+        comment = [] if named.place.step == step else [f"(* Step {named.place.step} *)"]
         step, beside = named.place.step, opened.get(named.name)
-        yield from told
+        yield from comment
         yield from _transition(named, then, words, sequence, beside)
 
 

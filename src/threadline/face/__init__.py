@@ -92,10 +92,10 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     from threadline.proof.pipeline import prove as prove_job
     from threadline.proof.pipeline import with_shaping
 
-    asked = Words.of("prove", Door.PYTHON, words)
-    trials, chosen, options = asked.trials(), asked.machine(machine), asked.options(job)
-    spec = with_shaping(asked.spec(chosen), chosen, options)
-    return Proved(prove_job(Path(job), chosen, spec, options, None, trials, asked.actual()))
+    given = Words.of("prove", Door.PYTHON, words)
+    trials, chosen, options = given.trials(), given.machine(machine), given.options(job)
+    spec = with_shaping(given.spec(chosen), chosen, options)
+    return Proved(prove_job(Path(job), chosen, spec, options, None, trials, given.actual()))
 
 
 @with_options
@@ -122,9 +122,9 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
     from threadline.search.by_pace import answered
     from threadline.search.question import question_of
 
-    asked = Words.of("fastest", Door.PYTHON, words)
-    with asked.judging():
-        found = answered(question_of(asked, Path(job), machine))
+    given = Words.of("fastest", Door.PYTHON, words)
+    with given.judging():
+        found = answered(question_of(given, Path(job), machine))
     proving = {one.word for one in options_for("prove", Door.PYTHON)}
     kept = {word: value for word, value in words.items() if word in proving}
     return FastestResult(
@@ -180,14 +180,14 @@ def compare(
     from threadline.proof.pipeline import open_job
     from threadline.search import compare as compare_job
 
-    asked = Words.of("compare", Door.PYTHON, words)
-    trials, named = asked.trials(), asked.machine(machine)
-    planned = asked.each_options(job, interpolations, feeds, shapers)
+    given = Words.of("compare", Door.PYTHON, words)
+    trials, named = given.trials(), given.machine(machine)
+    planned = given.each_options(job, interpolations, feeds, shapers)
     chosen = with_radii_of(named, planned[0])
     return compare_job(
         open_job(Path(job), chosen, planned[0]),
         chosen,
-        asked.spec(chosen),
+        given.spec(chosen),
         planned,
         with_fastest=with_fastest,
         trials=trials,
@@ -225,9 +225,9 @@ def judge(
     files = [recordings] if isinstance(recordings, str | Path) else list(recordings)
     if not files:
         raise OptionError("there is no recording to judge", remedy="Name one at least.")
-    asked = Words.of("judge", Door.PYTHON, words)
+    given = Words.of("judge", Door.PYTHON, words)
     named = None if job is None else Path(job)
-    return Answer(judge_files([Path(file) for file in files], asked, job=named, machine=machine))
+    return Answer(judge_files([Path(file) for file in files], given, job=named, machine=machine))
 
 
 @with_options
@@ -267,8 +267,8 @@ def compile(
     """
     from threadline.proof.pipeline import open_job, plan_job, write
 
-    asked = Words.of("compile", Door.PYTHON, words)
-    chosen, options = asked.machine(machine), asked.options()
+    given = Words.of("compile", Door.PYTHON, words)
+    chosen, options = given.machine(machine), given.options()
     check_target(target, chosen, options)
     plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
     return write(plan, target, out, slower=slower)
@@ -312,8 +312,8 @@ def equal(
     from threadline.proof.pipeline import open_job, plan_job
     from threadline.readback.equal import asked_of, equal_targets
 
-    asked = Words.of("equal", Door.PYTHON, words)
-    chosen, options = asked.machine(machine), asked.options()
+    given = Words.of("equal", Door.PYTHON, words)
+    chosen, options = given.machine(machine), given.options()
     wanted = asked_of(chosen, options, targets, files, slower=slower)
     plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
     return equal_targets(plan, options, wanted)
@@ -359,14 +359,14 @@ def learn(
     from threadline.files.formats import read_recording
     from threadline.search.learned_job import learned_from, learned_on_twins, rules_of
 
-    asked = Words.of("learn", Door.PYTHON, words)
+    given = Words.of("learn", Door.PYTHON, words)
     if measured not in ("head", "motor"):
         raise OptionError(f"unknown measured {measured!r}", remedy='Give "head" or "motor".')
     rules = rules_of(gain, low_pass, "motor" if measured == "motor" else "head")
     if not runs:
-        return learned_on_twins(asked, Path(job), machine, rules, repeats)
+        return learned_on_twins(given, Path(job), machine, rules, repeats)
     recorded = {str(file): read_recording(file) for file in runs}
-    return learned_from(asked, Path(job), machine, rules, recorded)
+    return learned_from(given, Path(job), machine, rules, recorded)
 
 
 @checked

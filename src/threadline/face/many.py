@@ -57,9 +57,9 @@ def yields(
     ):
         if not least <= value <= most:
             raise OptionError(f"{name} must be from {least} to {most}")
-    asked = Words.of("yield", Door.PYTHON, words)
-    with asked.judging():
-        judged, _ = planned_yield(asked, Path(job), asked.machine(machine))
+    given = Words.of("yield", Door.PYTHON, words)
+    with given.judging():
+        judged, _ = planned_yield(given, Path(job), given.machine(machine))
         return judged.drawn(variants, seed)
 
 
@@ -104,8 +104,8 @@ def design(
     from threadline.search.design import design as search
     from threadline.search.design_question import DesignAims, design_question
 
-    asked = Words.of("design", Door.PYTHON, words)
+    given = Words.of("design", Door.PYTHON, words)
     aims = DesignAims(corners=corners, plot=plot, front=front, searches=searches)
-    with asked.judging():
-        wanted = design_question(asked, Path(job), asked.machine(machine), aims)
+    with given.judging():
+        wanted = design_question(given, Path(job), given.machine(machine), aims)
         return search(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)

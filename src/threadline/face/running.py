@@ -127,14 +127,14 @@ def run(
     from threadline.proof.recorded import Judged
 
     check_override(override)
-    asked = Words.of("run", Door.PYTHON, words)
-    trials, chosen = asked.trials(), asked.machine(machine)
+    given = Words.of("run", Door.PYTHON, words)
+    trials, chosen = given.trials(), given.machine(machine)
     secret = None if key is None else read_key(key)
-    actual = asked.actual()
+    actual = given.actual()
     over = link_of(link, chosen, checked_speed(speed), None, approach=approach, actual=actual)
     check_folder(Path(store))
-    options = asked.options(job)
-    spec = pipeline.with_shaping(asked.spec(chosen), chosen, options)
+    options = given.options(job)
+    spec = pipeline.with_shaping(given.spec(chosen), chosen, options)
     pipeline.check_machine(chosen)
     if proof is not None:
         read_proof(Path(proof), secret)  # fail on an unreadable proof before planning
@@ -146,17 +146,17 @@ def run(
             write_proof(pipeline.prove_plan(plan, spec, None, trials), file)
         known = check_runnable(file, plan, spec, override, secret)
         notes = list(over.prepare(plan))
-        told = {
+        recorded = {
             "link": link,
-            **({} if actual is None else {"simulated": asked.text("actual") or actual.name}),
+            **({} if actual is None else {"simulated": given.text("actual") or actual.name}),
             **({"label": over.label} if over.label else {}),
             **({"override": override} if override else {}),
         }
         may = interventions(plan, spec)
         notes += may.notes
-        manner = Manner(may=may, told=told, pass_stops=pass_stops)
+        manner = Manner(may=may, recorded=recorded, pass_stops=pass_stops)
         inputs = [one for one in inputs_read() if not one.samefile(file)]
-        kept = RunStore(Path(store)).begin(plan, known, told, speed, inputs, over.sent)
+        kept = RunStore(Path(store)).begin(plan, known, recorded, speed, inputs, over.sent)
         done = execute(over, plan, kept, manner, unattended)
     judged = judge_run(done, plan, spec, manner)
     if done.ended is RunEnd.FAULT:

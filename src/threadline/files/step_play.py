@@ -167,9 +167,9 @@ class StitchBlock(Locked):
         n = len(self.table)
         lengths = {name: len(getattr(self, name)) for name in (*columns, "sign")}
         if self.table.shape != self.sign.shape or set(lengths.values()) != {n}:
-            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            stitches = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise ValueError(
-                f"table has shape {self.table.shape}, sign {self.sign.shape}; stitches: {told}"
+                f"table has shape {self.table.shape}, sign {self.sign.shape}; stitches: {stitches}"
             )
         wrong = np.flatnonzero(
             ((np.abs(self.sign) > 1) | ((self.sign == 0) != (self.table == -1))).any(axis=1)

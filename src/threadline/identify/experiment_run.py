@@ -248,8 +248,8 @@ def measure(
     volts = any(one.name.partition(" ")[0] == f"{planned.axis}.voltage" for one in kept.channels)
     if planned.kind == "sweep" and ended is RunEnd.COMPLETED and volts:
         response = evaluate(machine, planned, recording)
-        told = {**recording.origin, RESPONSE: _written(response)}
-        recording = replace(recording, origin=told)
+        with_response = {**recording.origin, RESPONSE: _written(response)}
+        recording = replace(recording, origin=with_response)
     return Measurement(recording=recording, response=response, ended=ended, why=why)
 
 
@@ -373,12 +373,12 @@ def response_of(origin: Mapping[str, str], place: Place | None = None) -> Measur
     if RESPONSE not in origin:
         return None
     try:
-        told = json.loads(origin[RESPONSE])
+        content = json.loads(origin[RESPONSE])
         frequency, real, imag, coherence = (
-            np.array(told[key], dtype=np.float64)
+            np.array(content[key], dtype=np.float64)
             for key in ("frequency_hz", "real", "imag", "coherence")
         )
-        words = [told[key] for key in ("unit", "axis", "output")]
+        words = [content[key] for key in ("unit", "axis", "output")]
         if len({one.shape for one in (frequency, real, imag, coherence)}) != 1 or real.ndim != 1:
             raise ValueError("columns of different lengths")
         if not all(np.isfinite(one).all() for one in (frequency, real, imag, coherence)):

@@ -181,14 +181,14 @@ def _output_unit(text: str, place: Place) -> tuple[str, float]:
 
 
 def _numbers(row: list[str], places: list[int], place: Place) -> list[float]:
-    told = ",".join(row)[:60]
+    text = ",".join(row)[:60]
     try:
         values = [float(row[k]) for k in places]
     except (IndexError, ValueError) as error:
         count = {3: "three", 4: "four"}[len(places)]
-        raise RecordingError(f"{told!r} does not hold {count} numbers", place=place) from error
+        raise RecordingError(f"{text!r} does not hold {count} numbers", place=place) from error
     if not all(math.isfinite(v) for v in values) or values[0] <= 0:
         raise RecordingError(
-            f"{told!r} must hold finite numbers and a frequency above 0", place=place
+            f"{text!r} must hold finite numbers and a frequency above 0", place=place
         )
     return values

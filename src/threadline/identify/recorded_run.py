@@ -172,9 +172,9 @@ def cut_as_recorded(
     """Return the machine as it was recorded, and the number of samples of a coast with supply."""
     if not any(one.name == SUPPLY_CUT for one in recording.channels):
         return machine, None
-    told, axis = recording.origin.get(CUT_AT, ""), recording.origin.get("axis", "")
+    cut_at, axis = recording.origin.get(CUT_AT, ""), recording.origin.get("axis", "")
     try:
-        at_si = float(told)
+        at_si = float(cut_at)
     except ValueError:
         at_si = np.nan
     if not np.isfinite(at_si) or axis not in machine.axes:

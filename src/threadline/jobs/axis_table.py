@@ -291,7 +291,7 @@ def _numbers(text: str, columns: int, file: str) -> tuple[IntArray, FloatArray]:
         except ValueError:
             bad = next(cell for cell in written if not _is_number(cell))
             raise JobError(
-                f"{bad.strip()[:40]!r} is no number", place=place, remedy="Correct it."
+                f"{bad.strip()[:40]!r} is not a number", place=place, remedy="Correct it."
             ) from None
         if not all(map(math.isfinite, row)):
             raise JobError("a number is not finite", place=place, remedy="Correct it.")

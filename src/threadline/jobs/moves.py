@@ -188,19 +188,19 @@ class _Reader:
 
         The key ``home`` at the top of the list, or an operation ``home``, gives the order.
         """
-        told = [operation.axes for operation in operations if isinstance(operation, Home)]
+        homed = [operation.axes for operation in operations if isinstance(operation, Home)]
         if "home" in table:
-            told.insert(0, self._order(table["home"], None))
-        for other in told[1:]:
-            if other != told[0]:
+            homed.insert(0, self._order(table["home"], None))
+        for other in homed[1:]:
+            if other != homed[0]:
                 self.refuse(
-                    f"the list brings the cylinders home in two orders, {', '.join(told[0])} and "
+                    f"the list brings the cylinders home in two orders, {', '.join(homed[0])} and "
                     f"{', '.join(other)}",
                     None,
                     "home",
                     "The way home of the PLC program has one: write the same.",
                 )
-        return told[0] if told else ()
+        return homed[0] if homed else ()
 
     def _order(self, order: Any, index: int | None) -> tuple[str, ...]:
         """Return the given homing order, which must name every cylinder once."""

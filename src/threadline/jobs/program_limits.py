@@ -63,8 +63,8 @@ class GrowingLimits:
 
     def take(self, change: LimitChange, operation: int) -> None:
         """Add a change that holds from an operation on."""
-        told = np.array([getattr(change, name) for name in LIMITS], dtype=np.float64)
-        self._now = np.where(np.isnan(told), self._now, told)
+        changed = np.array([getattr(change, name) for name in LIMITS], dtype=np.float64)
+        self._now = np.where(np.isnan(changed), self._now, changed)
         self._since.append(operation)
         self._values.append(self._now)
 

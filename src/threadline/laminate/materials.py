@@ -176,8 +176,8 @@ def material_of(
     """
     name = row.get("name")
     if not isinstance(name, str) or not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,39}", name):
-        told = f"a material has the name {str(name)[:40]!r}, and names have a-z, 0-9 and hyphens"
-        refuse("name", told, 'Like name = "my-glass".')
+        why = f"a material has the name {str(name)[:40]!r}, and names have a-z, 0-9 and hyphens"
+        refuse("name", why, 'Like name = "my-glass".')
     like = row.get("like")
     base = None
     if like is not None:
@@ -244,8 +244,8 @@ def _price(text: Any, refuse: Refusing) -> Price:
     except UnitError as error:
         refuse("price", f"price: {error.message}", f"Like {_PRICE_LIKE}.")
     if not 0.0 <= per_kg <= _MOST_PRICE:
-        told = f"price = {text[:40]!r} is not from 0 to {_MOST_PRICE:g} per kg"
-        refuse("price", told, f"Like {_PRICE_LIKE}.")
+        why = f"price = {text[:40]!r} is not from 0 to {_MOST_PRICE:g} per kg"
+        refuse("price", why, f"Like {_PRICE_LIKE}.")
     return Price(per_kg, match["currency"])
 
 

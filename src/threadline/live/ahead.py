@@ -158,7 +158,7 @@ class Ahead:
             added.append(place)
         self._places = np.concatenate([self._places, added])
         tail = np.empty(0) if self.place >= stop else self._brake()
-        return self._refill(begin, tail, self._told_override(begin))
+        return self._refill(begin, tail, self._override_event(begin))
 
     def _following(self, tick: int, place: float, stop: float) -> float:
         """Return the place at ``tick`` after ``place``, at most ``stop``; begin a change of rate.
@@ -179,17 +179,17 @@ class Ahead:
             self._on_the_way, self._line = np.empty(0), (tick, stop)
         return min(following, stop)
 
-    def _told_override(self, begin: int) -> list[Event]:
+    def _override_event(self, begin: int) -> list[Event]:
         """Return the event of a change of rate that the rows from ``begin`` on begin."""
         if self._rate == self._overrides[-1][1]:
             return []
         self._overrides.append((begin, self._rate))
         operation = int(self._window.operations(np.array([self.place_at(begin)]))[0])
-        told = Event(
+        changed = Event(
             tick=begin, kind="override", operation=operation,
             name=feed_words(round(100.0 * self._rate)), value=self._rate,
         )  # fmt: skip
-        return [told]
+        return [changed]
 
     def cut(self, tick: int) -> Message:
         """Return the refill that brakes along the path from ``tick`` on."""
@@ -199,7 +199,7 @@ class Ahead:
         self._places = self._places[: tick - self._first + 1]
         back = [event for at, event in self._given if at >= tick]
         self._given = [given for given in self._given if given[0] < tick]
-        self._overrides = [told for told in self._overrides if told[0] < tick]
+        self._overrides = [change for change in self._overrides if change[0] < tick]
         self._window.put_back(back)
         self._places = np.concatenate([self._places, self._brake()])
         self._rate, self._on_the_way = self.rate, np.empty(0)  # from the next start on
@@ -244,7 +244,7 @@ class Ahead:
         stop = float(self._end_of_path())
         return np.minimum(brake(self._window, before, self._limits), stop)
 
-    def _refill(self, begin: int, tail: FloatArray, told: Sequence[Event] = ()) -> Message:
+    def _refill(self, begin: int, tail: FloatArray, events: Sequence[Event] = ()) -> Message:
         places = np.concatenate([self._places[begin - self._first :], tail])
         wanted = self.end - begin
         stands = self._window.counts(places)
@@ -255,7 +255,7 @@ class Ahead:
             "first": begin,
             "wanted": wanted,
             "last": self.complete,
-            "events": [event_row(event) for event in (*told, *self._events(begin))],
+            "events": [event_row(event) for event in (*events, *self._events(begin))],
         }
         arrays = {
             "at": at[0], "counts": counts, "operation": self._window.operations(places[:-1]),

@@ -179,9 +179,9 @@ class AtRest:
             return
         if message is not None and message.kind == "report":
             self._keep_latest(message)
-            told = [one[3] for one in message.head["events"] if one[1] == "fault"]
-            if told and self.state is not State.FAULT:
-                self._fault(told[0])
+            faults = [one[3] for one in message.head["events"] if one[1] == "fault"]
+            if faults and self.state is not State.FAULT:
+                self._fault(faults[0])
                 self.over = True
         elif message is None and self._link.lost:
             self._lost("the link is gone")

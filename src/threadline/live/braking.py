@@ -111,8 +111,8 @@ def _excess(
     """
     worst = 0.0
     for k in range(counts.shape[1]):
-        asked, told = np.zeros(4), np.zeros(4)
-        for values, found in ((counts, asked), (own, told)):
+        reached, planned = np.zeros(4), np.zeros(4)
+        for values, found in ((counts, reached), (own, planned)):
             first, second = 0.0, 0.0
             for i in range(1, len(values)):
                 now = values[i, k] - values[i - 1, k]
@@ -125,7 +125,7 @@ def _excess(
                     second = change
                 first = now
         for order, limit in enumerate((velocity[k], acceleration[k], jerk[k]), 1):
-            worst = max(worst, asked[order] / (max(limit, told[order]) + _ROUNDED[order]))
+            worst = max(worst, reached[order] / (max(limit, planned[order]) + _ROUNDED[order]))
     return worst
 
 

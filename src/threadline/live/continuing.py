@@ -210,9 +210,9 @@ def _stitch_at(plan: Plan, executed: int, word: str, number: int) -> int:
 
 def _circuit(operation: object) -> int | None:
     """Return the circuit of an operation: its tag, or the pass of the outermost call."""
-    told = getattr(operation, "tags", {}).get("circuit")
-    if told is not None:
-        return int(told)
+    circuit = getattr(operation, "tags", {}).get("circuit")
+    if circuit is not None:
+        return int(circuit)
     passes: tuple[int, ...] = getattr(operation, "source").passes  # noqa: B009
     return passes[0] if passes else None
 

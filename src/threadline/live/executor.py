@@ -362,9 +362,9 @@ class Executor(AtRest):
             now = self._keep_latest(message)
             if why and self.state in _SENDING:
                 self._fault(why)
-            told = [one[3] for one in head["events"] if one[1] == "fault"]
-            if told and self.ended is None:  # on its own: later positions are unknown
-                self._fault(told[0])
+            faults = [one[3] for one in head["events"] if one[1] == "fault"]
+            if faults and self.ended is None:  # on its own: later positions are unknown
+                self._fault(faults[0])
                 self.over = True
                 return
             if self.ended is None and self._rest is None:

@@ -270,10 +270,10 @@ class Controller:
             if line.startswith("[AXS:") and line.count(":") > 1:
                 letters = tuple(line.strip("[]").split(":")[2])
             if line.startswith("[OPT:"):
-                told = _OPTIONS.fullmatch(line)
-                self.blocks = self.blocks if told is None else int(told[1])
-                if told is not None and told[2] is not None:
-                    self.room = min(int(told[2]), RX_BYTES)
+                options = _OPTIONS.fullmatch(line)
+                self.blocks = self.blocks if options is None else int(options[1])
+                if options is not None and options[2] is not None:
+                    self.room = min(int(options[2]), RX_BYTES)
         return letters
 
     def _columns(self) -> Sequence[int]:

@@ -106,7 +106,7 @@ class GrblRun:
         self._settled_s: float | None = None
         self._braking = False
         self._brakes_until_s = self._stood_s = np.inf
-        self._told_s = -np.inf  # time of the last hold or resume command
+        self._command_s = -np.inf  # time of the last hold or resume command
         self._looked_s = clock_s()
         self.no_override = ""
         self._overrides.forget_wanted()
@@ -299,7 +299,7 @@ class GrblRun:
             self._brake()
         elif cause in (Cause.HOLD, Cause.RESUME):
             self._port.send(HOLD if cause is Cause.HOLD else RESUME)
-            self._told_s, self._last_state_words = clock_s(), ""
+            self._command_s, self._last_state_words = clock_s(), ""
 
     def _brake(self) -> None:
         """Hold the feed; once it stands, or fails to, a reset drops its remaining lines."""
@@ -392,7 +392,7 @@ class GrblRun:
 
     def _follow(self, found: Status) -> None:
         """Follow the controller's own changes: hold, resume, or end if it cannot go on."""
-        fresh = self._heard_s - self._told_s > OBEYS_S  # else the report may be the older
+        fresh = self._heard_s - self._command_s > OBEYS_S  # else the report may be the older
         if found.state in PAUSES:
             door, k = found.state == "Door", self.acknowledged
             self._unready = found.words if door and found.detail in (1, 2) else ""
@@ -404,7 +404,7 @@ class GrblRun:
             ):
                 self._passed = k
                 self._port.send(RESUME)
-                self._told_s = clock_s()
+                self._command_s = clock_s()
                 return
             if self.state is State.RUNNING and fresh and not (door and found.detail == 3):
                 self._go(Cause.HOLD, found.words)
@@ -482,9 +482,9 @@ class GrblRun:
     def _lost(self, text: str) -> None:
         """Note that nothing can be sent any more: the controller executes its buffer."""
         left = int(self._count.open)
-        told = [] if self.ended is None else [self.ended[1]]
+        before = [] if self.ended is None else [self.ended[1]]
         left_over = f"the controller executes by itself {left} lines and its planner's blocks"
-        self.ended = (RunEnd.FAULT, "; ".join([*filter(None, told), text, left_over]))
+        self.ended = (RunEnd.FAULT, "; ".join([*filter(None, before), text, left_over]))
         self._trace.end(*self.ended)
         self._go(Cause.FAULT, text)
         self.over = True

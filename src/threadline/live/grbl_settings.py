@@ -201,8 +201,8 @@ def _words(number: int, unit: str, board: str, letters: Sequence[str]) -> str:
     if unit == _MASK:
         return ", ".join(a for k, a in enumerate(letters) if code >> k & 1) or "none"
     if number == REPORTS:
-        told = [words for k, words in enumerate(_REPORTED) if code >> k & 1]
-        return ", ".join(told if code & 1 else ["work positions", *told])
+        reported = [words for k, words in enumerate(_REPORTED) if code >> k & 1]
+        return ", ".join(reported if code & 1 else ["work positions", *reported])
     if number == 1 and code == _STAYS_ON:
         return "they stay on"
     return ""

@@ -168,7 +168,7 @@ def status_of(line: str) -> Status | None:
     return Status(state, -1 if detail is None else int(detail), place, offset, overrides, free)
 
 
-def override_bytes(percent: int, told: int) -> bytes:
+def override_bytes(percent: int, current: int) -> bytes:
     r"""Return the bytes for the next step from an override of the feed to another, both in %.
 
     grbl keeps a flag for each of its steps, so that two equal bytes may count as one: a coarse and
@@ -179,7 +179,7 @@ def override_bytes(percent: int, told: int) -> bytes:
     """
     if percent == AS_IS:
         return _FEED_AS_IS
-    left = percent - told
+    left = percent - current
     coarse, fine = divmod(abs(left), _COARSE)
     up = left > 0
     return (_COARSER[up] if coarse else b"") + (_FINER[up] if fine else b"")

@@ -174,11 +174,11 @@ class Guards:
         It is equivalent to ``_trip_of``, in one call for all ticks; that one names the guard.
         """
         # Copies: numba compiles separate versions for locked arrays and for views.
-        told, read, volts = (np.array(samples.get(name, _NONE)) for name in axis.channels)
-        if not len(told) or len(told) != len(read):
+        commanded, read, volts = (np.array(samples.get(name, _NONE)) for name in axis.channels)
+        if not len(commanded) or len(commanded) != len(read):
             return False
         quiet, axis.still = _in_order(
-            told, read, volts, axis.last, axis.speeds, axis.still, axis.reverses_by_zero,
+            commanded, read, volts, axis.last, axis.speeds, axis.still, axis.reverses_by_zero,
             (_JUMP * axis.fastest + _JUMP_COUNTS * axis.count, axis.low, axis.high),
             (self._tick_s, 2.0 * axis.lag_s, axis.room, 1.5 * axis.count),
         )  # fmt: skip
@@ -191,15 +191,15 @@ class Guards:
         return ""
 
     def _trip_of(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> str:
-        told, read = (self._with_last(axis, which, samples) for which in (0, 1))
-        if len(told) < 2 or len(read) < 2:
+        commanded, read = (self._with_last(axis, which, samples) for which in (0, 1))
+        if len(commanded) < 2 or len(read) < 2:
             return ""
         volts = self._with_last(axis, 2, samples)
         return (
             self._jumped(axis, read)
             or self._beyond(axis, read)
             or self._reversed(axis, volts)
-            or self._following(axis, told, read)
+            or self._following(axis, commanded, read)
         )
 
     def _jumped(self, axis: _Axis, read: FloatArray) -> str:
@@ -218,17 +218,17 @@ class Guards:
             return f"the output of {axis.name} changed its sign without a tick of zero between"
         return ""
 
-    def _following(self, axis: _Axis, told: FloatArray, read: FloatArray) -> str:
-        speeds = np.concatenate([axis.speeds, np.abs(np.diff(told)) / self._tick_s])
+    def _following(self, axis: _Axis, commanded: FloatArray, read: FloatArray) -> str:
+        speeds = np.concatenate([axis.speeds, np.abs(np.diff(commanded)) / self._tick_s])
         at, limit, axis.still = _too_far(
-            told, read, speeds, 2.0 * axis.lag_s, axis.room, 1.5 * axis.count, axis.still
+            commanded, read, speeds, 2.0 * axis.lag_s, axis.room, 1.5 * axis.count, axis.still
         )
         axis.speeds = speeds[len(speeds) - len(axis.speeds) :]
         if not at:
             return ""
-        error = abs(float(told[at] - read[at]))
+        error = abs(float(commanded[at] - read[at]))
         unit, to_unit = ("mm", 1e3) if axis.room == FOLLOWING_M else ("deg", 180.0 / np.pi)
-        if abs(float(told[at]) - axis.still[1]) > 0.5 * limit:
+        if abs(float(commanded[at]) - axis.still[1]) > 0.5 * limit:
             return (
                 f"the encoder of {axis.name} stands still while the axis is told to move: encoder, "
                 "cable or drive"
@@ -250,7 +250,7 @@ class Guards:
 
 @njit()
 def _too_far(
-    told: FloatArray,
+    commanded: FloatArray,
     read: FloatArray,
     speeds: FloatArray,
     per_speed: float,
@@ -264,7 +264,7 @@ def _too_far(
 
     Parameters
     ----------
-    told, read
+    commanded, read
         (n,) commanded and measured; the first is the last sample of the previous report.
     speeds
         (m + n - 1,) commanded speeds; each of the last n - 1 and the m before it affect a sample.
@@ -278,11 +278,11 @@ def _too_far(
     tuple
         Its index, 0 if there is none; its limit; and ``still`` at that sample, or the last.
     """
-    memory = len(speeds) - len(told) + 1
-    for k in range(1, len(told)):
+    memory = len(speeds) - len(commanded) + 1
+    for k in range(1, len(commanded)):
         if max(abs(read[k] - still[0]), abs(read[k - 1] - still[0])) > moves:
-            still = (read[k], told[k])
-        error = abs(told[k] - read[k])
+            still = (read[k], commanded[k])
+        error = abs(commanded[k] - read[k])
         if error > room:  # else the speeds need not be read
             limit = per_speed * speeds[k - 1 : k + memory].max() + room
             if error > limit:
@@ -292,7 +292,7 @@ def _too_far(
 
 @njit()
 def _in_order(
-    told: FloatArray,
+    commanded: FloatArray,
     read: FloatArray,
     volts: FloatArray,
     last: FloatArray,
@@ -306,7 +306,7 @@ def _in_order(
 
     Parameters
     ----------
-    told, read, volts
+    commanded, read, volts
         (n,) samples of the axis; ``volts`` may be empty.
     last, speeds
         As in ``_Axis``; advanced past the samples if no guard trips, else unchanged.
@@ -331,22 +331,22 @@ def _in_order(
                 return False, still
             before = volts[k]
     tick_s, per_speed, room, moves = following
-    whole_told, whole_read = np.empty(n + 1), np.empty(n + 1)
-    whole_told[0] = told[0] if np.isnan(last[0]) else last[0]
+    whole_commanded, whole_read = np.empty(n + 1), np.empty(n + 1)
+    whole_commanded[0] = commanded[0] if np.isnan(last[0]) else last[0]
     whole_read[0] = read[0] if np.isnan(last[1]) else last[1]
     acting = np.empty(memory + n)
     # Element by element: an array assignment takes seconds to compile.
     for k in range(memory):
         acting[k] = speeds[k]
     for k in range(n):
-        whole_told[k + 1], whole_read[k + 1] = told[k], read[k]
-        acting[memory + k] = abs(whole_told[k + 1] - whole_told[k]) / tick_s
-    at, _, after = _too_far(whole_told, whole_read, acting, per_speed, room, moves, still)
+        whole_commanded[k + 1], whole_read[k + 1] = commanded[k], read[k]
+        acting[memory + k] = abs(whole_commanded[k + 1] - whole_commanded[k]) / tick_s
+    at, _, after = _too_far(whole_commanded, whole_read, acting, per_speed, room, moves, still)
     if at:
         return False, still
     for k in range(memory):
         speeds[k] = acting[n + k]
-    last[0], last[1] = told[n - 1], read[n - 1]
+    last[0], last[1] = commanded[n - 1], read[n - 1]
     if len(volts):
         last[2] = volts[len(volts) - 1]
     return True, after

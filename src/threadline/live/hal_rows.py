@@ -46,12 +46,12 @@ class _Played(RowSession):
         """Return the samples of the ticks of a part."""
         found = self._sampled(len(part.travelled))
         self._tick += len(part.travelled)
-        wrong = np.abs(found.told - self._start - part.travelled).max(initial=0.0)
+        wrong = np.abs(found.commanded - self._start - part.travelled).max(initial=0.0)
         if wrong and not self.failed:
             self.fail(
                 f"HAL's commands to the drives differ from the sent rows by {wrong:.0f} counts"
             )
-        return {"told": found.told, "read": np.rint(found.read)}
+        return {"told": found.commanded, "read": np.rint(found.read)}
 
     def fail(self, why: str) -> None:
         """Record a fault, after which nothing is known."""
@@ -64,14 +64,14 @@ class _Played(RowSession):
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
         nothing = np.zeros((0, len(self._start)))
-        told, read = (
+        commanded, read = (
             np.concatenate([nothing, *(part.read[name] for part in parts)])
             / self._machine.counts_per_unit
             for name in ("told", "read")
         )
         samples: dict[str, FloatArray] = {}
         for k, name in enumerate(self._machine.axes):
-            samples[f"{name}.commanded"] = told[:, k]
+            samples[f"{name}.commanded"] = commanded[:, k]
             if self._plant:
                 samples[f"{name}.measured"] = read[:, k]
         samples["operation"] = np.concatenate(

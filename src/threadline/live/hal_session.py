@@ -102,8 +102,8 @@ class HalFifo:
         whole = memoryview((ctypes.c_char * (_HEAD + depth * row)).from_address(self._at)).cast("B")
         self._head: NDArray[np.uint32] = np.frombuffer(whole, np.uint32, 10)
         kinds = np.frombuffer(whole, np.int32, _MOST_FIELDS, 40)[: len(fields)].tolist()
-        told = [int(self._head[k]) for k in (0, 4, 5)]
-        if told != [_MAGIC, depth, len(fields)] or kinds != [_TYPES[f] for f in fields]:
+        depth_read = [int(self._head[k]) for k in (0, 4, 5)]
+        if depth_read != [_MAGIC, depth, len(fields)] or kinds != [_TYPES[f] for f in fields]:
             self.close()
             raise LinkFaultError(
                 "the layout of HAL's fifo differs from LinuxCNC 2.9",
@@ -177,19 +177,19 @@ class Samples:
         (n,) number of the record that was played.
     interval_s
         (n,) time since the previous tick.
-    told, read
+    commanded, read
         (n, axes) counts that HAL commanded, and counts that came back.
     """
 
     record: IntArray
     interval_s: FloatArray
-    told: FloatArray
+    commanded: FloatArray
     read: FloatArray
 
     def at(self, which: slice | NDArray[np.bool_]) -> Samples:
         """Return some of the samples."""
         return Samples(
-            self.record[which], self.interval_s[which], self.told[which], self.read[which]
+            self.record[which], self.interval_s[which], self.commanded[which], self.read[which]
         )
 
     @staticmethod
@@ -198,7 +198,7 @@ class Samples:
         return Samples(
             np.concatenate([part.record for part in parts]),
             np.concatenate([part.interval_s for part in parts]),
-            np.concatenate([part.told for part in parts]),
+            np.concatenate([part.commanded for part in parts]),
             np.concatenate([part.read for part in parts]),
         )
 
@@ -259,14 +259,14 @@ class HalSession:
         self._words = as_user()
         if self._words:
             os.chown(self._folder.name, int(os.environ["SUDO_UID"]), -1)
-        told = _OWN * self._axes
+        numbers = _OWN * self._axes
         self._in_force = np.zeros(self._depth, dtype=np.int64)  # version in force, for each slot
         self._fill = int(np.ceil(FILL_S / tick_s))
         self._lead = max(2, int(np.ceil(_LEAD_S / tick_s)))
         remove_left()
         self._tell(_net(machine, self._depth, sampled, plant=plant))
-        self._out = HalFifo(STREAMER_KEY, self._depth, "bs" + "f" * told)
-        self._in = HalFifo(SAMPLER_KEY, sampled, "ss" + "f" * told)
+        self._out = HalFifo(STREAMER_KEY, self._depth, "bs" + "f" * numbers)
+        self._in = HalFifo(SAMPLER_KEY, sampled, "ss" + "f" * numbers)
         self._end = self._taken = 0  # numbers of the next records to write and to play
         self._stands = start.astype(np.float64)
         self.fill()
@@ -358,7 +358,7 @@ class HalSession:
         return Samples(
             record=words[:, 0],
             interval_s=np.asarray(1e-9 * words[:, 1], dtype=np.float64),
-            told=numbers[:, _OWN : _OWN + self._axes],
+            commanded=numbers[:, _OWN : _OWN + self._axes],
             read=numbers[:, _OWN + self._axes : _OWN + 2 * self._axes],
         )
 
@@ -422,24 +422,24 @@ def _net(machine: Machine, depth: int, sampled: int, *, plant: bool) -> list[str
     """Return the lines of a HAL file: components, functions in their order, and nets."""
     axes = range(len(machine.axes))
     period_s = machine.tick_clock.period_s
-    told = [f"told{k}" for k in axes]
+    pins = [f"told{k}" for k in axes]
     lines = [
         f"loadrt threads name1=tick period1={int(10**9 * period_s)}",
-        f"loadrt streamer depth={depth} cfg=bs{'ff' * len(told)}",
-        f"loadrt sampler depth={sampled} cfg=ss{'ff' * len(told)}",
+        f"loadrt streamer depth={depth} cfg=bs{'ff' * len(pins)}",
+        f"loadrt sampler depth={sampled} cfg=ss{'ff' * len(pins)}",
         "loadrt timedelta",
         "loadrt xor2 names=version",
-        f"loadrt mux2 names={','.join(told)}",
+        f"loadrt mux2 names={','.join(pins)}",
     ]
-    functions = ["timedelta.0", "streamer.0", "version", *told]
+    functions = ["timedelta.0", "streamer.0", "version", *pins]
     nets = [
         "net flip streamer.0.pin.0 version.in0",
-        f"net version version.out version.in1 {' '.join(f'{name}.sel' for name in told)}",
+        f"net version version.out version.in1 {' '.join(f'{name}.sel' for name in pins)}",
         "net number streamer.0.pin.1 sampler.0.pin.0",
         "net interval timedelta.0.out sampler.0.pin.1",
     ]
-    n = len(told)
-    for k, name in enumerate(told):
+    n = len(pins)
+    for k, name in enumerate(pins):
         nets += [
             f"net before{k} streamer.0.pin.{_OWN + k} {name}.in0",
             f"net after{k} streamer.0.pin.{_OWN + n + k} {name}.in1",

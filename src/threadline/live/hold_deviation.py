@@ -83,9 +83,9 @@ def hold_ahead_m(plan: Plan) -> float:
     for block in table:
         places = stands + np.cumsum(block.counts, axis=0)
         time_s = table.clock.times_s(block.first_tick + 1, len(block))
-        told = (places / scale * radius)[:, columns]
+        played = (places / scale * radius)[:, columns]
         meant = reader.ladder(time_s, 1)[:, 0] * radius[columns]
-        worst = max(worst, float(np.linalg.norm(told - meant, axis=1).max(initial=0.0)))
+        worst = max(worst, float(np.linalg.norm(played - meant, axis=1).max(initial=0.0)))
         if len(block):
             reader.drop(float(time_s[-1]))
             stands = places[-1]
@@ -170,9 +170,9 @@ def override_exceeds(plan: Plan) -> int:
 
 def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> tuple[Result, ...]:
     """Return the criteria that a run with (n,) places at its ticks brings out of specification."""
-    asked = [c for c in spec.criteria if c.limit and not c.hard]
-    narrower = tuple(replace(c, limit=_SPARE * (c.limit or 0.0)) for c in asked)
-    if not asked:
+    soft = [c for c in spec.criteria if c.limit and not c.hard]
+    narrower = tuple(replace(c, limit=_SPARE * (c.limit or 0.0)) for c in soft)
+    if not soft:
         return ()
     table = tick_table(plan.commands)
     counts = np.diff(window.rounded(places), axis=0)
@@ -180,8 +180,8 @@ def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> 
     rows = TickBlock(first_tick=0, counts=counts, operation=operation)
     held = simulate(replace(table, blocks=Stream.of([rows])), plan.machine)
     pace, ticks = Pace(table.clock), len(counts)
-    told = (*pace.played(0, places[1:]), *pace.ended(ticks, 1))
-    recording = replace(held, blocks=Stream(_with_events, held.blocks, told, table.clock.name))
+    events = (*pace.played(0, places[1:]), *pace.ended(ticks, 1))
+    recording = replace(held, blocks=Stream(_with_events, held.blocks, events, table.clock.name))
     failed = [
         result
         for result in Judge(plan, replace(spec, criteria=narrower)).verdict([recording]).results
@@ -191,7 +191,7 @@ def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> 
         alone = Judge(plan, spec).verdict([simulate(plan.commands, plan.machine)])
         bad = {(r.name, r.axis) for r in alone.results if r.status is Status.FAILED}
         failed = [result for result in failed if (result.name, result.axis) not in bad]
-    limits = {(c.name, c.axis): c.limit for c in asked}
+    limits = {(c.name, c.axis): c.limit for c in soft}
     return tuple(
         replace(r, limit=limits.get((r.name, r.axis), limits.get((r.name, "")))) for r in failed
     )
@@ -282,10 +282,10 @@ def _resting(places: FloatArray, window: PathWindow, plan: Plan) -> FloatArray:
 
 
 def _with_events(
-    blocks: Iterable[RecordingBlock], told: Sequence[Event], clock: str
+    blocks: Iterable[RecordingBlock], events: Sequence[Event], clock: str
 ) -> Iterator[RecordingBlock]:
-    """Yield blocks with the events ``told``, each in the block of its tick."""
-    left = list(told)
+    """Yield blocks with the events ``events``, each in the block of its tick."""
+    left = list(events)
     for block in blocks:
         count = max(map(len, block.samples.values()), default=0)
         due = [e for e in left if e.tick < block.first_tick[clock] + count]

@@ -72,7 +72,7 @@ class Manner:
     ----------
     may
         What holds and overrides of the feed do to its work.
-    told
+    recorded
         Entries of the recording's origin besides the options of the plan, such as ``link``.
     pass_stops
         Whether stops of the program are passed without an answer.
@@ -83,7 +83,7 @@ class Manner:
     """
 
     may: Interventions
-    told: Mapping[str, str]
+    recorded: Mapping[str, str]
     pass_stops: bool = False
     again: Continued | None = None
     confirmed: bool = False
@@ -209,7 +209,7 @@ def _content(
     may = manner.may
     return {
         **verdict_json(verdict, plan),
-        **manner.told,
+        **manner.recorded,
         "run": done.kept.path.name,
         "trace": str(done.kept.trace),
         "ended": done.ended.value,

@@ -54,12 +54,12 @@ class Stillness:
             (n,) samples of each channel.
         """
         for name, room in self._room.items():
-            told = samples.get(name)
-            if told is None or not len(told):
+            commanded = samples.get(name)
+            if commanded is None or not len(commanded):
                 continue
-            last = float(told[-1])
+            last = float(commanded[-1])
             low, high = self._within.get(name, (last, last))
-            low, high = min(low, float(told.min())), max(high, float(told.max()))
+            low, high = min(low, float(commanded.min())), max(high, float(commanded.max()))
             if high - low > room:
                 low, high, self._since = last, last, tick
             self._within[name] = low, high
@@ -193,13 +193,13 @@ class JogAhead:
         return True
 
     def _trajectory(self, at: _At, target: float) -> Trajectory:
-        asked = self._asked
-        asked.current_position = [at.position]
-        asked.current_velocity = [at.velocity]
-        asked.current_acceleration = [at.acceleration]
-        asked.target_velocity, asked.target_acceleration = [target], [0.0]
+        request = self._asked
+        request.current_position = [at.position]
+        request.current_velocity = [at.velocity]
+        request.current_acceleration = [at.acceleration]
+        request.target_velocity, request.target_acceleration = [target], [0.0]
         found = Trajectory(1)
-        self._otg.calculate(asked, found)
+        self._otg.calculate(request, found)
         return found
 
     def _step(self, at: _At, target: float) -> _At:
@@ -252,22 +252,22 @@ class MoveAhead(JogAhead):
     def __init__(self, machine: Machine, stands: IntArray, axis: str, to_counts: int) -> None:
         super().__init__(machine, stands, axis, 0.0)
         if not self._low <= to_counts <= self._high:
-            told, low, high = (
+            there, low, high = (
                 place_words(machine, axis, counts / machine.counts_per_unit[self._column])
                 for counts in (to_counts, self._low, self._high)
             )
             raise CommandError(
-                f"axis {axis}: {told} is beyond its travel, {low} to {high}",
+                f"axis {axis}: {there} is beyond its travel, {low} to {high}",
                 remedy="Move the position where the job starts.",
             )
-        asked = InputParameter(1)
-        asked.current_position = [self._states[0].position]
-        asked.target_position = [float(to_counts)]
-        asked.max_velocity = [float(manual_feed(machine)[self._column])]
-        asked.max_acceleration = self._asked.max_acceleration
-        asked.max_jerk = self._asked.max_jerk
+        inputs = InputParameter(1)
+        inputs.current_position = [self._states[0].position]
+        inputs.target_position = [float(to_counts)]
+        inputs.max_velocity = [float(manual_feed(machine)[self._column])]
+        inputs.max_acceleration = self._asked.max_acceleration
+        inputs.max_jerk = self._asked.max_jerk
         self._way, self._ends = Trajectory(1), float(to_counts)
-        self._otg.calculate(asked, self._way)
+        self._otg.calculate(inputs, self._way)
         self._target = self._ends - self._states[0].position  # not 0, which means braking
 
     def _step(self, at: _At, target: float) -> _At:

@@ -20,7 +20,7 @@ _JOIN_S = 10.0
 
 
 @contextmanager
-def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
+def process_link(program: str, sent: tuple[Any, ...]) -> Iterator[Connection]:
     """Start a process for a machine, and yield the link to it.
 
     A forked process would share open files with its parent, and a process of ``multiprocessing``
@@ -30,7 +30,7 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
     ----------
     program
         Python code that calls ``machine_end`` and serves.
-    told
+    sent
         Object sent to the process through a pipe.
     """
     ours, theirs = socket.socketpair()
@@ -44,7 +44,7 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
     theirs.close()
     assert process.stdin is not None
     with suppress(BrokenPipeError), process.stdin as pipe:  # if it died, no greeting will come
-        pickle.dump(told, pipe)
+        pickle.dump(sent, pipe)
     ours.settimeout(_SEND_S)
     connection = Connection(ours)
     try:
@@ -60,5 +60,5 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
 
 def machine_end() -> tuple[socket.socket, Any]:
     """Return this process's end of the link, and the object from the parent process."""
-    told = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe of its own
-    return socket.socket(fileno=int(sys.argv[1])), told
+    sent = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe of its own
+    return socket.socket(fileno=int(sys.argv[1])), sent

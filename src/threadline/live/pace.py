@@ -37,7 +37,7 @@ class Pace:
     def __init__(self, clock: Clock) -> None:
         self._per_row = float(clock.period_s.numerator), float(clock.period_s.denominator)
         self._rate = 1.0
-        self._told: float | None = None  # place of the latest event
+        self._latest: float | None = None  # place of the latest event
         self._since = 0  # ticks since that event
         self._step = 0.0  # rows played in the latest tick with an event
         self.place = 0.0
@@ -73,8 +73,8 @@ class Pace:
         if self._rate in (0.0, 1.0):
             differs = places != self.place + self._rate * ticks
         else:
-            assert self._told is not None
-            expected = self._told + self._rate * (self._since + ticks)
+            assert self._latest is not None
+            expected = self._latest + self._rate * (self._since + ticks)
             differs = np.abs(places - expected) > _SAME
         return int(np.argmax(differs)) if differs.any() else len(places)
 
@@ -83,11 +83,11 @@ class Pace:
         # Rounded as a clock converts ticks to seconds: a whole row has its tick's time.
         time_s = place * self._per_row[0] / self._per_row[1]
         step, name = place - self.place, ""
-        self._rate = 0.0 if place == self._told else 1.0
+        self._rate = 0.0 if place == self._latest else 1.0
         rate = round(step, _DIGITS)
         if 0.0 < rate < 1.0 and max(abs(step - self._step), abs(step - rate)) <= _SAME:
             self._rate, name = rate, f"{rate:g}"  # the same rate twice: it is likely to last
-        self._told, self._step, self._since, self.place = place, step, 0, place
+        self._latest, self._step, self._since, self.place = place, step, 0, place
         return Event(tick=tick, kind="plan", operation=-1, name=name, value=time_s)
 
     def ended(self, first: int, ticks: int) -> tuple[Event, ...]:

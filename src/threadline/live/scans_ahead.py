@@ -75,7 +75,7 @@ class ScansAhead:
         self.settle_ticks = max(1, round(_SETTLE_S / period_s))
         self.end = 0
         self.to_rest = False
-        self._rows = self._told_waits = self._told_creeps = self._reach = 0
+        self._rows = self._sent_waits = self._sent_creeps = self._reach = 0
         self._place = self._now = 0  # as reported
         self._off: int | None = None
         self._ending = False
@@ -146,15 +146,15 @@ class ScansAhead:
             "duration": schedule.duration_ticks if self._ending else None,
             "off": until,
             "last": self._ending,
-            "events": [event_row(event) for event in self._waits[self._told_waits : waits]],
-            "creeps": [list(creep.row) for creep in schedule.creeps[self._told_creeps : creeps]],
+            "events": [event_row(event) for event in self._waits[self._sent_waits : waits]],
+            "creeps": [list(creep.row) for creep in schedule.creeps[self._sent_creeps : creeps]],
         }
         levels = schedule.levels[sent]
         self._check(levels)
         arrays = {
             "ticks": schedule.ticks[sent], "levels": levels, "operation": schedule.operation[sent],
         }  # fmt: skip
-        self._rows, self._told_waits, self._told_creeps = rows, waits, creeps
+        self._rows, self._sent_waits, self._sent_creeps = rows, waits, creeps
         self.end = until
         return Message("refill", head, arrays)
 

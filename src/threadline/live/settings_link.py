@@ -108,10 +108,10 @@ def ask_controller(address: str, baud: int | None = None) -> ControllerSettings:
         if found is not None:
             return found
     shown = next((line for line in heard if line.isprintable()), "")
-    told = f", which says {shown[:60]!r}," if shown else ""
+    banner = f", which says {shown[:60]!r}," if shown else ""
     speeds = "" if not serial or baud is not None else " Say its speed with --baud."
     raise LinkFaultError(
-        f"the controller at {address[:60]!r}{told} tells neither $I nor M115 who it is",
+        f"the controller at {address[:60]!r}{banner} tells neither $I nor M115 who it is",
         remedy=f"Close other programs that talk to it, and look at its cable and power.{speeds}",
     )
 

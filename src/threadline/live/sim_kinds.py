@@ -114,7 +114,7 @@ class SimRows(SimMachine):
         behind = message.arrays.get("place", stands + np.arange(1.0, len(counts) + 1.0))
         self._places = np.concatenate([places, np.full(len(rest), stands), behind])
         self._events = deque(event for event in self._events if event.tick < first)
-        self._events.extend(event_of(told) for told in message.head["events"])
+        self._events.extend(event_of(listed) for listed in message.head["events"])
         self._wanted_until = first + wanted
         self._last = bool(message.head["last"])
         return ""
@@ -236,7 +236,7 @@ class SimScans(SimMachine):
                 np.asarray(arrays["ticks"], dtype=np.int64),
                 np.asarray(arrays["levels"], dtype=np.int64),
                 np.asarray(arrays["operation"], dtype=np.int64),
-                [event_of(told) for told in head["events"]],
+                [event_of(listed) for listed in head["events"]],
                 reach=int(head["reach"]),
                 duration=None if head["duration"] is None else int(head["duration"]),
                 creeps=[creep_of(row) for row in head["creeps"]],
@@ -321,7 +321,7 @@ class SimTurns(SimMachine):
         if session is None or int(head["after"]) != session.taken:
             return f"it is told the turns after {head['after']}, and has others"
         columns = {name: np.asarray(arrays[name], dtype=np.int64) for name in COLUMNS}
-        events = tuple(event_of(told) for told in head["events"])
+        events = tuple(event_of(listed) for listed in head["events"])
         turns = StitchBlock(first_stitch=session.taken, events=events, **columns)
         following = head["following"]
         try:

@@ -427,8 +427,8 @@ class SimMachine(ABC):
             self._drop()
             self._enabled = self._homed = False
         if late:
-            told = Event(tick=sample, kind="late", operation=-1, value=float(late * per_tick))
-            events.append(event_row(told))
+            lateness = Event(tick=sample, kind="late", operation=-1, value=float(late * per_tick))
+            events.append(event_row(lateness))
         head = {
             "run": self._number, "tick": first, "sample": sample, "now": self.tick,
             "held": self.held, "starved": self.starved, "late": late, "late_by": late_by,

@@ -87,8 +87,8 @@ def sim_link(
 
 def machine_main() -> None:
     """Serve as the simulated machine that the parent process describes through a pipe."""
-    end, told = machine_end()
-    serve(end, *told)
+    end, words = machine_end()
+    serve(end, *words)
 
 
 def serve(
@@ -165,7 +165,7 @@ def _in_real_time(
         due = (time.monotonic() if late_by > LATE else due) + group * period_s
 
 
-def _home(connection: Connection, simulated: SimMachine, asked: Message) -> None:
+def _home(connection: Connection, simulated: SimMachine, request: Message) -> None:
     """Wait for the duration of homing, and accept a stop during it."""
     until = time.monotonic() + HOMING_S
     while (left_s := until - time.monotonic()) > 0.0 and not connection.lost:
@@ -175,4 +175,4 @@ def _home(connection: Connection, simulated: SimMachine, asked: Message) -> None
             return
         if message is not None:
             simulated.take(message)
-    simulated.take(asked)
+    simulated.take(request)

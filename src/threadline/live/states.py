@@ -226,13 +226,13 @@ class Kept:
         """Keep a change of state."""
         self.log.append((tick, state, cause, text))
 
-    def recording(self, plan: Plan, told: Mapping[str, str] | None = None) -> Recording:
-        """Return the recording of a plan; its origin is the plan's options and ``told``."""
+    def recording(self, plan: Plan, origin: Mapping[str, str] | None = None) -> Recording:
+        """Return the recording of a plan; its origin is the plan's options and ``origin``."""
         return Recording(
             channels=self._channels,
             blocks=Stream.of(self.blocks),
             job_sha256=plan.job.sha256,
             machine_sha256=plan.machine.sha256,
             simulated=self._simulated,
-            origin={**plan.options, **(told or {})},
+            origin={**plan.options, **(origin or {})},
         )

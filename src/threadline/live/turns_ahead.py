@@ -98,7 +98,7 @@ class TurnsAhead:
         self._stands = play.start_steps.astype(np.int64)
         self._lengths = np.array([*(len(table) for table in play.library), 0])
         self._before: tuple[list[_Turn], list[_Turn], int, int, IntArray] | None = None
-        self._cut = self._told_tables = False
+        self._cut = self._tables_sent = False
 
     @property
     def complete(self) -> bool:
@@ -179,9 +179,9 @@ class TurnsAhead:
             "following": following,
             "events": [event_row(event) for turn in sent for event in turn.events],
         }
-        if not self._told_tables:
+        if not self._tables_sent:
             self._tell_tables(head, arrays)
-            self._told_tables = True
+            self._tables_sent = True
         self._number += len(sent)
         self._sent += sent
         return Message("refill", head, arrays)

@@ -30,7 +30,7 @@ MOST_BYTES = 1 << 24
 _LENGTHS = struct.Struct("<II")
 _TYPES = {"<i8": np.int64, "<f8": np.float64}
 _AT_ONCE = 1 << 16
-_told = json.JSONEncoder(allow_nan=False, ensure_ascii=False).encode
+_encode = json.JSONEncoder(allow_nan=False, ensure_ascii=False).encode
 _EVENT_KINDS = get_args(EventKind)
 
 
@@ -64,7 +64,7 @@ class Message:
                 named.append(([name], form, a.shape))
             parts.append((a if a.dtype == form else a.astype(form)).tobytes())
         content = {"kind": self.kind, "head": dict(self.head), "arrays": named}
-        head = _told(content).encode()
+        head = _encode(content).encode()
         body = b"".join(parts)
         return _LENGTHS.pack(len(head) + len(body) + 4, len(head)) + head + body
 
@@ -83,8 +83,12 @@ def decoded(content: bytes) -> Message:
     """
     try:
         (size,) = struct.unpack_from("<I", content)
-        told = json.loads(content[4 : 4 + size])
-        kind, head, named = str(told["kind"]), dict(told["head"]), list(told["arrays"])
+        content_read = json.loads(content[4 : 4 + size])
+        kind, head, named = (
+            str(content_read["kind"]),
+            dict(content_read["head"]),
+            list(content_read["arrays"]),
+        )
         arrays: dict[str, IntArray | FloatArray] = {}
         at = 4 + size
         for names, dtype, shape in named:
@@ -113,16 +117,16 @@ def event_row(event: Event) -> list[Any]:
     return [event.tick, event.kind, event.operation, event.name, event.value]
 
 
-def event_of(told: Any) -> Event:
+def event_of(row: Any) -> Event:
     """Return the event that ``event_row`` wrote.
 
     Raises
     ------
     LinkFaultError
-        If ``told`` is not an event.
+        If ``row`` is not an event.
     """
     try:
-        tick, kind, operation, name, value = told
+        tick, kind, operation, name, value = row
         if kind not in _EVENT_KINDS:
             raise _refuse(f"an event {str(kind)[:20]!r}")
         return Event(

@@ -174,8 +174,8 @@ class Machine(AxisArrays):
             where = f"axes.{name}"
             if axis.drive:
                 at = f"{where}.drive"
-                told = [n for n, d in self.drives.items() if not isinstance(d, DcMotor)]
-                check_known([axis.drive], told, at, "drive")
+                motionless = [n for n, d in self.drives.items() if not isinstance(d, DcMotor)]
+                check_known([axis.drive], motionless, at, "drive")
             else:
                 check_known(
                     [axis.controller], self.controllers, f"{where}.controller", "controller"
@@ -353,11 +353,11 @@ class Machine(AxisArrays):
         """
         if self.tables is not None:
             return dict.fromkeys(self.axes, "stepped")
-        told = {
+        others = {
             name: self.drives[axis.drive].kind for name, axis in self.axes.items() if axis.drive
         }
         axes = {name: axis.kind for name, axis in self.axes.items()}
-        return axes | told | dict.fromkeys(self.cylinders, "cylinder")
+        return axes | others | dict.fromkeys(self.cylinders, "cylinder")
 
     @property
     def rotary(self) -> frozenset[str]:
@@ -447,9 +447,9 @@ class Machine(AxisArrays):
     def tick_clock(self) -> Clock:
         """The clock of the axes' references, from the first axis."""
         name = next(iter(self.axes))
-        told = self.drives.get(self.axes[name].drive)
-        if told is not None and not isinstance(told, DcMotor):
-            return self.clock(told.clock)
+        drive = self.drives.get(self.axes[name].drive)
+        if drive is not None and not isinstance(drive, DcMotor):
+            return self.clock(drive.clock)
         first = self.controller_of(name)
         return self.clock(first.reference_clock or first.clock)
 
@@ -465,12 +465,12 @@ def clocked(machine: Machine) -> list[tuple[str, str]]:
     return [*((loop.kind, loop.clock) for loop in machine.controllers.values()), *scans]
 
 
-def check_dynamics(asked: str, *machines: Machine | None) -> None:
+def check_dynamics(purpose: str, *machines: Machine | None) -> None:
     """Refuse a question that needs dynamics for machines that have only limits.
 
     Parameters
     ----------
-    asked
+    purpose
         The question, as the subject of a sentence: ``"how axis X swings"``.
     machines
         The machines; None is skipped.
@@ -483,7 +483,7 @@ def check_dynamics(asked: str, *machines: Machine | None) -> None:
     for machine in machines:
         if machine is not None and machine.without_dynamics:
             raise OptionError(
-                f"the machine file of {machine.name} has no dynamics, only limits: {asked} "
+                f"the machine file of {machine.name} has no dynamics, only limits: {purpose} "
                 "cannot be computed",
                 place=machine.place,
                 remedy="Omit it, or describe the bodies and drives: docs/machines.md.",

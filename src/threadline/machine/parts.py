@@ -373,14 +373,14 @@ def switches_in_the_way(
         above = switch.beyond == "above"
         if switch.at.si > high if above else switch.at.si < low:
             continue
-        told = [_place(value, axis.kind) for value in (switch.at.si, low, high)]
+        places = [_place(value, axis.kind) for value in (switch.at.si, low, high)]
         yield (
             f"inputs.{name}.at",
-            f"the limit switch cuts drives.{switch.cuts} from {told[0]} on, within the travel of "
-            f"axes.{switch.axis}, {told[1]} to {told[2]}: a job within its limits would lose "
+            f"the limit switch cuts drives.{switch.cuts} from {places[0]} on, within the travel of "
+            f"axes.{switch.axis}, {places[1]} to {places[2]}: a job within its limits would lose "
             "its motor there",
             f"End the travel before the switch, or place the switch {'above' if above else 'below'}"
-            f" {told[2] if above else told[1]}.",
+            f" {places[2] if above else places[1]}.",
         )
 
 

@@ -27,7 +27,7 @@ class BoardReports:
         self._executor = executor
         self._readings = 0
         self._waiting: list[Exchange] = []
-        self._told_s = 0.0
+        self._sent_s = 0.0
 
     def fill(self) -> dict[str, int] | None:
         """Return how full the controller is; None if it does not report it."""
@@ -48,9 +48,9 @@ class BoardReports:
             yield "board", {"firmware": board.identity, "settings": rows}
         self._waiting += board.take()
         of_run = all(one.kind == "program" for one in self._waiting)
-        if not self._waiting or (of_run and now_s - self._told_s < SAID_S):
+        if not self._waiting or (of_run and now_s - self._sent_s < SAID_S):
             return
         left_out = max(len(self._waiting) - _MOST_SAID, 0) if of_run else 0
         lines = [asdict(one) for one in self._waiting[left_out:]]
-        self._waiting, self._told_s = [], now_s
+        self._waiting, self._sent_s = [], now_s
         yield "console", {"lines": lines, "left_out": left_out}

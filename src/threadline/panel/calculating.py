@@ -47,12 +47,12 @@ _OUTLINE = 241  # places of the meridian of a mandrel
 _NICE = 10  # the executor comes first
 
 
-def machine_of(told: Mapping[str, Any]) -> Machine:
+def machine_of(content: Mapping[str, Any]) -> Machine:
     """Return the machine of a request."""
-    return chosen_machine(str(told["machine"]), told["par"])
+    return chosen_machine(str(content["machine"]), content["par"])
 
 
-def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
+def calculate(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the figures of a program; write its proof into ``told["proof_file"]``.
 
     Raises
@@ -60,38 +60,38 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
     InputError
         If the program cannot be read, planned or judged.
     """
-    machine = machine_of(told)
+    machine = machine_of(content)
     check_machine(machine)
     with noting_inputs():
-        asked = load_spec(None if told["spec"] is None else Path(told["spec"]), machine)
-        folder, trials = Path(told["folder"]), trials_of(level=told["level"])
+        wanted = load_spec(None if content["spec"] is None else Path(content["spec"]), machine)
+        folder, trials = Path(content["folder"]), trials_of(level=content["level"])
         with reading_within(folder):
-            words = _by_priority(folder, told, machine, asked, trials)
-            plan, options = planned(folder, {**told, **words}, machine)
-            spec = with_shaping(asked, machine, options)
+            words = _by_priority(folder, content, machine, wanted, trials)
+            plan, options = planned(folder, {**content, **words}, machine)
+            spec = with_shaping(wanted, machine, options)
             proof = prove_plan(plan, spec, _share, trials)
-        write_proof(proof, told["proof_file"])
+        write_proof(proof, content["proof_file"])
     starts = run_kind_of(machine).start(plan.commands).tolist()
     return {
         **figures(proof),
-        "program": str(told["program"]),
-        "feed": {**told, **words}["feed"],
+        "program": str(content["program"]),
+        "feed": {**content, **words}["feed"],
         "starts": starts,
         "words": words,
         "wound": wound(proof),
-        "proof": read_proof(told["proof_file"]).content["sha256"],
+        "proof": read_proof(content["proof_file"]).content["sha256"],
     }
 
 
 def _by_priority(
-    folder: Path, told: Mapping[str, Any], machine: Machine, asked: Spec, trials: Trials
+    folder: Path, content: Mapping[str, Any], machine: Machine, wanted: Spec, trials: Trials
 ) -> Mapping[str, Any]:
-    if told["priority"] == PROGRAMMED:
+    if content["priority"] == PROGRAMMED:
         return {}
-    options = words_of(told)
-    job = open_job(program_path(folder, str(told["program"])), machine, options)
-    spec = with_shaping(asked, machine, options)
-    return by_priority(str(told["priority"]), job, machine, spec, options, trials, _share)
+    options = words_of(content)
+    job = open_job(program_path(folder, str(content["program"])), machine, options)
+    spec = with_shaping(wanted, machine, options)
+    return by_priority(str(content["priority"]), job, machine, spec, options, trials, _share)
 
 
 def figures(proof: Proof) -> dict[str, Any]:

@@ -48,13 +48,13 @@ async def answer_of(
     )
     try:
         async with asyncio.timeout(longest_s):
-            told, why = await process.communicate(sent)
+            output, why = await process.communicate(sent)
     finally:
         if process.returncode is None:
             with suppress(ProcessLookupError):
                 process.kill()
             await process.wait()
-    return process.returncode or 0, told, why
+    return process.returncode or 0, output, why
 
 
 _WHY = {422: {"description": "there is no guide; a line says why"}}
@@ -83,13 +83,13 @@ class MachineGuide:
         """Return the machine's name and the tables of its guide, or why there is none."""
         async with self._one_at_a_time:
             if self._found is None:
-                status, told, why = await answer_of(
+                status, output, why = await answer_of(
                     sys.executable, "-P", "-m", "threadline", "guide", self._reference,
                     "-o", str(self._folder), "--json",
                 )  # fmt: skip
                 if status:
                     return why.decode("utf-8", "replace").strip()[-500:]
-                found = json.loads(told)
+                found = json.loads(output)
                 self._found = {"machine": found["machine"], "tables": found["tables"]}
         return self._found
 
@@ -158,11 +158,11 @@ class Calculation:
 
     async def preview(self, program: str) -> bytes | str:
         """Return the ``Preview`` of a program as JSON, or why there is none."""
-        told = {
+        content = {
             "folder": str(self._folder), "program": program,
             "machine": self._machine.reference, "par": self._machine.parameters or None,
         }  # fmt: skip
-        words, sent = program_apart(_PREVIEW), json.dumps(told).encode()
+        words, sent = program_apart(_PREVIEW), json.dumps(content).encode()
         try:
             async with self._one_preview:
                 status, found, _ = await answer_of(*words, sent=sent, longest_s=PREVIEW_S)
@@ -173,12 +173,12 @@ class Calculation:
         why = json.loads(found).get("error")
         return found if why is None else str(why)
 
-    def begin(self, asked: Calculate, tell: Callable[[Figures | str], None]) -> None:
+    def begin(self, request: Calculate, tell: Callable[[Figures | str], None]) -> None:
         """Begin a calculation; the last one is forgotten.
 
         Parameters
         ----------
-        asked
+        request
             The request.
         tell
             Called with the figures, or with the reason for having none.
@@ -192,7 +192,7 @@ class Calculation:
             raise CommandError("a calculation is under way", remedy="Wait for it.")
         self.forget()
         self.share = 0.0
-        self._task = asyncio.create_task(self._run(asked, tell))
+        self._task = asyncio.create_task(self._run(request, tell))
         self._task.add_done_callback(lambda task: self._over(task, tell))
 
     def _over(self, task: asyncio.Task[None], tell: Callable[[Figures | str], None]) -> None:
@@ -222,10 +222,13 @@ class Calculation:
             )
         return {**self._words, "proof": proof}
 
-    async def _run(self, asked: Calculate, tell: Callable[[Figures | str], None]) -> None:
-        words = {**asked.model_dump(exclude={"what"}), "proof_file": str(self._kept / "proof.json")}
+    async def _run(self, request: Calculate, tell: Callable[[Figures | str], None]) -> None:
+        words = {
+            **request.model_dump(exclude={"what"}),
+            "proof_file": str(self._kept / "proof.json"),
+        }
         machine = self._machine
-        told = {
+        content = {
             **words,
             "folder": str(self._folder),
             "machine": machine.reference,
@@ -244,7 +247,7 @@ class Calculation:
         try:
             assert process.stdin is not None
             assert process.stdout is not None
-            process.stdin.write(json.dumps(told).encode())
+            process.stdin.write(json.dumps(content).encode())
             process.stdin.close()
             why = "the calculation has ended without an answer"
             async for line in process.stdout:
@@ -307,8 +310,8 @@ def add_winding(
         until = len(times_s) if now_s is None else bisect_right(times_s, now_s)
         first = after if proof == proven.proof and after <= until else 0
         fibre = {name: found[name][first:until] for name in _OF_FIBRE}
-        told = {"proof": proven.proof, "first": first, "next": until, "count": len(times_s)}
-        told["running"] = now_s is not None
+        content = {"proof": proven.proof, "first": first, "next": until, "count": len(times_s)}
+        content["running"] = now_s is not None
         if first == 0:
-            told |= {"mandrel": found["mandrel"], "width": found["width"]}
-        return JSONResponse({**told, "fibre": fibre})
+            content |= {"mandrel": found["mandrel"], "width": found["width"]}
+        return JSONResponse({**content, "fibre": fibre})

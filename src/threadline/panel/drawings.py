@@ -236,15 +236,15 @@ def _parts(pieces: Pieces) -> list[tuple[ShapeKind, FloatArray]]:
     return found
 
 
-def outlines(asked: Lettering) -> list[dict[str, Any]]:
+def outlines(lettering: Lettering) -> list[dict[str, Any]]:
     """Return the outlines of a text as polygons, mm, its baseline beginning at 0, 0."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextPath
 
-    font = FontProperties(family=asked.font)
+    font = FontProperties(family=lettering.font)
     capital = TextPath((0.0, 0.0), "H", size=100.0, prop=font).get_extents().height
-    size = 100.0 * asked.height_mm / capital
-    path = TextPath((0.0, 0.0), asked.text, size=size, prop=font)
+    size = 100.0 * lettering.height_mm / capital
+    path = TextPath((0.0, 0.0), lettering.text, size=size, prop=font)
     rings = [np.asarray(ring, dtype=np.float64) for ring in path.to_polygons(closed_only=True)]
     return [
         {"kind": "polygon", "points": np.round(ring[:-1], 4).tolist(), "group": 1}

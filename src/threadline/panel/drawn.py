@@ -36,13 +36,13 @@ async def _apart(what: str, name: str, content: bytes) -> bytes | str:
     words = (*program_apart(CHILD), what, name)
     try:
         async with _one_at_a_time:
-            status, told, why = await answer_of(*words, sent=content, longest_s=LONGEST_S)
+            status, output, why = await answer_of(*words, sent=content, longest_s=LONGEST_S)
     except TimeoutError:
         return f"{name[:60]!r} takes longer than {LONGEST_S:g} s. Split it, or simplify it."
     except (OSError, ValueError) as error:  # a name that cannot be a process argument
         return f"{name[:60]!r} cannot be read: {getattr(error, 'strerror', None) or error}"
     if status == 0:
-        return told
+        return output
     if status == WRONG:
         return why.decode("utf-8", "replace").strip()
     return f"{name[:60]!r} cannot be read: the process that did has ended"
@@ -77,8 +77,8 @@ def add_drawing(app: FastAPI) -> None:
 
 
 async def _lettered(sent: bytes) -> bytes | str:
-    asked = Lettering.model_validate_json(sent)
-    return bytes(JSONResponse(await asyncio.to_thread(outlines, asked)).body)
+    lettering = Lettering.model_validate_json(sent)
+    return bytes(JSONResponse(await asyncio.to_thread(outlines, lettering)).body)
 
 
 async def _answered(

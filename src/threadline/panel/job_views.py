@@ -58,7 +58,7 @@ def plan_views(proof: Proof) -> dict[str, Any]:
     kept = kept[:: max(1, -(-len(kept) // MOST_POINTS))]
     return {
         "lines": {
-            "times_s": _told(begun.begin_s[kept]),
+            "times_s": _listed(begun.begin_s[kept]),
             "line": lines[kept].tolist(),
             "circuit": circuits[kept].tolist(),
         },
@@ -201,8 +201,8 @@ def _turn_rounds(proof: Proof) -> dict[str, Any] | None:
     kept = np.flatnonzero(real)[:: max(1, -(-int(real.sum()) // MOST_POINTS))]
     return {
         "axis": mandrel.along,
-        "times_s": _told(times_s[kept]),
-        "at": _told(places[kept]),
+        "times_s": _listed(times_s[kept]),
+        "at": _listed(places[kept]),
     }
 
 
@@ -221,8 +221,8 @@ def _tension(recording: Recording) -> dict[str, Any] | None:
     begins = np.arange(0, len(values), max(1, -(-len(values) // MOST_POINTS)))
     counts = np.diff(begins, append=len(values))
     return {
-        "times_s": _told(period_s * begins.astype(np.float64)),
-        "mean": _told(np.add.reduceat(values, begins) / counts),
+        "times_s": _listed(period_s * begins.astype(np.float64)),
+        "mean": _listed(np.add.reduceat(values, begins) / counts),
         "least": round(float(values.min()), 4),
         "most": round(float(values.max()), 4),
     }
@@ -275,14 +275,14 @@ def _stitches(
     thread = np.concatenate(blocks).astype(np.int64)[kept]
     share = None if uses is None or len(uses[1]) != len(holes) else uses[1][holes_kept]
     return {
-        "x": _told(place[kept, 0]),
-        "y": _told(place[kept, 1] if place.shape[1] > 1 else np.zeros(len(kept))),
+        "x": _listed(place[kept, 0]),
+        "y": _listed(place[kept, 1] if place.shape[1] > 1 else np.zeros(len(kept))),
         "joined": joined[holes_kept].tolist(),
         "block": thread.tolist(),
         "threads": [None if one is None else one.rgb for one in job.threads],
         "number": (holes_kept + 1).tolist(),
         "count": len(holes),
-        "times_s": [] if begun is None else _told(begun.ends_s(operation[kept])),
+        "times_s": [] if begun is None else _listed(begun.ends_s(operation[kept])),
         "use": [] if share is None else [round(float(u), 4) for u in np.nan_to_num(share)],
         "use_of": "" if uses is None or share is None else uses[0],
     }
@@ -296,8 +296,8 @@ def _uses(proof: Proof) -> tuple[str, FloatArray] | None:
         limit = limits.get(("stitch_length_error", ""))
         if limit is None:
             return None
-        asked = [c for c in proof.spec.criteria if c.name == "stitch_length_error"]
-        delay_s = float(asked[0].options.get("delay", 0.0)) if asked else 0.0
+        criteria = [c for c in proof.spec.criteria if c.name == "stitch_length_error"]
+        delay_s = float(criteria[0].options.get("delay", 0.0)) if criteria else 0.0
         shares = [
             np.where(run.stitches.exempt, 0.0, np.abs(run.length_error[:, 0]) / limit)
             for run in sewn_stitches(proof.plan, proof.recording, delay_s)
@@ -333,7 +333,7 @@ def preview(folder: Path, program: str, machine: Machine) -> dict[str, Any]:
     every = max(1, -(-len(at) // MOST_POINTS))
     return {
         "program": program,
-        "planned": {name: _told(at[::every, k]) for k, name in enumerate(job.axes)},
+        "planned": {name: _listed(at[::every, k]) for k, name in enumerate(job.axes)},
         "line": lines[::every].tolist(),
         "moves": moves,
         "whole": whole,
@@ -377,16 +377,16 @@ def _text(path: Path) -> list[str]:
         return []
 
 
-def _told(values: FloatArray) -> list[float]:
+def _listed(values: FloatArray) -> list[float]:
     return [round(float(value), 6) for value in values]
 
 
 def main() -> None:
     """Answer the request on standard input: its preview, or a line that says why there is none."""
-    told: Mapping[str, Any] = json.loads(sys.stdin.read())
+    content: Mapping[str, Any] = json.loads(sys.stdin.read())
     try:
-        machine = chosen_machine(str(told["machine"]), told["par"])
-        found = preview(Path(told["folder"]), str(told["program"]), machine)
+        machine = chosen_machine(str(content["machine"]), content["par"])
+        found = preview(Path(content["folder"]), str(content["program"]), machine)
         sys.stdout.write(Preview.model_validate(found).model_dump_json())
     except (ThreadlineError, OSError) as error:
         sys.stdout.write(json.dumps({"error": str(error)}))

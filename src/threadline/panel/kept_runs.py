@@ -197,15 +197,15 @@ class KeptRuns:
             return "a run is under way"
         return "" if self._judging is None else "the last run is being judged"
 
-    def give_up(self, asked: str) -> None:
+    def give_up(self, why: str) -> None:
         """Drop a start that is being checked: another command came."""
-        self._given_up = self._given_up or asked
+        self._given_up = self._given_up or why
 
-    def prepare(self, told: Mapping[str, Any], stops: int, executor: Operated) -> None:
+    def prepare(self, head: Mapping[str, Any], stops: int, executor: Operated) -> None:
         """Begin to check a requested run; ``prepared`` returns the result."""
-        number = int(told["number"])
+        number = int(head["number"])
         self._given_up = ""
-        work = self._pool.submit(self._prepared, told, stops, executor)
+        work = self._pool.submit(self._prepared, head, stops, executor)
         self._preparing = (work, number, stops)
 
     def prepared(self) -> Prepared | tuple[int, str] | None:
@@ -222,30 +222,30 @@ class KeptRuns:
             return number, f"it was not begun: the command {self._given_up!r} came meanwhile"
         return found
 
-    def _prepared(self, told: Mapping[str, Any], stops: int, executor: Operated) -> Prepared:
+    def _prepared(self, head: Mapping[str, Any], stops: int, executor: Operated) -> Prepared:
         """Plan the program again, and compare the plan with the proof, hash by hash."""
-        proof_file = Path(str(told["proof_file"]))
-        override = None if told["override"] is None else str(told["override"])
+        proof_file = Path(str(head["proof_file"]))
+        override = None if head["override"] is None else str(head["override"])
         check_override(override)
         with noting_inputs():
-            plan, options = planned(self._folder, told, self._machine)
-            asked = load_spec(self._spec_file, self._machine)
-            spec = with_shaping(asked, self._machine, options)
+            plan, options = planned(self._folder, head, self._machine)
+            wanted = load_spec(self._spec_file, self._machine)
+            spec = with_shaping(wanted, self._machine, options)
             check_halts(plan, answered=True)
             proof = check_runnable(proof_file, plan, spec, override)
             inputs = tuple(file for file in inputs_read() if not file.samefile(proof_file))
-        if proof.content["sha256"] != told["proof"]:
+        if proof.content["sha256"] != head["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
-        may = self._interventions(str(told["proof"]), plan, spec)
+        may = self._interventions(str(head["proof"]), plan, spec)
         LiveContour.rehearse(plan, spec, self._channels)
-        load, number = executor.prepare(plan), int(told["number"])
+        load, number = executor.prepare(plan), int(head["number"])
         load = replace(load, notes=(*load.notes, *may.notes))
         rests = run_kind_of(plan.machine).rests_s
         rests_s = rests(plan.commands) if may.hold_at_rest else None
         found = Prepared(number, stops, load, spec, proof, override, inputs, may, rests_s)
-        if "run" not in told:
+        if "run" not in head:
             return found
-        return self._rest_of(str(told["run"]), str(told["at"]), found, executor)
+        return self._rest_of(str(head["run"]), str(head["at"]), found, executor)
 
     def _interventions(self, proof: str, plan: Plan, spec: Spec) -> Interventions:
         """Return what holds and overrides do to the work of a proof; simulated once for each."""
@@ -273,11 +273,11 @@ class KeptRuns:
             If the machine is not idle, or the run begins elsewhere.
         """
         plan, sent = ready.load.plan, ready.load.sent
-        told = {**self._link, **self._known_of(ready)}
+        known = {**self._link, **self._known_of(ready)}
         executor.refuse(ready.load)
         for note in ready.load.notes:
             self._said(note, False)
-        run = RunStore(self._store).begin(plan, ready.proof, told, self._speed, ready.inputs, sent)
+        run = RunStore(self._store).begin(plan, ready.proof, known, self._speed, ready.inputs, sent)
         stack = ExitStack()
         stack.enter_context(run)
         rest = ready.load.rest
@@ -356,20 +356,20 @@ class KeptRuns:
         content |= {"judged_with": before} if before else {}
         unsaid = run.judged(content, ended, why)
         if before:
-            told = f"; {as_one(before)}"
+            also = f"; {as_one(before)}"
         else:
-            told = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
-        told += f"; {unsaid}" if unsaid else ""
-        return _Finished(content, closes + told)
+            also = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
+        also += f"; {unsaid}" if unsaid else ""
+        return _Finished(content, closes + also)
 
     @staticmethod
     def _known_of(ready: Prepared) -> dict[str, str]:
         """Return the entries for a run's recording and verdict: the override and the origin."""
-        told = {"override": ready.override} if ready.override else {}
+        known = {"override": ready.override} if ready.override else {}
         if ready.again is not None:
             operation = str(ready.again.rest.operation)
-            told |= {"continues": ready.continues, "from_operation": operation}
-        return told
+            known |= {"continues": ready.continues, "from_operation": operation}
+        return known
 
     def progress(self, executor: Operated) -> dict[str, Any] | None:
         """Return the progress of the open run, or the end of the last one; None without one.

@@ -140,7 +140,7 @@ class Owner:
         self._leaving = False
         self._moves = MoveSequence()
         self._rest: Prepared | None = None  # of an interrupted run, not confirmed yet
-        self._told_s, self._told = 0.0, State.DISABLED
+        self._sent_s, self._sent_state = 0.0, State.DISABLED
         self._board = BoardReports(executor)
 
     def serve(self) -> None:
@@ -208,28 +208,28 @@ class Owner:
 
     def _take_requests(self) -> None:
         while self._asked:
-            asked = self._asked.popleft()
-            number = asked.head.get("number", 0)
-            if asked.stops != self._stops:
+            request = self._asked.popleft()
+            number = request.head.get("number", 0)
+            if request.stops != self._stops:
                 self._say("answer", number=number, ok=False, text="it was stopped before it began")
                 continue
-            age_s = clock_s() - float(asked.head.get("at_s", clock_s()))
-            if age_s > _OLD_S and asked.what not in _SAFE:
+            age_s = clock_s() - float(request.head.get("at_s", clock_s()))
+            if age_s > _OLD_S and request.what not in _SAFE:
                 text = f"it was asked for {age_s:.0f} s ago: this computer slept"
                 self._say("answer", number=number, ok=False, text=text)
                 continue
             try:
-                self._obey(asked)
+                self._obey(request)
             except ThreadlineError as error:
                 self._say("answer", number=number, ok=False, text=str(error))
             else:
                 self._tell()  # the result is reported before the answer
-                if asked.what not in _LATER:
+                if request.what not in _LATER:
                     self._say("answer", number=number, ok=True, text="")
 
-    def _obey(self, asked: _Request) -> None:
-        executor, head = self._executor, asked.head
-        what = asked.what
+    def _obey(self, request: _Request) -> None:
+        executor, head = self._executor, request.head
+        what = request.what
         if what in _NO_START:
             self._runs.give_up(what)
         if what in _BY_DESK:
@@ -248,12 +248,12 @@ class Owner:
         elif what in _MOVES:
             self._refuse_impossible(Cause.JOG)
             moves = [(str(axis), int(to)) for axis, to in head["to"]]
-            self._moves.begin(moves, asked.stops, clock_s())
+            self._moves.begin(moves, request.stops, clock_s())
         elif what == "step":
             self._refuse_impossible(Cause.JOG)
             k = self._machine.axis_names.index(str(head["axis"]))
             to = int(executor.stands[k]) + int(head["by"])
-            self._moves.begin([(str(head["axis"]), to)], asked.stops, clock_s())
+            self._moves.begin([(str(head["axis"]), to)], request.stops, clock_s())
         elif what == "console":
             self._refuse_console()
             executor.type_line(str(head["line"]))
@@ -262,11 +262,11 @@ class Owner:
         elif what in _LATER:
             self._refuse_impossible(Cause.START)
             self._rest = None
-            self._runs.prepare(head, asked.stops, executor)
+            self._runs.prepare(head, request.stops, executor)
         elif what == "approach-rest":
             self._refuse_impossible(Cause.JOG)
             moves = self._ready_rest().moves(self._machine)
-            self._moves.begin(moves, asked.stops, clock_s())
+            self._moves.begin(moves, request.stops, clock_s())
         elif what == "start-rest":
             self._refuse_impossible(Cause.START)
             self._runs.set_out(self._ready_rest(), executor)
@@ -367,9 +367,9 @@ class Owner:
     def _tell(self, *, at_once: bool = False) -> None:
         """Report the machine's state to the server every ``TELL_S`` and at each change."""
         now_s, executor, machine = clock_s(), self._executor, self._machine
-        if not at_once and now_s - self._told_s < TELL_S and executor.state is self._told:
+        if not at_once and now_s - self._sent_s < TELL_S and executor.state is self._sent_state:
             return
-        self._told_s, self._told = now_s, executor.state
+        self._sent_s, self._sent_state = now_s, executor.state
         channels = executor.channels
         self._say(
             "now",

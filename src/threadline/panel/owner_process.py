@@ -188,18 +188,18 @@ def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
     )
     theirs.close()
     assert process.stdin is not None
-    with process.stdin as told:
-        pickle.dump(owned, told)
+    with process.stdin as pipe:
+        pickle.dump(owned, pipe)
     ours.settimeout(SEND_S)
     return process, Connection(ours)
 
 
 def owner_main() -> None:
     """Serve as the owner of the machine that the parent process names through a pipe."""
-    told: Owned = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through its pipe
+    owned: Owned = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through its pipe
     end = socket.socket(fileno=int(sys.argv[1]))
     end.settimeout(SEND_S)
-    own(Connection(end), told)
+    own(Connection(end), owned)
 
 
 def own(server: Connection, owned: Owned) -> None:

@@ -178,8 +178,8 @@ class Panel:
             return
         self._stops.append((who, number))
         client = self._clients.get(who)
-        told = "a request" if client is None else f"{client.name} ({client.number})"
-        self._tell_all(say.Said(text=f"stopped by {told}"))
+        by = "a request" if client is None else f"{client.name} ({client.number})"
+        self._tell_all(say.Said(text=f"stopped by {by}"))
 
     def may_change(self, lease: str) -> bool:
         """Return whether a lease is the one in force, and renew it."""
@@ -269,12 +269,12 @@ class Panel:
             case say.OverrideFeed():
                 owner.send("override-feed", number=number, percent=command.percent)
             case say.Start():
-                told = self.calculation.to_start(command.proof)
-                owner.send("start", number=number, override=command.override, **told)
+                proven = self.calculation.to_start(command.proof)
+                owner.send("start", number=number, override=command.override, **proven)
             case say.Continue():
-                told = self.calculation.to_start(command.proof)
-                asked = {"run": command.run, "at": command.at, "override": command.override}
-                owner.send("continue", number=number, **asked, **told)
+                proven = self.calculation.to_start(command.proof)
+                rest = {"run": command.run, "at": command.at, "override": command.override}
+                owner.send("continue", number=number, **rest, **proven)
             case say.Simple(what="zero"):
                 owner.send("zero", number=number, to=[[name, 0] for name in self._in_order()])
             case say.Simple(what="approach"):

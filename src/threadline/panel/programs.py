@@ -72,10 +72,10 @@ def by_priority(
             )
         return {"feed": f"{machine.operator.normal_feed.si!r} count/tick"}
     spec = spec.with_margin(_MARGINS[priority])
-    asked = Question(
+    question = Question(
         job=job, machine=machine, spec=spec, options=options, progress=share, trials=trials
     )
-    found = fastest_job(asked).best
+    found = fastest_job(question).best
     if found.found.best is None:
         raise OptionError(
             f"{job.name} is out of specification at every feed: {found.found.limited_by}",
@@ -224,7 +224,7 @@ def _refuse_realtime(name: str, content: bytes) -> None:
             )
 
 
-def words_of(told: Mapping[str, Any]) -> Options:
+def words_of(content: Mapping[str, Any]) -> Options:
     """Return the options of a calculation from a client's request.
 
     Raises
@@ -233,10 +233,10 @@ def words_of(told: Mapping[str, Any]) -> Options:
         If an option cannot be read.
     """
     words = [one.word for one in options_for("panel", Door.PANEL, [Group.PLAN])]
-    return options_of(**{word: told[word] for word in words})
+    return options_of(**{word: content[word] for word in words})
 
 
-def planned(folder: Path, told: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:
+def planned(folder: Path, content: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:
     """Return the plan of a program, and its options.
 
     It reads no file outside the folder, whatever program and options name.
@@ -247,6 +247,6 @@ def planned(folder: Path, told: Mapping[str, Any], machine: Machine) -> tuple[Pl
         If the program cannot be read or planned.
     """
     with reading_within(folder):
-        options = words_of(told)
-        job = open_job(program_path(folder, str(told["program"])), machine, options)
+        options = words_of(content)
+        job = open_job(program_path(folder, str(content["program"])), machine, options)
         return plan_job(job, machine, options), options

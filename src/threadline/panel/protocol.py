@@ -110,8 +110,8 @@ def _option_fields() -> dict[str, Any]:
         kind: Any = Literal[one.choices] if one.choices else _TYPES[one.type]
         if kind is str:
             kind = Annotated[str, Field(max_length=one.most_text)]
-        told = Field(one.default, description=one.help)
-        fields[one.word] = (kind if one.default is not None else kind | None, told)
+        field = Field(one.default, description=one.help)
+        fields[one.word] = (kind if one.default is not None else kind | None, field)
     return fields
 
 

@@ -95,8 +95,8 @@ def make_api(
 def _tell_of_end(beat: asyncio.Task[None]) -> None:
     """Log an error of the state loop at once; the owner stops the machine."""
     if not beat.cancelled() and (error := beat.exception()) is not None:
-        told = {"message": "no states are sent any more", "exception": error, "task": beat}
-        beat.get_loop().call_exception_handler(told)
+        context = {"message": "no states are sent any more", "exception": error, "task": beat}
+        beat.get_loop().call_exception_handler(context)
 
 
 def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:

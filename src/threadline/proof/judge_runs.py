@@ -309,10 +309,10 @@ class RunsJudge:
         done
             Called as a part is read and after it, with the number of its variants since.
         """
-        values = Values.of(self._machine, variants)  # refuses a path that is no number
-        asked = Variants(numbers=values.replaced, phases=phases, products=products)
-        places = list(self._places(asked, whole=True))
-        items = (asked.taken(index) for index in places)
+        values = Values.of(self._machine, variants)  # refuses a path that is not a number
+        machines = Variants(numbers=values.replaced, phases=phases, products=products)
+        places = list(self._places(machines, whole=True))
+        items = (machines.taken(index) for index in places)
         found = answers(self, items, done, threads=self._threads, here=len(places) == 1)
         return _in_order(list(found), places)
 
@@ -418,7 +418,7 @@ class RunsJudge:
                     values.slice(rows.start, rows.stop),
                     None if phases is None else phases[rows],
                     None if products is None else products[rows],
-                    _SoFar(rows.stop - rows.start, self.plan, so_far.told),
+                    _SoFar(rows.stop - rows.start, self.plan, so_far.done),
                 )
                 for rows in (slice(0, half), slice(half, values.count))
             ]
@@ -442,13 +442,13 @@ def _in_order(found: list[EachRun], places: list[IntArray]) -> EachRun:
 class _SoFar:
     """Tells how many variants of a part were judged since it last told: a share of its motion."""
 
-    def __init__(self, count: int, plan: Plan, told: Done | None) -> None:
-        self._count, self._plan, self.told, self._share = count, plan, told, 0.0
+    def __init__(self, count: int, plan: Plan, done: Done | None) -> None:
+        self._count, self._plan, self.done, self._share = count, plan, done, 0.0
 
     def tell(self, share: float) -> None:
         """Report the judged share of the motion, if it has grown since the last report."""
-        if share > self._share and self.told is not None:
-            self.told(self._count * (share - self._share))
+        if share > self._share and self.done is not None:
+            self.done(self._count * (share - self._share))
             self._share = share
 
     def read(self, block: RecordingBlock) -> None:

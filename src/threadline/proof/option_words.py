@@ -315,7 +315,7 @@ def parse_damping(given: str | float) -> float:
     Raises
     ------
     OptionError
-        If the text is no number without a unit.
+        If the text is not a number without a unit.
     """
     return parse_number("--damping", given, "", "20 %") if isinstance(given, str) else float(given)
 

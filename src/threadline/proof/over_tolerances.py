@@ -161,7 +161,7 @@ def _found(
         results.append(unanswered(found.runs, why))
     passed = int(found.taken(search.drawn).passed.sum())
     criterion, share = _closest(of_worst)
-    told = OverTolerances(
+    over = OverTolerances(
         searched=found.runs - count,
         criterion=criterion,
         share=share,
@@ -169,7 +169,7 @@ def _found(
         passed=passed,
         least=at_least(passed, count),
     )
-    whole = replace(verdict, results=tuple(results), machines=count, tolerances=told)
+    whole = replace(verdict, results=tuple(results), machines=count, tolerances=over)
     if of_worst is not None:
         whole = worst_of(whole, [(_OF_WORST, _numbered(of_worst, verdict.runs))], None)
     return WorstCase(verdict=whole, worst=worst, judged=judged)

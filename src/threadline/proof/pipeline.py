@@ -187,17 +187,17 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
         have the rule for F.
     """
     kind_of(machine).check_options(machine, options)
-    told = {} if options.dialect is None else {"dialect": options.dialect}
+    reading = {} if options.dialect is None else {"dialect": options.dialect}
     if options.feed_mode is not None:
-        told |= parse_feed_mode(options.feed_mode)
+        reading |= parse_feed_mode(options.feed_mode)
     if options.axes is not None:
-        told["axes"] = options.axes
+        reading["axes"] = options.axes
     if options.needle is not None:
-        told["needle_speed"] = options.needle
+        reading["needle_speed"] = options.needle
     if options.long_stitches is not None:
-        told["long_stitches"] = options.long_stitches
+        reading["long_stitches"] = options.long_stitches
     known = with_radii(machine, options.radius)
-    return shifted(read_job(job_file, known, **told), known, options.offset)
+    return shifted(read_job(job_file, known, **reading), known, options.offset)
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
@@ -461,10 +461,10 @@ def _with_others(
     verdict = proof.verdict
     for name, others in trials.others(plan.machine if actual is None else actual).items():
         found = []
-        for told, other in others.machines:
+        for named, other in others.machines:
             # Amplitudes that follow from place and speed go by the mode of the machine that ran.
             own = Judge(replace(plan, machine=other), spec) if name == "band" else judge
-            found.append((told, prove_plan(plan, spec, None, NOMINAL, other, own).verdict))
+            found.append((named, prove_plan(plan, spec, None, NOMINAL, other, own).verdict))
         verdict = worst_of(verdict, found, name)
     return replace(proof, verdict=verdict)
 

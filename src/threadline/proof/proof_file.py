@@ -181,9 +181,9 @@ def _check_signature(proof: ProofFile, key: bytes) -> None:
             place=place,
             remedy="Sign it as it is made: threadline prove JOB --proof FILE --sign KEY.",
         )
-    told = proof.content["signature"]
-    value = told.get("value") if isinstance(told, dict) else None
-    known = isinstance(value, str) and told.get("method") == METHOD
+    stated = proof.content["signature"]
+    value = stated.get("value") if isinstance(stated, dict) else None
+    known = isinstance(value, str) and stated.get("method") == METHOD
     if not known or not hmac.compare_digest(
         str(value).encode(), signature(proof.content, key).encode()
     ):
@@ -209,13 +209,13 @@ def copy_proof(known: ProofFile, path: str | Path) -> ProofFile:
         if (file := content[what]["file"]) is not None:
             content[what] = {**content[what], "file": _from(here, file, there)}
     for what in ("machine", "actual"):
-        if (told := content[what]) is None:
+        if (machine := content[what]) is None:
             continue
-        name, overlays = split_reference(str(told["reference"]))
+        name, overlays = split_reference(str(machine["reference"]))
         if name.endswith(".toml"):
             name = _from(here, name, there)
-        par = None if told["par"] is None else _from(here, told["par"], there)
-        content[what] = {**told, "reference": "+".join([name, *overlays]), "par": par}
+        par = None if machine["par"] is None else _from(here, machine["par"], there)
+        content[what] = {**machine, "reference": "+".join([name, *overlays]), "par": par}
     content = {**content, "sha256": canonical_sha256(content)}
     _write(content, path)
     return ProofFile(path=path, content=content)
@@ -283,8 +283,8 @@ def _contradicts(path: Path, why: str) -> ProofError:
 
 
 def _other_options(content: Mapping[str, Any]) -> str:
-    told = content["options"]
-    right = told["sha256"] == canonical_sha256(told["given"])
+    options = content["options"]
+    right = options["sha256"] == canonical_sha256(options["given"])
     return "" if right else "the sha256 of its options does not match the options in it"
 
 
@@ -318,8 +318,8 @@ def check_proof(
     }
     differences = _differences(known, found)
     if known.content["threadline"] != __version__:
-        told = str(known.content["threadline"])
-        differences.append(Difference("threadline", "threadline", told, __version__))
+        version = str(known.content["threadline"])
+        differences.append(Difference("threadline", "threadline", version, __version__))
     if not differences and (why := criteria_difference(known.content, plan, spec)):
         raise _contradicts(known.path, why)
     return tuple(differences)
@@ -386,12 +386,12 @@ def _machine(machine: Machine, folder: Path) -> dict[str, Any]:
     }
 
 
-def _load(told: Mapping[str, Any], folder: Path) -> Machine:
-    name, overlays = split_reference(str(told["reference"]))
+def _load(content: Mapping[str, Any], folder: Path) -> Machine:
+    name, overlays = split_reference(str(content["reference"]))
     if name.endswith(".toml"):
         name = os.path.normpath(folder / name)
     machine = load_machine("+".join([name, *overlays]))
-    return machine if told["par"] is None else read_parameters(folder / told["par"], machine)
+    return machine if content["par"] is None else read_parameters(folder / content["par"], machine)
 
 
 def _from(here: Path, file: str, there: Path) -> str:
@@ -427,4 +427,4 @@ def _entries(place: Place, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _refuse_constant(text: str) -> float:
-    raise ValueError(f"{text} is no number")
+    raise ValueError(f"{text} is not a number")

@@ -163,28 +163,28 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
 
 def _of_tolerances(content: Mapping[str, Any]) -> Iterator[str]:
     """Yield how what a proof tells of other machines contradicts itself."""
-    told, over = content.get("tolerances"), content["level"] == Level.TOLERANCES
-    if told is None or not over:
-        if over or told is not None:
-            has = "no entry" if told is None else "an entry"
+    row, over = content.get("tolerances"), content["level"] == Level.TOLERANCES
+    if row is None or not over:
+        if over or row is not None:
+            has = "no entry" if row is None else "an entry"
             yield f"its level is {content['level'][:40]!r}, and it has {has} 'tolerances'"
         return
-    drawn, passed, share = told["drawn"], told["passed"], told["worst_share"]
-    if drawn != content["machines"] or told["searched"] < 1:
+    drawn, passed, share = row["drawn"], row["passed"], row["worst_share"]
+    if drawn != content["machines"] or row["searched"] < 1:
         yield (
             f"it counts {content['machines']} other machines, where {_shown(drawn)} were drawn and "
-            f"{_shown(told['searched'])} searched"
+            f"{_shown(row['searched'])} searched"
         )
     elif not 0 <= passed <= drawn:
         yield f"{_shown(passed)} of {drawn} drawn machines are in specification"
     elif (
         not math.isclose(
-            told["at_least"],
+            row["at_least"],
             at_least(passed, drawn, CONFIDENCE),
             rel_tol=_ROUNDED,
             abs_tol=_ROUNDED,
         )
-        or told["confidence"] != CONFIDENCE
+        or row["confidence"] != CONFIDENCE
     ):
         yield (
             f"{passed} of {drawn} drawn machines show that at least "
@@ -261,9 +261,9 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
         found = Status.PASSED if limit is not None and measured <= limit else Status.FAILED
     if status == found:
         return ""
-    told = "nothing measured" if measured is None else f"{measured:.6g}"
+    measure = "nothing measured" if measured is None else f"{measured:.6g}"
     under = "no limit" if limit is None else f"a limit of {limit:.6g}"
-    return f"{name} is {status!r} with {told} under {under}, which is {found.value!r}"
+    return f"{name} is {status!r} with {measure} under {under}, which is {found.value!r}"
 
 
 def _out_of_range(criterion: Mapping[str, Any], kind: MeasureKind | None) -> str:
@@ -294,35 +294,35 @@ def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> s
     alone = content["level"] == Level.LIMITS
     if alone and not plan.machine.without_dynamics:
         return f"its level is {content['level']!r}, and {plan.machine.name} has dynamics"
-    for what, told, found in (
+    for what, stated, found in (
         ("machine", content["machine"]["name"], plan.machine.name),
         ("specification", content["spec"]["name"], spec.name),
         ("kind of commands", content["commands"]["kind"], plan.machine.commanded_by),
     ):
-        if told != found:
-            return f"its {what} is {told[:40]!r}, and the hashed one {found!r}"
-    asked = with_needle(spec, plan.job).criteria
+        if stated != found:
+            return f"its {what} is {stated[:40]!r}, and the hashed one {found!r}"
+    criteria = with_needle(spec, plan.job).criteria
     rows = [c for c in content["verdict"]["criteria"] if c["name"] not in _OF_MACHINES]
     return next(
         filter(
             None,
             (
-                *(_unasked(row, asked, plan) for row in rows),
-                *_missing(rows, asked, plan),
-                *_missing_steps(rows, asked, plan),
-                *_too_few_runs(rows, asked, content["runs"]),
+                *(_unasked(row, criteria, plan) for row in rows),
+                *_missing(rows, criteria, plan),
+                *_missing_steps(rows, criteria, plan),
+                *_too_few_runs(rows, criteria, content["runs"]),
             ),
         ),
         "",
     )
 
 
-def _unasked(row: Mapping[str, Any], asked: tuple[Criterion, ...], plan: Plan) -> str:
+def _unasked(row: Mapping[str, Any], criteria: tuple[Criterion, ...], plan: Plan) -> str:
     """Return how a criterion of a proof is not one of the specification."""
     axis, step = row["axis"] or "", row.get("step", "")
     mine = [
         criterion
-        for criterion in asked
+        for criterion in criteria
         if (criterion.name, criterion.axis or axis, criterion.step or step)
         == (row["name"], axis, step)
     ]
@@ -330,8 +330,12 @@ def _unasked(row: Mapping[str, Any], asked: tuple[Criterion, ...], plan: Plan) -
         return f"{_name(row)} is no criterion of the specification"
     limits = [finite(limit_of(criterion, plan)) for criterion in mine]
     if row["limit"] not in limits:
-        told = ["none" if limit is None else f"{limit:.6g}" for limit in (row["limit"], limits[0])]
-        return f"the limit of {_name(row)} is {told[0]}, in the specification {told[1]}"
+        limit_texts = [
+            "none" if limit is None else f"{limit:.6g}" for limit in (row["limit"], limits[0])
+        ]
+        return (
+            f"the limit of {_name(row)} is {limit_texts[0]}, in the specification {limit_texts[1]}"
+        )
     if row["required"] not in {criterion.required for criterion in mine}:
         return f"{_name(row)} is required in only one of proof and specification"
     unit = unit_of(MEASURES[row["name"]], axis, plan)
@@ -340,10 +344,10 @@ def _unasked(row: Mapping[str, Any], asked: tuple[Criterion, ...], plan: Plan) -
     return ""
 
 
-def _missing(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
+def _missing(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
     """Yield criteria of the specification, for an axis or the tool, that a proof leaves out."""
     known = {(row["name"], row["axis"] or "") for row in rows}
-    for criterion in asked:
+    for criterion in criteria:
         axes: tuple[str, ...] = ("",)
         if MEASURES[criterion.name].per_axis:
             axes = (criterion.axis,) if criterion.axis else tuple(plan.axes)
@@ -356,12 +360,12 @@ def _missing(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Itera
                 yield f"it lacks {f'{criterion.name} {axis}'.strip()}, which the specification asks"
 
 
-def _missing_steps(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
+def _missing_steps(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
     """Yield steps of a move list that a criterion judged step by step leaves out."""
     judged = steps_judged(plan)
     known = {(row["name"], row["axis"] or "", row.get("step") or "") for row in rows}
     stepped = {(name, axis) for name, axis, step in known if step}
-    for criterion in asked:
+    for criterion in criteria:
         for axis, step in judged.get(criterion.name, ()):
             if criterion.axis not in {"", axis} or criterion.step not in {"", step}:
                 continue
@@ -372,10 +376,10 @@ def _missing_steps(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) ->
                 )
 
 
-def _too_few_runs(rows: list[Any], asked: tuple[Criterion, ...], runs: int) -> Iterator[str]:
+def _too_few_runs(rows: list[Any], criteria: tuple[Criterion, ...], runs: int) -> Iterator[str]:
     """Yield criteria that compare more runs than there were, and were measured."""
     measured = {row["name"] for row in rows if row["measured"] is not None}
-    for criterion in asked:
+    for criterion in criteria:
         kind = MEASURES[criterion.name]
         if criterion.name in measured and kind.compares_runs:
             least = max(int(kind.with_defaults(criterion.options)["recordings"]), 2)

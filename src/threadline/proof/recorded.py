@@ -83,9 +83,9 @@ def judge_files(
     plan = plan_job(open_job(Path(origin["job"]), chosen, options), chosen, options)
     for path, recording in zip(recordings, read, strict=True):
         refuse_other_files(path, recording, plan.job, ran)
-    asked = with_shaping(words.spec(chosen), chosen, options)
-    verdict = judge(read, plan, asked)
-    return Judged(recordings=tuple(read), plan=plan, spec=asked, verdict=verdict)
+    spec = with_shaping(words.spec(chosen), chosen, options)
+    verdict = judge(read, plan, spec)
+    return Judged(recordings=tuple(read), plan=plan, spec=spec, verdict=verdict)
 
 
 def _given(

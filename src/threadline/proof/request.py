@@ -117,8 +117,8 @@ class Words:
 
     def spec(self, machine: Machine) -> Spec:
         """Return the given specification, else the machine's own."""
-        asked = self.given.get("spec")
-        return asked if isinstance(asked, Spec) else load_spec(self.path("spec"), machine)
+        given = self.given.get("spec")
+        return given if isinstance(given, Spec) else load_spec(self.path("spec"), machine)
 
     def planning(self) -> dict[str, Word]:
         """Return the words of the planning options only."""
@@ -295,10 +295,10 @@ def trials_of(
         "--tolerances": bool(tolerances),
         "--yield": yield_ is not None,
     }
-    asked = [name for name, value in given.items() if value]
-    if len(asked) > 1:
+    levels = [name for name, value in given.items() if value]
+    if len(levels) > 1:
         raise OptionError(
-            f"{' and '.join(asked)} ask for different levels", remedy="Give one of them."
+            f"{' and '.join(levels)} ask for different levels", remedy="Give one of them."
         )
     found = NOMINAL if nominal else TOLERANCES if tolerances else _LEVELS[str(level or "repeated")]
     if yield_ is not None:

@@ -323,17 +323,17 @@ def worst_toml(machine: Machine, worst: Worst, folder: Path, by: str) -> str:
         The verb that found it.
     """
     made = with_numbers(machine, worst.numbers)
-    told: dict[str, tuple[float, str]] = {}
+    numbers: dict[str, tuple[float, str]] = {}
     for path, value in worst.numbers.items():
         if fnmatchcase(path, _COUNTS):
             axis = path.split(".")[1]
             weights = load_by_counts(made, axis)
-            told |= {f"axes.{axis}.load.{body}": (q.si, q.unit) for body, q in weights.items()}
+            numbers |= {f"axes.{axis}.load.{body}": (q.si, q.unit) for body, q in weights.items()}
         else:
-            told[path] = value, number_at(machine, path).unit
+            numbers[path] = value, number_at(machine, path).unit
     texts = {
         path: f"{value!r} {unit}".strip() + " exact, assumed: worst of the tolerances"
-        for path, (value, unit) in told.items()
+        for path, (value, unit) in numbers.items()
     }
     lines = [
         f"# The worst machine found within the tolerances: {worst.used},",

@@ -183,7 +183,7 @@ class WorstSearch:
         if not self._within.together or self.ended:
             return int(order[0])
         most = max(self._scaled(_CONTENDERS), _LEAST_CONTENDERS)
-        some = self._told_apart(order.tolist(), most, _TELLS, self._moving)
+        some = self._tell_apart(order.tolist(), most, _TELLS, self._moving)
         found = self._within.in_days(self.parts[some], days)
         if self.done is not None:
             self.done(found.runs)
@@ -198,7 +198,7 @@ class WorstSearch:
         hard = np.where(self._bad, self._shares.max(axis=0, initial=0.0), shares)
         return np.lexsort((-np.minimum(hard, 1e9), ~self._bad))
 
-    def _told_apart(
+    def _tell_apart(
         self, order: Sequence[int], most: int, least: int, numbers: IntArray
     ) -> list[int]:
         """Return the first of ``order``, such that any two differ in ``least`` of ``numbers``."""
@@ -335,7 +335,7 @@ class WorstSearch:
             order = np.argsort(-_clipped(self._shares[row]), kind="stable").tolist()
             # Machines that differ in numbers of other criteria alone lead to the same end.
             own = np.flatnonzero(self._slopes[row])
-            of_rows.append([(row, at) for at in self._told_apart(order, _STARTS, _APART, own)])
+            of_rows.append([(row, at) for at in self._tell_apart(order, _STARTS, _APART, own)])
         first, others = [some[0] for some in of_rows], [one for some in of_rows for one in some[1:]]
         return [*first, *others][:_STARTS]
 
@@ -349,10 +349,10 @@ class WorstSearch:
         best, parts = self._best(ended)[:_KICKED], []
         chosen = [best[int(k)] for k in self._random.integers(0, len(best), count)]
         for row, at in chosen:
-            told = np.array(sorted({*self._moving.tolist()} - self._idle.get((row, at), set())))
+            matter = np.array(sorted({*self._moving.tolist()} - self._idle.get((row, at), set())))
             one = self.parts[at].copy()
-            if len(told):
-                some = self._random.choice(told, min(_KICK, len(told)), replace=False)
+            if len(matter):
+                some = self._random.choice(matter, min(_KICK, len(matter)), replace=False)
                 one[some] = np.where(one[some] > 0.0, -1.0, 1.0) * self._within.ends[some]
             parts.append(one)
         numbers = self._try_some(np.stack(parts)).tolist()
@@ -431,11 +431,11 @@ class WorstSearch:
         """Return the numbers whose change at machine ``at`` did not change the criterion."""
         parts = self.parts
         idle: set[int] = set()
-        told: set[int] = set()
+        matter: set[int] = set()
         for gain, n in gains:
             changed = np.flatnonzero(parts[n] != parts[at]).tolist()
-            (idle if abs(gain) <= _MATTERS else told).update(changed)
-        return frozenset(idle - told)
+            (idle if abs(gain) <= _MATTERS else matter).update(changed)
+        return frozenset(idle - matter)
 
     def _summed(self, at: int, better: Sequence[int]) -> FloatArray:
         """Return a machine with the changes of several others, the largest gain of each number."""

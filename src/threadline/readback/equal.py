@@ -98,8 +98,8 @@ class Equal:
     @property
     def remark(self) -> str:
         """Note and missing reader, each told once; empty if there is nothing to tell."""
-        told = self.note if self.missing in self.note else f"{self.note}; {self.missing}"
-        return told.removeprefix("; ")
+        text = self.note if self.missing in self.note else f"{self.note}; {self.missing}"
+        return text.removeprefix("; ")
 
     def content(self) -> dict[str, Any]:
         """Return the fields as JSON content, without the curve."""
@@ -151,11 +151,11 @@ class Equality(Summarised):
         count = {word: 0 for word in (EQUAL, DIFFERS, READ_BACK, SKIPPED)}
         for one in self.targets:
             count[one.verdict] += 1
-        told = "equal" if self.passed else "NOT EQUAL"
+        outcome = "equal" if self.passed else "NOT EQUAL"
         parts = [f"{count[EQUAL] + count[DIFFERS] + count[READ_BACK]} compared"]
         if count[READ_BACK]:
             parts.append(f"{count[READ_BACK]} of them by Threadline's own reader alone")
-        return f"{told}: {', '.join([*parts, f'{count[SKIPPED]} skipped'])}"
+        return f"{outcome}: {', '.join([*parts, f'{count[SKIPPED]} skipped'])}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,7 +232,7 @@ def _refusal(target: str, machine: Machine, options: Options) -> OptionError | N
 
 
 def equal_targets(
-    plan: Plan, options: Options, asked: Asked, progress: Progress | None = None
+    plan: Plan, options: Options, question: Asked, progress: Progress | None = None
 ) -> Equality:
     """Write ``plan`` for each target, read the files back, and compare them with the plan.
 
@@ -244,11 +244,11 @@ def equal_targets(
     """
     found = []
     with tempfile.TemporaryDirectory(prefix="threadline-equal-") as folder, _room_in(folder):
-        for number, target in enumerate(asked.targets):
+        for number, target in enumerate(question.targets):
             if progress is not None:
-                progress(f"comparing {target}", number / len(asked.targets))
-            given = asked.files.get(target)
-            found.append(_one(plan, options, target, Path(folder), given, slower=asked.slower))
+                progress(f"comparing {target}", number / len(question.targets))
+            given = question.files.get(target)
+            found.append(_one(plan, options, target, Path(folder), given, slower=question.slower))
     if all(one.verdict == "skipped" for one in found):
         reasons = dict.fromkeys(f"{one.target}: {one.note}" for one in found)
         raise OptionError(

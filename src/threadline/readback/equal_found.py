@@ -105,11 +105,11 @@ class Found:
 
 
 def no_file_of(
-    what: str, target: str, path: Path, told: object, line: int | None = None
+    what: str, target: str, path: Path, reason: object, line: int | None = None
 ) -> RecordingError:
     """Return the refusal of a file that is none of ``target``, in one line."""
     return RecordingError(
-        f"the file is no {what}: {' '.join(str(told).split())[:140]}",
+        f"the file is no {what}: {' '.join(str(reason).split())[:140]}",
         place=Place(str(path), line or 0),
         remedy=f"Give a file that compile --target {target} wrote.",
     )
@@ -129,15 +129,15 @@ def refusing(what: str, target: str, path: Path) -> Iterator[None]:
     except ThreadlineError:
         raise
     except _FAULTS as error:
-        told: object = error
+        reason: object = error
         if isinstance(error, KeyError):
-            told = f"{error} is missing"
+            reason = f"{error} is missing"
         elif isinstance(error, MemoryError):
-            told = "it needs more memory than there is"
+            reason = "it needs more memory than there is"
         elif isinstance(error, RecursionError):
-            told = "its parts stand too deep in one another"
+            reason = "its parts stand too deep in one another"
         line = getattr(error, "line", None)
-        raise no_file_of(what, target, path, told, line) from error
+        raise no_file_of(what, target, path, reason, line) from error
 
 
 def whole_fraction(text: object) -> Fraction:
@@ -155,10 +155,10 @@ def whole_fraction(text: object) -> Fraction:
     return Fraction(str(text))
 
 
-def of_another(what: str, told: object, wanted: str, path: Path) -> RecordingError:
+def of_another(what: str, named: object, wanted: str, path: Path) -> RecordingError:
     """Return the refusal of a file that names another job, machine file or version."""
     return RecordingError(
-        f"the file was written for another {what}: it names {str(told)[:16]}, "
+        f"the file was written for another {what}: it names {str(named)[:16]}, "
         f"this one is {wanted[:16]}",
         place=Place(str(path)),
         remedy=f"Name the {what} that it was written for.",

@@ -106,8 +106,8 @@ def followed(plan: Plan, found: Points) -> Followed:
         place.take(off, found.where[k])
         late = 0.0
         if found.end_s is not None:
-            told = float(found.end_s[k])
-            late = told - min(max(told, match.from_s), match.to_s)
+            end_s = float(found.end_s[k])
+            late = end_s - min(max(end_s, match.from_s), match.to_s)
             clock.take(late, found.where[k])
         if not k:  # a move counts from its begin: the first one from the plan's begin
             at_s, offs = [float(times[0])], [off]

@@ -117,13 +117,13 @@ def _by_rs274(plan: Plan, path: Path, *, timed: bool) -> Points:
     scale, rate, now_s = 1.0, 0.0, 0.0
     at = [0.0] * len(_LETTERS)
     ends, clock, where = [], [], []
-    for number, (block, name, told) in enumerate(_CALL.findall(output), 1):
+    for number, (block, name, argument) in enumerate(_CALL.findall(output), 1):
         if name == "USE_LENGTH_UNITS":
-            scale = 25.4 if "INCHES" in told else 1.0
+            scale = 25.4 if "INCHES" in argument else 1.0
         elif name == "SET_FEED_RATE":
-            rate = float(told) * scale
+            rate = float(argument) * scale
         elif name == "DWELL":
-            now_s += float(told)
+            now_s += float(argument)
         elif name == "ARC_FEED":
             raise RecordingError(
                 "the program has an arc, which compile never writes",
@@ -131,7 +131,7 @@ def _by_rs274(plan: Plan, path: Path, *, timed: bool) -> Points:
                 remedy="Give a file that compile wrote.",
             )
         elif name in {"STRAIGHT_FEED", "STRAIGHT_TRAVERSE"}:
-            before, numbers = at, [float(text) for text in told.split(",")]
+            before, numbers = at, [float(text) for text in argument.split(",")]
             at = [n * (scale if k < 3 else 1.0) for k, n in enumerate(numbers)]
             step = [a - b for a, b in zip(at, before, strict=True)]
             length = math.hypot(*step[:3]) or math.hypot(*step[3:])

@@ -53,8 +53,8 @@ def compare_schedule(target: str, scheduled: Scheduled, path: Path) -> Found:
     played = _played(one, period_us)
     notes = []
     if read.interval_us not in (None, period_us):
-        told = (read.interval_us or 0) / 1e3
-        notes.append(f"its task runs every {told:g} ms, the plan has {period_us / 1e3:g} ms")
+        interval_ms = (read.interval_us or 0) / 1e3
+        notes.append(f"its task runs every {interval_ms:g} ms, the plan has {period_us / 1e3:g} ms")
     try:
         found = _run(controller, one, played, read.interval_us or period_us)
     except ScanError as error:

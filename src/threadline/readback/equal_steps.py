@@ -173,10 +173,10 @@ def _texts(
     """Return how the texts differ from the binary files."""
     wrong = []
     lines = list(csv.DictReader(io.StringIO(kinds["tables.csv"].decode())))
-    told = [(int(line["units"]), *map(int, line["intervals"].split())) for line in lines]
+    stated = [(int(line["units"]), *map(int, line["intervals"].split())) for line in lines]
     held = [(int(u), *t.tolist()) for u, t in zip(units, tables, strict=True)]
-    if told != held:
-        number = _first_other(told, held)
+    if stated != held:
+        number = _first_other(stated, held)
         wrong.append(f"table {number} of the text is not table {number} of the binary file")
     turns = [
         tuple(map(int, row))[1:]

@@ -43,15 +43,17 @@ def compare_tape(target: str, stitched: Stitched, path: Path, fresh: Path) -> Fo
     what = f"design in {target.upper()}"
     with refusing(what, target, path):
         pattern = _read(target, path)
-        told = np.array([(x, y, int(act) & _ACT) for x, y, act in pattern.stitches], dtype=float)
-        if not len(told) or not (told[:, 2] == _STITCH).any():
+        stitches = np.array(
+            [(x, y, int(act) & _ACT) for x, y, act in pattern.stitches], dtype=float
+        )
+        if not len(stitches) or not (stitches[:, 2] == _STITCH).any():
             raise no_file_of(what, target, path, "it has no stitches")
-        if not np.isfinite(told).all() or np.abs(told[:, :2]).max() > _BEYOND:
+        if not np.isfinite(stitches).all() or np.abs(stitches[:, :2]).max() > _BEYOND:
             raise no_file_of(what, target, path, "its stitches lie more than 10 m apart")
-    sewn = told[:, 2] == _STITCH
-    found = told[sewn, :2] * np.array([1.0, -1.0])  # pystitch has Y downwards
+    sewn = stitches[:, 2] == _STITCH
+    found = stitches[sewn, :2] * np.array([1.0, -1.0])  # pystitch has Y downwards
     before = np.cumsum(sewn)
-    changes = before[np.isin(told[:, 2], (_STOP, _COLOUR, _NEEDLE))]
+    changes = before[np.isin(stitches[:, 2], (_STOP, _COLOUR, _NEEDLE))]
     planned = stitched.turns
     order = [stitched.axes.index(axis) for axis in ("X", "Y")]
     down = planned.moves.needle == 1
@@ -88,10 +90,10 @@ def _wrong(
     own, due = (np.sort(some[(some > 0) & (some < len(wanted))]) for some in (changes, due))
     if not np.array_equal(own, due):
         first = next((k for k, (a, b) in enumerate(zip(own, due, strict=False)) if a != b), -1)
-        told = f"{len(own)} thread changes, the plan has {len(due)}"
+        change = f"{len(own)} thread changes, the plan has {len(due)}"
         if first >= 0:
-            told = f"thread change {first + 1} after stitch {own[first]}, the plan's {due[first]}"
-        wrong.append(told)
+            change = f"thread change {first + 1} after stitch {own[first]}, the plan's {due[first]}"
+        wrong.append(change)
     if path != fresh and not wrong:
         content, written = path.read_bytes(), fresh.read_bytes()
         if content != written:

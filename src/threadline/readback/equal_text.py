@@ -59,23 +59,25 @@ def check_version(target: str, given: Path, plan: Plan) -> None:
     }
     for what, pattern in _HEADS.items():
         found = pattern.search(text)
-        told = next((one for one in found.groups() if one), "") if found else ""
-        if told and told != wanted[what]:
+        version = next((one for one in found.groups() if one), "") if found else ""
+        if version and version != wanted[what]:
             named = "version of Threadline" if what == "version" else what
-            raise of_another(named, told, wanted[what], given)
+            raise of_another(named, version, wanted[what], given)
 
 
 def other_text(target: str, fresh: Path, given: Path) -> str:
     """Return the first part of a given file that ``compile`` writes otherwise; empty if none."""
     if target == "npz":
         return _other_arrays(fresh, given)
-    told = _other_lines(fresh, given)
+    difference = _other_lines(fresh, given)
     for ending in _BESIDE.get(target, ()):
         own, other = (path.with_name(f"{path.stem}{ending}") for path in (fresh, given))
-        if not told and other.is_file() and own.read_bytes() != other.read_bytes():
-            told = _other_lines(own, other) if ending.endswith(("csv", "st")) else "other bytes"
-            told = f"{other.name}: {told or 'other blanks'}"
-    return told
+        if not difference and other.is_file() and own.read_bytes() != other.read_bytes():
+            difference = (
+                _other_lines(own, other) if ending.endswith(("csv", "st")) else "other bytes"
+            )
+            difference = f"{other.name}: {difference or 'other blanks'}"
+    return difference
 
 
 def _other_lines(fresh: Path, given: Path) -> str:

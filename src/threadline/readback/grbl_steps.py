@@ -91,13 +91,13 @@ def steps_on_grbl(
     with tempfile.TemporaryDirectory(prefix="threadline-grbl-") as name:
         folder = Path(name)
         built = _built(source, folder, planner.look_ahead + 1)
-        told = subprocess.run(  # noqa: S603
+        process = subprocess.run(  # noqa: S603
             [str(built)], input="\n".join([" ".join(settings), _renamed(text, axes), ""]),
             capture_output=True, text=True, errors="replace", timeout=_TIMEOUT_S, check=False,
         )  # fmt: skip
-    *rows, last = told.stdout.splitlines() or [""]
+    *rows, last = process.stdout.splitlines() or [""]
     refused = next((row for row in [*rows, last] if row.startswith("E")), None)
-    if refused is not None or last != "end" or told.returncode:
+    if refused is not None or last != "end" or process.returncode:
         line, code = (refused or "E 0 0").split()[1:3]
         raise RecordingError(
             f"grbl's own code answers error:{code}" if refused else "grbl's own code breaks off",

@@ -41,10 +41,10 @@ _LIMIT = "{unit}/s"
 
 def missing() -> str:
     """Return why Klipper's host cannot be run here, and how to get it; empty if it can."""
-    told = f"Klipper's host is not installed: {CHECKOUT} names a checkout of it (docs/equal.md)"
+    text = f"Klipper's host is not installed: {CHECKOUT} names a checkout of it (docs/equal.md)"
     named = os.environ.get(CHECKOUT)
     if not named:
-        return told
+        return text
     checkout = Path(named)
     for part in ("klippy/klippy.py", "klippy/parsedump.py", "out/klipper.dict"):
         if not (checkout / part).is_file():
@@ -92,9 +92,9 @@ def steps_on_klipper(
         said = _run([python, str(checkout / "klippy" / "klippy.py"), *words], folder, None)
         refused = _REFUSED.search(said)
         if refused is not None:
-            told = next((one for one in refused.groups() if one), refused[0])
+            reason = next((one for one in refused.groups() if one), refused[0])
             raise RecordingError(
-                f"Klipper's host does not take the program: {' '.join(told.split())[:120]}",
+                f"Klipper's host does not take the program: {' '.join(reason.split())[:120]}",
                 place=Place(str(program)),
                 remedy="Compile it again for klipper.",
             )
@@ -113,26 +113,26 @@ def _run(words: list[str], folder: Path, into: Path | None) -> str:
                 words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                 errors="replace", timeout=_TIMEOUT_S, check=False,
             )  # fmt: skip
-            told = done.stdout
+            output = done.stdout
         else:
             with into.open("wb") as out:
                 done = subprocess.run(  # noqa: S603
                     words, cwd=folder, stdout=out, stderr=subprocess.PIPE, text=True,
                     errors="replace", timeout=_TIMEOUT_S, check=False,
                 )  # fmt: skip
-            told = done.stderr
+            output = done.stderr
     except (OSError, subprocess.TimeoutExpired) as error:
         raise OptionError(
             f"Klipper's host does not run: {' '.join(str(error).split())[:160]}",
             remedy=f"{PYTHON} names a Python with Klipper's packages (docs/equal.md).",
         ) from error
     if done.returncode:
-        last = (told.strip().splitlines() or ["nothing is said"])[-1]
+        last = (output.strip().splitlines() or ["nothing is said"])[-1]
         raise OptionError(
             f"Klipper's host ends with status {done.returncode}: {last[:160]}",
             remedy=f"{PYTHON} names a Python with Klipper's packages (docs/equal.md).",
         )
-    return str(told)
+    return str(output)
 
 
 def _pins(axes: Sequence[str]) -> dict[str, str]:
@@ -218,14 +218,14 @@ def _decoded(lines: Iterator[str], named: Mapping[str, str]) -> dict[str, Steps]
         name, *words = line.split() or [""]
         if name not in {"config_stepper", "set_next_step_dir", "queue_step"}:
             continue
-        told = dict(word.split("=", 1) for word in words if "=" in word)
-        oid = told.get("oid", "")
+        fields = dict(word.split("=", 1) for word in words if "=" in word)
+        oid = fields.get("oid", "")
         if name == "config_stepper":
-            axis[oid] = named.get(told["step_pin"], "")
+            axis[oid] = named.get(fields["step_pin"], "")
         elif name == "set_next_step_dir":
-            sense[oid] = 1 if told["dir"] == "1" else -1
+            sense[oid] = 1 if fields["dir"] == "1" else -1
         elif axis.get(oid):
-            interval, count, add = (int(told[key]) for key in ("interval", "count", "add"))
+            interval, count, add = (int(fields[key]) for key in ("interval", "count", "add"))
             own = clock.get(oid, 0) + np.cumsum(interval + add * np.arange(count))
             clock[oid] = int(own[-1])
             ticks.setdefault(axis[oid], []).append(own)

@@ -115,14 +115,14 @@ def steps_on_marlin(
     ring = _RING if planner.blocks is None else round(planner.blocks.si)
     with tempfile.TemporaryDirectory(prefix="threadline-marlin-") as name:
         built = compiled(Path(os.environ[FOLDER]), Path(name), jumps=bool(planner.jump), ring=ring)
-        told = run(built, words, moves)
-    if told is None:
+        rows = run(built, words, moves)
+    if rows is None:
         raise RecordingError(
             "Marlin's own planner breaks off",
             place=Place(str(program)),
             remedy="Compile the program again for marlin.",
         )
-    return _steps(told, column)
+    return _steps(rows, column)
 
 
 def compiled(
@@ -176,12 +176,12 @@ def compiled(
 
 def run(built: Path, words: Iterable[str], moves: Iterable[str]) -> list[list[float]] | None:
     """Return the rows that the program answers to settings and moves; None if it breaks off."""
-    told = subprocess.run(  # noqa: S603
+    process = subprocess.run(  # noqa: S603
         [str(built)], input="\n".join([*words, "go", *moves, ""]), capture_output=True, text=True,
         errors="replace", timeout=_TIMEOUT_S, check=False,
     )  # fmt: skip
-    *rows, last = told.stdout.splitlines() or [""]
-    if told.returncode or last != "end":
+    *rows, last = process.stdout.splitlines() or [""]
+    if process.returncode or last != "end":
         return None
     return [[float(word) for word in row.split()] for row in rows]
 
@@ -258,8 +258,8 @@ def _moves(
             nominal_s = float(pieces.nominal_s[k])
             speed = length[k] / nominal_s if nominal_s > 0.0 else _MOST
             rests = int(pieces.rest_after[k])
-            told = " ".join(f"{value:.6f}" for value in (*place, min(speed, _MOST)))
-            yield f"{told} {rests} {float(pieces.dwell_s[k]):.9g}"
+            move = " ".join(f"{value:.6f}" for value in (*place, min(speed, _MOST)))
+            yield f"{move} {rests} {float(pieces.dwell_s[k]):.9g}"
 
 
 def _steps(rows: Sequence[Sequence[float]], column: Mapping[str, int]) -> dict[str, Steps]:

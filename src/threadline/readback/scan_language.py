@@ -112,8 +112,8 @@ class Parser:
             raise ScanError("it ends too early: the file was cut off", self.line)
         token = self._tokens[self._at]
         if wanted and token.text.lower() not in wanted:
-            told = " or ".join(word.upper() for word in wanted)
-            raise ScanError(f"{token.text[:40]!r} stands where {told} is expected", token.line)
+            expected = " or ".join(word.upper() for word in wanted)
+            raise ScanError(f"{token.text[:40]!r} stands where {expected} is expected", token.line)
         self._at += 1
         return token.text
 
@@ -136,7 +136,7 @@ class Parser:
         """Take a whole number up to ``most``."""
         line, text = self.line, self.take()
         if not text.isdecimal() or len(text) > 9 or int(text) > most:
-            raise ScanError(f"{text[:40]!r} is no number up to {most}", line)
+            raise ScanError(f"{text[:40]!r} is not a number up to {most}", line)
         return int(text)
 
     def skip_to(self, word: str) -> list[str]:
@@ -194,7 +194,7 @@ class Parser:
             if self.peek() == "(":
                 self.take()
                 if type(one) is not int or one > _MOST_PLACES - len(found):
-                    raise ScanError(f"{str(one)[:40]!r} is no number of values", self.line)
+                    raise ScanError(f"{str(one)[:40]!r} is not a number of values", self.line)
                 count, one = one, self.literal()
                 self.take(")")
             found += [one] * count

@@ -118,7 +118,7 @@ class Controller:
         except (
             ArithmeticError, AttributeError, KeyError, MemoryError, RecursionError, TypeError,
         ) as error:  # fmt: skip
-            told = f"{type(error).__name__} {error}"
-            raise ScanError(f"the program cannot go on: {told}") from error
+            text = f"{type(error).__name__} {error}"
+            raise ScanError(f"the program cannot go on: {text}") from error
         values = self._instance.values
         return lambda address: bool(values[self.addresses[address]])

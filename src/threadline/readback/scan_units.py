@@ -124,7 +124,7 @@ def _variable(element: ET.Element, section: str) -> Declared:
         kind = kind.find("baseType/*")
     if kind is None:
         raise ScanError(f"the array {name!r} has no type")
-    told = kind.get("name", "") if kind.tag == "derived" else kind.tag
+    type_name = kind.get("name", "") if kind.tag == "derived" else kind.tag
     initial: object = None
     single = element.find("initialValue/simpleValue")
     if single is not None:
@@ -138,12 +138,14 @@ def _variable(element: ET.Element, section: str) -> Declared:
             for _ in range(_count(value.get("repetitionValue", "1")))
         ]
     address = element.get("address", "").upper()
-    return Declared(name=name, type=told.lower(), section=section, address=address, initial=initial)
+    return Declared(
+        name=name, type=type_name.lower(), section=section, address=address, initial=initial
+    )
 
 
 def _count(text: str) -> int:
     if not text.isdecimal() or len(text) > 6:
-        raise ScanError(f"{text[:40]!r} is no number of values")
+        raise ScanError(f"{text[:40]!r} is not a number of values")
     return int(text)
 
 

@@ -80,10 +80,12 @@ def analysis_tables(analyses: Mapping[str, Analysis]) -> list[Table]:
     """Return the tables of an analysis: control loops, network, steps, modes of other axes."""
     axes = {name: a for name, a in analyses.items() if isinstance(a, AxisAnalysis)}
     others = {name: a for name, a in analyses.items() if isinstance(a, CylinderAnalysis)}
-    told = {name: a for name, a in analyses.items() if isinstance(a, PositionDriveAnalysis)}
+    position_drives = {
+        name: a for name, a in analyses.items() if isinstance(a, PositionDriveAnalysis)
+    }
     return [
         *(_axis_tables(axes) if axes else ()),
-        *(_position_drive_tables(told) if told else ()),
+        *(_position_drive_tables(position_drives) if position_drives else ()),
         *(_cylinder_tables(others) if others else ()),
     ]
 

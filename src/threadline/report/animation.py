@@ -207,8 +207,8 @@ def _picture(scene: Scene) -> _Picture:
         graph.set_ylabel(scene.unit)
     else:
         machine = figure.subplots()
-    told = "\n".join([f"{scene.title}, {_pace(scene)}", *scene.facts])
-    machine.set_title(told, fontsize=9, wrap=True)
+    title = "\n".join([f"{scene.title}, {_pace(scene)}", *scene.facts])
+    machine.set_title(title, fontsize=9, wrap=True)
     left, right, low, high = _extent(scene)
     machine.set_xlim(left, right)
     machine.set_ylim(low, high)

@@ -195,17 +195,17 @@ def options_facts(
         More options to leave out.
     """
     named = {"job": "job file", "machine": "machine file"}
-    told = {key: value for key, value in options.items() if key not in leave_out}
-    if told.get("machine") == machine.name:
-        del told["machine"]
-    if "tolerance" in told:
-        told["tolerance"] = tolerance_words(parse_tolerance_m(told["tolerance"]))
-    if "table" in told:
-        told["table"] = table_words(told["table"])
-    if "product" in told:
-        product = product_of_text(told["product"])
-        told["product"] = f"{product.name} ({product.file}, sha256 {digest(product)[:12]})"
-    return sorted((named.get(key, key), value) for key, value in told.items())
+    shown = {key: value for key, value in options.items() if key not in leave_out}
+    if shown.get("machine") == machine.name:
+        del shown["machine"]
+    if "tolerance" in shown:
+        shown["tolerance"] = tolerance_words(parse_tolerance_m(shown["tolerance"]))
+    if "table" in shown:
+        shown["table"] = table_words(shown["table"])
+    if "product" in shown:
+        product = product_of_text(shown["product"])
+        shown["product"] = f"{product.name} ({product.file}, sha256 {digest(product)[:12]})"
+    return sorted((named.get(key, key), value) for key, value in shown.items())
 
 
 _HEAD_GROUP = re.compile(rf'^( *)<g id="{HEAD}">\n.*?^\1</g>\n', re.DOTALL | re.MULTILINE)

@@ -316,8 +316,8 @@ def _legend_beside(panel: Axes) -> None:
 
 def _limited(proof: Proof) -> list[Result]:
     """Return the results drawn as bars: results of moving axes with a limit above 0."""
-    told = of_moving_axes(proof.verdict.results)
-    return [r for r in told if r.limit and r.measured is not None]
+    moving = of_moving_axes(proof.verdict.results)
+    return [r for r in moving if r.limit and r.measured is not None]
 
 
 def _bars(proof: Proof, panel: Axes) -> None:
@@ -331,11 +331,11 @@ def _bars(proof: Proof, panel: Axes) -> None:
     for bar, hatch, percent, result in zip(drawn, hatches, used, limited, strict=True):
         bar.set_hatch(hatch)
         # Between samples a plan may exceed a limit that it keeps at each sample.
-        told = min(percent, 100.0) if result.status is Status.PASSED else percent
+        within = min(percent, 100.0) if result.status is Status.PASSED else percent
         panel.text(
             max(bar.get_width() + 2, 102.0 if 88.0 < percent < 100.0 else 0.0),
             bar.get_y() + bar.get_height() / 2,
-            percent_used(told / 100.0),
+            percent_used(within / 100.0),
             va="center",
             fontsize=7,
         )

@@ -368,13 +368,13 @@ def production(proof: Proof) -> str:
 
 def creep_rows(plan: Plan) -> list[list[str]]:
     """Return rows of how cylinders creep to end switches that are late; none without."""
-    told = [
+    texts = [
         f"{axis} creeps, {one['opening_m'] * factor:.2g} {unit} each {one['every_s']:.3g} s"
         + (f", ringing {one['rings_m'] * 1e3:.2g} mm at most" if one["rings_m"] else "")
         for axis, one in plan.scheduled.creeping.items()
         for factor, unit in (plan.machine.usual(axis),)
     ]
-    return [["Late switches", "; ".join(told)]] if told else []
+    return [["Late switches", "; ".join(texts)]] if texts else []
 
 
 def shaping_rows(plan: Plan) -> list[list[str]]:

@@ -132,7 +132,7 @@ def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
     number, contour, exempt = (drawn[:, k].astype(int) for k in range(3))
     points, seam, by_length, by_place = drawn[:, 3:5], drawn[:, 5:7], drawn[:, 7], drawn[:, 8]
     share = np.maximum(by_length, by_place)
-    told = exempt == 0
+    judged = exempt == 0
 
     figure = Figure(figsize=(7.2, 7.4))
     plan, graph = figure.subplots(2, 1, height_ratios=[3, 2])
@@ -147,7 +147,7 @@ def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
         label=f"distance from the seam, of {place_limit * 1e3:g} mm",
     )  # fmt: skip
     graph.plot(
-        number[told], 100.0 * by_length[told], linestyle="none", marker="|", markersize=7,
+        number[judged], 100.0 * by_length[judged], linestyle="none", marker="|", markersize=7,
         color="#0072B2", label=f"length off by, of {length_limit * 100:.3g} % (exempt left out)",
     )  # fmt: skip
     graph.axhline(100.0, color="#D55E00", linestyle=(0, (1, 1.5)), lw=1.4)

@@ -143,8 +143,8 @@ def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
             sizes = [(r.measured or 0.0) * MICRO for r in rows]
             at = np.arange(len(rows)) + 0.4 * (index - 0.5 * (len(cases) - 1))
             bars = panel.bar(at, sizes, 0.38, color=colour, hatch=hatch, label=label)
-            told = ["?" if r.measured is None else f"{r.measured * MICRO:.0f}" for r in rows]
-            panel.bar_label(bars, told, fontsize=6, padding=1, bbox=_READABLE, zorder=5)
+            labels = ["?" if r.measured is None else f"{r.measured * MICRO:.0f}" for r in rows]
+            panel.bar_label(bars, labels, fontsize=6, padding=1, bbox=_READABLE, zorder=5)
             limits = [r.limit for r in rows]
             for place, limit in zip(range(len(rows)), limits, strict=True):
                 if limit is not None and index == 0:

@@ -264,8 +264,8 @@ def _kept(
             scale_to_run_rate(planned, block.due_s - block.time_s, interval_s)
         keep = np.ones(len(actual), dtype=bool)
         if stride > 1:
-            told = planned.reshape(len(planned), -1)
-            shown = [actual, velocity, acceleration, actual - commanded, told]
+            planned_rows = planned.reshape(len(planned), -1)
+            shown = [actual, velocity, acceleration, actual - commanded, planned_rows]
             keep = extremes(np.concatenate(shown, axis=1), number // stride)
             for place_s in around_s:
                 keep |= np.abs(block.time_s - place_s) <= AROUND_SAMPLES * interval_s

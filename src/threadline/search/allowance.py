@@ -121,7 +121,7 @@ _MOST_ALONE = 3
 _PLACED = ("contour_error", "turning_point_error", "progress_error")
 
 
-def fastest_allowed(asked: Question) -> FastestJob:
+def fastest_allowed(question: Question) -> FastestJob:
     """Return the fastest plan in spec, and the least times within the limits alone.
 
     The question takes the options of ``optimal``. If they name a contour allowance, only this
@@ -133,16 +133,16 @@ def fastest_allowed(asked: Question) -> FastestJob:
     PlanError
         If the machine cannot do the job.
     """
-    job, machine, until = asked.job, asked.machine, asked.until
-    top = feed_range_m_s(machine)[1] if asked.high is None else asked.high
-    options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
+    job, machine, until = question.job, question.machine, question.until
+    top = feed_range_m_s(machine)[1] if question.high is None else question.high
+    options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
     by_contour = options.follows_contour and not machine.takes_positions  # no loop, no lag
 
     def proved(amount: float) -> Rung:
         if until is not None:
             until.check()
-        if asked.progress is not None:
-            asked.progress("proving", len(rungs) / _MOST_PROOFS)
+        if question.progress is not None:
+            question.progress("proving", len(rungs) / _MOST_PROOFS)
         chosen = (
             replace(options, contour_m=amount)
             if by_contour
@@ -155,7 +155,7 @@ def fastest_allowed(asked: Question) -> FastestJob:
             if by_contour or error.quantity == "travel":
                 raise
             return rung_of(chosen, top, beyond(error, machine), None, by_contour)
-        return rung_of(chosen, top, asked.judged(plan), plan.duration_s, by_contour)
+        return rung_of(chosen, top, question.judged(plan), plan.duration_s, by_contour)
 
     rungs: dict[float, Rung] = {}
     next_one = _next_contour if by_contour else _next_share
@@ -196,16 +196,16 @@ def _short(allowance_m: float) -> float:
     return float(f"{allowance_m:.5g}")
 
 
-def options_at(asked: Question, rung: Rung) -> Options:
+def options_at(question: Question, rung: Rung) -> Options:
     """Return the planning options with which ``fastest_allowed`` proved a rung."""
     if rung.options is not None:
         return rung.options
-    top = feed_range_m_s(asked.machine)[1] if asked.high is None else asked.high
+    top = feed_range_m_s(question.machine)[1] if question.high is None else question.high
     return replace(
-        asked.options,
+        question.options,
         feed=Feed(FeedMode.FASTEST_AXIS, top),
         limit_share=rung.share,
-        contour_m=asked.options.contour_m if rung.contour_m is None else rung.contour_m,
+        contour_m=question.options.contour_m if rung.contour_m is None else rung.contour_m,
     )
 
 

@@ -67,7 +67,7 @@ class Answer:
 
     Parameters
     ----------
-    asked
+    question
         The question.
     best, unit
         The best pace or the shortest duration, and its unit; None where nothing is in spec.
@@ -98,7 +98,7 @@ class Answer:
         Results on machines at the ends of the tolerances; None where they were not asked for.
     """
 
-    asked: Question
+    question: Question
     best: float | None
     unit: str
     duration_s: float | None
@@ -127,7 +127,7 @@ class Answer:
         return (
             None
             if self.words is None or self.over_band is not None
-            else {**self.asked.words, **self.words}
+            else {**self.question.words, **self.words}
         )
 
 
@@ -195,19 +195,19 @@ def cycle_words(found: FastestCycle) -> dict[str, Word] | None:
     return {"shaper": ", ".join(f"{axis}={next(iter(how))}" for axis, how in by_axis.items())}
 
 
-def _feed(asked: Question) -> Answer:
-    found = fastest_job(asked)
+def _feed(question: Question) -> Answer:
+    found = fastest_job(question)
     best, by = found.best, found.by
 
     def plan() -> Plan:
         if found.bounds:
-            return plan_job(asked.job, asked.machine, options_at(asked, best))
+            return plan_job(question.job, question.machine, options_at(question, best))
         if best.found.best is None:
-            return plan_job(asked.job, asked.machine, asked.options)
-        return planned_at(replace(asked, by=by), best.share, best.found.best)
+            return plan_job(question.job, question.machine, question.options)
+        return planned_at(replace(question, by=by), best.share, best.found.best)
 
     return Answer(
-        asked=asked, best=best.found.best, unit=feed_unit(by), duration_s=best.duration_s,
+        question=question, best=best.found.best, unit=feed_unit(by), duration_s=best.duration_s,
         intervals=best.found.intervals, limited_by=best.found.limited_by,
         verdict=best.found.verdict, tried=sum(rung.found.tried for rung in found.rungs),
         searched={FeedMode.F_WORD: F_WORDS, FeedMode.OVERRIDE: OVERRIDE}.get(by, FEED),
@@ -215,10 +215,12 @@ def _feed(asked: Question) -> Answer:
     )  # fmt: skip
 
 
-def _feed_again(asked: Question, answer: Answer) -> Callable[[Question], BestPace]:
+def _feed_again(question: Question, answer: Answer) -> Callable[[Question], BestPace]:
     found: FastestJob = answer.of
-    about = near_best(asked, answer.best, search_range(asked.job, asked.machine, found.by)[1])
-    options = replace(asked.options, limit_share=found.best.share)
+    about = near_best(
+        question, answer.best, search_range(question.job, question.machine, found.by)[1]
+    )
+    options = replace(question.options, limit_share=found.best.share)
     return lambda one: speeds(
         fastest_feed(
             replace(one, by=found.by, options=options, low=about.low, high=about.high), COARSE
@@ -226,16 +228,17 @@ def _feed_again(asked: Question, answer: Answer) -> Callable[[Question], BestPac
     )
 
 
-def _needle(asked: Question) -> Answer:
-    found = fastest_needle(asked)
+def _needle(question: Question) -> Answer:
+    found = fastest_needle(question)
 
     def plan() -> Plan:
         if found.best is None:
-            return plan_job(asked.job, asked.machine, asked.options)
-        return sewn_at(asked, found.best)
+            return plan_job(question.job, question.machine, question.options)
+        return sewn_at(question, found.best)
 
     return Answer(
-        asked=asked, best=found.best, unit="stitch/s", duration_s=None, intervals=found.intervals,
+        question=question, best=found.best, unit="stitch/s", duration_s=None,
+        intervals=found.intervals,
         limited_by=found.limited_by, verdict=found.verdict, tried=found.tried, searched=NEEDLE,
         of=found, plan=plan,
         words=None if found.best is None else {"needle": f"{found.best!r} stitch/s"},
@@ -245,39 +248,39 @@ def _needle(asked: Question) -> Answer:
 _UNKNOWN_HZ = 100.0
 
 
-def _needle_again(asked: Question, answer: Answer) -> Callable[[Question], BestPace]:
-    about = near_best(asked, answer.best, _UNKNOWN_HZ)
+def _needle_again(question: Question, answer: Answer) -> Callable[[Question], BestPace]:
+    about = near_best(question, answer.best, _UNKNOWN_HZ)
     return lambda one: speeds(fastest_needle(replace(one, low=about.low, high=about.high), COARSE))
 
 
-def _shaft(asked: Question) -> Answer:
-    found = fastest_shaft(asked)
+def _shaft(question: Question) -> Answer:
+    found = fastest_shaft(question)
 
     def plan() -> Plan:
         if found.schedule is not None and found.by_schedule:
             return found.schedule.plan
         if found.constant.best is None:
-            return plan_job(asked.job, asked.machine, asked.options)
-        return at_speed(asked, found.constant.best)
+            return plan_job(question.job, question.machine, question.options)
+        return at_speed(question, found.constant.best)
 
     return Answer(
-        asked=asked, best=found.duration_s, unit="s", duration_s=found.duration_s,
+        question=question, best=found.duration_s, unit="s", duration_s=found.duration_s,
         intervals=found.constant.intervals, limited_by=found.limited_by, verdict=found.verdict,
         tried=found.constant.tried, searched=SHAFT, of=found, words=shaft_words(found), plan=plan,
     )  # fmt: skip
 
 
-def _shaft_again(asked: Question, answer: Answer) -> Callable[[Question], BestPace]:
-    about = near_best(asked, answer.of.constant.best, speed_range_hz(asked.machine)[1])
+def _shaft_again(question: Question, answer: Answer) -> Callable[[Question], BestPace]:
+    about = near_best(question, answer.of.constant.best, speed_range_hz(question.machine)[1])
     return lambda one: speeds(constant_speeds(replace(one, low=about.low, high=about.high), COARSE))
 
 
-def _switchings(asked: Question) -> Answer:
-    found = fastest_cycle(asked)
-    over = None if asked.band is None else robust_cycle(asked, asked.band)
+def _switchings(question: Question) -> Answer:
+    found = fastest_cycle(question)
+    over = None if question.band is None else robust_cycle(question, question.band)
     best = found.cycle_s
     return Answer(
-        asked=asked, best=best, unit="s", duration_s=best, intervals=_alone(best),
+        question=question, best=best, unit="s", duration_s=best, intervals=_alone(best),
         limited_by=found.limited_by, verdict=found.proof.verdict, tried=found.tried,
         searched=CYCLE, of=found, words=cycle_words(found), over_band=over,
         plan=lambda: found.proof.plan if over is None else over.proof.plan,
@@ -327,7 +330,7 @@ SEARCHES: Mapping[str, Search] = {
 """By ``searched_as``: the search for the fastest way to do a job in spec."""
 
 
-def answered(asked: Question) -> Answer:
+def answered(question: Question) -> Answer:
     """Answer a question, and run the searches on other machines that the question asks for.
 
     Raises
@@ -336,26 +339,26 @@ def answered(asked: Question) -> Answer:
         If ends of tolerances are wanted and no number has a tolerance, or the time was over
         before a plan was judged.
     """
-    search = SEARCHES[searched_as(asked.job, asked.options)]
+    search = SEARCHES[searched_as(question.job, question.options)]
     with with_answer():
-        found = search.find(asked)
+        found = search.find(question)
         certainty = _certainty(found, search)
         cells: tuple[Mismatch, ...] = ()
-        if asked.mismatch:
-            cells = at_tolerance_ends(asked, search.again(asked, found))
+        if question.mismatch:
+            cells = at_tolerance_ends(question, search.again(question, found))
     return replace(found, certainty=certainty, mismatch=cells)
 
 
 def _certainty(found: Answer, search: Search) -> Certainty | None:
     """Search again for the file's machine alone; None where no tolerance ends were asked for."""
-    asked = found.asked
-    others = asked.trials.others(asked.actual or asked.machine)
+    question = found.question
+    others = question.trials.others(question.actual or question.machine)
     if not others:
         return None
-    options = asked.options
+    options = question.options
     if options.robust_share is not None:
         options = replace(options, robust_share=0.0)
-    alone = search.find(replace(asked, options=options, trials=asked.trials.alone))
+    alone = search.find(replace(question, options=options, trials=question.trials.alone))
     timed = found.duration_s is not None or alone.duration_s is not None
     sure, best = (one.duration_s if timed else one.best for one in (found, alone))
     share = None

@@ -66,7 +66,7 @@ class Choosing:
 
     Parameters
     ----------
-    asked
+    question
         The question.
     knobs
         The choices.
@@ -82,7 +82,7 @@ class Choosing:
         Shares of the tolerance at single corners of the best plan, by line.
     """
 
-    asked: Question
+    question: Question
     knobs: tuple[Knob, ...]
     options: Options
     rungs: list[Rung] = field(default_factory=list)
@@ -110,7 +110,7 @@ class Choosing:
             except LimitError as error:
                 if error.quantity == "travel":
                     raise
-                self._tried(options, beyond(error, self.asked.machine), None)
+                self._tried(options, beyond(error, self.question.machine), None)
                 return Tried(places=places, duration_s=first_s, used=used, passed=False)
             first_s = plan.duration_s if first_s is None else first_s
             if plan.duration_s >= below_s:
@@ -123,10 +123,10 @@ class Choosing:
                 self.narrower = {
                     line: width / options.tolerance_m for line, width in options.narrow
                 }
-                places = places_of(options, self.knobs, self.asked.machine)
+                places = places_of(options, self.knobs, self.question.machine)
                 return Tried(places=places, duration_s=plan.duration_s, used=kept, passed=True)
             mended = None
-            if "narrow" in self.asked.free and kept.get(BUDGET, 0.0) < missed:
+            if "narrow" in self.question.free and kept.get(BUDGET, 0.0) < missed:
                 mended = narrowed(options, verdict, self._lines, plan.duration_s)
             missed = kept.get(BUDGET, 0.0)
             if mended is None:
@@ -137,60 +137,60 @@ class Choosing:
     @cached_property
     def _lines(self) -> list[int]:
         """Lines of the moves of the job."""
-        programmed = programmed_path(self.asked.job, self.asked.machine, at_limits=True)
+        programmed = programmed_path(self.question.job, self.question.machine, at_limits=True)
         return sorted({line for block in programmed for line in block.line.tolist()})
 
     def _planned(self, options: Options) -> Plan:
-        asked = self.asked
-        if asked.until is not None:
-            asked.until.check()
-        end_s = math.inf if asked.until is None else asked.until.end_s
+        question = self.question
+        if question.until is not None:
+            question.until.check()
+        end_s = math.inf if question.until is None else question.until.end_s
         if math.isinf(end_s):
             spent = (time.process_time() - self.begun_s) / PROCESSOR_S
         else:
             spent = (time.monotonic() - self.started_s) / max(end_s - self.started_s, 1e-3)
         if math.isinf(end_s) and spent >= 1.0 and math.isfinite(self.best_s):
-            if asked.until is not None:
-                asked.until.ended = f"after {PROCESSOR_S / 60.0:g} min of processor time"
+            if question.until is not None:
+                question.until.ended = f"after {PROCESSOR_S / 60.0:g} min of processor time"
             raise HaltError
-        if asked.progress is not None:
-            asked.progress("proving", min(max(self.tried / self.most, spent), 1.0))
-        return plan_job(asked.job, asked.machine, options)
+        if question.progress is not None:
+            question.progress("proving", min(max(self.tried / self.most, spent), 1.0))
+        return plan_job(question.job, question.machine, options)
 
     def _judged(self, plan: Plan) -> Verdict:
         """Judge a plan; one that passes by few runs must pass by many."""
-        asked = self.asked
-        verdict = asked.judged(plan)
-        if not verdict.passed or not 1 < asked.trials.repeats < _CONFIRMED:
+        question = self.question
+        verdict = question.judged(plan)
+        if not verdict.passed or not 1 < question.trials.repeats < _CONFIRMED:
             return verdict
-        more = replace(asked.trials.alone, repeats=_CONFIRMED)
-        many = try_plan(plan, asked.spec, more, asked.actual).verdict
+        more = replace(question.trials.alone, repeats=_CONFIRMED)
+        many = try_plan(plan, question.spec, more, question.actual).verdict
         return verdict if many.passed else many
 
     def _tried(self, options: Options, verdict: Verdict, duration_s: float | None) -> None:
         feed = options.feed
         assert feed is not None
-        contour = options.follows_contour and not self.asked.machine.takes_positions
+        contour = options.follows_contour and not self.question.machine.takes_positions
         rung = rung_of(options, feed.value, verdict, duration_s, contour)
         self.rungs.append(replace(rung, options=options))
 
 
-def fastest_chosen(asked: Question) -> FastestJob:
+def fastest_chosen(question: Question) -> FastestJob:
     """Return the fastest plan in spec over all options of ``optimal`` that were not given.
 
     Plans use the full limits of acceleration and jerk. Only where none of them is in specification
     the search may choose the share of these limits, too.
     """
-    asked = replace(asked, progress=never_back(asked.progress))
-    machine, until = asked.machine, asked.until
-    top = feed_range_m_s(machine)[1] if asked.high is None else asked.high
-    options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
+    question = replace(question, progress=never_back(question.progress))
+    machine, until = question.machine, question.until
+    top = feed_range_m_s(machine)[1] if question.high is None else question.high
+    options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
     tick_s = float(machine.tick_clock.period_s)
     searches: list[Choosing] = []
     with until_deadline(until, lambda: any(one.rungs for one in searches)):
-        for one, limits_too in _with_limits(options, asked):
-            knobs = knobs_of(machine, asked.spec, one, asked.free, limits_too=limits_too)
-            search = Choosing(asked, knobs, one)
+        for one, limits_too in _with_limits(options, question):
+            knobs = knobs_of(machine, question.spec, one, question.free, limits_too=limits_too)
+            search = Choosing(question, knobs, one)
             searches.append(search)
             careful = places_of(one, knobs, machine)
             if limits_too:
@@ -217,7 +217,7 @@ def fastest_chosen(asked: Question) -> FastestJob:
     return FastestJob(
         best=best,
         rungs=tuple(rungs),
-        bounds=_bounds(asked, best.options or options),
+        bounds=_bounds(question, best.options or options),
         left=_left(searches[-1]) if until is not None and until.ended else 0,
         ended="" if until is None else until.ended,
     )
@@ -228,21 +228,21 @@ def _left(search: Choosing) -> int:
     return max(search.most - search.tried + 1, 0)
 
 
-def _with_limits(options: Options, asked: Question) -> Iterator[tuple[Options, bool]]:
+def _with_limits(options: Options, question: Question) -> Iterator[tuple[Options, bool]]:
     """Yield options to search with, each with whether the share of the limits is chosen, too."""
     for limits_too in (False, True):
-        for one in _followings(options, asked):
+        for one in _followings(options, question):
             yield one, limits_too
 
 
-def _followings(options: Options, asked: Question) -> Iterator[Options]:
+def _followings(options: Options, question: Question) -> Iterator[Options]:
     """Yield the options with feed-forward, if the machine and the question allow it, and as given.
 
     Loads that follow the motion itself leave it by less than the loops of motors that follow it, so
     they come first.
     """
-    able = not asked.machine.takes_positions and options.timing.shaper is None
-    if options.feed_forward_s is None and "feed_forward" in asked.free and able:
+    able = not question.machine.takes_positions and options.timing.shaper is None
+    if options.feed_forward_s is None and "feed_forward" in question.free and able:
         yield replace(options, feed_forward_s=parse_width_s(OPTIMAL_FEED_FORWARD))
     yield options
 
@@ -253,11 +253,11 @@ def _limited_by(rungs: Sequence[Rung]) -> str:
     return max(sorted(set(failed)), key=failed.count, default=LIMITS) if failed else LIMITS
 
 
-def _bounds(asked: Question, options: Options) -> tuple[Bound, ...]:
+def _bounds(question: Question, options: Options) -> tuple[Bound, ...]:
     """Return the least times along the path of a plan, and along any path in specification."""
     free = replace(options, reserve=Reserve(0.0, 0.0))
-    found = bounds_of(asked.job, asked.machine, free)
-    within_m = budget_m(asked.spec)
+    found = bounds_of(question.job, question.machine, free)
+    within_m = budget_m(question.spec)
     if within_m is None:
         return found
-    return (*found, *least_on_any_path(asked.job, asked.machine, options, within_m))
+    return (*found, *least_on_any_path(question.job, question.machine, options, within_m))

@@ -202,8 +202,8 @@ def _of_regulators(machine: Machine, wanted: Wanted) -> tuple[list[Designed], st
     ahead = 4 if wanted.ahead is None else wanted.ahead
     smoothing = 1 if wanted.smoothing is None else wanted.smoothing
     if not 0.0 < gain <= _MOST_GAIN:
-        told = f"{Decimal(gain):.4g}"  # a whole number from Python may be too large for a float
-        raise OptionError(f"--gain {told} is not above 0 and at most {_MOST_GAIN:g}")
+        shown = f"{Decimal(gain):.4g}"  # a whole number from Python may be too large for a float
+        raise OptionError(f"--gain {shown} is not above 0 and at most {_MOST_GAIN:g}")
     if not PREVIEW[0] <= ahead <= PREVIEW[1]:
         raise OptionError(f"--ahead {ahead} is not from {PREVIEW[0]} to {PREVIEW[1]}")
     if smoothing % 2 == 0 or not 1 <= smoothing <= _MOST_SMOOTHING:

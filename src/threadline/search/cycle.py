@@ -68,7 +68,7 @@ def cycle_s(proof: Proof) -> float:
     return found[0] if found and found[0] is not None else proof.plan.duration_s
 
 
-def fastest_cycle(asked: Question) -> FastestCycle:
+def fastest_cycle(question: Question) -> FastestCycle:
     """Search commands and waits of every move together; the shortest cycle in spec wins.
 
     The job is a move list. The search replaces the shapers and levels of the moves. Rests and
@@ -81,18 +81,22 @@ def fastest_cycle(asked: Question) -> FastestCycle:
     PlanError, RecordingError
         If the machine cannot do the job even without a shaper, or does not finish it.
     """
-    machine, spec, until = asked.machine, asked.spec, asked.until
+    machine, spec, until = question.machine, question.spec, question.until
 
     def proved(job: Job) -> Proof:
         return try_plan(
-            plan_job(job, machine, Options()), spec, asked.trials, asked.actual, asked.suspects
+            plan_job(job, machine, Options()),
+            spec,
+            question.trials,
+            question.actual,
+            question.suspects,
         )
 
-    plain = with_choices(asked.job, {}, {})
+    plain = with_choices(question.job, {}, {})
     unshaped = proved(plain)
     free = overlapped(plain, machine)
     base = proved(free)
-    forecast = CycleForecast(free, machine, spec, base, asked.actual or machine)
+    forecast = CycleForecast(free, machine, spec, base, question.actual or machine)
     best: tuple[Job, Proof, Cycle] | None = None
     closest: tuple[float, Proof, Cycle | None] = (_excess(base), base, None)
     limited_by = RANGE if base.verdict.passed else _failing(base)
@@ -111,8 +115,8 @@ def fastest_cycle(asked: Question) -> FastestCycle:
         for round_ in range(_ROUNDS):
             if until is not None:
                 until.check()
-            if asked.progress is not None:
-                asked.progress("cycles", round_ / _ROUNDS)
+            if question.progress is not None:
+                question.progress("cycles", round_ / _ROUNDS)
             cycle = forecast.next()
             if cycle is None or (best is not None and cycle.scans >= best[2].scans):
                 break

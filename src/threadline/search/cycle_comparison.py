@@ -45,7 +45,7 @@ class CycleRow:
 
 
 def compare_cycles(
-    asked: Question, found: FastestCycle, robust: RobustCycle | None
+    question: Question, found: FastestCycle, robust: RobustCycle | None
 ) -> tuple[CycleRow, ...]:
     """Return rows for the unshaped cycle, for one shaper on every move, and for the found cycles.
 
@@ -54,16 +54,16 @@ def compare_cycles(
     shaper with the shortest cycle in spec on all machines of the band. Where no shaper is in spec,
     the row shows the shaper with the least vibration.
     """
-    machine, spec, progress = asked.machine, asked.spec, asked.progress
-    machines = () if asked.band is None else band_machines(machine, asked.band)
+    machine, spec, progress = question.machine, question.spec, question.progress
+    machines = () if question.band is None else band_machines(machine, question.band)
     rows = {}
-    free = overlapped(with_choices(asked.job, {}, {}), machine)
+    free = overlapped(with_choices(question.job, {}, {}), machine)
     for number, name in enumerate(SHAPERS):
         if progress is not None:
             progress("cycles side by side", number / len(SHAPERS))
         try:
             plan = plan_job(free, machine, Options(shaper=name))
-            proof = prove_plan(plan, spec, None, NOMINAL, asked.actual)
+            proof = prove_plan(plan, spec, None, NOMINAL, question.actual)
             over = over_band(plan, spec, machines)
         except (PlanError, RecordingError):
             continue  # the valves cannot make the command, or the cycle never ends

@@ -156,7 +156,7 @@ class RobustCycle:
         return None if self.job is None else cycle_s(self.proof)
 
 
-def robust_cycle(asked: Question, band: float) -> RobustCycle:
+def robust_cycle(question: Question, band: float) -> RobustCycle:
     """Search the shortest cycle that is in spec on every machine of the band.
 
     The trials use the machine of the file. In addition, each machine of the band makes one run. If
@@ -175,11 +175,16 @@ def robust_cycle(asked: Question, band: float) -> RobustCycle:
         If the machine cannot do the job even unshaped, or every command of its valves rings too
         much.
     """
-    machine, spec, progress, until = asked.machine, asked.spec, asked.progress, asked.until
+    machine, spec, progress, until = (
+        question.machine,
+        question.spec,
+        question.progress,
+        question.until,
+    )
     machines = band_machines(machine, band)
-    free = overlapped(with_choices(asked.job, {}, {}), machine)
+    free = overlapped(with_choices(question.job, {}, {}), machine)
     plain = plan_job(free, machine, Options())
-    search = _Search(free, asked, band, plain)
+    search = _Search(free, question, band, plain)
     watched = replace(spec, criteria=(*spec.criteria, *search.by_step()))
     over = False
     for tried in range(1, _ROUNDS + 1):
@@ -190,7 +195,7 @@ def robust_cycle(asked: Question, band: float) -> RobustCycle:
         plan = plan_job(candidate, machine, Options())
         runs = over_band(plan, watched, machines)
         in_spec = not search.learn(runs)
-        proof = try_plan(plan, spec, asked.trials if in_spec else NOMINAL)
+        proof = try_plan(plan, spec, question.trials if in_spec else NOMINAL)
         passed = in_spec and proof.verdict.passed
         over = until is not None and until.over()
         if passed or over:
@@ -209,7 +214,7 @@ def robust_cycle(asked: Question, band: float) -> RobustCycle:
             tried += 1
             better = all(run.verdict.passed for run in over_band(plan, spec, machines))
         if better:
-            other = try_plan(plan, spec, asked.trials)
+            other = try_plan(plan, spec, question.trials)
             better = other.verdict.passed
         if better:
             job, proof, chosen = search.job_of(shorter), other, shorter
@@ -229,9 +234,9 @@ def robust_cycle(asked: Question, band: float) -> RobustCycle:
 class _Search:
     """One search of ``robust_cycle``: commands and allowed ringing of each move."""
 
-    def __init__(self, job: Job, asked: Question, band: float, plain: Plan) -> None:
-        machine, progress = asked.machine, asked.progress
-        self._job, self._machine, self._spec = job, machine, asked.spec
+    def __init__(self, job: Job, question: Question, band: float, plain: Plan) -> None:
+        machine, progress = question.machine, question.progress
+        self._job, self._machine, self._spec = job, machine, question.spec
         self._base = plain.scheduled.one_cycle
         self._scan_s = float(self._base.commands.clock.period_s)
         self._steps = tuple(e.name for e in self._base.commands.events if e.kind == "tool")

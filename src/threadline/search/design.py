@@ -224,10 +224,10 @@ class Redesign:
         level = int(tried.level[nearest]) if found is None else _level(space, found.candidate)
         front = pareto(space, tried, most_ratio(evaluator))
         used = np.abs(tried.points[front[tried.ratio[front] <= 1.0], : space.parameters])
-        told: Callable[[float], None] = lambda _: None  # noqa: E731
+        report: Callable[[float], None] = lambda _: None  # noqa: E731
         if progress is not None:
             bar = progress
-            told = lambda share: bar("drawing the region", share)  # noqa: E731
+            report = lambda share: bar("drawing the region", share)  # noqa: E731
         region = region_of(
             space,
             evaluator,
@@ -235,7 +235,7 @@ class Redesign:
             level,
             np.median(used, axis=0) * space.weights if len(used) else space.weights,
             wanted.plotted,
-            told,
+            report,
         )
         known = {
             name: _best_of(space, evaluator, tried, point)

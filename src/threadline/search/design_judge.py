@@ -180,8 +180,8 @@ def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray)
         (D,) needle delays to try; empty for the specification's delay.
     """
     kept = kept_in_memory(replace(plan, machine=machine))
-    asked = tuple(c for c in spec.criteria if _is_asked(c, kept))
-    length = tuple(c for c in asked if c.name == _LENGTH)
+    criteria = tuple(c for c in spec.criteria if _is_asked(c, kept))
+    length = tuple(c for c in criteria if c.name == _LENGTH)
     if not has_stitches(kept.job):
         length = ()
     if length:
@@ -191,7 +191,7 @@ def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray)
         length = tuple(
             replace(own, options={**own.options, "delay": delay_s}) for delay_s in delays_s.tolist()
         )
-    others = tuple(c for c in asked if c.name != _LENGTH)
+    others = tuple(c for c in criteria if c.name != _LENGTH)
     judged = replace(spec, criteria=(*others, *length))
     return DesignJudge(
         runs=RunsJudge(kept, judged, settle_s=SETTLE_S),

@@ -112,12 +112,14 @@ def searches_of(part: Part, searches: int) -> range:
 def design_identity(question: Redesign) -> dict[str, str]:
     """Return everything that the results of a part depend on."""
     wanted = question.wanted
-    asked = repr((question.options, wanted.trials, wanted.smoothing_s, question.evaluator.effort))
+    settings = repr(
+        (question.options, wanted.trials, wanted.smoothing_s, question.evaluator.effort)
+    )
     return {
         "job": question.read.sha256,
         "machine": question.machine.sha256,
         "specification": spec_sha256(question.spec),
-        "set of options": hashlib.sha256(asked.encode()).hexdigest(),
+        "set of options": hashlib.sha256(settings.encode()).hexdigest(),
         "version of threadline": __version__,
         **{f"version of {name}": version(name) for name in _ENGINES},
         "result of the machine as its file says": _known(question),
@@ -288,17 +290,17 @@ def _search(
         )
         yields = tuple(_yield(one, record.front) for one in content["yields"])
     except NOT_AS_WRITTEN as error:
-        told = f": {error}" if type(error) is ValueError else ""
-        lines.refuse(f"it was changed{told}", line)
+        why = f": {error}" if type(error) is ValueError else ""
+        lines.refuse(f"it was changed{why}", line)
     return Search(number=number, tried=tried, yields=yields, simulated=simulated)
 
 
-def _yield(told: Mapping[str, Any], machines: int) -> CandidateYield:
-    cost, factors, passed = told["cost"], told["factors"], told["passed"]
+def _yield(row: Mapping[str, Any], machines: int) -> CandidateYield:
+    cost, factors, passed = row["cost"], row["factors"], row["passed"]
     numbers = [cost, *factors.values()]
     if not all(type(one) in (int, float) and math.isfinite(one) for one in numbers):
-        raise ValueError("a yield has a cost or a factor that is no number")
-    if told["machines"] != machines or type(passed) is not int or not 0 <= passed <= machines:
+        raise ValueError("a yield has a cost or a factor that is not a number")
+    if row["machines"] != machines or type(passed) is not int or not 0 <= passed <= machines:
         raise ValueError("a yield is of another number of machines")
     return CandidateYield(
         cost=float(cost),

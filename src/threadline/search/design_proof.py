@@ -190,20 +190,20 @@ def _prove(
         If a loop is unstable, or no commands can be made for the machine.
     """
     machine, numbers = redesigned(space, evaluator, point, candidate.acceleration)
-    asked = with_delay(spec, candidate.delay_s)
+    delayed = with_delay(spec, candidate.delay_s)
     kind_of(machine).check(machine)
     plan = plan_job(evaluator.read(machine), machine, evaluator.options_at(point))
     try:
-        verdict = try_plan(plan, asked, trials).verdict
+        verdict = try_plan(plan, delayed, trials).verdict
         at_corners = None
         if corners and verdict.passed:
-            at_corners = _at_corners(space, plan, machine, asked, point)
+            at_corners = _at_corners(space, plan, machine, delayed, point)
     except MachineError as error:
         raise PlanError(error.message) from error
     return ProvedDesign(
         candidate=candidate,
         machine=machine,
-        spec=asked,
+        spec=delayed,
         numbers=numbers,
         verdict=verdict,
         corners=at_corners,

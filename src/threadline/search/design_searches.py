@@ -88,14 +88,16 @@ class Searching:
         tried = least_change(space, evaluator, tried, report("narrowing", 0.33, 0.73), seed=seed)
         for turn, target in enumerate(TARGETS):
             at, step = 0.73 + 0.27 * turn / len(TARGETS), 0.27 / len(TARGETS)
-            told = report("trading cost for margin", at, at + step)
-            tried = least_change(space, evaluator, tried, told, target=target, seed=seed)
+            step_report = report("trading cost for margin", at, at + step)
+            tried = least_change(space, evaluator, tried, step_report, target=target, seed=seed)
         simulated = evaluator.simulated - before
-        told = report("drawing machines of each candidate", 1.0, 1.0 / most)
-        yields = self._yields(tried, told) if self.front else ()
+        step_report = report("drawing machines of each candidate", 1.0, 1.0 / most)
+        yields = self._yields(tried, step_report) if self.front else ()
         return Search(number=number, tried=tried, yields=yields, simulated=simulated)
 
-    def _yields(self, tried: Tried, told: Callable[[float], None]) -> tuple[CandidateYield, ...]:
+    def _yields(
+        self, tried: Tried, step_report: Callable[[float], None]
+    ) -> tuple[CandidateYield, ...]:
         """Return the yields of candidates that trade cost for margin, and of the machine as is."""
         space, evaluator = self.space, self.evaluator
         front = pareto(space, tried, most_ratio(evaluator))
@@ -108,10 +110,12 @@ class Searching:
         found = []
         for turn, index in enumerate(chosen.tolist()):
             candidate = candidate_at(space, evaluator, tried, index)
-            asked = with_delay(self.spec, candidate.delay_s)
+            delayed = with_delay(self.spec, candidate.delay_s)
             share = candidate.acceleration
-            found.append(yield_of(space, evaluator, tried.points[index], share, asked, self.front))
-            told((turn + 1) / len(chosen))
+            found.append(
+                yield_of(space, evaluator, tried.points[index], share, delayed, self.front)
+            )
+            step_report((turn + 1) / len(chosen))
         return tuple(one for one in found if one is not None)
 
 

@@ -103,15 +103,17 @@ class Space:
         if share == 1.0:
             return {}
         names = ("acceleration", "deceleration", "jerk")
-        told: dict[str, Quantity | None] = {
+        machine_limits: dict[str, Quantity | None] = {
             f"axes.{axis}.{name}": getattr(limits, name)
             for axis, limits in self.machine.axes.items()
             for name in names
         }
         if self.machine.path is not None:
             for name in (*names, "centripetal"):
-                told[f"path.{name}"] = getattr(self.machine.path, name)
-        return {path: limit.si * share for path, limit in told.items() if limit is not None}
+                machine_limits[f"path.{name}"] = getattr(self.machine.path, name)
+        return {
+            path: limit.si * share for path, limit in machine_limits.items() if limit is not None
+        }
 
     def corners(self, points: FloatArray) -> FloatArray:
         """Return (n * C, dims) the tolerance corners of (n, dims) points, point by point."""

@@ -203,10 +203,10 @@ def find_fastest(
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
     inside = INSIDE if near else 0
     expected = points + 6.0 * near + 2.0 * an_edge + inside  # for one interval
-    told = 0.0
+    share = 0.0
 
     def verdict_at(feed: float) -> Verdict:
-        nonlocal told
+        nonlocal share
         if feed not in seen:
             if until is None:
                 seen[feed] = judged(feed)
@@ -215,8 +215,8 @@ def find_fastest(
                 with until.interrupting():
                     seen[feed] = judged(feed)
             if progress is not None:
-                told = max(told, min(len(seen) / expected, _UNDER_WAY))
-                progress("searching", told)
+                share = max(share, min(len(seen) / expected, _UNDER_WAY))
+                progress("searching", share)
         return seen[feed]
 
     def expects(edges: int) -> None:

@@ -139,7 +139,7 @@ def _typed(feed: float, towards: Callable[[float], int]) -> float:
 
 
 def fastest_feed(
-    asked: Question,
+    question: Question,
     grid: Grid = FINE,
     parts: Sequence[Job] = (),
     seen: dict[float, Verdict] | None = None,
@@ -157,8 +157,8 @@ def fastest_feed(
     parts
         Jobs that are judged in place of this job: its distinct stretches.
     """
-    machine, options = asked.machine, asked.options
-    by = FeedMode.FASTEST_AXIS if asked.by is None else asked.by
+    machine, options = question.machine, question.options
+    by = FeedMode.FASTEST_AXIS if question.by is None else question.by
 
     def planner(part: LongMoves) -> Callable[[float], Plan]:
         def planned_at(pace: float) -> Plan:
@@ -169,10 +169,10 @@ def fastest_feed(
         return planned_at
 
     # If one of the shortest stretches fails at a feed, the others need no simulation.
-    shortest_first = sorted(parts, key=moves_in) if len(parts) > 1 else parts or (asked.job,)
-    low, high = asked.low, asked.high
+    shortest_first = sorted(parts, key=moves_in) if len(parts) > 1 else parts or (question.job,)
+    low, high = question.low, question.high
     if low is None or high is None:
-        low, high = search_range(asked.job, machine, by)
+        low, high = search_range(question.job, machine, by)
     paced = Paced(
         low=low,
         high=high,
@@ -181,7 +181,7 @@ def fastest_feed(
         # A move programmed outside the travel is outside at every feed.
         is_verdict=lambda e: options.following is Following.LOAD and e.quantity != "travel",
     )
-    return fastest_paced(asked, paced, grid, seen)
+    return fastest_paced(question, paced, grid, seen)
 
 
 def feed_unit(by: FeedMode) -> str:
@@ -212,7 +212,7 @@ def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:
     return max(_SLOWEST * high, slowest), high
 
 
-def fastest_needle(asked: Question, grid: Grid = FINE) -> Fastest:
+def fastest_needle(question: Question, grid: Grid = FINE) -> Fastest:
     """Return every interval of needle speed (stitches a second) at which a seam is in spec.
 
     The seam is read again at each speed, so that its stitches are placed for this speed. Every
@@ -226,18 +226,18 @@ def fastest_needle(asked: Question, grid: Grid = FINE) -> Fastest:
     HaltError
         If the time is over before a speed was judged.
     """
-    low, high = needle_range_hz(asked.job, asked.machine)
+    low, high = needle_range_hz(question.job, question.machine)
     paced = Paced(
         low=low,
         high=high,
         unit="stitch/s",
-        planned_at=[partial(sewn_at, asked)],
+        planned_at=[partial(sewn_at, question)],
         is_verdict=lambda _: True,
     )
-    return fastest_paced(asked, paced, grid)
+    return fastest_paced(question, paced, grid)
 
 
-def sewn_at(asked: Question, speed_hz: float) -> Plan:
+def sewn_at(question: Question, speed_hz: float) -> Plan:
     """Return the plan of a seam at a needle speed, stitches a second."""
-    options = replace(asked.options, needle=f"{speed_hz!r} stitch/s")
-    return plan_job(open_job(asked.file, asked.machine, options), asked.machine, options)
+    options = replace(question.options, needle=f"{speed_hz!r} stitch/s")
+    return plan_job(open_job(question.file, question.machine, options), question.machine, options)

@@ -193,8 +193,8 @@ class Learner:
             part = machine.axes[axis]
             if part.travel is None:
                 continue
-            told = positions(table)[:, column] / machine.counts_per_unit[column]
-            for end, over in zip(part.travel, (told.min(), told.max()), strict=True):
+            places = positions(table)[:, column] / machine.counts_per_unit[column]
+            for end, over in zip(part.travel, (places.min(), places.max()), strict=True):
                 outside = over < end.si if end is part.travel[0] else over > end.si
                 if outside:
                     return f"travel of axis {axis}"
@@ -281,7 +281,7 @@ def learn(
         np.random.default_rng(REPEAT_SEED),
     )
     runs: list[Tried] = []
-    told: list[Repeat] = []
+    accounts: list[Repeat] = []
     offset, gain, note = learner.nothing(), 0.0, ""
     for number in range(repeats + 1):
         if progress is not None:
@@ -301,12 +301,12 @@ def learn(
         verdict = Judge(replace(plan, commands=table), spec).verdict([kept])
         run = learner.tried(kept, offset, passed=verdict.passed)
         runs.append(run)
-        told.append(learner.account(run, kept, verdict, (number, gain, note)))
-    told = with_followed(told)
-    best = best_table(told)
+        accounts.append(learner.account(run, kept, verdict, (number, gain, note)))
+    accounts = with_followed(accounts)
+    best = best_table(accounts)
     learned = learned_plan(plan, learner.commands(runs[best].offset))
     return Learned(
-        plan=learned, actual=ran, repeats=tuple(told), best=best, filters=learner.filters,
+        plan=learned, actual=ran, repeats=tuple(accounts), best=best, filters=learner.filters,
         rules=learner.rules, proof=prove_plan(learned, spec, None, trials.alone, actual),
     )  # fmt: skip
 

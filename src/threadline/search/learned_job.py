@@ -357,18 +357,18 @@ def learned_from(
     spec = with_shaping(words.spec(chosen), chosen, options)
     learner = Learner(plan, rules)
     runs: list[Tried] = []
-    told: list[Repeat] = []
+    repeats: list[Repeat] = []
     for number, (recording, origin) in enumerate(zip(recorded.values(), origins, strict=True)):
         table = base if "table" not in origin else learned_commands(base, origin["table"])
         kept = replace(recording, blocks=tuple(recording.blocks))
         verdict = Judge(replace(plan, commands=table), spec).verdict([kept], recorded=True)
         run = learner.tried(kept, learner.offset_of(table), passed=verdict.passed)
         runs.append(run)
-        told.append(learner.account(run, kept, verdict, (number, 0.0, "")))
+        repeats.append(learner.account(run, kept, verdict, (number, 0.0, "")))
     offset, gain, note = learner.next(runs)
     return LearnedRuns(
         base=plan, plan=learned_plan(plan, learner.commands(offset)),
-        repeats=tuple(with_followed(told)), gain=gain, note=note,
+        repeats=tuple(with_followed(repeats)), gain=gain, note=note,
     )  # fmt: skip
 
 

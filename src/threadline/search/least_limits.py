@@ -60,7 +60,7 @@ class Shares:
         best result so far.
     top_s
         The job's duration with the full limits at the highest feed; None until it is calculated.
-    steps, told
+    steps, progress_share
         Number of started searches, and last reported progress.
     """
 
@@ -74,7 +74,7 @@ class Shares:
     left_out: set[float] = field(default_factory=set)
     top_s: float | None = None
     steps: int = 0
-    told: float = 0.0
+    progress_share: float = 0.0
 
     def tried(self, share: float, grid: Grid) -> Rung | None:
         """Return the result of a share, and search it if it is unknown; None: the share is skipped.
@@ -130,8 +130,8 @@ class Shares:
 
         def telling(_: str, part: float) -> None:
             # Unexpected searches reduce each search's share of the progress.
-            self.told = max(self.told, done + part * each)
-            progress(f"limits {share:.0%}", self.told)
+            self.progress_share = max(self.progress_share, done + part * each)
+            progress(f"limits {share:.0%}", self.progress_share)
 
         telling("", 0.0)
         return telling
@@ -160,7 +160,7 @@ _LOWERED = 8  # feeds at which the whole job is tried
 _LOWER = 0.98
 
 
-def fastest_job(asked: Question) -> FastestJob:
+def fastest_job(question: Question) -> FastestJob:
     """Search feed and share of the limits together; the shortest job in spec wins.
 
     Paths and timings that ignore the limits (the 1994 controller's, programmed times) are searched
@@ -181,36 +181,39 @@ def fastest_job(asked: Question) -> FastestJob:
     interval and its upper edge are examined closely. A winding is searched in one run of each plan;
     the answer is judged in as many as asked.
     """
-    job, machine, options, until = asked.job, asked.machine, asked.options, asked.until
+    job, machine, options, until = question.job, question.machine, question.options, question.until
     check_loops(machine)
     if options.interpolation == OPTIMAL:
-        return fastest_chosen(asked) if asked.free else fastest_allowed(asked)
-    by = searched_by(job, machine) if asked.by is None else asked.by
+        return fastest_chosen(question) if question.free else fastest_allowed(question)
+    by = searched_by(job, machine) if question.by is None else question.by
     low, high = search_range(job, machine, by)
-    low, high = low if asked.low is None else asked.low, high if asked.high is None else asked.high
-    asked = replace(asked, by=by, low=low, high=high)
+    low, high = (
+        low if question.low is None else question.low,
+        high if question.high is None else question.high,
+    )
+    question = replace(question, by=by, low=low, high=high)
     check_range(low, high, feed_unit(by) or "times the feeds")
-    if asked.progress is not None:
-        asked.progress("looking for what repeats", 0.0)
+    if question.progress is not None:
+        question.progress("looking for what repeats", 0.0)
     if until is not None:
         until.check()  # checked before any file is open
     with nullcontext() if until is None else until.interrupting():
         parts = distinct_parts(job, machine, joined=options.product is not None)
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
-    scanned = _in_one_run(asked)
+    scanned = _in_one_run(question)
 
     def searched(share: float, grid: Grid, telling: Progress | None) -> Fastest:
         part = scanned if parts == (job,) else of_a_part(scanned)
         with_share = replace(part.options, limit_share=share)
-        question = replace(part, options=with_share, progress=telling)
+        at_share = replace(part, options=with_share, progress=telling)
         # The slow feeds of a winding take longest to judge, and are never its answer.
         every = options.product is None and (by_feed or not shares.long)
-        closely = replace(grid, every=every, between=_only_limits(asked))
-        return fastest_feed(question, closely, parts, seen.setdefault(share, {}))
+        closely = replace(grid, every=every, between=_only_limits(question))
+        return fastest_feed(at_share, closely, parts, seen.setdefault(share, {}))
 
     def planned_s(share: float, feed: float) -> float:
-        return planned_at(asked, share, feed).duration_s
+        return planned_at(question, share, feed).duration_s
 
     shares = Shares(
         searched=searched,
@@ -218,8 +221,8 @@ def fastest_job(asked: Question) -> FastestJob:
             None if found.best is None else planned_s(share, found.best)
         ),
         at_top_s=lambda share: planned_s(share, high),
-        expected=1 if by_feed else 2 if _only_limits(asked) else _STEPS,
-        progress=asked.progress,
+        expected=1 if by_feed else 2 if _only_limits(question) else _STEPS,
+        progress=question.progress,
         until=until,
     )
     tried, rungs = shares.tried, shares.rungs
@@ -227,7 +230,7 @@ def fastest_job(asked: Question) -> FastestJob:
         if by_feed:
             tried(1.0, FINE)
         else:
-            _climb(tried, rungs, _LADDER[:1] if _only_limits(asked) else _LADDER)
+            _climb(tried, rungs, _LADDER[:1] if _only_limits(question) else _LADDER)
     except HaltError as halt:
         if not rungs:
             raise no_answer() from halt
@@ -236,14 +239,14 @@ def fastest_job(asked: Question) -> FastestJob:
             raise
     best, stopped = min(rungs.values(), key=_order), until is not None and bool(until.ended)
     repeats, cut = parts != (job,), _cut(parts, machine, best, by)
-    partly = repeats or cut or scanned is not asked
+    partly = repeats or cut or scanned is not question
     whole = not stopped or not partly
     if partly and not stopped and best.duration_s is not None:
         whole = False
-        if asked.progress is not None:
-            asked.progress("the whole job", shares.steps / (shares.steps + 1))
+        if question.progress is not None:
+            question.progress("the whole job", shares.steps / (shares.steps + 1))
         with until_deadline(until, lambda: rungs):
-            best = _whole(best, rungs, asked, 1 if scanned is asked else len(rungs))
+            best = _whole(best, rungs, question, 1 if scanned is question else len(rungs))
             whole = True
     return FastestJob(
         best=best,
@@ -256,7 +259,7 @@ def fastest_job(asked: Question) -> FastestJob:
         whole=whole,
         ended="" if until is None else until.ended,
         by=by,
-        enough=None if stopped or not _only_limits(asked) else _enough(best, planned_s),
+        enough=None if stopped or not _only_limits(question) else _enough(best, planned_s),
     )
 
 
@@ -287,32 +290,32 @@ _OF_WHOLE = ("planned_coverage_gap", "coverage_gap")
 """Criteria that only the whole job can meet."""
 
 
-def of_a_part(asked: Question) -> Question:
+def of_a_part(question: Question) -> Question:
     """Return the question about parts of a winding, which begin where the fibre is not tied.
 
     Its coverage is judged at the end, by the whole job.
     """
-    if asked.options.product is None:
-        return asked
-    content = json.loads(asked.options.product)
+    if question.options.product is None:
+        return question
+    content = json.loads(question.options.product)
     content["fibre"] = {k: v for k, v in content.get("fibre", {}).items() if k != "tied"}
     text = product_text(json.dumps(content, ensure_ascii=True, sort_keys=True))
-    criteria = tuple(one for one in asked.spec.criteria if one.name not in _OF_WHOLE)
+    criteria = tuple(one for one in question.spec.criteria if one.name not in _OF_WHOLE)
     return replace(
-        asked,
-        options=replace(asked.options, product=text),
-        spec=replace(asked.spec, criteria=criteria),
+        question,
+        options=replace(question.options, product=text),
+        spec=replace(question.spec, criteria=criteria),
     )
 
 
-def _only_limits(asked: Question) -> bool:
+def _only_limits(question: Question) -> bool:
     """Return whether less acceleration cannot win: only the machine's own limits are judged.
 
     A machine without dynamics does not ring, so only a criterion of the specification could ask
     for less than its limits.
     """
-    own = all(one.hard or one.limit is None for one in asked.spec.criteria)
-    return asked.machine.without_dynamics and own
+    own = all(one.hard or one.limit is None for one in question.spec.criteria)
+    return question.machine.without_dynamics and own
 
 
 def _climb(
@@ -356,42 +359,42 @@ def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bo
     )
 
 
-def planned_at(asked: Question, share: float, feed: float) -> Plan:
+def planned_at(question: Question, share: float, feed: float) -> Plan:
     """Return the plan of the whole job at a feed of ``Question.by``, with a share of the limits."""
-    by = FeedMode.FASTEST_AXIS if asked.by is None else asked.by
-    options = replace(asked.options, limit_share=share, feed=Feed(by, feed))
-    return plan_job(asked.job, asked.machine, options)
+    by = FeedMode.FASTEST_AXIS if question.by is None else question.by
+    options = replace(question.options, limit_share=share, feed=Feed(by, feed))
+    return plan_job(question.job, question.machine, options)
 
 
-def _in_one_run(asked: Question) -> Question:
+def _in_one_run(question: Question) -> Question:
     """Return the question that a search asks at every feed: of a winding in one run.
 
     Near a limit a verdict over repeats takes hundreds of runs, and a winding runs long.
     """
-    repeats = Trials(repeats=asked.trials.repeats)
-    if asked.options.product is None or asked.trials != repeats or repeats == NOMINAL:
-        return asked
-    return replace(asked, trials=NOMINAL)
+    repeats = Trials(repeats=question.trials.repeats)
+    if question.options.product is None or question.trials != repeats or repeats == NOMINAL:
+        return question
+    return replace(question, trials=NOMINAL)
 
 
-def _whole(best: Rung, rungs: dict[float, Rung], asked: Question, most: int) -> Rung:
+def _whole(best: Rung, rungs: dict[float, Rung], question: Question, most: int) -> Rung:
     """Return the best rung as the whole job is judged; where it fails, the next ones."""
     for rung in sorted(rungs.values(), key=_order)[:most]:
         if rung.duration_s is not None:
-            rungs[rung.share] = best = _of_whole(rung, asked)
+            rungs[rung.share] = best = _of_whole(rung, question)
             if best.duration_s is not None:
                 break
     return best
 
 
-def _of_whole(best: Rung, asked: Question) -> Rung:
+def _of_whole(best: Rung, question: Question) -> Rung:
     """Return ``best`` judged by the whole job, at the highest feed at which it is in spec."""
     interval = best.found.fastest
     assert interval is not None
     feed_m_s = interval.high
     for _ in range(_LOWERED):
-        plan = planned_at(asked, best.share, feed_m_s)
-        verdict = asked.judged(plan)
+        plan = planned_at(question, best.share, feed_m_s)
+        verdict = question.judged(plan)
         if verdict.passed:
             kept = best.found.intervals
             if feed_m_s < interval.high:

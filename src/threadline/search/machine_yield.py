@@ -54,8 +54,8 @@ def planned_yield(words: Words, job: Path, machine: Machine) -> tuple[MachineYie
     options = words.options(job)
     check_machine(machine)
     plan = plan_job(open_job(job, machine, options), machine, options)
-    asked = with_product(words.spec(machine), machine, options)
-    return MachineYield(plan, asked), asked
+    spec = with_product(words.spec(machine), machine, options)
+    return MachineYield(plan, spec), spec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -117,15 +117,15 @@ class MachineYield(WithinTolerances):
 
     def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
         check_dynamics("what varies from machine to machine", plan.machine)
-        asked = [c for c in spec.criteria if MEASURES[c.name].compares_runs]
-        for criterion in asked:
+        compared = [c for c in spec.criteria if MEASURES[c.name].compares_runs]
+        for criterion in compared:
             if criterion.required:
                 raise OptionError(
                     f"{criterion.name} is required, and is of many runs of one machine: a yield is "
                     "of one run of each",
                     remedy="Let it not be required; prove --yield measures it in 20 runs.",
                 )
-        self.left_out = tuple(dict.fromkeys(c.name for c in asked if c.limit is not None))
+        self.left_out = tuple(dict.fromkeys(c.name for c in compared if c.limit is not None))
         super().__init__(plan, spec, threads=threads)
 
     @property

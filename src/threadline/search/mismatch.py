@@ -88,7 +88,7 @@ BestPace = tuple[float | None, Sequence[Interval], str]
 
 
 def at_tolerance_ends(
-    asked: Question, again: Callable[[Question], BestPace]
+    question: Question, again: Callable[[Question], BestPace]
 ) -> tuple[Mismatch, ...]:
     """Return the results of a search on machines at the ends of the tolerances, one run each.
 
@@ -106,20 +106,20 @@ def at_tolerance_ends(
     OptionError
         If no number of a load or a spring has a tolerance.
     """
-    machine = asked.machine
+    machine = question.machine
     if off_tolerance(machine, mass=1.0, stiffness=1.0) == machine:
         raise OptionError(
             f"loads and springs of {machine.name} have no tolerances",
             remedy='Write them in the machine file: "111 kg +- 10 %".',
         )
-    asked = replace(asked, trials=NOMINAL, until=None)
+    question = replace(question, trials=NOMINAL, until=None)
     cells = []
     places = [(mass, stiffness) for mass in ENDS for stiffness in ENDS]
     for number, (mass, stiffness) in enumerate(places):
-        if asked.progress is not None:
-            asked.progress("searching off the tolerances", number / len(places))
+        if question.progress is not None:
+            question.progress("searching off the tolerances", number / len(places))
         actual = off_tolerance(machine, mass=mass, stiffness=stiffness)
-        best, intervals, limited_by = again(replace(asked, actual=actual, progress=None))
+        best, intervals, limited_by = again(replace(question, actual=actual, progress=None))
         cells.append(
             Mismatch(
                 mass=mass,
@@ -132,13 +132,15 @@ def at_tolerance_ends(
     return tuple(cells)
 
 
-def near_best(asked: Question, best: float | None, top: float) -> Question:
+def near_best(question: Question, best: float | None, top: float) -> Question:
     """Return a question about paces near the best; near ``top`` where there is no best.
 
     Other machines are rarely faster.
     """
-    high = asked.high if asked.high is not None else top if best is None else best * _ABOVE
-    return replace(asked, low=_SLOWEST * high if asked.low is None else asked.low, high=high)
+    high = question.high if question.high is not None else top if best is None else best * _ABOVE
+    return replace(
+        question, low=_SLOWEST * high if question.low is None else question.low, high=high
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -139,7 +139,7 @@ class Paced:
 
 
 def fastest_paced(
-    asked: Question, paced: Paced, grid: Grid = FINE, seen: dict[float, Verdict] | None = None
+    question: Question, paced: Paced, grid: Grid = FINE, seen: dict[float, Verdict] | None = None
 ) -> Fastest:
     """Return every interval of a pace at which a job stays in spec.
 
@@ -165,8 +165,8 @@ def fastest_paced(
         except LimitError as error:
             if not paced.is_verdict(error):
                 raise
-            return beyond(error, asked.machine)
-        return asked.judged(plan) if paced.judged is None else paced.judged(pace, plan)
+            return beyond(error, question.machine)
+        return question.judged(plan) if paced.judged is None else paced.judged(pace, plan)
 
     def judged(pace: float) -> Verdict:
         passed = []
@@ -179,11 +179,11 @@ def fastest_paced(
             passed.append(verdict)
         return _of_all(passed)
 
-    low = paced.low if asked.low is None else asked.low
-    high = paced.high if asked.high is None else asked.high
+    low = paced.low if question.low is None else question.low
+    high = paced.high if question.high is None else question.high
     check_range(low, high, paced.unit)
     return find_fastest(
-        judged, low, high, grid, progress=asked.progress, until=asked.until, seen=seen
+        judged, low, high, grid, progress=question.progress, until=question.until, seen=seen
     )
 
 

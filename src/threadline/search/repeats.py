@@ -188,16 +188,16 @@ def follows(best_passed: bool, least: float, passed: bool, error: float) -> bool
     return error <= _WORSE * least
 
 
-def best_table(told: Sequence[Repeat]) -> int:
+def best_table(repeats: Sequence[Repeat]) -> int:
     """Return the number of the followed run that is best in specification."""
-    followed = (one for one in told if one.followed)
+    followed = (one for one in repeats if one.followed)
     return min(followed, key=lambda one: (not one.verdict.passed, one.share)).number
 
 
-def with_followed(told: Sequence[Repeat]) -> list[Repeat]:
+def with_followed(repeats: Sequence[Repeat]) -> list[Repeat]:
     """Mark the runs that were undone."""
-    found, runs = [], [(one.verdict.passed, one.error_m) for one in told]
-    for number, one in enumerate(told):
+    found, runs = [], [(one.verdict.passed, one.error_m) for one in repeats]
+    for number, one in enumerate(repeats):
         at, _ = best_of(runs[: number + 1], 1.0)
         found.append(replace(one, followed=at == number))
     return found

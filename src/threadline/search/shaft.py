@@ -67,7 +67,7 @@ class FastestShaft:
         return self.schedule is not None and self.schedule.plan.duration_s == self.duration_s
 
 
-def fastest_shaft(asked: Question) -> FastestShaft:
+def fastest_shaft(question: Question) -> FastestShaft:
     """Search the constant shaft speeds, and the schedule of speeds.
 
     ``Question.low`` and ``high`` are constant speeds, stitches a second. By default the search ends
@@ -79,23 +79,23 @@ def fastest_shaft(asked: Question) -> FastestShaft:
     HaltError
         If the time is over before a speed was judged.
     """
-    machine = asked.machine
+    machine = question.machine
     check_machine(machine)
-    constant = constant_speeds(asked)
+    constant = constant_speeds(question)
     constant_s = None
     if constant.best is not None:
-        constant_s = at_speed(asked, constant.best).duration_s
+        constant_s = at_speed(question, constant.best).duration_s
     schedule = None
     assert machine.shaft is not None
     if machine.shaft.acceleration is not None and constant.complete:
-        schedule = _schedule(asked)
+        schedule = _schedule(question)
     times = [constant_s, None if schedule is None else schedule.plan.duration_s]
     best = min((t for t in times if t is not None), default=None)
     by_schedule = schedule is not None and best == schedule.plan.duration_s
     return FastestShaft(
         constant=constant,
         schedule=schedule,
-        tolerance_m=asked.options.tolerance_m
+        tolerance_m=question.options.tolerance_m
         if schedule is None
         else schedule.plan.stitched.pace.tolerance_m,
         duration_s=best,
@@ -104,29 +104,29 @@ def fastest_shaft(asked: Question) -> FastestShaft:
     )
 
 
-def constant_speeds(asked: Question, grid: Grid = GRID) -> Fastest:
+def constant_speeds(question: Question, grid: Grid = GRID) -> Fastest:
     """Search the constant speeds of the shaft, in stitches a second, as ``fastest_shaft`` does."""
-    trials = asked.trials
-    low, high = speed_range_hz(asked.machine)
-    if asked.low is None:
-        low = max(low, _lowest_of_interest_hz(asked))
+    trials = question.trials
+    low, high = speed_range_hz(question.machine)
+    if question.low is None:
+        low = max(low, _lowest_of_interest_hz(question))
     whole: dict[float, Verdict] = {}
 
     def by_all(speed_hz: float, plan: Plan) -> Verdict:
-        whole[speed_hz] = asked.judged(plan)
+        whole[speed_hz] = question.judged(plan)
         return whole[speed_hz]
 
     def shortened(speed_hz: float, plan: Plan) -> Verdict:
         # One run and the forecast of this machine do not apply to other machines.
-        if trials.repeats > 1 and not trials.machines and asked.actual is None:
-            first = replace(asked, trials=NOMINAL).judged(plan)
-            if not first.passed or _far_within(plan, first, asked.spec):
+        if trials.repeats > 1 and not trials.machines and question.actual is None:
+            first = replace(question, trials=NOMINAL).judged(plan)
+            if not first.passed or _far_within(plan, first, question.spec):
                 return first
         return by_all(speed_hz, plan)
 
-    planned_at = partial(at_speed, asked)
+    planned_at = partial(at_speed, question)
     paced = Paced(low=low, high=high, unit="stitch/s", planned_at=[planned_at], judged=shortened)
-    found = fastest_paced(asked, paced, grid)
+    found = fastest_paced(question, paced, grid)
     for interval in found.intervals:
         for end in (interval.low, interval.high):
             if end not in whole:
@@ -136,7 +136,7 @@ def constant_speeds(asked: Question, grid: Grid = GRID) -> Fastest:
         held = tuple(i for i in found.intervals if whole[i.low].passed and whole[i.high].passed)
         found = replace(found, intervals=held)
     elif not all(verdict.passed for verdict in ends):
-        return fastest_paced(asked, replace(paced, judged=by_all), grid)
+        return fastest_paced(question, replace(paced, judged=by_all), grid)
     return found if found.best is None else replace(found, verdict=whole[found.best])
 
 
@@ -159,12 +159,12 @@ def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
     return max(used) <= _FAR and bool(forecast <= _FAR * min(limits))
 
 
-def _lowest_of_interest_hz(asked: Question) -> float:
+def _lowest_of_interest_hz(question: Question) -> float:
     """Return half the constant speed that the slowest stitch needs by itself, stitches a second.
 
     Slower speeds take longest to simulate, and the search looks for the fastest.
     """
-    stitched = at_speed(asked, speed_range_hz(asked.machine)[1]).stitched
+    stitched = at_speed(question, speed_range_hz(question.machine)[1]).stitched
     return _OF_THE_SLOWEST * len(stitched.turns) / stitched.slowest_s
 
 
@@ -174,18 +174,18 @@ def speed_range_hz(machine: Machine) -> tuple[float, float]:
     return 1.0 / machine.shaft.slowest_turn.si, 1.0 / float(machine.shaft.turn_s)
 
 
-def at_speed(asked: Question, speed_hz: float) -> Plan:
+def at_speed(question: Question, speed_hz: float) -> Plan:
     """Return the plan of a design at a constant speed of the shaft, stitches a second."""
-    options = replace(asked.options, feed=Feed(FeedMode.SHAFT, speed_hz))
-    return plan_job(asked.job, asked.machine, options)
+    options = replace(question.options, feed=Feed(FeedMode.SHAFT, speed_hz))
+    return plan_job(question.job, question.machine, options)
 
 
-def _schedule(asked: Question) -> Proof | None:
+def _schedule(question: Question) -> Proof | None:
     """Return the proof of the fastest schedule in spec, over the tolerance it is planned with.
 
     If the time ends first, it is the fastest of the tried schedules.
     """
-    spec, options, until = asked.spec, asked.options, asked.until
+    spec, options, until = question.spec, question.options, question.until
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
     limit = min(limits, default=options.tolerance_m)
     tried = 0
@@ -194,11 +194,11 @@ def _schedule(asked: Question) -> Proof | None:
         nonlocal tried
         # The found tolerance is typed in millimetres, and must give the same plan.
         chosen = replace(options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit)))
-        plan = plan_job(asked.job, asked.machine, chosen)
-        proof = try_plan(plan, spec, asked.trials, asked.actual, asked.suspects)
+        plan = plan_job(question.job, question.machine, chosen)
+        proof = try_plan(plan, spec, question.trials, question.actual, question.suspects)
         tried += 1
-        if asked.progress is not None:
-            asked.progress("searching schedules", tried / (_HALVINGS + 2.0))
+        if question.progress is not None:
+            question.progress("searching schedules", tried / (_HALVINGS + 2.0))
         return proof
 
     low, high = _RANGE

@@ -256,8 +256,8 @@ def _read(job: Job, machine: Machine) -> _Moves | None:
     stands = np.zeros(count, dtype=np.int64)
     for at, items in before.items():
         if at < count:
-            told = repr([replace(item, source=_NOWHERE) for item in items])
-            stands[at] = 1 + kinds.setdefault(told, len(kinds))
+            text = repr([replace(item, source=_NOWHERE) for item in items])
+            stands[at] = 1 + kinds.setdefault(text, len(kinds))
     bounded = [machine.axes[axis].kind == "linear" for axis in job.axes]
     columns = [*np.diff(ends, axis=0).T, *ends[:-1, bounded].T]
     code = np.stack(

@@ -64,14 +64,14 @@ class TunedLoop:
 
     def content(self) -> dict[str, Any]:
         """Return the loop as JSON content."""
-        told = self.figures.as_json()
+        figures = self.figures.as_json()
         kept = ("stable", "bandwidth_hz", "gain_margin", "phase_margin_deg", "crossover_hz",
                 "modulus_margin")  # fmt: skip
         return {
             "controller": self.kind,
             "rule": self.rule,
             "gains": dict(self.gains),
-            **{key: told[key] for key in kept},
+            **{key: figures[key] for key in kept},
             "over_tolerances": {
                 "stable": self.worst.stable,
                 "phase_margin_deg": self.worst.phase_margin_deg,

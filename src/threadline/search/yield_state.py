@@ -70,8 +70,8 @@ class Lines:
         RecordingError
             If the line was changed.
         """
-        told, _, body = text.rstrip(b"\n").partition(b" ")
-        if told != b"%08x" % zlib.crc32(body):
+        checksum, _, body = text.rstrip(b"\n").partition(b" ")
+        if checksum != b"%08x" % zlib.crc32(body):
             self.refuse(f"it is not {self.subject}, or it was changed", line)
         content = parse_json(body.decode(errors="replace"), Place(str(self.path), line))
         if not isinstance(content, dict):
@@ -95,8 +95,8 @@ class Lines:
         try:
             rows = tuple(_unpacked(row, k, runs) for k, row in enumerate(content["rows"]))
         except NOT_AS_WRITTEN as error:
-            told = f": {error}" if type(error) is ValueError else ""
-            self.refuse(f"it was changed{told}", line)
+            why = f": {error}" if type(error) is ValueError else ""
+            self.refuse(f"it was changed{why}", line)
         if not isinstance(incomplete, str) or not rows:
             self.refuse("it was changed", line)
         return EachRun(rows=rows, runs=runs, incomplete=incomplete)
@@ -238,8 +238,8 @@ class YieldState:
             file.truncate(good)
         self._known = found
 
-    def _check_identity(self, told: Any, identity: Mapping[str, str]) -> None:
-        known = told if isinstance(told, dict) else {}
+    def _check_identity(self, stated: Any, identity: Mapping[str, str]) -> None:
+        known = stated if isinstance(stated, dict) else {}
         names = [*identity, *(name for name in known if name not in identity)]
         other = [str(name) for name in names if known.get(name) != identity.get(name)]
         if other:
@@ -268,10 +268,10 @@ def same_rows(one: EachRun, other: EachRun) -> bool:
 
 def same_first(known: EachRun, found: EachRun) -> bool:
     """Return whether the first machine of both comes to the same, to the bit."""
-    told, now = (
+    stated, now = (
         [(*_table(row), row.values[:1].tobytes()) for row in one.rows] for one in (known, found)
     )
-    return told == now
+    return stated == now
 
 
 def _table(row: CriterionRow) -> tuple[Any, ...]:
@@ -284,21 +284,21 @@ def _packed(row: CriterionRow) -> dict[str, Any]:
     return {**dict(zip(_TOLD, _table(row), strict=True)), "values": _text(values)}
 
 
-def _unpacked(told: Mapping[str, Any], number: int, runs: int) -> CriterionRow:
-    if type(told["number"]) is not int or told["number"] != number:
+def _unpacked(row: Mapping[str, Any], number: int, runs: int) -> CriterionRow:
+    if type(row["number"]) is not int or row["number"] != number:
         raise ValueError(f"row {number} is not where it belongs")
-    if not all(isinstance(told[key], str) for key in _TEXTS):
+    if not all(isinstance(row[key], str) for key in _TEXTS):
         raise ValueError(f"row {number} has a name that is no text")
-    if not all(isinstance(told[key], bool) for key in _FLAGS):
+    if not all(isinstance(row[key], bool) for key in _FLAGS):
         raise ValueError(f"row {number} has a mark that is neither true nor false")
-    limit = told["limit"]
+    limit = row["limit"]
     if limit is not None and (isinstance(limit, bool) or not math.isfinite(limit)):
-        raise ValueError(f"row {number} has a limit that is no number")
-    if (kind := MEASURES.get(told["name"])) is None:
+        raise ValueError(f"row {number} has a limit that is not a number")
+    if (kind := MEASURES.get(row["name"])) is None:
         raise ValueError(f"row {number} is of no criterion")
-    values = np.frombuffer(_bytes(told["values"], 8 * runs), dtype="<f8").astype(np.float64)
+    values = np.frombuffer(_bytes(row["values"], 8 * runs), dtype="<f8").astype(np.float64)
     return CriterionRow(
-        **{key: told[key] for key in _TOLD}, values=values, failed=exceeded(kind, limit, values)
+        **{key: row[key] for key in _TOLD}, values=values, failed=exceeded(kind, limit, values)
     )
 
 

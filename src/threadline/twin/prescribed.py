@@ -108,9 +108,9 @@ def _made(machine: Machine) -> tuple[Advance, ...]:
         return ()
     looped = [name for name in machine.axes if machine.source_of(name) is None]
     if looped:
-        told = next(name for name in machine.axes if name not in looped)
+        other = next(name for name in machine.axes if name not in looped)
         raise MachineError(
-            f"axis {looped[0]} has a control loop and axis {told} takes positions: a machine with "
+            f"axis {looped[0]} has a control loop and axis {other} takes positions: a machine with "
             "both is not simulated",
             place=machine.place,
             remedy="Make a machine file for each.",
@@ -124,7 +124,11 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
     tick_s = float(machine.tick_clock.period_s)
     servos = [k for k, source in enumerate(sources) if isinstance(source, PulseServo)]
     size = n + 2 * len(servos)
-    rates, told, speeds = np.zeros((size, size)), np.zeros((size, count)), np.zeros((size, count))
+    rates, commanded, speeds = (
+        np.zeros((size, size)),
+        np.zeros((size, count)),
+        np.zeros((size, count)),
+    )
     rates[:n, :n] = piece.rates[:, :n]
     servo = np.full(count, -1, dtype=np.int64)
     averaged = np.ones(count, dtype=np.int64)
@@ -135,16 +139,16 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
             rates[:n, at], rates[:n, at + 1] = piece.rates[:, n + k], piece.rates[:, n + count + k]
             rates[at, at + 1] = 1.0
             rates[at + 1, at], rates[at + 1, at + 1] = -w * w, -2.0 * w
-            told[at + 1, k] = w * w
+            commanded[at + 1, k] = w * w
         else:
-            told[:n, k], speeds[:n, k] = piece.rates[:, n + k], piece.rates[:, n + count + k]
+            commanded[:n, k], speeds[:n, k] = piece.rates[:, n + k], piece.rates[:, n + count + k]
             swing_hz = resonance_hz(source, float(piece.inertia[k]))
             assert swing_hz is not None
             averaged[k] = _half_period(machine, piece.drives[k], swing_hz, tick_s)
     # x' = rates x + told (p + p' t) + speeds p', where p' is constant over the tick.
     whole = np.zeros((size + 2 * count, size + 2 * count))
     whole[:size, :size] = rates
-    whole[:size, size : size + count], whole[:size, size + count :] = told, speeds
+    whole[:size, size : size + count], whole[:size, size + count :] = commanded, speeds
     whole[size : size + count, size + count :] = np.eye(count)
     moved = expm(whole * tick_s)
     return Advance(
@@ -206,7 +210,7 @@ class PieceRun:
         """
         a, count = self.advance, len(self.advance.sources)
         stood = np.concatenate((self.counts, travelled[:, self.columns]))
-        told = np.stack(
+        commanded = np.stack(
             [
                 _commanded_position(source, stood[:, k], phase, len(travelled), int(a.spread[k]))
                 for k, (source, phase) in enumerate(zip(a.sources, self.phases, strict=True))
@@ -215,21 +219,23 @@ class PieceRun:
         )
         # The last row comes again as the first of the next part.
         self.counts = stood[len(stood) - 1 - len(self.counts) : -1]
-        speed = np.diff(told, axis=0) / a.tick_s
-        pushed = in_order(told[:-1], a.by_position) + in_order(speed, a.by_speed)
+        speed = np.diff(commanded, axis=0) / a.tick_s
+        pushed = in_order(commanded[:-1], a.by_position) + in_order(speed, a.by_speed)
         states = follow(a.step, pushed, self.state)
         self.state = states[-1]
         states = states[:-1]
         history = np.concatenate((self.before, speed))
         kept = len(self.before)
         mean = 0.5 * (history[kept - 1 : -1] + speed)
-        demand, position, rate = np.zeros_like(speed), told[:-1].copy(), mean.copy()
+        demand, position, rate = np.zeros_like(speed), commanded[:-1].copy(), mean.copy()
         acceleration = np.zeros_like(speed)
         for k, source in enumerate(a.sources):
             if isinstance(source, PulseServo):
                 at, w = a.servo[k], 2.0 * np.pi * source.bandwidth.si
                 position[:, k], rate[:, k] = states[:, at], states[:, at + 1]
-                acceleration[:, k] = w * w * (told[:-1, k] - position[:, k]) - 2.0 * w * rate[:, k]
+                acceleration[:, k] = (
+                    w * w * (commanded[:-1, k] - position[:, k]) - 2.0 * w * rate[:, k]
+                )
             else:
                 ticks = int(a.averaged[k])
                 earlier = history[kept - ticks : len(history) - ticks, k]

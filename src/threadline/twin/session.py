@@ -189,8 +189,8 @@ class Session(RowSession):
                     read[TENSION][at] = fibre.tension_n
                 at += 1
             place, rate = self._run.loads()
-            told = start_si + travelled[row] / counts
-            fibre.advance(told, start_si + place, rate, operations[row])
+            commanded = start_si + travelled[row] / counts
+            fibre.advance(commanded, start_si + place, rate, operations[row])
             self._run.pull(fibre.pulls)
         return read
 

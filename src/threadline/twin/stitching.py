@@ -186,7 +186,7 @@ def frame_samples(
     forces, loads = in_order(states, driven.forces), in_order(states, driven.loads)
     samples: dict[str, FloatArray] = {}
     for k, name in enumerate(commands.axes):
-        force = forces[:, k] + driven.told[k] * (steps[:, k] * driven.scale[k])
+        force = forces[:, k] + driven.commanded[k] * (steps[:, k] * driven.scale[k])
         samples[f"{name}.commanded"] = start[k] + steps[:, k] / commands.steps_per_unit[k]
         samples[f"{name}.load"] = start[k] + loads[:, k]
         samples[f"{name}.torque_share"] = np.abs(force) / driven.limit[k]
@@ -342,8 +342,8 @@ class StitchingSession:
         )
         ticks = self._every * np.arange(first, first + samples, dtype=np.int64)
         needles = Needles(self._machine, replace(head, duration_ticks=self._following[0]))
-        told = frame_samples(head, self._driven, states, steps)
-        told["needle"] = np.zeros(samples)
+        samples_of = frame_samples(head, self._driven, states, steps)
+        samples_of["needle"] = np.zeros(samples)
         under_way = np.full(samples, self._under_way)
         if len(block):
             begin, window = (np.array([value]) for value in self._following)
@@ -353,10 +353,10 @@ class StitchingSession:
                 window=window,
                 **{name: self._turns[name][-1:] for name in COLUMNS[2:]},
             )
-            told["needle"] = needles.down(block, after, ticks)
+            samples_of["needle"] = needles.down(block, after, ticks)
             turn = np.searchsorted(block.begin, ticks, side="right") - 1
             under_way = np.where(turn >= 0, block.operation[np.maximum(turn, 0)], self._under_way)
-        told["operation"] = under_way.astype(np.float64)
+        samples_of["operation"] = under_way.astype(np.float64)
         self.tick += samples
         if samples:
             self._under_way = int(under_way[-1])
@@ -364,5 +364,5 @@ class StitchingSession:
         self._events = [event for event in self._events if event.tick >= self.tick]
         events, self._pending_events = (*due, *self._pending_events), []
         return RecordingBlock(
-            first_tick={self.channels[0].clock.name: first}, samples=told, events=events
+            first_tick={self.channels[0].clock.name: first}, samples=samples_of, events=events
         )

@@ -48,7 +48,7 @@ class Driven:
         (A, m) position of each axis, m or rad, from the state.
     forces
         (A, m) force of each drive, N or N m, from the state.
-    told
+    commanded
         (A,) force of each drive per commanded m or rad.
     limit
         (A,) force limit of each drive, N or N m.
@@ -63,7 +63,7 @@ class Driven:
     series: FloatArray
     loads: FloatArray
     forces: FloatArray
-    told: FloatArray
+    commanded: FloatArray
     limit: FloatArray
     scale: FloatArray
     parts: int
@@ -89,7 +89,7 @@ def driven_of(machine: Machine) -> Driven:
     size = sum(len(piece.states) + 2 * len(piece.drives) for piece in pieces)
     rates, entry = np.zeros((size, size)), np.zeros((size, len(names)))
     loads, forces = np.zeros((len(names), size)), np.zeros((len(names), size))
-    told, limit, scale = (np.zeros(len(names)) for _ in range(3))
+    commanded, limit, scale = (np.zeros(len(names)) for _ in range(3))
     first = 0
     for piece in pieces:
         n = len(piece.states)
@@ -107,7 +107,7 @@ def driven_of(machine: Machine) -> Driven:
             # The drive moves its own mass and the network.
             forces[at, columns] = -piece.pulls[k]
             forces[at] += piece.inertia[k] * rates[speed]
-            told[at] = piece.inertia[k] * w * w
+            commanded[at] = piece.inertia[k] * w * w
             limit[at] = source.torque_limit.si
             scale[at] = 1.0 / source.counts
         for index, name in enumerate(piece.axes):
@@ -122,7 +122,7 @@ def driven_of(machine: Machine) -> Driven:
         series=series,
         loads=loads,
         forces=forces,
-        told=told,
+        commanded=commanded,
         limit=limit,
         scale=scale,
         parts=parts,

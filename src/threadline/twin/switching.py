@@ -300,7 +300,7 @@ def _read(
 def run_block(
     channels: Sequence[Channel],
     ran: tuple[FloatArray, IntArray, IntArray],
-    told: tuple[Sequence[str], IntArray, IntArray, Sequence[Event]],
+    logged: tuple[Sequence[str], IntArray, IntArray, Sequence[Event]],
     first: int,
 ) -> RecordingBlock:
     """Return a block with the results of ``run``.
@@ -309,12 +309,12 @@ def run_block(
     ----------
     ran
         The filled parts of its ``out``, ``rows`` and ``over``.
-    told
+    logged
         Outputs, their (R + 1 + W, outputs) ``states_of``, (R,) operations, and the waits.
     first
         Index of the first sample.
     """
-    (out, rows, over), (outputs, states, operations, waits) = ran, told
+    (out, rows, over), (outputs, states, operations, waits) = ran, logged
     # Before the first row the operation is 0.
     operation = np.concatenate(([0], operations)).astype(np.float64)
     measured = dict(zip((c.name for c in channels), out.T.copy(), strict=False))

@@ -195,24 +195,24 @@ class Progress(NamedTuple):
         (PLC_STATE,) integers; ``TICK``, ``SCAN`` and the following constants are the indices.
     free
         (M,) values of the contacts that no cylinder closes.
-    asked
+    followed_m
         (C,) stroke of each cylinder if it followed its valves without delay, m.
     arrival, coming
         (C, Q) instants and sizes of the level changes on their way to each cylinder, in the order
         of their instants.
     queue
         (C, 2) number of changes that were sent, and number that have arrived.
-    told, last
+    commanded, last
         (C, F) last commanded contribution of each flow control to the level, and its arrival.
     """
 
     plc: IntArray
     free: IntArray
-    asked: FloatArray
+    followed_m: FloatArray
     arrival: IntArray
     coming: FloatArray
     queue: IntArray
-    told: FloatArray
+    commanded: FloatArray
     last: IntArray
 
 
@@ -346,12 +346,12 @@ def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:
     row, creeps, wait = progress.plc[ROW] + 1, progress.plc[OPENED] != 0, progress.plc[WAIT]
     for f in range(orders.opened.shape[1]):
         wanted = orders.creep_flowing[wait, c, f] if creeps else orders.flowing[row, c, f]
-        told = progress.told[c, f]
-        if wanted == told:
+        commanded = progress.commanded[c, f]
+        if wanted == commanded:
             continue
-        later = orders.opened[c, f] if abs(wanted) > abs(told) else orders.shut[c, f]
+        later = orders.opened[c, f] if abs(wanted) > abs(commanded) else orders.shut[c, f]
         at = max(start * orders.share[c] + later, progress.last[c, f])
-        progress.told[c, f], progress.last[c, f] = wanted, at
+        progress.commanded[c, f], progress.last[c, f] = wanted, at
         place, came = progress.queue[c, 0], progress.queue[c, 1]
         if place == progress.arrival.shape[1]:
             for k in range(place - came):
@@ -363,7 +363,7 @@ def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:
             progress.arrival[c, place] = progress.arrival[c, place - 1]
             progress.coming[c, place] = progress.coming[c, place - 1]
             place -= 1
-        progress.arrival[c, place], progress.coming[c, place] = at, wanted - told
+        progress.arrival[c, place], progress.coming[c, place] = at, wanted - commanded
         progress.queue[c, 0] += 1
 
 
@@ -374,7 +374,7 @@ def _sample(
     count = len(orders.share)
     for c in range(count):
         out[at, PER_CYLINDER * c] = stroke_of(c, bank, motion)
-        out[at, PER_CYLINDER * c + 1] = progress.asked[c]
+        out[at, PER_CYLINDER * c + 1] = progress.followed_m[c]
         out[at, PER_CYLINDER * c + 2] = level_of(c, orders, progress.plc)
         out[at, PER_CYLINDER * c + 3] = frame_of(c, bank, motion)
     for m in range(len(orders.contact_cylinder)):
@@ -442,7 +442,7 @@ def _run(
             for c in range(len(orders.share)):
                 share = orders.share[c]
                 wanted = level_of(c, orders, plc)
-                progress.asked[c] += wanted * step_s * bank.numbers[c, SPEED]
+                progress.followed_m[c] += wanted * step_s * bank.numbers[c, SPEED]
                 move(c, now * share, then * share, orders, progress, bank, motion)
             now = then
         plc[SCAN] += 1

@@ -197,8 +197,8 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
                 part.columns["commanded"] = part.columns["commanded"][:, 0]
             if numbers is not None:
                 # Where samples are missing the operation is unknown, as before the first sample.
-                told = np.where(np.isnan(numbers[:, 0, 0]), -1.0, numbers[:, 0, 0])
-                operation = np.rint(told).astype(np.int64)
+                numbered = np.where(np.isnan(numbers[:, 0, 0]), -1.0, numbers[:, 0, 0])
+                operation = np.rint(numbered).astype(np.int64)
                 # After its end a controller may send -1: the last operation still holds.
                 operation = np.maximum.accumulate(np.maximum(operation, reached))
                 reached = int(operation[-1])

@@ -146,13 +146,13 @@ class Causes:
 
     def lines(self) -> list[str]:
         """Return the same as lines of text."""
-        told = [f"Gaps between bands:   {self.words()}"]
+        text = [f"Gaps between bands:   {self.words()}"]
         for name, by, mean, largest, ends, explains in self.rows():
-            told.append(
+            text.append(
                 f"  {name}, {by}: mean gap {mean}, largest {largest}, ends of the winding {ends}"
                 + (f"; {explains} would explain the largest gap" if explains else "")
             )
-        return told
+        return text
 
     def _explains(self, cause: Cause) -> str:
         times = self.needed(cause)

@@ -91,10 +91,10 @@ class Coverage:
         of the run to judge is returned. Call it after the recording has been read to its end.
         """
         channels = list(channels)
-        asked = tuple(channel.name for channel in channels), begin_s, end_s
-        if asked not in self._lacks:  # many measures read the same channels
-            self._lacks[asked] = self._lack(channels, begin_s, end_s)
-        return self._lacks[asked]
+        span = tuple(channel.name for channel in channels), begin_s, end_s
+        if span not in self._lacks:  # many measures read the same channels
+            self._lacks[span] = self._lack(channels, begin_s, end_s)
+        return self._lacks[span]
 
     def _lack(self, channels: Sequence[Channel], begin_s: float, end_s: float) -> Lack | None:
         found: list[Lack] = []
@@ -232,9 +232,9 @@ class _Cut:
         tick = block.first_tick[channel.clock.name] + first * channel.stride
         operation = None
         if self._operation is not None and self._operation.clock == channel.clock:
-            told = block.samples[self._operation.name]
+            operations = block.samples[self._operation.name]
             at = (tick - block.first_tick[channel.clock.name]) // self._operation.stride
-            operation = int(told[min(at, len(told) - 1)]) if len(told) else None
+            operation = int(operations[min(at, len(operations) - 1)]) if len(operations) else None
         runs = np.flatnonzero(values[first])
         self.found = Disturbance(
             change=Change.LIMIT_SWITCH,
@@ -395,8 +395,8 @@ def end_words(outcome: Outcome) -> str:
         return ""
     assert outcome.ended is not None
     # A controller that reports no operation leaves -1.
-    told = outcome.operation is not None and outcome.operation >= 0
-    where = f" in operation {outcome.operation}" if told else ""
+    known = outcome.operation is not None and outcome.operation >= 0
+    where = f" in operation {outcome.operation}" if known else ""
     return f"the run ended{where}, {end_with_reason(outcome.ended.value, outcome.text)}"
 
 

@@ -292,12 +292,12 @@ def worst_of(
         counted, and their results keep the number of the run.
     """
     results = list(verdict.results)
-    for told, other in others:
+    for text, other in others:
         found = {(r.name, r.axis, r.step): r for r in other.results}
         for k, result in enumerate(results):
             one = found.get((result.name, result.axis, result.step))
             if one is not None and _worse(one, result):
-                note = ", ".join(filter(None, (one.note, told)))
+                note = ", ".join(filter(None, (one.note, text)))
                 results[k] = replace(one, note=note, run=None if over else one.run)
     worst, count = replace(verdict, results=tuple(results)), len(others)
     if over is None:
@@ -305,7 +305,7 @@ def worst_of(
     return replace(worst, ends=count) if over == "ends" else replace(worst, band=count)
 
 
-def with_other_machines(verdict: Verdict, others: EachRun, told: str = _WITHIN) -> Verdict:
+def with_other_machines(verdict: Verdict, others: EachRun, text: str = _WITHIN) -> Verdict:
     """Return ``verdict`` with every result replaced by the worst of other machines, if it is worse.
 
     Such a result has the place where the worst machine had this value; the line is left to
@@ -315,7 +315,7 @@ def with_other_machines(verdict: Verdict, others: EachRun, told: str = _WITHIN) 
     ----------
     others
         The results of other machines by the same specification, one run each.
-    told
+    text
         Note of a replaced result.
     """
     rows = {(row.name, row.axis, row.step): row for row in others.rows if not row.of_plan}
@@ -337,13 +337,13 @@ def with_other_machines(verdict: Verdict, others: EachRun, told: str = _WITHIN) 
             position=place.position,
             passes=(),
             run=None,
-            note=", ".join(filter(None, (place.note, told))),
+            note=", ".join(filter(None, (place.note, text))),
         )
         if worst is not None and _worse(other, results[k]):
             results[k] = other
         if row.missed.any() and results[k].status is not Status.FAILED:
             results[k] = replace(
-                other, measured=None, status=Status.NOT_MEASURED, note=told, time_s=None,
+                other, measured=None, status=Status.NOT_MEASURED, note=text, time_s=None,
                 operation=None, job_line=None, position=None,
             )  # fmt: skip
     return replace(verdict, results=tuple(results))

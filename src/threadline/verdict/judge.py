@@ -153,7 +153,7 @@ class Judge:
         count = sum(recording.runs for recording in (*recordings, *others))
         simulated = all(recording.simulated for recording in (*recordings, *others))
         shown = recorded and not simulated and not why
-        told = [
+        from_trackers = [
             with_recording(result, findings, plan, spec, shown=shown)
             if MEASURES[criterion.name].of_plan(plan) is not None
             else not_beyond(
@@ -166,7 +166,7 @@ class Judge:
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
         ]
-        results = with_lines(told, plan)
+        results = with_lines(from_trackers, plan)
         happened = [*(one for listener in listened for one in listener.disturbances)]
         return Verdict(
             results=results,

@@ -145,9 +145,9 @@ def kinds_of(spec: Spec, *, recorded: bool) -> dict[Key, MeasureKind]:
 
     For a run simulated for this verdict, only ``travel``: its velocity follows from the plan.
     """
-    asked = {criterion.name for criterion in spec.criteria}
+    names = {criterion.name for criterion in spec.criteria}
     kinds = (TRAVEL, VELOCITY) if recorded else (TRAVEL,)
-    return {key_of(kind): kind for kind in kinds if kind.name in asked}
+    return {key_of(kind): kind for kind in kinds if kind.name in names}
 
 
 def with_recording(

@@ -125,7 +125,7 @@ def _stay_at(
         behind = np.sqrt(left) - where * long
         beside, room = (where - place) * long, (1.0 - where) * long
         on = (behind * behind - error) / (2.0 * (behind + beside))
-        on = on if on < room else room  # room too where it is no number
+        on = on if on < room else room  # room too where it is not a number
         on = on if on > 0.0 else 0.0
         on = on if behind > 0.0 and behind * behind > error else 0.0
         error += on * (2.0 * beside + on)

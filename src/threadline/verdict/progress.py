@@ -182,10 +182,10 @@ class PlanClock:
         RecordingError
             If they go back in time, or give a time that no plan has.
         """
-        told = [event for event in events if event.kind == "plan"]
-        if not told:
+        plans = [event for event in events if event.kind == "plan"]
+        if not plans:
             return
-        for event in told:
+        for event in plans:
             if event.tick < self._tick or not 0.0 <= event.value <= _MOST_S:
                 raise RecordingError(
                     f"an event says that {event.value:.6g} s of the plan were due at "
@@ -194,10 +194,10 @@ class PlanClock:
                     "again.",
                 )
             self._tick = event.tick
-        named = np.array([_rate_of(event) for event in told])
-        due = np.array([event.value for event in told])
+        named = np.array([_rate_of(event) for event in plans])
+        due = np.array([event.value for event in plans])
         before = np.append(self._due_s[-1:] if len(self._due_s) else [np.nan], due[:-1])
-        times = np.array([self._clock.time_s(event.tick) for event in told])
+        times = np.array([self._clock.time_s(event.tick) for event in plans])
         self._from_s = np.concatenate([self._from_s, times])
         self._due_s = np.concatenate([self._due_s, due])
         stands = np.abs(due - before) <= self._slack_s

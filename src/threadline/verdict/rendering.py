@@ -242,31 +242,31 @@ def closing_of_all(verdicts: Sequence[Verdict]) -> str:
 def _level(verdict: Verdict) -> str:
     if verdict.level is Level.LIMITS:
         return f"{verdict.level}: placement is not proven, the machine file has no dynamics"
-    told = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
+    text = f"{verdict.level}: {verdict.runs} run{'s' if verdict.runs > 1 else ''}"
     if verdict.runs > REPEATED_RUNS and not verdict.recorded:
-        told += f", at least {math.floor(1000.0 * verdict.covers) / 10.0:g} % of all runs"
+        text += f", at least {math.floor(1000.0 * verdict.covers) / 10.0:g} % of all runs"
     if verdict.tolerances is not None:
-        told += f"; {'; '.join(_of_machines(verdict.tolerances))}"
+        text += f"; {'; '.join(_of_machines(verdict.tolerances))}"
     elif verdict.machines:
-        told += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
+        text += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
     if verdict.ends:
-        told += f", {verdict.ends} at the ends of the tolerances of loads and springs, one run each"
+        text += f", {verdict.ends} at the ends of the tolerances of loads and springs, one run each"
     if verdict.band:
-        told += f", {verdict.band} with modes all over the band, one run each"
+        text += f", {verdict.band} with modes all over the band, one run each"
     if verdict.wanted_yield is not None:
-        told += f", wanted yield {100.0 * verdict.wanted_yield:.6g} %"
-    return told
+        text += f", wanted yield {100.0 * verdict.wanted_yield:.6g} %"
+    return text
 
 
 def _of_machines(found: OverTolerances) -> list[str]:
     """Return the text about the worst machine searched and the drawn machines."""
-    told = f"the worst of {found.searched} machines searched"
+    worst = f"the worst of {found.searched} machines searched"
     if not found.criterion:
-        about = [f"{told} is in spec"]
+        about = [f"{worst} is in spec"]
     elif found.share is None:
-        about = [f"{told} fails {found.criterion}"]
+        about = [f"{worst} fails {found.criterion}"]
     else:
-        about = [f"{told} uses {percent_used(found.share)} of {found.criterion}"]
+        about = [f"{worst} uses {percent_used(found.share)} of {found.criterion}"]
     if found.drawn:
         least = math.floor(1000.0 * found.least + 1e-9) / 10.0
         about.append(
@@ -328,10 +328,10 @@ def _not_kept(verdict: Verdict) -> list[str]:
 
 def _unasked(verdict: Verdict) -> str:
     """Return why a verdict judges nothing beyond the limits of the machine."""
-    asked = dict.fromkeys(r.name for r in verdict.results if r.limit is not None and not r.hard)
-    if asked:
-        were = "was" if len(asked) == 1 else "were"
-        return f"{' and '.join(asked)} {were} not measured"
+    names = dict.fromkeys(r.name for r in verdict.results if r.limit is not None and not r.hard)
+    if names:
+        were = "was" if len(names) == 1 else "were"
+        return f"{' and '.join(names)} {were} not measured"
     return "the specification sets no other limit"
 
 
@@ -369,8 +369,8 @@ def _of_what(result: Result, verdict: Verdict) -> Result:
     if result.of == "run" or (result.of == "plan" and not verdict.recorded):
         return result
     room = result.name == "travel" and result.measured is not None and result.measured < 0.0
-    told = "" if room else result.note
-    return replace(result, note="; ".join(filter(None, (f"of the {result.of}", told))))
+    text = "" if room else result.note
+    return replace(result, note="; ".join(filter(None, (f"of the {result.of}", text))))
 
 
 def of_moving_axes(results: Sequence[Result]) -> list[Result]:
@@ -408,8 +408,8 @@ def _worst(results: Sequence[Result]) -> list[Result]:
         return [worst, lacking[0]]
     first = " ".join((absent[0].axis, absent[0].step)).strip()
     why = f"{first}: {absent[0].note}".strip(": ")
-    told = f"{len(absent)} of {len(results)} not measured" + (f" ({why})" if why else "")
-    return [replace(worst, note="; ".join(filter(None, (worst.note, told))))]
+    text = f"{len(absent)} of {len(results)} not measured" + (f" ({why})" if why else "")
+    return [replace(worst, note="; ".join(filter(None, (worst.note, text))))]
 
 
 def _row(result: Result) -> list[str]:
@@ -445,12 +445,12 @@ def step_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
 
     One row per step, in order; one column per measure and axis with results by step.
     """
-    told = [r for r in verdict.results if r.step]
-    columns = list(dict.fromkeys((r.name, r.axis) for r in told))
-    cells = {(r.step, r.name, r.axis): r for r in told}
+    of_steps = [r for r in verdict.results if r.step]
+    columns = list(dict.fromkeys((r.name, r.axis) for r in of_steps))
+    cells = {(r.step, r.name, r.axis): r for r in of_steps}
     header = ["step", *(" ".join((n, a)).strip() for n, a in columns)]
     rows = []
-    for step in dict.fromkeys(r.step for r in told):
+    for step in dict.fromkeys(r.step for r in of_steps):
         row = [step]
         for column in columns:
             result = cells.get((step, *column))

@@ -167,8 +167,8 @@ class _InStep:
                 return [Finding(value=None, note="a run was held: its instants are its own")]
             if any(one.samples != self._operations[0].samples for one in self._operations):
                 return [Finding(value=None, note="the recordings differ in length")]
-            told = {one.digest(run) for one, run in zip(self._operations, runs, strict=True)}
-            if len(told) > 1:
+            digests = {one.digest(run) for one, run in zip(self._operations, runs, strict=True)}
+            if len(digests) > 1:
                 return [Finding(value=None, note="the recordings differ in their operations")]
         late = runs[0].by_time and self._operations[0].both
         return [found.worst() for found in (self._by_time if late else self._own).finish()]

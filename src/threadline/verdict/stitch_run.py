@@ -293,9 +293,9 @@ class StitchRun:
                 pull = self.recording.find(ChannelKind.TORQUE_SHARE, axis)
                 if pull is not None:
                     # Between two stitches the frame moves to the next one.
-                    asked = finite_samples(pull, block)[: len(needle)]
-                    to = np.minimum(number + ~needle, count - 1)[: len(asked)]
-                    _keep(force[:, k], force_at[:, k], to, asked, times)
+                    pulls = finite_samples(pull, block)[: len(needle)]
+                    to = np.minimum(number + ~needle, count - 1)[: len(pulls)]
+                    _keep(force[:, k], force_at[:, k], to, pulls, times)
             seen += int(enters.sum())
             was = bool(needle[-1])
             if needle.any():

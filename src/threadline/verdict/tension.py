@@ -154,11 +154,11 @@ class _Variation:
         """Return the variation of every run."""
         if self._untold:
             return [RunFindings.alike(Finding(value=None, note=_UNTOLD), len(self._sums))]
-        asked = [tension_n for _, tension_n in self._asked]
-        return [RunFindings.made([_of_run(sums, asked) for sums in self._sums])]
+        tensions_n = [tension_n for _, tension_n in self._asked]
+        return [RunFindings.made([_of_run(sums, tensions_n) for sums in self._sums])]
 
 
-def _of_run(parts: Sequence[_Sums], asked: Sequence[float]) -> Finding:
+def _of_run(parts: Sequence[_Sums], tensions_n: Sequence[float]) -> Finding:
     """Return the finding of the part that varies most, with the tension set there.
 
     Parts without samples do not count: their fibre is shorter than the length that is left out.
@@ -167,7 +167,7 @@ def _of_run(parts: Sequence[_Sums], asked: Sequence[float]) -> Finding:
     if lost_s < math.inf:
         return Finding(value=None, note=f"{_LOST} from {lost_s:.4g} s on")
     found = []
-    for sums, tension_n in zip(parts, asked, strict=True):
+    for sums, tension_n in zip(parts, tensions_n, strict=True):
         if not sums.count:
             continue
         own = _finding(sums)

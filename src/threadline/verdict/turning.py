@@ -216,7 +216,7 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
         due, end = starts[k] + closed[k], starts[k + 1]
         fresh, side = known, whole[k, 0]
         for i in range(samples if side else 0):
-            told, turned = False, 0
+            reported, turned = False, 0
             if bowed and (i > 0 or begun[0] > 0):
                 for r in range(runs):
                     step = points[i, k, r] - (before[k, r] if i == 0 else points[i - 1, k, r])
@@ -230,13 +230,13 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
                 least, most = lower[i + 1, k], upper[i + 1, k]
                 least, most = (least, most) if side > 0 else (-most, -least)
                 if least > bounds[1]:
-                    told, of_all[0], of_all[1] = True, i, i
+                    reported, of_all[0], of_all[1] = True, i, i
                     bounds[0], bounds[1], bounds[2], bounds[3] = least, most, -most, -least
                 elif most <= bounds[0] and -most > bounds[3]:
-                    told, of_all[1] = True, i
+                    reported, of_all[1] = True, i
                     bounds[2], bounds[3] = -most, -least
                 elif most <= bounds[0] and -least <= bounds[2]:
-                    told = True
+                    reported = True
                 else:
                     bounds[0], bounds[1] = max(bounds[0], least), max(bounds[1], most)
                     # When a run gets farther, its opposite direction starts again.
@@ -248,7 +248,7 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
                 overtaken = due + 1 < end and chord[low + i] >= leaves[due + 1]
                 late = first + low + i - whole[k, 1] >= lag
                 closing = whole[k, 1] >= 0 and (overtaken or late)
-            if not told or closing or i + 1 == samples:
+            if not reported or closing or i + 1 == samples:
                 for n in range(2):
                     at, way = of_all[n], side if n == 0 else -side
                     for r in range(runs if at >= 0 else 0):
@@ -265,7 +265,7 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
                             place = start + s * step + beside(s, step, out, back)
                             at_s = time_s[i] - (1.0 - s) * interval_s
                             _take_fast(real, k, r, side * place, at_s)
-            for r in range(0 if told else runs):
+            for r in range(0 if reported else runs):
                 _take_fast(real, k, r, side * points[i, k, r], time_s[i])
             if turned:
                 fresh = known

@@ -172,7 +172,7 @@ class Result:
     Raises
     ------
     ValueError
-        If ``measured`` is no number: NaN is never a result, and only a time may be infinite.
+        If ``measured`` is not a number: NaN is never a result, and only a time may be infinite.
     """
 
     name: str
@@ -340,8 +340,8 @@ class Verdict:
 
     def __repr__(self) -> str:
         count = {status: sum(r.status is status for r in self.results) for status in Status}
-        told = ", ".join(f"{n} {status.value}" for status, n in count.items() if n)
-        return f"<Verdict {'passed' if self.passed else 'not passed'} ({self.level}): {told}>"
+        counts = ", ".join(f"{n} {status.value}" for status, n in count.items() if n)
+        return f"<Verdict {'passed' if self.passed else 'not passed'} ({self.level}): {counts}>"
 
     @property
     def level(self) -> Level:

@@ -179,10 +179,10 @@ def completed(reader: KeyReader, band: Band) -> Band:
 def _checked_share(reader: KeyReader, share: float, key: str) -> None:
     if math.isfinite(share) and 0.0 < share <= MOST_FIBRE_VOLUME:
         return
-    told = "" if key == "fibre_volume" else "tex, width and thickness of the band leave "
+    why = "" if key == "fibre_volume" else "tex, width and thickness of the band leave "
     reader.refuse(
-        key, f"{told}a fibre volume of {share:.3g}: round fibres fill at most "
+        key, f"{why}a fibre volume of {share:.3g}: round fibres fill at most "
         f"{MOST_FIBRE_VOLUME:.0%}",
-        'Usual are 50 to 65 %: fibre_volume = "60 %".' if not told
+        'Usual are 50 to 65 %: fibre_volume = "60 %".' if not why
         else "Correct tex, or give a wider or thicker band.",
     )  # fmt: skip

@@ -111,7 +111,7 @@ class KeyReader:
         match = _NUMBER.fullmatch(text.strip())
         try:
             if match is None:
-                raise UnitError("there is no number")
+                raise UnitError("there is not a number")
             value = parse_quantity(match["value"].strip(), unit)
             spread = (match["tolerance"] or "").strip()
             if spread.endswith("%"):

@@ -213,10 +213,10 @@ def stated_tick_count(path: Path) -> int:
     place = Place(str(path))
     with path.open("rb") as file:
         file.seek(max(file.seek(0, SEEK_END) - _LAST, 0))
-        _, found, told = file.read().decode("utf-8", "replace").rpartition(END)
+        _, found, count = file.read().decode("utf-8", "replace").rpartition(END)
     if not found:
         raise _cut_off(place)
-    return whole_number(told.strip(), place)
+    return whole_number(count.strip(), place)
 
 
 def check_end(line: str, ticks: int, place: Place) -> None:

@@ -191,14 +191,14 @@ def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
     RecordingError
         If the hash differs, or a row cannot be read.
     """
-    told = meta.get("rows_sha256")
-    if told is None:
+    stated = meta.get("rows_sha256")
+    if stated is None:
         return table
     found = table.rows_sha256()
-    if found != told:
+    if found != stated:
         raise RecordingError(
             f"the rows were changed after writing: their SHA-256 is {found[:12]}..., the "
-            f"file says {told[:12]}...",
+            f"file says {stated[:12]}...",
             place=Place(str(path)),
             remedy="Write or fetch it again.",
         )
@@ -376,8 +376,8 @@ def _csv_rows(needle: NeedleSource | None, period_s: float, block: TickBlock, ax
     lines = []
     beside = [""] * len(block)
     if needle is not None:
-        told = needle.rows(block)
-        beside = [f"{told.cells(row, row + 1, period_s)}," for row in range(len(block))]
+        needle_rows = needle.rows(block)
+        beside = [f"{needle_rows.cells(row, row + 1, period_s)}," for row in range(len(block))]
     rows = zip(block.counts.tolist(), block.operation.tolist(), beside, strict=True)
     for tick, (counts, operation, more) in enumerate(rows, start=block.first_tick):
         cell = events_cell(cells.pop(tick)) if tick in cells else ""

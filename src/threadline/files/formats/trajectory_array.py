@@ -71,12 +71,12 @@ def _lines(
     from threadline.files.formats.array_runs import runs  # slow to import: it loads numba
 
     pending = list(block.events)
-    told = None if needle is None else needle.rows(block)
+    needle_rows = None if needle is None else needle.rows(block)
     operation = block.operation
     cuts = {0, len(block), *(np.flatnonzero(np.diff(operation)) + 1).tolist()}
     cuts |= {e.tick - block.first_tick for e in pending if e.tick < block.first_tick + len(block)}
-    if told is not None:
-        cuts |= set(told.changes().tolist())
+    if needle_rows is not None:
+        cuts |= set(needle_rows.changes().tolist())
     marks = np.array(sorted(cuts), dtype=np.int64)
     begins, spans, phases = runs(np.ascontiguousarray(block.counts), marks)
     for begin, span, phase in zip(begins.tolist(), spans.tolist(), phases.tolist(), strict=True):
@@ -86,13 +86,15 @@ def _lines(
         here = [e for e in pending if e.tick == tick]
         if here:
             pending = [e for e in pending if e.tick != tick]
-        beside = "" if told is None else f"{told.cells(begin, begin + span, period_s)},"
+        beside = (
+            "" if needle_rows is None else f"{needle_rows.cells(begin, begin + span, period_s)},"
+        )
         yield f"{span},{','.join(cells)},{operation[begin]},{beside}{events_cell(here)}\n"
     if pending:  # at the end of the last row
         end = block.first_tick + len(block)
         if any(e.tick != end for e in pending):
             raise ValueError(f"an event lies outside its block: {pending[0]}")
-        empty = 3 * axes + 2 + (0 if told is None else len(NEEDLE_COLUMNS))
+        empty = 3 * axes + 2 + (0 if needle_rows is None else len(NEEDLE_COLUMNS))
         yield f"0{',' * empty}{events_cell(pending)}\n"
 
 
@@ -164,10 +166,10 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
 
 def _check_within(end: int, path: Path, place: Place) -> None:
     """Refuse a line beyond the stated end of the table, before making its rows."""
-    told = stated_tick_count(path)
-    if end > told:
+    last = stated_tick_count(path)
+    if end > last:
         raise RecordingError(
-            f"the line extends to tick {end}, but the table ends after {told}",
+            f"the line extends to tick {end}, but the table ends after {last}",
             place=place,
             remedy="Write or fetch it again.",
         )

@@ -122,7 +122,7 @@ def numbers(text: str) -> list[float]:
         found.append(float(match[1]))
         at = match.end()
     if text[at:].strip() or text.rstrip().endswith(","):
-        raise ValueRefused(f"{shown(text[at:] or text)} is no number")
+        raise ValueRefused(f"{shown(text[at:] or text)} is not a number")
     if not all(map(math.isfinite, found)):
         raise ValueRefused("a number is not finite")
     return found

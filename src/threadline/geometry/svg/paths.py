@@ -158,7 +158,7 @@ class _Reader:
         word = re.match(r"[A-Za-z]{2,}|\S+", self.data[at:])
         no_number = _NO_NUMBER.match(self.data[at:])
         if no_number:
-            raise ValueRefused(f"{no_number[0]!r} in the data of a path is no number", _REMEDY)
+            raise ValueRefused(f"{no_number[0]!r} in the data of a path is not a number", _REMEDY)
         said = f"{shown(word[0])} at character {at + 1}" if word else "it ends too early"
         raise ValueRefused(f"the data of a path is wrong: {said}", _REMEDY)
 

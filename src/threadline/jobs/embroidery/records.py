@@ -104,7 +104,7 @@ def read_records(path: Path) -> Records:
         held = threads.READERS[suffix](content, place) if suffix in threads.READERS else []
     table = np.array(decoded, dtype=np.float64).reshape(len(decoded), 3)
     if not np.isfinite(table).all():
-        raise _not_of_its_format(suffix, "a place that is no number", place)
+        raise _not_of_its_format(suffix, "a place that is not a number", place)
     act = table[:, 2].astype(np.int64) & 0xFF
     foreign = np.flatnonzero(~np.isin(act, _KNOWN))
     if len(foreign):
@@ -195,8 +195,8 @@ def _check_dst(content: bytes, place: Place) -> tuple[str, ...]:
 
 def _other_extents(content: bytes, place: Place) -> tuple[str, ...]:
     """Return a warning if the records of a DST file reach elsewhere than its header says."""
-    told = _dst_header(content)
-    said = [told.get(key, 0) for key in ("+X", "-X", "+Y", "-Y")]
+    stated = _dst_header(content)
+    said = [stated.get(key, 0) for key in ("+X", "-X", "+Y", "-Y")]
     if not any(said):
         return ()
     found = _extents(np.array(_decoded(content, ".dst", Place(""))[0], dtype=np.float64))
@@ -233,16 +233,16 @@ def _is_whole_dst(content: bytes, count: int) -> bool:
     Programs count the thread changes and the end mark as records, or do not, and have Y up or down.
     A program that writes another last position leaves the frame where it began.
     """
-    told = _dst_header(content)
-    if not count or set(told) != {"ST", "+X", "-X", "+Y", "-Y", "AX", "AY"}:
+    header = _dst_header(content)
+    if not count or set(header) != {"ST", "+X", "-X", "+Y", "-Y", "AX", "AY"}:
         return False
     table = np.array(_decoded(content, ".dst", Place(""))[0], dtype=np.float64)
     x, y = table[:, 0], table[:, 1]
     right, left, *along_y = _extents(table)
     change = int((table[:, 2].astype(np.int64) & 0xFF == Act.COLOUR).sum())
     return (
-        told["ST"] in {count, count + 1, count - change}
-        and [right, left] == [told["+X"], told["-X"]]
-        and sorted(along_y) == sorted((told["+Y"], told["-Y"]))
-        and (x[-1], abs(y[-1])) in {(told["AX"], abs(told["AY"])), (0.0, 0.0)}
+        header["ST"] in {count, count + 1, count - change}
+        and [right, left] == [header["+X"], header["-X"]]
+        and sorted(along_y) == sorted((header["+Y"], header["-Y"]))
+        and (x[-1], abs(y[-1])) in {(header["AX"], abs(header["AY"])), (0.0, 0.0)}
     )

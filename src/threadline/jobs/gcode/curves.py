@@ -269,7 +269,7 @@ class Curves:
             dialect = self._reading.dialect
             if p is not None and not dialect.grammar.turns:
                 raise JobError(
-                    f"P of an arc is no number of turns for {dialect.name}, which refuses it or "
+                    f"P of an arc is not a number of turns for {dialect.name}, which refuses it or "
                     "passes over it",
                     place=at,
                     remedy="Take P out, or write one arc for each turn.",

@@ -106,7 +106,7 @@ def named_command(text: str, place: Place, *, without_macros: bool = False) -> N
 
 
 def _velocity_limit(arguments: str, place: Place) -> LimitChange:
-    told: dict[str, float] = {}
+    limits: dict[str, float] = {}
     for part in arguments.split():
         name, sign, value = part.upper().partition("=")
         if not sign:
@@ -116,30 +116,30 @@ def _velocity_limit(arguments: str, place: Place) -> LimitChange:
                 remedy="Write it like SET_VELOCITY_LIMIT ACCEL=3000.",
             )
         if name in _LIMITS or name == "ACCEL_TO_DECEL":
-            told[name] = _number(name, value.strip("\"'"), place)
-    decel = told.pop("ACCEL_TO_DECEL", None)
-    if decel is not None and "MINIMUM_CRUISE_RATIO" not in told:
-        if "ACCEL" not in told:
+            limits[name] = _number(name, value.strip("\"'"), place)
+    decel = limits.pop("ACCEL_TO_DECEL", None)
+    if decel is not None and "MINIMUM_CRUISE_RATIO" not in limits:
+        if "ACCEL" not in limits:
             raise JobError(
                 "ACCEL_TO_DECEL without ACCEL, which klipper's releases read differently",
                 place=place,
                 remedy="Write MINIMUM_CRUISE_RATIO=... in its place.",
             )
-        told["MINIMUM_CRUISE_RATIO"] = 1.0 - min(1.0, decel / told["ACCEL"])
+        limits["MINIMUM_CRUISE_RATIO"] = 1.0 - min(1.0, decel / limits["ACCEL"])
     scaled = {
         _LIMITS[name]: value if name == "MINIMUM_CRUISE_RATIO" else value / 1e3
-        for name, value in told.items()
+        for name, value in limits.items()
     }
     return LimitChange(**scaled)
 
 
 def _m204(code: str, arguments: str, place: Place) -> Named:
     """Return M204: S, or the lower one of P and T; klipper passes over one without them."""
-    told = dict(_LETTERED.findall(arguments))
-    letters = ["S"] if "S" in told else ["P", "T"]
-    if not all(letter in told for letter in letters):
+    given = dict(_LETTERED.findall(arguments))
+    letters = ["S"] if "S" in given else ["P", "T"]
+    if not all(letter in given for letter in letters):
         return Named(code, idle="M204")
-    least = min(_number(letter, told[letter], place) for letter in letters)
+    least = min(_number(letter, given[letter], place) for letter in letters)
     return Named(code, LimitChange(acceleration_m_s2=least / 1e3))
 
 

@@ -129,8 +129,8 @@ class Modal:
             self._set(block.settings)
         self._cycles.take(block.settings, block.motion)
         if block.feed is not None:
-            told = value_of(block.feed, self._tenth_mm, inverse_time=self._inverse_time)
-            self._feed = self._feed_of(told)
+            feed = value_of(block.feed, self._tenth_mm, inverse_time=self._inverse_time)
+            self._feed = self._feed_of(feed)
             self._feed_tenth_mm = self._tenth_mm
         if block.motion >= 0:
             self._motion = -1 if block.motion == CANCEL else block.motion

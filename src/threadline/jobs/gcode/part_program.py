@@ -393,9 +393,9 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
         default=None,
     )
     line = main.line if call is None else call[1].line
-    asked = f"{needed}" if needed < 10**15 else "more than 10^15"
+    count = f"{needed}" if needed < 10**15 else "more than 10^15"
     raise BudgetError(
-        f"the program asks for {asked} operations with all passes; the machine's tick budget is "
+        f"the program asks for {count} operations with all passes; the machine's tick budget is "
         f"{budget} and each counts as a tick at least",
         place=file.place(line),
         remedy="Lower L, or raise tick_budget in the machine file.",

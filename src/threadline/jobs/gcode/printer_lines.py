@@ -316,8 +316,8 @@ def _numbered_for_reprapfirmware(code: str, place: Place) -> str:
     right = 0
     for byte in code[:end].lstrip(" \t").encode():
         right ^= byte
-    told = _REPRAP_CHECKSUM.match(code, end)
-    if told is None or int(told[1]) != right:
+    checksum = _REPRAP_CHECKSUM.match(code, end)
+    if checksum is None or int(checksum[1]) != right:
         raise JobError(
             f"the checksum of the line is {code[end + 1 :].strip()[:20] or 'missing'} and must be "
             f"{right}: reprapfirmware does not run the line",

@@ -171,8 +171,8 @@ def zeros_of(
     found = {MACHINE: (0,) * len(machine.axis_names)}
     for code in {first, *used.lines} - {MACHINE}:
         name = f"G{code // 10}"
-        told = machine.programs.offsets.get(name)
-        if told is None:
+        offset = machine.programs.offsets.get(name)
+        if offset is None:
             line = max(used.lines.values())
             names = " and ".join(f"G{one // 10}" for one in used.lines)
             raise JobError(
@@ -183,9 +183,10 @@ def zeros_of(
             )
         found[code] = tuple(
             _exact(
-                told[axis].si * (1e3 if machine.axes[axis].kind == "linear" else math.degrees(1.0))
+                offset[axis].si
+                * (1e3 if machine.axes[axis].kind == "linear" else math.degrees(1.0))
             )
-            if axis in told
+            if axis in offset
             else 0
             for axis in machine.axis_names
         )

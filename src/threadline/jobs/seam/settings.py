@@ -256,7 +256,7 @@ def _value(key: str, value: Any, setting: _Setting, place: Place) -> Any:
             )
         return value
     if setting.unit is None:
-        # bool is an int in Python; here a truth value is no number.
+        # bool is an int in Python; here a truth value is not a number.
         if type(value) is not setting.kind:
             raise JobError(f"{key} is {value!r}, not of type {setting.kind.__name__}", place=place)
         number: Any = value

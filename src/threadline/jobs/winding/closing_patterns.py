@@ -153,9 +153,9 @@ class _Ways:
 
     def nearest(self, counts: Sequence[int]) -> Pattern | None:
         """Return a pattern that closes, with the number of circuits nearest to the asked ones."""
-        asked = (counts[0], counts[-1])
+        wanted = (counts[0], counts[-1])
         near = [list(counts)]
-        near += [[asked[0] - far, asked[1] + far] for far in range(1, _FARTHEST)]
+        near += [[wanted[0] - far, wanted[1] + far] for far in range(1, _FARTHEST)]
         for tried in near:
             found = self.closed([count for count in tried if count > 0], None)
             if found:
@@ -181,23 +181,25 @@ def _asked(layer: Layer) -> str:
 
 def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
     """Say what would close: the nearest pattern, or how much friction."""
-    wrap, told = closing.wrap, []
+    wrap, remedies = closing.wrap, []
     if wrap.layer.close == "dwell":
         slips = max(wrap.slip_at(wrap.base, site) for site in wrap.sites)
-        told.append(
+        remedies.append(
             f"A dwell on the parallel has a slip tendency of {slips:.2g}, the friction holds "
             f"{wrap.friction:.2g}: declare a [[boss]] or a ring of pins, or close by friction."
         )
     near = closing.nearest(counts)
     if near is not None:
-        told.append(
+        remedies.append(
             f"The nearest that closes: circuits = {near.circuits}, shift = {near.shift}, "
             f"{near.coverage:.1%} covered."
         )
     friction = closing.friction_for(counts, wrap.layer.shift)
     if friction is not None and wrap.layer.close in (None, "friction"):
-        told.append(f"A friction of {friction:.2g} or more would close the asked one.")
-    return " ".join(told) or "Give another turn or angle, or a [[boss]] on which the fibre dwells."
+        remedies.append(f"A friction of {friction:.2g} or more would close the asked one.")
+    return (
+        " ".join(remedies) or "Give another turn or angle, or a [[boss]] on which the fibre dwells."
+    )
 
 
 def _of_count(advance: float, count: int, around: float, shift: int | None) -> Iterator[Pattern]:

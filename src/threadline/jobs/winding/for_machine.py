@@ -49,14 +49,14 @@ def other_tensions(machine: Machine, winding: Winding) -> tuple[str, ...]:
     own = spool.tension_n
     found = []
     for layer in winding.layers:
-        asked = layer.tension_n
-        if asked is None or abs(own - asked) <= _OFF * asked:
+        tension_n = layer.tension_n
+        if tension_n is None or abs(own - tension_n) <= _OFF * tension_n:
             continue
-        torque = spool.torque_for(asked)
+        torque = spool.torque_for(tension_n)
         found.append(
             f"{Place(str(winding.path), layer.line)}: layer {layer.number} asks for a tension of "
-            f"{asked:.3g} N, and the spool of {machine.name} gives {own:.3g} N: set its brake to "
-            f"about {torque:.3g} N m for this layer."
+            f"{tension_n:.3g} N, and the spool of {machine.name} gives {own:.3g} N: set its "
+            f"brake to about {torque:.3g} N m for this layer."
         )
     return tuple(found)
 
@@ -66,13 +66,13 @@ def _beyond_the_arm(spool: Spool, winding: Winding) -> tuple[str, ...]:
     low, high = spool.floats_n
     found = []
     for layer in winding.layers:
-        asked = layer.tension_n
-        if asked is None or low < asked < high:
+        tension_n = layer.tension_n
+        if tension_n is None or low < tension_n < high:
             continue
-        stop = "lower" if asked <= low else "upper"
+        stop = "lower" if tension_n <= low else "upper"
         found.append(
             f"{Place(str(winding.path), layer.line)}: layer {layer.number} asks for a tension of "
-            f"{asked:.3g} N, at which the spring arm lies at its {stop} stop: it takes up "
+            f"{tension_n:.3g} N, at which the spring arm lies at its {stop} stop: it takes up "
             f"no change. It is free from {low:.3g} to {high:.3g} N: change spool.arm.preload, "
             "or the tension."
         )

@@ -111,7 +111,7 @@ class RunIndex:
         from sqlalchemy.pool import NullPool
         from sqlalchemy.schema import CreateTable
 
-        self._told = str(where).rpartition("@")[2] if isinstance(where, str) else str(where)
+        self._shown = str(where).rpartition("@")[2] if isinstance(where, str) else str(where)
         with self._clear():
             # As text a path would be parsed as a URL, and cut at its first "?".
             url = URL.create("sqlite", database=str(where)) if isinstance(where, Path) else where
@@ -150,7 +150,7 @@ class RunIndex:
         wrong = [name for name, value in row.items() if not _fits(str(name), value)]
         if wrong:
             raise StoreError(
-                f"the index of runs {self._told!r} is damaged: {wrong[0]} of a run is "
+                f"the index of runs {self._shown!r} is damaged: {wrong[0]} of a run is "
                 f"{str(row[wrong[0]])[:40]!r}",
                 remedy="Give another folder with --store, or mend the file.",
             )
@@ -168,7 +168,7 @@ class RunIndex:
                 raise
             why = str(getattr(error, "orig", None) or error).splitlines()[0][:160]
             raise StoreError(
-                f"the index of runs {self._told!r} cannot be used: {why}",
+                f"the index of runs {self._shown!r} cannot be used: {why}",
                 remedy="Another program writes into it: try again, or give another folder with "
                 "--store."
                 if "is locked" in why

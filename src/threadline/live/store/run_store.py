@@ -75,7 +75,7 @@ class RunStore:
         self,
         plan: Plan,
         proof: ProofFile,
-        told: Mapping[str, str],
+        known: Mapping[str, str],
         speed: float,
         inputs: Iterable[Path] = (),
         sent: Mapping[str, bytes] | None = None,
@@ -86,7 +86,7 @@ class RunStore:
         ----------
         proof
             The file names in its copy still lead to the same files.
-        told
+        known
             Entries of the recording's origin besides the options of the plan: ``link``, and
             ``override`` if the proof did not pass.
         speed
@@ -100,7 +100,7 @@ class RunStore:
         stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
         path = self._made(f"{now:%Y%m%d-%H%M%S}-{stem}")
         try:
-            return self._begun(path, plan, proof, told, speed, inputs, sent or {}, now)
+            return self._begun(path, plan, proof, known, speed, inputs, sent or {}, now)
         except BaseException:  # nothing has moved, and there is no row for it
             shutil.rmtree(path, ignore_errors=True)
             raise
@@ -120,7 +120,7 @@ class RunStore:
         path: Path,
         plan: Plan,
         proof: ProofFile,
-        told: Mapping[str, str],
+        known: Mapping[str, str],
         speed: float,
         inputs: Iterable[Path],
         sent: Mapping[str, bytes],
@@ -139,18 +139,18 @@ class RunStore:
             started=now.isoformat(timespec="microseconds"),
             job=plan.job.name,
             machine=plan.machine.name,
-            link=told["link"],
+            link=known["link"],
             speed=speed,
             level=proof.level,
             proof_passed=proof.passed,
-            override=told.get("override", ""),
+            override=known.get("override", ""),
             job_sha256=plan.job.sha256,
             machine_sha256=plan.machine.sha256,
             commands_sha256=proof.sha256("commands"),
             proof_sha256=str(kept.content["sha256"]),
             threadline=__version__,
         )
-        run = OpenRun(path, plan, {**told, "run": name}, self.index)
+        run = OpenRun(path, plan, {**known, "run": name}, self.index)
         try:
             self.index.add(record)
         except BaseException:
@@ -286,8 +286,8 @@ class OpenRun:
         Folder of the run.
     """
 
-    def __init__(self, path: Path, plan: Plan, told: Mapping[str, str], index: RunIndex) -> None:
-        self.path, self._plan, self._told, self._index = path, plan, told, index
+    def __init__(self, path: Path, plan: Plan, known: Mapping[str, str], index: RunIndex) -> None:
+        self.path, self._plan, self._known, self._index = path, plan, known, index
         self._events: IO[str] = (path / EVENTS).open("w", encoding="utf-8")
         self._trace: IO[bytes] = (path / TRACE).open("wb")
         self._writer: TraceWriter | None = None
@@ -314,7 +314,7 @@ class OpenRun:
             job_sha256=plan.job.sha256,
             machine_sha256=plan.machine.sha256,
             simulated=simulated,
-            origin={**plan.options, **self._told},
+            origin={**plan.options, **self._known},
         )
         with naming(self.path, self.path):
             self._writer = TraceWriter(self._trace, described)
@@ -381,8 +381,8 @@ class OpenRun:
     def unjudged(self, ended: str, text: str) -> None:
         """Write that a run ended before there was anything to judge."""
         plan = self._plan
-        told = {"job": plan.job.name, "machine": plan.machine.name, **self._told}
-        self._write({**told, "passed": False, "criteria": [], "ended": ended, "text": text})
+        content = {"job": plan.job.name, "machine": plan.machine.name, **self._known}
+        self._write({**content, "passed": False, "criteria": [], "ended": ended, "text": text})
         self.over(ended, text)
 
     def _write(self, content: Mapping[str, Any]) -> None:
@@ -439,7 +439,7 @@ def _word(file: Path, passed: bool) -> str:
     """Return the verdict in a file in a word; if it cannot be read, the index's."""
     try:
         content: Mapping[str, Any] = json.loads(file.read_bytes())
-        told = content.get("verdict", content)  # a proof has a verdict, and its level beside it
-        return word_of_json({**told, "level": content.get("level")})
+        verdict = content.get("verdict", content)  # a proof has a verdict, and its level beside it
+        return word_of_json({**verdict, "level": content.get("level")})
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return "in spec" if passed else "not passed"

@@ -77,9 +77,9 @@ def trace_of(folder: Path, record: RunRecord) -> Path:
         If it cannot be read.
     """
     trace = folder / TRACE
-    told = read_recording(trace)
-    run = told.origin.get("run", record.run)
-    if (run, told.job_sha256, told.machine_sha256) != (
+    whole = read_recording(trace)
+    run = whole.origin.get("run", record.run)
+    if (run, whole.job_sha256, whole.machine_sha256) != (
         record.run, record.job_sha256, record.machine_sha256,
     ):  # fmt: skip
         raise StoreError(
@@ -175,7 +175,7 @@ def _begins_again(
     work may begin again at a rest within an operation. None if ``before`` begins after it, or never
     reached it.
     """
-    told = [channel.name for channel in rest.channels if channel.kind is ChannelKind.COMMANDED]
+    commanded = [channel.name for channel in rest.channels if channel.kind is ChannelKind.COMMANDED]
     of = float(begins.samples[operation.name][0])
     first: int | None = None
     earlier = False
@@ -189,7 +189,7 @@ def _begins_again(
         if first is None and earlier:
             first = tick + int(found[0]) * operation.stride
         alike = now == of
-        for name in told:
+        for name in commanded:
             alike &= block.samples[name] == begins.samples[name][0]
         if alike.any():
             return tick + int(np.argmax(alike)) * operation.stride

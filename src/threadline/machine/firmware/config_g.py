@@ -208,19 +208,19 @@ def _heed(settings: Settings, plain: str, line: str, place: Place) -> None:
         )
     words = {letter: number_or_nan(text) for letter, text in _WORD.findall(plain[4:])}
     of_axes = {letter: number for letter, number in words.items() if letter in _LETTERS}
-    told = plain.strip()
+    command = plain.strip()
     if re.match(r"M579\b", plain) and any(number != 1.0 for number in of_axes.values()):
         raise MachineError(
-            f"{told} scales the positions of an axis, so that all its lengths are wrong",
+            f"{command} scales the positions of an axis, so that all its lengths are wrong",
             place=place,
             remedy="Include the scale in the steps of M92 and remove M579, on the machine too.",
         )
     if re.match(r"M556\b", plain) and any(of_axes.values()):
-        settings.leave_out(told, "moves an axis in proportion to another (skew)", place)
+        settings.leave_out(command, "moves an axis in proportion to another (skew)", place)
     if re.match(r"M425\b", plain) and any(of_axes.values()):
-        settings.leave_out(told, "adds a motion of the motor at reversals (backlash)", place)
+        settings.leave_out(command, "adds a motion of the motor at reversals (backlash)", place)
     if re.match(r"(?:M375\b|G29\b.*\bS\s*1\b|M376\b.*\bH\s*0*[1-9])", plain):
-        settings.leave_out(told, "moves Z by the mesh of the bed", place)
+        settings.leave_out(command, "moves Z by the mesh of the bed", place)
     drivers = re.match(r"M584\b.*\bR\s*([01])\b", plain)
     if drivers is not None:
         for letter in of_axes:

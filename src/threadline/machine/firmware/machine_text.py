@@ -269,10 +269,10 @@ def check_answers(settings: Settings, answers: Answers) -> None:
         try:
             positive = parse_quantity(text, unit) > 0
         except UnitError as error:
-            asked = {**QUESTIONS, **OPTIONAL, **(_TURNS if turns else {})}
+            questions = {**QUESTIONS, **OPTIONAL, **(_TURNS if turns else {})}
             raise OptionError(
                 f"--set {key}={text!r}: {error.message}",
-                remedy=f'Write it like "{key}={asked[base][1]}".',
+                remedy=f'Write it like "{key}={questions[base][1]}".',
             ) from error
         if not positive:
             raise OptionError(f"--set {key}={text!r} must be greater than 0")

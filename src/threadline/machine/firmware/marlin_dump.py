@@ -259,20 +259,20 @@ def _heed(settings: Settings, code: int, text: str, place: Place) -> None:
     """Refuse kinematics that move several axes; record other settings that change the motion."""
     words = dict(re.findall(r"([A-Z])(-?[\d.]*)", text))
     on = {letter for letter, number in words.items() if number_or_nan(number) != 0.0}
-    told = f"M{code} " + " ".join(f"{letter}{number}" for letter, number in words.items())
+    command = f"M{code} " + " ".join(f"{letter}{number}" for letter, number in words.items())
     if code == 665:  # only delta and SCARA machines have it
         settings.refuse_kinematics("M665", place)
     elif code == 852 and on & set("IJKS"):
-        settings.leave_out(told, "moves an axis in proportion to another (skew)", place)
+        settings.leave_out(command, "moves an axis in proportion to another (skew)", place)
     elif code == 425 and "F" in on and on - set("FS"):
-        settings.leave_out(told, "adds a motion of the motor at reversals (backlash)", place)
+        settings.leave_out(command, "adds a motion of the motor at reversals (backlash)", place)
     elif code == 420 and "S" in on:
-        settings.leave_out(told, "moves Z by the mesh of the bed", place)
+        settings.leave_out(command, "moves Z by the mesh of the bed", place)
     elif code == 493 and "S" in on:
-        settings.leave_out(told, "shapes the motion (fixed-time motion)", place)
+        settings.leave_out(command, "shapes the motion (fixed-time motion)", place)
     elif code == 593 and "F" in on:
         settings.shapes("M593", place)
     elif code in (206, 666) and on:
         settings.notes.append(
-            f"{place}: {told} shifts zero after homing and does not change the motion of a job"
+            f"{place}: {command} shifts zero after homing and does not change the motion of a job"
         )

@@ -86,12 +86,12 @@ def read_printer_cfg(lines: Sequence[str], file: str) -> Settings:
         settings.notes.append(f"{at}: {settings.coupled}: its limits apply to X, Y and Z")
     elif kinematics not in ("cartesian", "none"):
         settings.refuse_kinematics(f"kinematics: {kinematics}", at)
-    told: set[str] = set()
+    noted: set[str] = set()
     for name, keys in sections.items():
         kind = name.split()[0]
-        does = None if kind in told else _CHANGES_MOTION.get(kind)
+        does = None if kind in noted else _CHANGES_MOTION.get(kind)
         if does is not None and (kind != "input_shaper" or _shapes(keys)):
-            told.add(kind)
+            noted.add(kind)
             first = min((place for _, place in keys.values()), key=lambda p: p.line, default=whole)
             settings.leave_out(f"[{name}]", does, first)
     for key, ours in _PRINTER.items():

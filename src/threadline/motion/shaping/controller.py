@@ -178,8 +178,8 @@ def realise(
     amplitudes, times = _thinned(shaper, limits)
     gap = max(1, math.ceil(limits.dwell_s / limits.tick_s - 1e-9))
     halves = relative if isinstance(relative, Sequence) else (relative,) * len(modes)
-    asked = zip(modes, halves, _each(tolerance, modes), strict=True)
-    bands = [_band(shaper, *one) for one in asked]
+    of_modes = zip(modes, halves, _each(tolerance, modes), strict=True)
+    bands = [_band(shaper, *one) for one in of_modes]
     exact = times / limits.tick_s
     nearest = _merged(amplitudes, np.rint(exact).astype(np.int64), gap)
     apart = _spaced(np.rint(exact).astype(np.int64), gap)

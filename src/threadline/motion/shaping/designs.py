@@ -476,7 +476,7 @@ def _number(text: str, what: str, whole: str) -> float:
         return float(text)
     except ValueError:
         raise OptionError(
-            f"shaper {whole!r}: {what} {text!r} is no number", remedy=_REMEDY
+            f"shaper {whole!r}: {what} {text!r} is not a number", remedy=_REMEDY
         ) from None
 
 

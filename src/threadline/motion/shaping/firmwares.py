@@ -67,9 +67,9 @@ def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
             amplitudes=weights, times_s=periods / mode.frequency_hz, name=f"klipper {shaper_type}"
         )
     tolerance = _V_TOL
-    told = re.fullmatch(r"ei\(v_tol=([\d.]+)\)", shaper_type)
-    if told is not None:
-        shaper_type, tolerance = "ei", float(told[1])
+    with_tolerance = re.fullmatch(r"ei\(v_tol=([\d.]+)\)", shaper_type)
+    if with_tolerance is not None:
+        shaper_type, tolerance = "ei", float(with_tolerance[1])
     if shaper_type not in _MAX_DAMPING:
         raise OptionError(
             f"Klipper type {shaper_type!r} is unknown", remedy=f"Types: {', '.join(_MAX_DAMPING)}."

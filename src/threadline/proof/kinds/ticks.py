@@ -352,8 +352,8 @@ def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:
 
         given = {criterion.name for criterion in spec.criteria}
         tensions_n = () if machine.spool is None else tensions_in(options.product)
-        asked = criteria_of(product_of_text(options.product), machine.spool, tensions_n)
-        own = tuple(criterion for criterion in asked if criterion.name not in given)
+        criteria = criteria_of(product_of_text(options.product), machine.spool, tensions_n)
+        own = tuple(criterion for criterion in criteria if criterion.name not in given)
         spec = replace(spec, criteria=(*spec.criteria, *own))
     shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
     named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)

@@ -292,12 +292,12 @@ def new_state(
     blocks = -(-variants // lanes)
     which = np.minimum(np.arange(blocks * lanes), variants - 1)
     # Only encoder phases differ from run to run; the rest is prepared once.
-    asked = lanes, width, peak, quantised, tuple((phases == phases[0]).all(axis=0).tolist())
-    begun = piece.begun.get(asked)
+    sizes = lanes, width, peak, quantised, tuple((phases == phases[0]).all(axis=0).tolist())
+    begun = piece.begun.get(sizes)
     if begun is None:
         begun = _begun(machine, piece, phases, which, lanes, width, peak=peak, quantised=quantised)
         if variants <= _FEW:
-            piece.begun[asked] = begun
+            piece.begun[sizes] = begun
     modes, first = begun
     layout = modes.layout
     shape = layout.shape

@@ -42,8 +42,13 @@ class Statement(NamedTuple):
         The parameters are set after every formula of the block is evaluated.
         """
         words = [
-            (letter, told if isinstance(told, str) else number_text(letter, told(values)))
-            for letter, told in self.words
+            (
+                letter,
+                expression
+                if isinstance(expression, str)
+                else number_text(letter, expression(values)),
+            )
+            for letter, expression in self.words
         ]
         new = [
             (one, one.number(values) if one.number is not None else 0, one.value(values))

@@ -209,8 +209,8 @@ class Course:
         rate = along_axes(rules.acceleration, direction)
         fastest = np.where(arcs, np.minimum(fastest, np.sqrt(ACROSS * rate * self.bow)), fastest)
         with np.errstate(divide="ignore"):
-            asked = np.where(self.nominal_s > 0.0, self.length / self.nominal_s, np.inf)
-        return fastest, np.minimum(asked, fastest), rate
+            programmed = np.where(self.nominal_s > 0.0, self.length / self.nominal_s, np.inf)
+        return fastest, np.minimum(programmed, fastest), rate
 
 
 def course(

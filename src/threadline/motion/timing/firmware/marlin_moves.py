@@ -74,14 +74,14 @@ def least_squares(moves: Moves, steps: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(0.5 * moves.acceleration / per_length, moves.speed**2))
 
 
-def held_back(length: FloatArray, asked: FloatArray, first: int, short_s: float) -> FloatArray:
+def held_back(length: FloatArray, programmed: FloatArray, first: int, short_s: float) -> FloatArray:
     """Return the (n,) speeds of moves, slowed while few of them are buffered.
 
     Parameters
     ----------
     length
         (n,) lengths of the moves.
-    asked
+    programmed
         (n,) speed that F asks for, infinite for rapid moves without.
     first
         Number of earlier moves since the machine rested.
@@ -89,13 +89,13 @@ def held_back(length: FloatArray, asked: FloatArray, first: int, short_s: float)
         Time (``M205 B``) below which a move is slowed while few are buffered.
     """
     ahead = np.arange(first, first + len(length))
-    takes_s = length / asked
+    takes_s = length / programmed
     short = (ahead >= _FEW[0]) & (ahead <= _FEW[1]) & (takes_s < short_s)
     slow_s = takes_s + 2.0 * (short_s - takes_s) / np.maximum(ahead, 1)
-    return np.where(short, length / np.where(short, slow_s, 1.0), asked)
+    return np.where(short, length / np.where(short, slow_s, 1.0), programmed)
 
 
-def whole_rates(moves: Moves, asked: FloatArray, most: float, steps: FloatArray) -> FloatArray:
+def whole_rates(moves: Moves, programmed: FloatArray, most: float, steps: FloatArray) -> FloatArray:
     """Return (2, n) whole steps per second, and per second squared, of moves at their own speed.
 
     Requested values are rounded upwards, limits of the axes downwards.
@@ -104,7 +104,7 @@ def whole_rates(moves: Moves, asked: FloatArray, most: float, steps: FloatArray)
     ----------
     moves
         The moves, with the speed and the acceleration limits of their axes.
-    asked
+    programmed
         (n,) requested speed.
     most
         Requested acceleration, infinite for none.
@@ -118,9 +118,9 @@ def whole_rates(moves: Moves, asked: FloatArray, most: float, steps: FloatArray)
     allowed = np.stack([moves.speed, moves.acceleration])
     slower = np.floor(allowed * _per_length(moves, steps) * (1.0 + _EXACT))
     with np.errstate(over="ignore", invalid="ignore"):
-        rate = np.ceil(count * (inverse * asked.astype(np.float32)))
+        rate = np.ceil(count * (inverse * programmed.astype(np.float32)))
         gain = np.ceil(np.float32(most) * (count * inverse))
-    goals = np.stack([asked, np.full(len(moves), most)])
+    goals = np.stack([programmed, np.full(len(moves), most)])
     limited = allowed < goals * (1.0 - _ROUNDING)
     return np.maximum(np.where(limited, slower, np.stack([rate, gain]).astype(float)), 1.0)
 

@@ -289,9 +289,9 @@ class Rules:
             travel = np.where(self._across(direction), planner.acceleration.si * MM, np.inf)
             acceleration = np.minimum(acceleration, travel)
         with np.errstate(divide="ignore"):
-            asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
-        asked = np.maximum(asked, self.least_speed)
-        return Moves(length, direction, np.minimum(asked, fastest), acceleration)
+            programmed = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
+        programmed = np.maximum(programmed, self.least_speed)
+        return Moves(length, direction, np.minimum(programmed, fastest), acceleration)
 
     def _klipper_moves(
         self,
@@ -314,25 +314,25 @@ class Rules:
                 planner.cruise_ratio,
             ]
         )  # fmt: skip
-        told = np.full((len(length), len(own)), np.nan)
+        changed = np.full((len(length), len(own)), np.nan)
         if self.limits is not None and operation is not None:
-            told = self.limits.at(operation)
-        top, most, corner, ratio = np.where(np.isnan(told), own, told).T
+            changed = self.limits.at(operation)
+        top, most, corner, ratio = np.where(np.isnan(changed), own, changed).T
         top, most, corner = top * MM, most * MM, corner * MM
-        fastest = self._beyond(self.velocity, own[0] * MM, direction, told[:, 0])
-        acceleration = self._beyond(self.acceleration, own[1] * MM, direction, told[:, 1])
+        fastest = self._beyond(self.velocity, own[0] * MM, direction, changed[:, 0])
+        acceleration = self._beyond(self.acceleration, own[1] * MM, direction, changed[:, 1])
         plain = (direction * self._plane != 0.0).any(axis=1)
         fastest = np.where(plain, np.minimum(fastest, top), fastest)
         alone = along_axes(self._of_axes(planner.alone), direction)
         acceleration = np.minimum(acceleration, np.where(plain, most, alone))
         with np.errstate(divide="ignore"):
-            asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
+            programmed = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
         return Moves(
-            length, direction, np.minimum(asked, fastest), acceleration, most, corner, ratio
+            length, direction, np.minimum(programmed, fastest), acceleration, most, corner, ratio
         )
 
     def _beyond(
-        self, limits: FloatArray, own: float, direction: FloatArray, told: FloatArray
+        self, limits: FloatArray, own: float, direction: FloatArray, changed: FloatArray
     ) -> FloatArray:
         """Return (n,) limits of the axes; X and Y do not count where the program sets a limit.
 
@@ -342,7 +342,7 @@ class Rules:
         all_axes = along_axes(limits, direction)
         repeats = np.array([axis in "XY" for axis in self.axes]) & (limits >= own * (1.0 - 1e-9))
         others = along_axes(np.where(repeats, np.inf, limits), direction)
-        return np.asarray(np.where(np.isnan(told), all_axes, others))
+        return np.asarray(np.where(np.isnan(changed), all_axes, others))
 
     @property
     def most_acceleration(self) -> float:

@@ -212,15 +212,15 @@ class _MarlinRun(_Run):
         nominal_s = nominal_s * self.rules.length(whole) / self.rules.length(way)
         moves = self.rules.moves(whole, nominal_s)
         with np.errstate(divide="ignore"):
-            asked = np.where(nominal_s > 0.0, moves.length / nominal_s, np.inf)
-        asked = held_back(
+            programmed = np.where(nominal_s > 0.0, moves.length / nominal_s, np.inf)
+        programmed = held_back(
             moves.length,
-            np.maximum(asked, self.rules.least_speed),
+            np.maximum(programmed, self.rules.least_speed),
             self.gone,
             self.rules.short_time_s,
         )
-        moves = replace(moves, speed=np.minimum(moves.speed, asked))
-        self.rates = whole_rates(moves, asked, self.rules.most_acceleration, steps)
+        moves = replace(moves, speed=np.minimum(moves.speed, programmed))
+        self.rates = whole_rates(moves, programmed, self.rules.most_acceleration, steps)
         return moves, least_squares(moves, steps)
 
     def _ends_at(

@@ -78,11 +78,11 @@ def binding(
         for key, share in along_shares(rates[0], rates[1], rates[2], own.along).items():
             kind = key if key in KINDS else "acceleration"
             shares[kind] = np.maximum(share, shares.get(kind, 0.0))
-    told, winding, current = (
+    commanded, winding, current = (
         np.abs(rates[0] * need[:, 0] + rates[1] * need[:, 1]).max(axis=1)
         for need in demands_of(machine, trajectory.axes, of_loads=of_loads)
     )
-    for kind, share in (("current", current), ("voltage", np.maximum(told, winding))):
+    for kind, share in (("current", current), ("voltage", np.maximum(commanded, winding))):
         if share.any():
             shares[kind] = np.asarray(share)
     if np.isfinite(contour_m):
@@ -124,8 +124,10 @@ def _feed(path: PlannedPath, time_s: FloatArray, speed: FloatArray) -> FloatArra
     way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))])
     way *= gone / way[-1] if way[-1] > 0.0 else 1.0
     piece = np.searchsorted(np.concatenate(ends), way, side="right") - 1
-    asked = feed[np.clip(piece, 0, len(feed) - 1)]
-    return np.asarray(np.divide(speed, asked, out=np.zeros_like(speed), where=asked > 0.0))
+    programmed = feed[np.clip(piece, 0, len(feed) - 1)]
+    return np.asarray(
+        np.divide(speed, programmed, out=np.zeros_like(speed), where=programmed > 0.0)
+    )
 
 
 def _lengths(coefficients: FloatArray, radius_m: FloatArray) -> FloatArray:

@@ -303,8 +303,8 @@ class Follower:
                 load[:, k] = way[::fine, k]
                 continue
             own_s = np.arange(at[0], at[-1] + answer.period_s, answer.period_s)
-            told = past.commanded(block, own_s)[:, k] * self.radius_m[k]
-            load[:, k] = np.interp(at, own_s, answer.load(told))
+            commanded = past.commanded(block, own_s)[:, k] * self.radius_m[k]
+            load[:, k] = np.interp(at, own_s, answer.load(commanded))
         first = before - 2 * window
         error, seen = strayed(load[first:], way[first * fine :], fine, window)
         return Strays(

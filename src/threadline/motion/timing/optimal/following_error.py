@@ -87,14 +87,14 @@ def stray_rows(
     seen_s = strays.time_s[0] + strays.tick[chosen] * strays.fine * step
     rows = np.zeros((len(chosen), len(tau)))
     for k, (period_s, taps) in enumerate(_taps(follower)):
-        told_s = (seen_s[:, None] - np.arange(len(taps)) * period_s)[:, ::-1]
-        inside = (told_s >= block.start_s[0]) & (told_s <= block.end_s)
-        speed = np.zeros(told_s.shape)
-        speed[inside] = block.evaluate(told_s[inside], 1)[:, k] * follower.radius_m[k]
+        reference_s = (seen_s[:, None] - np.arange(len(taps)) * period_s)[:, ::-1]
+        inside = (reference_s >= block.start_s[0]) & (reference_s <= block.end_s)
+        speed = np.zeros(reference_s.shape)
+        speed[inside] = block.evaluate(reference_s[inside], 1)[:, k] * follower.radius_m[k]
         weight = towards[:, k, None] * taps[::-1] * speed
         passed = np.clip((strays.time_s[chosen, None] - start) / tau, 0.0, 1.0)
         rows += weight.sum(axis=1)[:, None] * passed
-        rows -= _passed(weight, np.ascontiguousarray(told_s), start, tau)
+        rows -= _passed(weight, np.ascontiguousarray(reference_s), start, tau)
     by_y = -0.5 / 3.0 * solution.y**-1.5 / follower.tolerance_m
     return Rows(
         weights=_by_coefficients(rows[:, :, None] * by_y, solution.elements.length),

@@ -178,10 +178,10 @@ def _shares(
         bent = across(coefficients[:, :, :-1] * limits.along.radius_m)
         yield 2, bent / (limits.along.centripetal * duration_s**2)
     for demand in limits.demand:
-        asked = velocity * (demand[:, 0] / time_s)
-        asked[:, :-1] += acceleration * (demand[:, 1] / time_s**2)
+        share = velocity * (demand[:, 0] / time_s)
+        share[:, :-1] += acceleration * (demand[:, 1] / time_s**2)
         # Slowing by a factor lowers a demand at least by that factor.
-        yield 1, _hull(asked).max(axis=1)
+        yield 1, _hull(share).max(axis=1)
 
 
 def _hull(power: FloatArray) -> FloatArray:
