@@ -34,7 +34,7 @@ from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_process import sim_link, simulated_of
 from threadline.live.states import Desk
 from threadline.live.store.run_store import INDEX, RunStore
-from threadline.live.supervised import run_commands
+from threadline.live.supervised import Conduct, Running, run_commands
 from threadline.live.wire import Connection, Message
 from threadline.machine import load_machine
 from threadline.proof.options import Options
@@ -96,7 +96,7 @@ class Memory:
         self.seen: list[tuple[float, float, float]] = []
         self._due_s = 0.0
 
-    def look(self, executor: Executor) -> None:
+    def look(self, executor: Running) -> None:
         """Look at it where that is due."""
         time_s = executor.time_s
         if time_s >= self._due_s:
@@ -149,8 +149,7 @@ def run_a_day(hours: float, speed: float, folder: Path, *, inside: bool) -> Iter
         with kept:
             ended, text, late = run_commands(
                 plan.commands, plan.machine, link_to(plan, speed, inside=inside), desk, kept,
-                speed=0.0 if inside else speed,
-                watch=memory.look,
+                Conduct(watch=memory.look), speed=0.0 if inside else speed,
             )  # fmt: skip
         desk.close()
         used_s += processor_s() - before_s

@@ -24,7 +24,7 @@ from threadline.live.sim_machine import parse_fault
 from threadline.live.sim_process import group_ticks
 from threadline.live.states import Cause, Desk, Kept
 from threadline.live.store.run_store import RunStore
-from threadline.live.supervised import run_commands
+from threadline.live.supervised import Conduct, run_commands
 from threadline.machine import load_machine
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import open_job, plan_job, prove_plan
@@ -74,7 +74,7 @@ def run(
             desk.ask(asked)
         ended, why, _ = run_commands(
             plan.commands, machine, nullcontext(wire), desk, kept,  # type: ignore[arg-type]
-            speed=0.0, again=again, confirmed=confirmed,
+            Conduct(again=again, confirmed=confirmed), speed=0.0,
         )  # fmt: skip
     return (ended, why), kept.recording(plan), wire
 
@@ -222,7 +222,7 @@ def test_nothing_moves_until_somebody_confirms(answer: bool | None, asked: Cause
 
             ended, why, _ = run_commands(
                 plan.commands, machine, nullcontext(wire), desk, Kept(),  # type: ignore[arg-type]
-                speed=0.0, again=again, confirmed=stopped,
+                Conduct(again=again, confirmed=stopped), speed=0.0,
             )  # fmt: skip
         assert looks
     assert (ended, why) == (RunEnd.STOPPED, "nobody has confirmed that it may go on")
@@ -245,7 +245,7 @@ def test_a_stop_on_the_approach_ends_it() -> None:
         wire.before_play = later
         ended, why, _ = run_commands(
             plan.commands, machine, nullcontext(wire), desk, Kept(),  # type: ignore[arg-type]
-            speed=0.0, again=again,
+            Conduct(again=again), speed=0.0,
         )  # fmt: skip
     assert ended is RunEnd.STOPPED
     assert "operator" in why

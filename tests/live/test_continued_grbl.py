@@ -23,6 +23,7 @@ from threadline.live.continuing import continued_by
 from threadline.live.grbl_program import rest_of_program, written_program
 from threadline.live.links import link_of
 from threadline.live.states import Cause, Desk, Kept
+from threadline.live.supervised import Conduct
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
 
@@ -233,10 +234,7 @@ def test_nothing_is_sent_until_somebody_confirms(answer: bool | None) -> None:
         link.prepare(plan)
         again = continued_by(plan, link.rest(plan, 2, at_rest=False))
         assert again.approach
-        ended = link.run(
-            plan, desk, kept, pass_stops=False, hold_at_rest=False, watch=lambda _: None,
-            again=again, confirmed=confirmed,
-        )  # fmt: skip
+        ended = link.run(plan, desk, kept, Conduct(again=again, confirmed=confirmed))
     model.close()
     assert ended == (RunEnd.STOPPED, "nobody has confirmed that it may go on")
     assert len(looks) >= 3

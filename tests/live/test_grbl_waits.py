@@ -36,6 +36,7 @@ from threadline.live.guards import clock_s
 from threadline.live.links import link_of
 from threadline.live.sim_process import SLOWER
 from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.supervised import Conduct
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
 
@@ -339,9 +340,7 @@ def test_a_run_is_repeated_by_an_approach(approach: bool) -> None:
         desk.ask(Cause.STOP)
 
     def run() -> RunEnd:
-        return link.run(
-            plan, desk, Kept(), pass_stops=False, hold_at_rest=False, watch=stop
-        )[0]  # fmt: skip
+        return link.run(plan, desk, Kept(), Conduct(watch=stop))[0]
 
     try:
         if approach:

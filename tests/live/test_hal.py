@@ -38,7 +38,7 @@ from threadline.live.executor import Executor
 from threadline.live.hal_rows import HalRows
 from threadline.live.hal_session import STREAMER_KEY, HalSession, in_use
 from threadline.live.states import Cause, Desk, Kept, State
-from threadline.live.supervised import run_commands
+from threadline.live.supervised import Conduct, run_commands
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
 
@@ -209,7 +209,13 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
         closing(Connection(far.end)) as link,
     ):
         ended = run_commands(
-            table_of_counts(ROWS), winder(), nullcontext(link), desk, more, speed=1.0, again=again
+            table_of_counts(ROWS),
+            winder(),
+            nullcontext(link),
+            desk,
+            more,
+            Conduct(again=again),
+            speed=1.0,
         )
     refuse_slept(ended[:2])
     assert ended[:2] == (RunEnd.COMPLETED, "")

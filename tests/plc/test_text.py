@@ -271,3 +271,10 @@ def test_the_comment_of_each_place_names_what_is_on_there(tmp_path: Path) -> Non
     scheduled = [{name for name, on in zip(outputs, row, strict=True) if on} for row in levels]
     assert told[0] == "main_air"
     assert [set(names.split(", ")) for names in told] == scheduled
+
+
+def test_the_notes_say_when_a_circuit_is_under_pressure() -> None:
+    """The air of the letter placer takes 1.5 s; whatever else is waited for is not a ramp."""
+    text = text_of("letter-placer", "none")
+    noted = re.findall(r"t_(\w+) : TIME := T#(\d+)ms; \(\* .* is under pressure", text)
+    assert noted == [("start_1", "1500")]

@@ -65,6 +65,41 @@ def test_quintic_rest_to_rest() -> None:
     assert verdict.result("jerk").unit == "m/s^3"
 
 
+def with_brakes(plan, braking: str):
+    """Return the plan on its machine with a limit on the braking of axis X."""
+    limit = parse_machine_quantity(f"{braking} exact, assumed", ("m/s^2",))
+    braked = replace(plan.machine.axes["X"], deceleration=limit)
+    axes = {**plan.machine.axes, "X": braked}
+    return replace(plan, machine=replace(plan.machine, axes=axes))
+
+
+def test_braking_is_measured_where_the_axis_slows_down() -> None:
+    """Out and back, 16 h u^2 (1 - u)^2 in T: a = 16 h (2 - 12 u + 12 u^2) / T^2.
+
+    It brakes most at the end of the way back, by 32 h / T^2, and speeds up most at the start, by
+    the same: the sign of the velocity decides.
+    """
+    h, T = 0.1, 0.5
+    there_and_back = h * np.array([0, 0, 16, -32, 16.0])
+    plan = with_brakes(with_pieces(there_and_back[None, :, None], [T]), "100 m/s^2")
+    verdict = judged(plan, spec_of(Criterion(name="deceleration"), Criterion(name="acceleration")))
+
+    braking = verdict.result("deceleration")
+    assert braking.measured == pytest.approx(32 * h / T**2, rel=1e-9)
+    assert braking.time_s == pytest.approx(T, rel=1e-6)
+    assert verdict.result("acceleration").time_s == pytest.approx(0.0, abs=1e-9)
+    # It speeds up by 4 h / T^2, and slows down by twice that: a = h (4 - 12 u^2) / T^2.
+    out = h * np.array([0, 0, 2, 0, -1.0])
+    two = with_pieces(np.stack([out, [h, 0, 0, 0, 0]])[:, :, None], [T, T])
+    verdict = judged(
+        with_brakes(two, "100 m/s^2"),
+        spec_of(Criterion(name="deceleration"), Criterion(name="acceleration")),
+    )
+    assert verdict.result("deceleration").measured == pytest.approx(8 * h / T**2, rel=1e-9)
+    assert verdict.result("deceleration").time_s == pytest.approx(T, rel=1e-6)
+    assert verdict.result("acceleration").measured == pytest.approx(4 * h / T**2, rel=1e-9)
+
+
 def test_steps_are_taken_over_one_tick() -> None:
     """X at 0.1 m/s, then -0.05 m/s: the step 0.15 m/s in 5 ms is 30 m/s^2 and 6000 m/s^3."""
     plan = with_pieces([[[0.0], [0.01]], [[0.01], [-0.01]]], [0.1, 0.2])

@@ -50,6 +50,15 @@ def test_its_limits_are_those_of_chapter_two() -> None:
     }  # fmt: skip
 
 
+def test_the_limits_of_a_frame_on_tables_are_those_of_its_machine() -> None:
+    """The steps a second of its controller's table, and whole shares of force, window and fetch."""
+    machine = load_machine("schiffli-frame")
+    assert machine.tables is not None
+    always = {c.name: c.limit for c in load_spec(None, machine).criteria if c.hard}
+    assert always["step_rate"] == machine.tables.step_rate.si
+    assert {always[name] for name in ("servo_force", "window_use", "fetch_use")} == {1.0}
+
+
 @pytest.mark.long(but="stitcher-steep.seam.toml-64 stitch/s-42 ms-which1")
 @pytest.mark.parametrize(
     ("seam", "speed", "smoothing", "which"),

@@ -20,9 +20,9 @@ from threadline.live.continuing import Continued, continued_by, last_executed, o
 from threadline.live.derived import Rest
 from threadline.live.feed_override import MOST_PERCENT, STEP_PERCENT, feed_words, refuse_override
 from threadline.live.job_run import UNATTENDED_S, HoldAlone, stopping_at_signals
-from threadline.live.links import Running
 from threadline.live.states import Cause, Desk, State
 from threadline.live.store.whole_trace import refuse_other_rows, trace_of, unfinished_run
+from threadline.live.supervised import Running
 
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 _OVERRIDES = {"-": -STEP_PERCENT, "+": STEP_PERCENT}

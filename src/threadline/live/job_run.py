@@ -17,12 +17,12 @@ from threadline.errors import LinkFaultError, OptionError, RecordingError, Store
 from threadline.files import Recording, RunEnd
 from threadline.live.continuing import Continued
 from threadline.live.guards import clock_s
-from threadline.live.links import Link, Running
+from threadline.live.links import Link
 from threadline.live.sim_process import LEAST_SPEED
 from threadline.live.states import Cause, Desk, State
 from threadline.live.store.run_store import OpenRun
 from threadline.live.store.whole_trace import joined_with, whole_recording
-from threadline.live.supervised import Interventions
+from threadline.live.supervised import Conduct, Interventions, Running
 from threadline.verdict import Spec, Verdict, judge, verdict_json
 
 _MOST_SPEED = 1e6
@@ -161,12 +161,15 @@ def execute(
         If the machine may have moved, and the run could not be kept.
     """
     with moved(kept), closed(Desk()) as desk, attended(desk) as keys, kept:
-        ended, text = over.run(
-            plan, desk, kept, pass_stops=manner.pass_stops,
-            hold_at_rest=manner.may.hold_at_rest, no_override=manner.may.no_override,
-            watch=keys.step, again=manner.again,
+        conduct = Conduct(
+            pass_stops=manner.pass_stops,
+            hold_at_rest=manner.may.hold_at_rest,
+            no_override=manner.may.no_override,
+            watch=keys.step,
+            again=manner.again,
             confirmed=(lambda: True) if manner.confirmed else keys.confirmed,
-        )  # fmt: skip
+        )
+        ended, text = over.run(plan, desk, kept, conduct)
     with suppress(StoreError):  # a locked index may be free when the verdict is stored
         kept.over(ended.value, text)
     return Executed(kept=kept, ended=ended, text=text, time_s=keys.time_s)

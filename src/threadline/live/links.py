@@ -13,7 +13,7 @@ from threadline.base.arrays import IntArray
 from threadline.commands.plan import Plan
 from threadline.errors import CommandError, OptionError
 from threadline.files import Channel, RunEnd
-from threadline.live.continuing import Continued, ContinuedSink
+from threadline.live.continuing import ContinuedSink
 from threadline.live.derived import Rest
 from threadline.live.executor import Executor
 from threadline.live.grbl_controller import Controller
@@ -26,40 +26,20 @@ from threadline.live.operated import Load, Operated
 from threadline.live.port import Port, check_address
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import IN_STEP, REAL_TIME, SLOWER, sim_link
-from threadline.live.states import Desk, Sink, State
-from threadline.live.supervised import ExecutedLink, moved_in_turn, moved_to_begin
+from threadline.live.states import Desk, Sink
+from threadline.live.supervised import (
+    UNATTENDED,
+    Conduct,
+    ExecutedLink,
+    moved_in_turn,
+    moved_to_begin,
+)
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.proof.kinds import kind_of
 
 LINKS = ("sim", SLOWER, "hal:loopback", "hal:plant", "grbl:HOST:PORT", "grbl:/dev/ttyUSB0")
-
-
-class Running(Protocol):
-    """A run under way."""
-
-    state: State
-    why: str
-    """Reason of its latest change of state; empty without one."""
-    stopped_by: str
-    """Who stopped it, if it was stopped."""
-
-    @property
-    def percent(self) -> int:
-        """Override of its feed, %."""
-
-    @property
-    def no_override(self) -> str:
-        """Why its feed cannot be overridden; empty if it can."""
-
-    @property
-    def plan_s(self) -> float:
-        """Time of the plan that was played, as far as it is known, s."""
-
-    @property
-    def time_s(self) -> float:
-        """Time since its beginning, s."""
 
 
 class Link(Protocol):
@@ -92,22 +72,9 @@ class Link(Protocol):
         """End the connection, if there is one."""
 
     def run(
-        self,
-        plan: Plan,
-        desk: Desk,
-        sink: Sink,
-        *,
-        pass_stops: bool,
-        hold_at_rest: bool,
-        watch: Callable[[Running], None],
-        no_override: str = "",
-        again: Continued | None = None,
-        confirmed: Callable[[], bool | None] = lambda: True,
+        self, plan: Plan, desk: Desk, sink: Sink, conduct: Conduct = UNATTENDED
     ) -> tuple[RunEnd, str]:
-        """Run the plan, or the rest of it; return how it ended, and why.
-
-        ``no_override``, ``again`` and ``confirmed`` are as for ``run_commands``.
-        """
+        """Run the plan, or the rest of it; return how it ended, and why."""
 
 
 class SimLink(ExecutedLink):
@@ -201,40 +168,33 @@ class GrblLink:
         return notes_on(self._program, self._controller)
 
     def run(
-        self,
-        plan: Plan,
-        desk: Desk,
-        sink: Sink,
-        *,
-        pass_stops: bool,
-        hold_at_rest: bool,  # noqa: ARG002  # it holds on its path, whatever it is
-        watch: Callable[[Running], None],
-        no_override: str = "",
-        again: Continued | None = None,
-        confirmed: Callable[[], bool | None] = lambda: True,
+        self, plan: Plan, desk: Desk, sink: Sink, conduct: Conduct = UNATTENDED
     ) -> tuple[RunEnd, str]:
-        """Home, send the program, and record what the controller reports."""
+        """Home, send the program, and record what the controller reports.
+
+        The controller holds on its path, whatever ``hold_at_rest`` says.
+        """
         assert self._program is not None
         assert self._controller is not None
-        machine = plan.machine
+        machine, again = plan.machine, conduct.again
         if again is not None:
             rest = again.rest
             sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
-        one = GrblOperated(self._controller, desk, sink, pass_stops=pass_stops)
+        one = GrblOperated(self._controller, desk, sink, pass_stops=conduct.pass_stops)
         one.enable()
         one.home()
-        if again is not None and (why := moved_to_begin(one, machine, again, confirmed)):
+        if again is not None and (why := moved_to_begin(one, machine, again, conduct.confirmed)):
             return why
         load = Load(plan, program=self._program, rest=None if again is None else again.rest)
         if self._approach and again is None:
             starts = zip(machine.axes, one.starts(load).tolist(), strict=True)
             in_order = sorted(starts, key=lambda way: machine.axes[way[0]].kind != "linear")
-            if why := moved_in_turn(one, machine, in_order, watch):
+            if why := moved_in_turn(one, machine, in_order, conduct.watch):
                 return why
-        one.run(load, hold_at_rest=False, no_override=no_override)
+        one.run(load, hold_at_rest=False, no_override=conduct.no_override)
         while not one.over:
             one.step()
-            watch(one)
+            conduct.watch(one)
         assert one.ended is not None
         return one.ended
 

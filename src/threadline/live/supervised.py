@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -163,21 +163,71 @@ def check_override(override: str | None) -> None:
         )
 
 
+class Running(Protocol):
+    """A run under way."""
+
+    state: State
+    why: str
+    """Reason of its latest change of state; empty without one."""
+    stopped_by: str
+    """Who stopped it, if it was stopped."""
+
+    @property
+    def percent(self) -> int:
+        """Override of its feed, %."""
+
+    @property
+    def no_override(self) -> str:
+        """Why its feed cannot be overridden; empty if it can."""
+
+    @property
+    def plan_s(self) -> float:
+        """Time of the plan that was played, as far as it is known, s."""
+
+    @property
+    def time_s(self) -> float:
+        """Time since its beginning, s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conduct:
+    """How a run is conducted, and who attends it.
+
+    Parameters
+    ----------
+    pass_stops, hold_at_rest, loads_follow, no_override
+        See ``Executor.start``.
+    watch
+        Called after each step, for progress.
+    again
+        The rest of an interrupted run, which is run in place of the whole.
+    confirmed
+        Called while the machine stands at home before such a run: whether the operator has
+        confirmed it; None while nobody has answered.
+    """
+
+    pass_stops: bool = False
+    hold_at_rest: bool = False
+    loads_follow: bool = False
+    no_override: str = ""
+    watch: Callable[[Running], None] = lambda _: None
+    again: Continued | None = None
+    confirmed: Callable[[], bool | None] = lambda: True
+
+
+UNATTENDED = Conduct()
+"""A whole run that nobody watches."""
+
+
 def run_commands(
     commands: Commands,
     machine: Machine,
     link: AbstractContextManager[Connection],
     desk: Desk,
     sink: Sink,
+    conduct: Conduct = UNATTENDED,
     *,
     speed: float,
-    pass_stops: bool = False,
-    hold_at_rest: bool = False,
-    loads_follow: bool = False,
-    no_override: str = "",
-    watch: Callable[[Executor], None] | None = None,
-    again: Continued | None = None,
-    confirmed: Callable[[], bool | None] = lambda: True,
 ) -> tuple[RunEnd, str, int]:
     """Run checked commands from enabling the drives to the end of settling.
 
@@ -189,21 +239,13 @@ def run_commands(
         The machine, and the link to it.
     desk, sink, speed
         See ``Executor``.
-    pass_stops, hold_at_rest, loads_follow, no_override
-        See ``Executor.start``.
-    watch
-        Called after each step, for progress.
-    again
-        The rest of an interrupted run, which is run in place of the commands.
-    confirmed
-        Called while the machine stands at home before such a run: whether the operator has
-        confirmed it; None while nobody has answered.
 
     Returns
     -------
     tuple
         How the run ended, the reason, and the number of late ticks.
     """
+    again = conduct.again
     if again is not None:
         rest, commands = again.rest, again.rest.commands
         sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
@@ -215,21 +257,22 @@ def run_commands(
         if executor.state is not State.IDLE:
             executor.close()
             return RunEnd.STOPPED, "stopped by the operator while it homed", 0
-        if again is not None and (why := moved_to_begin(executor, machine, again, confirmed)):
+        if again is not None and (
+            why := moved_to_begin(executor, machine, again, conduct.confirmed)
+        ):
             executor.close()
             return (*why, executor.late_ticks)
         executor.start(
             commands,
-            pass_stops=pass_stops,
-            hold_at_rest=hold_at_rest,
-            loads_follow=loads_follow,
+            pass_stops=conduct.pass_stops,
+            hold_at_rest=conduct.hold_at_rest,
+            loads_follow=conduct.loads_follow,
             from_rest=again is not None,
-            no_override=no_override,
+            no_override=conduct.no_override,
         )
         while not executor.over:
             executor.step()
-            if watch is not None:
-                watch(executor)
+            conduct.watch(executor)
         executor.close()
     assert executor.ended is not None
     ended, text = executor.ended
@@ -357,17 +400,7 @@ class ExecutedLink(ABC):
         """Do nothing: the machine ends with its run."""
 
     def run(
-        self,
-        plan: Plan,
-        desk: Desk,
-        sink: Sink,
-        *,
-        pass_stops: bool,
-        hold_at_rest: bool,
-        watch: Callable[[Executor], None],
-        no_override: str = "",
-        again: Continued | None = None,
-        confirmed: Callable[[], bool | None] = lambda: True,
+        self, plan: Plan, desk: Desk, sink: Sink, conduct: Conduct = UNATTENDED
     ) -> tuple[RunEnd, str]:
         """Run the plan; return how it ended, and why."""
         run_kind = run_kind_of(plan.machine)
@@ -377,13 +410,7 @@ class ExecutedLink(ABC):
             self._connected(plan.machine, run_kind.start(plan.commands)),
             desk,
             sink,
+            replace(conduct, loads_follow=run_kind.loads_follow(plan)),
             speed=self._speed,
-            pass_stops=pass_stops,
-            hold_at_rest=hold_at_rest,
-            loads_follow=run_kind.loads_follow(plan),
-            no_override=no_override,
-            watch=watch,
-            again=again,
-            confirmed=confirmed,
         )
         return ended, text

@@ -339,49 +339,28 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         action = -1  # it names axes that the user leaves out; without words it would take all axes
     if action == 40 and dwell_s is None and p is not None:  # P stands before G4
         dwell_s = p / ONE * dialect.dwell_s["P"]["." in p_number]
-    if (
-        p is not None or action != -1 or feed is not None or program == 98 or passes is not None
-        or curve
-    ):  # fmt: skip
-        curved = bool(motion in _CURVED or motion in DRILLING or (motion == -1 and curve))
-        _check_use(
-            action,
-            motion,
-            program,
-            feed,
-            p,
-            passes,
-            axes,
-            settings,
-            curved or output,
-            dwell_s,
-            line,
-            reading,
-        )
-    return Block(
+    block = Block(
         line, motion, action, settings, axes, feed, p, passes or 0, curve,
         dwell_s or 0.0, program, ends, spindle, waits, idle, label, tags,
         (*acts, f"P{p_number}") if output else acts, power, length,
         back,
     )  # fmt: skip
+    if (
+        p is not None or action != -1 or feed is not None or program == 98 or passes is not None
+        or curve
+    ):  # fmt: skip
+        curved = bool(motion in _CURVED or motion in DRILLING or (motion == -1 and curve))
+        _check_use(block, passes, dwell_s, taken=curved or output, reading=reading)
+    return block
 
 
 def _check_use(
-    action: int,
-    motion: int,
-    program: int,
-    feed: int | None,
-    p: int | None,
-    passes: int | None,
-    axes: tuple[tuple[int, int], ...],
-    settings: tuple[int, ...],
-    taken: bool,
-    dwell_s: float | None,
-    line: int,
-    reading: Reading,
+    block: Block, passes: int | None, dwell_s: float | None, *, taken: bool, reading: Reading
 ) -> None:
     """Refuse words that have no use in their block, or that two other words could take."""
-    place = Place(reading.file, line)
+    place = Place(reading.file, block.line)
+    action, motion, program = block.action, block.motion, block.program
+    feed, p, axes = block.feed, block.p, block.axes
     if feed is not None and feed <= 0:
         raise JobError(
             f"feed F {feed / ONE:g} must be greater than 0", place=place, remedy="Give a feed."
@@ -402,7 +381,7 @@ def _check_use(
             place=place,
             remedy="Write two blocks.",
         )
-    users = (action == 40) + (program == 98) + (640 in settings) + taken
+    users = (action == 40) + (program == 98) + (640 in block.settings) + taken
     if p is not None and users != 1:
         what = "has no use in this block" if users == 0 else "could belong to two words"
         raise JobError(f"P {what}", place=place, remedy="P belongs to G4, G64 or M98.")
