@@ -173,6 +173,20 @@ def test_a_dxf_without_a_known_unit(units: int, said: str, sewer: Machine, tmp_p
     assert said in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("value", "shown"), [("7\nENDSEC", "'ENDSEC'"), ("11\n100.0\n21\n20.0", "'(100.0, 20.0)'")]
+)
+def test_a_dxf_whose_unit_is_no_number(
+    value: str, shown: str, sewer: Machine, tmp_path: Path
+) -> None:
+    text = f"0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n{value}\n0\nENDSEC\n"
+    text += "0\nSECTION\n2\nENTITIES\n0\nLINE\n8\n0\n10\n0.0\n20\n0.0\n11\n40.0\n21\n0.0\n"
+    text += "0\nENDSEC\n0\nEOF\n"
+    with pytest.raises(JobError) as caught:
+        read(tmp_path, sewer, "made.dxf", text.encode())
+    assert f"$INSUNITS is {shown}, not a number" in str(caught.value)
+
+
 def test_dxf_text_is_refused_unless_its_layer_is_not_chosen(sewer: Machine, tmp_path: Path) -> None:
     document = ezdxf.new(units=4)
     space = document.modelspace()

@@ -58,7 +58,7 @@ def read_remarks(content: bytes, file: str, most: int) -> tuple[list[Leader], li
     """
     with DxfMessages().listening():  # ``read_dxf`` has reported its messages already
         document, lines = load_dxf(file), entity_lines(content)
-    metres = metres_per_unit(int(document.header.get("$INSUNITS", 0)), None, Place(file))
+    metres = metres_per_unit(document, None, Place(file))
     space = document.modelspace()
     try:
         texts = _Texts(space.query("MTEXT"), lines)

@@ -67,7 +67,7 @@ def read_dxf(
     said = DxfMessages()
     with said.listening():
         document = load_dxf(file)
-    factor = metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
+    factor = metres_per_unit(document, unit, place)
     walk = _Walk(file, document, entity_lines(content), most_lines or MAX_LINES)
     root = _Inherited("0", "#ffffff", factor * np.eye(2), np.zeros(2))
     try:
@@ -174,8 +174,17 @@ def load_dxf(file: str) -> Any:
         ) from error
 
 
-def metres_per_unit(code: int, unit: str | None, place: Place) -> float:
+def metres_per_unit(document: Any, unit: str | None, place: Place) -> float:
     """Return the metres per unit of $INSUNITS, else of ``unit``; raise JobError without either."""
+    stored = document.header.get("$INSUNITS", 0)
+    try:
+        code = int(stored)
+    except (TypeError, ValueError, OverflowError):
+        raise JobError(
+            f"the drawing's unit is unknown ($INSUNITS is {str(stored)[:40]!r}, not a number)",
+            place=place,
+            remedy="Save it again as DXF, R2000 or later.",
+        ) from None
     given = None if unit is None else unit_factor(unit, "m")
     stated = _METRES.get(code)
     if stated is None:
