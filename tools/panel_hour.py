@@ -114,6 +114,18 @@ def heap_mb(page: Page) -> float:
     return float(found["usedSize"]) / 1e6
 
 
+def browser_pids(page: Page) -> dict[str, int]:
+    """Return the process of the page, and the one that draws for it, as Chromium names them."""
+    browser = page.context.browser
+    assert browser is not None
+    session = browser.new_browser_cdp_session()
+    told: Any = session.send("SystemInfo.getProcessInfo")
+    session.detach()
+    kinds = {"renderer": "page", "GPU": "drawing"}
+    found = {one["type"]: one["id"] for one in told["processInfo"] if one["cpuTime"] > 0.0}
+    return {name: int(found[kind]) for kind, name in kinds.items() if kind in found}
+
+
 def watch(page: Page, pids: dict[str, int], minutes: float) -> None:
     """Write a line a minute with memory and processor time, and at the end what they come to."""
     began = time.monotonic()
@@ -185,6 +197,7 @@ def main() -> None:
                 open_page(page, port)
                 owner = child_of(server.pid)
                 pids = {"server": server.pid, "owner": owner, "machine": child_of(owner)}
+                pids |= browser_pids(page)
                 watch(page, pids, minutes)
                 browser.close()
         finally:

@@ -2,8 +2,8 @@
 
 import { by, made, put } from "./dom";
 import type { Progress, State, Stitches } from "./messages";
+import type { Picture, Shown } from "./picture";
 import { colour, onTheme } from "./theme";
-import type { Picture, Shown } from "./view";
 import { onScreen, sizeOf } from "./visibility";
 import { before, isOf } from "./wording";
 

@@ -2,8 +2,8 @@
 
 import { made } from "./dom";
 import type { Lane, State } from "./messages";
+import type { Picture, Shown } from "./picture";
 import { type Parts, part, Scheme, spoken, type Told, toldBy } from "./scheme";
-import type { Picture, Shown } from "./view";
 import { sizeOf } from "./visibility";
 import { before } from "./wording";
 

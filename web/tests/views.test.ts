@@ -2,12 +2,12 @@ import { describe, expect, it } from "vitest";
 import { bandOf, pace, sewnUntil } from "../src/cloth";
 import { watched } from "../src/margins";
 import type { Criterion, Cylinder, Figures, Progress } from "../src/messages";
+import type { Shown } from "../src/picture";
 import { pictured } from "../src/run_picture";
 import { ofWay, others } from "../src/scheme";
 import { isOn, plannedAt, spans } from "../src/steps";
 import { type Kept, matches } from "../src/traces";
 import { counts } from "../src/verdict";
-import type { Shown } from "../src/view";
 
 describe("spans of an output", () => {
   it("begin and end where it changes, the last at the end of the plan", () => {
