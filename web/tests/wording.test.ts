@@ -1,6 +1,16 @@
 import { describe, expect, it } from "vitest";
 import type { Criterion } from "../src/messages";
-import { amount, before, clock, sentence, used, verdictOfRun, verdictWords, worst } from "../src/wording";
+import {
+  amount,
+  before,
+  clock,
+  sentence,
+  timeOfDay,
+  used,
+  verdictOfRun,
+  verdictWords,
+  worst,
+} from "../src/wording";
 
 const criterion = (words: Partial<Criterion>): Criterion => ({
   name: "contour_error",
@@ -23,6 +33,10 @@ const criterion = (words: Partial<Criterion>): Criterion => ({
 });
 
 describe("amounts and times for people", () => {
+  it("tell when a run ends", () => {
+    expect(timeOfDay(3600, new Date(2026, 10, 30, 12, 7, 30))).toMatch(/^(1:07 PM|13:07)$/);
+  });
+
   it("have a unit and three digits", () => {
     expect(amount(0.00045, "m")).toBe("0.450 mm");
     expect(amount(0.032, "")).toBe("3.20 %");
@@ -86,12 +100,12 @@ describe("a verdict", () => {
   const told = "IN SPEC (repeated: 20 runs; 92 % of contour_error used; 1 criterion not measured)";
   it("has no underscores, and says what was simulated", () => {
     expect(verdictWords(told)).toBe(
-      "IN SPEC (20 simulated runs; 92 % of contour error used; 1 criterion not measured)",
+      "IN SPEC (20 simulated runs; contour error is at 92 % of its limit; 1 criterion not measured)",
     );
   });
   it("of a run of the machine says nothing of simulation", () => {
     expect(verdictOfRun("OUT OF SPEC (nominal: 1 run; 120 % of tracking_error of X used)")).toBe(
-      "OUT OF SPEC (120 % of tracking error of X used)",
+      "OUT OF SPEC (tracking error of X is at 120 % of its limit)",
     );
     expect(verdictOfRun("NOT PROVEN (nominal: 1 run): step loss was not measured")).toBe(
       "NOT PROVEN: step loss was not measured",
