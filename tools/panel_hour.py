@@ -74,7 +74,7 @@ def press(page: Page, name: str) -> None:
 
 def approach(page: Page) -> None:
     """Hold the button that moves the axes to where the program begins, until they stand there."""
-    if "approach" not in page.locator("#next").inner_text():
+    if "Approach" not in page.locator("#next").inner_text():
         return
     page.get_by_role("button", name="Approach", exact=True).hover()
     page.mouse.down()

@@ -177,6 +177,8 @@ function open(part: string): void {
   const main = WORK.includes(part) ? "work" : part;
   for (const one of document.querySelectorAll<HTMLElement>("main")) one.hidden = one.id !== main;
   if (part !== "run" && part !== "teach-in") jogging.disarm();
+  const hand = by(part === "teach-in" ? "teach-by-hand" : "by-hand-here"); // points are taught by moving
+  if (by("hand").parentElement !== hand) hand.append(by("hand"));
   if (part === "prepare") void program.lookOnce();
   if (part === "review") void traces.list();
   if (part === "guide") void guide.open();

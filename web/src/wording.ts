@@ -106,7 +106,8 @@ export function verdictWords(closing: string): string {
 /** The verdict of a run of the machine: the run that was judged is the one that was made. */
 export function verdictOfRun(closing: string): string {
   const judged = closing.replace(/ \((?:nominal|repeated): 1 run\)/, "");
-  return verdictWords(judged.replace(/\((?:nominal|repeated): 1 run; /, "("));
+  const short = judged.replace(/: the run ended in operation \d+, .*$/, ": it did not reach its end");
+  return verdictWords(short.replace(/\((?:nominal|repeated): 1 run; /, "("));
 }
 
 /** The used share of a limit; null where there is none. */

@@ -1,5 +1,7 @@
 import { describe, expect, it } from "vitest";
-import type { Criterion } from "../src/messages";
+import { placeInWords } from "../src/bar";
+import type { Criterion, Figures, Progress } from "../src/messages";
+import { toldEnd } from "../src/session";
 import {
   amount,
   before,
@@ -30,6 +32,24 @@ const criterion = (words: Partial<Criterion>): Criterion => ({
   required: false,
   note: "",
   ...words,
+});
+
+describe("the end of a run", () => {
+  it("says once who stopped it, and no number that nobody knows", () => {
+    const verdict = "NOT PROVEN (nominal: 1 run): the run ended in operation 177, stopped by the operator";
+    const run = { ended: "stopped", why: "stopped by the operator", verdict } as Progress;
+    expect(toldEnd(run)).toBe("stopped by the operator. NOT PROVEN: it did not reach its end");
+  });
+});
+
+describe("where a run is", () => {
+  it("is told in stitches, else in circuits", () => {
+    const lines = { times_s: [0, 2], line: [1, 2], circuit: [1, 2] };
+    const work = { lines, circuits: 2, stitches: null } as unknown as Figures;
+    expect(placeInWords(work, 2.5)).toBe("circuit 2 of 2");
+    const stitches = { times_s: [0, 1, 2], number: [0, 1, 2], count: 9 } as unknown as Figures["stitches"];
+    expect(placeInWords({ ...work, stitches }, 1.5)).toBe("stitch 1 of 9");
+  });
 });
 
 describe("amounts and times for people", () => {
