@@ -74,7 +74,7 @@ def press(page: Page, name: str) -> None:
 
 def approach(page: Page) -> None:
     """Hold the button that moves the axes to where the program begins, until they stand there."""
-    if "approach" not in page.locator("#next").inner_text():
+    if "Approach" not in page.locator("#next").inner_text():
         return
     page.get_by_role("button", name="Approach", exact=True).hover()
     page.mouse.down()
@@ -112,6 +112,18 @@ def heap_mb(page: Page) -> float:
     found: Any = session.send("Runtime.getHeapUsage")
     session.detach()
     return float(found["usedSize"]) / 1e6
+
+
+def browser_pids(page: Page) -> dict[str, int]:
+    """Return the process of the page, and the one that draws for it, as Chromium names them."""
+    browser = page.context.browser
+    assert browser is not None
+    session = browser.new_browser_cdp_session()
+    told: Any = session.send("SystemInfo.getProcessInfo")
+    session.detach()
+    kinds = {"renderer": "page", "GPU": "drawing"}
+    found = {one["type"]: one["id"] for one in told["processInfo"] if one["cpuTime"] > 0.0}
+    return {name: int(found[kind]) for kind, name in kinds.items() if kind in found}
 
 
 def watch(page: Page, pids: dict[str, int], minutes: float) -> None:
@@ -185,6 +197,7 @@ def main() -> None:
                 open_page(page, port)
                 owner = child_of(server.pid)
                 pids = {"server": server.pid, "owner": owner, "machine": child_of(owner)}
+                pids |= browser_pids(page)
                 watch(page, pids, minutes)
                 browser.close()
         finally:

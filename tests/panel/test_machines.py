@@ -71,7 +71,7 @@ def verdict(anna: Operator) -> dict[str, str]:
 
 
 def test_the_placers_cycle_with_a_hold(project: Path) -> None:
-    """It holds where no cylinder moves; cylinders, contacts and outputs are seen."""
+    """It holds where no cylinder moves, and tells how far it has gone; signals are seen."""
     name = "letter-placer"
     with served(project, SPEED, machine=machine(name)) as client, operator(client) as anna:
         started(anna, name, project)
@@ -80,6 +80,9 @@ def test_the_placers_cycle_with_a_hold(project: Path) -> None:
         seen = anna.see("holding")
         assert set(seen["axes"]) == {"X", "Z"}
         assert set(seen["signals"]) >= {*machine(name).outputs, *machine(name).contacts}
+        held_s = seen["progress"]["time_s"]
+        anna.wait(lambda state: state["progress"]["time_s"] > held_s + 0.2)
+        assert anna.state["state"] == "holding"
         assert anna.act("resume") == ""
         found = verdict(anna)
         assert found["ended"] == "completed"

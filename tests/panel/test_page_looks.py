@@ -76,13 +76,30 @@ def nothing_is_wider(page: Page) -> None:
     page.set_viewport_size({"width": SIZES[0][0], "height": SIZES[0][1]})
 
 
+def bar_leaves_room(page: Page, height: int) -> None:
+    """Check that the bar that is always in sight leaves three quarters of the screen."""
+    box = page.locator("header").bounding_box()
+    assert box is not None
+    assert box["height"] <= height / 4, (page.viewport_size, page.locator("#state").inner_text())
+
+
+def bar_leaves_room_on_all(page: Page) -> None:
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        bar_leaves_room(page, height)
+    page.set_viewport_size({"width": SIZES[0][0], "height": SIZES[0][1]})
+
+
 def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
     browser: Browser, plant: Plant
 ) -> None:
     """On each part: STOP in the same corner, the state, hold and time left above the fold."""
     page = opened(browser, plant)
+    bar_leaves_room_on_all(page)  # nobody has control
     ready(page)
+    bar_leaves_room_on_all(page)
     calculate(page)
+    bar_leaves_room_on_all(page)
     press_until(page, "Start", "running")
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
@@ -90,6 +107,7 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
         for name in PARTS:
             part(page, name)
             assert page.evaluate("document.documentElement.scrollWidth") <= width, name
+            bar_leaves_room(page, height)
             stop = page.locator("#stop").bounding_box()
             assert stop is not None
             corners.add((round(width - stop["x"] - stop["width"]), round(stop["y"])))
@@ -103,6 +121,8 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
             assert hold["y"] + hold["height"] < height / 2
         assert len(corners) == 1
         assert max(next(iter(corners))) < 16
+    press_until(page, "Hold", "holding")
+    bar_leaves_room_on_all(page)
     if AXE.exists():  # what is drawn in a run has names, also before it was scrolled into sight
         page.set_viewport_size({"width": SIZES[0][0], "height": SIZES[0][1]})
         part(page, "Run")
@@ -111,6 +131,8 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
         assert findings(page) == []
     press(page, "STOP")
     state(page, "idle")
+    expect(page.locator("#progress-text")).to_contain_text("stopped")
+    bar_leaves_room_on_all(page)
     page.close()
 
 

@@ -1,5 +1,6 @@
 /** The bar that is always in sight: state, program, line under way, time left, feed, next step. */
 
+import { pace } from "./cloth";
 import { by, made, put, tell } from "./dom";
 import { whyInWords } from "./facts";
 import type { Figures, State } from "./messages";
@@ -23,6 +24,24 @@ const PREPARES: Record<string, string> = {
 };
 const FEED_MS = 250;
 export const STEP_PERCENT = 10;
+
+/** Where a run is in what its operator counts: "circuit 2 of 3", "stitch 12 of 185"; empty where nothing is counted. */
+export function placeInWords(
+  figures: Pick<Figures, "lines" | "circuits" | "stitches">,
+  time_s: number,
+): string {
+  const { stitches, lines, circuits } = figures;
+  if (stitches)
+    return `stitch ${stitches.number[before(stitches.times_s, time_s)] ?? 0} of ${stitches.count}`;
+  const circuit = lines.circuit[before(lines.times_s, time_s)] ?? 0;
+  return circuit && circuits ? `circuit ${circuit} of ${circuits}` : "";
+}
+
+/** Stitches a minute at an instant of the plan; null for other work. */
+function stitchesAMinute(figures: Figures, time_s: number, percent: number): number | null {
+  const { stitches } = figures;
+  return stitches && pace(stitches, before(stitches.times_s, time_s), percent);
+}
 
 export class Bar {
   private chip = "";
@@ -51,14 +70,13 @@ export class Bar {
     const run = state.progress;
     const runs = !!run && run.ended === null;
     const program = runs ? run.program : (state.proven?.program ?? "");
-    tell("now-program", program || "no program calculated");
+    tell("now-program", program || "no program yet");
     const own = figures && (!runs || isOf(figures.program, run.program));
     const at = runs && own ? before(figures.lines.times_s, run.time_s) : -1;
     const line = at < 0 ? 0 : figures!.lines.line[at]!;
-    put(by("now-line"), "hidden", !runs || line === 0);
+    put(by("now-line"), "hidden", !runs || line === 0 || this.session.embroiders); // a design has no lines
     if (line) tell("now-line", `line ${line}`);
-    const circuit = at < 0 ? 0 : figures!.lines.circuit[at]!;
-    tell("now-circuit", circuit && figures!.circuits ? `circuit ${circuit} of ${figures!.circuits}` : "");
+    tell("now-circuit", runs && own ? placeInWords(figures, run.time_s) : "");
     const slower = 100 / state.feed_percent;
     const left = runs
       ? (run.duration_s - run.time_s) * slower
@@ -67,7 +85,8 @@ export class Bar {
         : null;
     tell("time-left", left === null ? "–" : clock(left));
     tell("left-told", runs ? "time left" : "duration");
-    this.tellFeed(state);
+    const sewn = runs && own ? stitchesAMinute(figures, run.time_s, state.feed_percent) : null;
+    this.tellFeed(state, sewn);
     this.tellOverride(state, runs);
     return line;
   }
@@ -80,8 +99,8 @@ export class Bar {
     tell("feed-percent", runs && state.feed_percent !== 100 ? `at ${state.feed_percent} %` : "");
   }
 
-  /** Speed of the command over all linear axes, or of the fastest other one. */
-  private tellFeed(state: State): void {
+  /** Stitches a minute; else the speed of the command over all linear axes, or of the fastest other one. */
+  private tellFeed(state: State, sewn: number | null): void {
     const now = performance.now();
     if (this.was && now - this.feedMs < FEED_MS) return;
     const was = this.was;
@@ -99,8 +118,9 @@ export class Bar {
       }
     else if (moves && dt === 0) return;
     const inDegrees = linear < 0.05 && turning > 0;
-    tell("feed-now", moves ? (inDegrees ? turning : linear).toFixed(0) : "–");
-    tell("feed-unit", inDegrees ? "°/s" : "mm/s");
+    const feed = sewn ?? (inDegrees ? turning : linear);
+    tell("feed-now", moves ? feed.toFixed(0) : "–");
+    tell("feed-unit", sewn !== null ? "stitches/min" : inDegrees ? "°/s" : "mm/s");
   }
 
   /** Mark what is pressed next, and say it. */

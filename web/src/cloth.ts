@@ -2,8 +2,8 @@
 
 import { by, made, put } from "./dom";
 import type { Progress, State, Stitches } from "./messages";
+import type { Picture, Shown } from "./picture";
 import { colour, onTheme } from "./theme";
-import type { Picture, Shown } from "./view";
 import { onScreen, sizeOf } from "./visibility";
 import { before, isOf } from "./wording";
 
@@ -17,6 +17,7 @@ const BANDS: [number, string, string][] = [
 const GREYS = ["#4a4a4a", "#7a7a7a", "#262626", "#949494"];
 const ON_CLOTH = "#101418"; // of the needle's cross: the cloth is light in a dark page, too, as threads may be dark
 const MARGIN = 18;
+const EMPTY = "The stitches of a program are shown here: load one in Prepare.";
 
 type Mark = { x: number; y: number };
 
@@ -138,7 +139,11 @@ export class Cloth implements Picture {
 
   private tell(): void {
     const stitches = this.job?.stitches;
-    if (!stitches) return;
+    this.canvas.setAttribute("aria-label", stitches ? "the cloth from above" : EMPTY);
+    if (!stitches) {
+      if (this.told.textContent) this.told.textContent = "";
+      return;
+    }
     const number = this.done ? stitches.number[this.done - 1]! : 0;
     const block = stitches.threads.length > 1 ? this.thread(Math.max(this.done - 1, 0)) : "";
     const fast = pace(stitches, this.done - 1, this.percent);
@@ -194,7 +199,10 @@ export class Cloth implements Picture {
     const pen = this.canvas.getContext("2d")!;
     const stitches = this.job?.stitches;
     pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    if (!stitches?.x.length) return;
+    if (!stitches?.x.length) {
+      this.nothing(pen);
+      return;
+    }
     if (this.inThreads()) {
       pen.fillStyle = colour("--cloth");
       pen.fillRect(0, 0, this.canvas.width, this.canvas.height);
@@ -228,6 +236,15 @@ export class Cloth implements Picture {
     pen.globalAlpha = 1;
     if (this.stands) this.ring(pen, x(this.stands.x), y(this.stands.y), 8 * sharp);
     if (this.head) this.cross(pen, x(this.head.x), y(this.head.y), 9 * sharp);
+  }
+
+  /** Say why nothing is drawn, and what to do. */
+  private nothing(pen: CanvasRenderingContext2D): void {
+    const sharp = window.devicePixelRatio || 1;
+    pen.fillStyle = colour("--faint");
+    pen.font = `${14 * sharp}px system-ui, sans-serif`;
+    pen.textAlign = "center";
+    pen.fillText(EMPTY, this.canvas.width / 2, this.canvas.height / 2);
   }
 
   /** A ring where the next hold stands. */

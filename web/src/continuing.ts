@@ -156,9 +156,13 @@ export class Continuing {
   }
 
   show(state: State, run: Kept | null): void {
+    const whole = state.rest ? "" : this.whole(run);
+    put(by("rest-row"), "hidden", whole !== "");
     const told = state.rest
       ? [state.rest.run, ...state.rest.told, "Start the rest confirms; a stop discards it"]
-      : [hintOf(this.session), ...(run && this.whole(run) ? [`${run.run}: ${this.whole(run)}`] : [])];
+      : run === null
+        ? []
+        : [whole ? `${run.run}: ${whole}` : hintOf(this.session)];
     if (told.join("\n") === this.shown) return;
     this.shown = told.join("\n");
     by("rest-told").replaceChildren(...told.map((line) => made("li", line)));

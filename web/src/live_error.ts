@@ -123,9 +123,10 @@ export class LiveError {
     pen.fillRect(0, y(this.limit), wide, HEIGHT - y(this.limit));
     pen.globalAlpha = 1;
     const step = wide / largest.length;
+    const [within, beyond] = [colour("--done"), colour("--trouble")]; // read once: it costs much
     largest.forEach((value, k) => {
       if (value < 0) return;
-      pen.fillStyle = colour(value > this.limit ? "--trouble" : "--done");
+      pen.fillStyle = value > this.limit ? beyond : within;
       pen.fillRect(k * step, y(value), Math.max(step, 1), HEIGHT - y(value));
     });
     pen.fillStyle = colour("--ink");

@@ -21,13 +21,14 @@ import { Positions } from "./positions";
 import { Program } from "./program";
 import { Session, toldRun, unitOf } from "./session";
 import { Teach } from "./teach";
-import { filterLog, say } from "./toasts";
+import { filterLog, note, say } from "./toasts";
 import { Traces } from "./traces";
 import { View } from "./view";
 
 const STALE_S = 0.5;
 const USUAL_S = 0.2;
 const TELLS_MS = 250;
+const UNDER_WAY = new Set(["running", "holding", "stopping"]);
 const AT_START = 2e-4; // m or rad within which an axis stands where the program begins
 /** Parts that share the page of the program and the machine. */
 const WORK = ["prepare", "run"];
@@ -94,7 +95,9 @@ function welcomed(message: Welcome): void {
   session.welcome(message);
   const far = made("small", message.simulated ? "simulated" : message.link);
   by("machine").title = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
-  by("machine").replaceChildren(`${message.machine}, `, far);
+  const comma = made("span", ", "); // to be heard: what follows stands on a line of its own
+  comma.className = "unseen";
+  by("machine").replaceChildren(message.machine, comma, far);
   jogging.build();
   teach.build();
   program.build();
@@ -174,6 +177,8 @@ function open(part: string): void {
   const main = WORK.includes(part) ? "work" : part;
   for (const one of document.querySelectorAll<HTMLElement>("main")) one.hidden = one.id !== main;
   if (part !== "run" && part !== "teach-in") jogging.disarm();
+  const hand = by(part === "teach-in" ? "teach-by-hand" : "by-hand-here"); // points are taught by moving
+  if (by("hand").parentElement !== hand) hand.append(by("hand"));
   if (part === "prepare") void program.lookOnce();
   if (part === "review") void traces.list();
   if (part === "guide") void guide.open();
@@ -202,6 +207,7 @@ by("take").onclick = () => {
   const held = session.state?.control;
   session.link.control(session.mine() ? (held?.asks != null ? "give" : "release") : "take");
 };
+by("release").onclick = () => session.link.control("release");
 by("token-enter").onclick = () => session.knock(value("token"));
 by("token").onkeydown = (event) => {
   if (event.key === "Enter") session.knock(value("token"));
@@ -228,7 +234,9 @@ function tellEnds(state: State): void {
   const wrong = ["fault", "gone"].includes(state.state);
   const fault = wrong ? `${state.state}: ${state.why}` : "";
   const end = run?.ended && run.verdict ? toldRun(run) : "";
-  if (end !== toldEnd && end) say(end, !run!.verdict.startsWith("IN SPEC"));
+  // The bar and the list of what happened tell it in Run: no message covers the machine there.
+  const tellEnd = document.body.dataset.part === "run" ? note : say;
+  if (end !== toldEnd && end) tellEnd(end, !run!.verdict.startsWith("IN SPEC"));
   if (fault !== toldFault && fault) say(fault, true);
   [toldEnd, toldFault] = [end, fault];
 }
@@ -245,6 +253,7 @@ function tellControl(state: State): void {
   const free = held.client === null ? "Take control" : "Ask for control";
   tell("take", mine ? (asked ? "Give control" : "Release control") : free);
   put(by("keep"), "hidden", !asked);
+  put(document.body.dataset, "control", mine ? (asked ? "asked" : "mine") : "other");
 }
 
 /** Hide the difference of the measured position on a link that measures none. */
@@ -263,6 +272,7 @@ function tellWork(state: State): void {
   lineNow = bar.tellRun(state, session.figures);
   if (lineNow) listing.mark(lineNow);
   tellFacts(state, session.figures);
+  document.body.toggleAttribute("data-runs", UNDER_WAY.has(state.state));
   const planned = session.figures?.planned ?? {};
   const atStart = Object.entries(planned).every(([name, at]) => {
     const stands = state.axes[name]?.commanded;

@@ -2,7 +2,7 @@
 
 import { by, made, put } from "./dom";
 import type { Criterion, Figures, State } from "./messages";
-import { row } from "./verdict";
+import { hasLines, row } from "./verdict";
 import { used } from "./wording";
 
 /** The criteria that say where the tool, the fibre, or a stitch is; the first that a job has is shown. */
@@ -29,24 +29,22 @@ export function watched(criteria: Criterion[]): Criterion[] {
 }
 
 export class Margins {
-  private figures: Figures | null = null;
+  private worst: Criterion[] = [];
 
   constructor(private readonly toLine: (line: number) => void) {}
 
   show(figures: Figures | null): void {
-    this.figures = figures;
-    const found = figures ? watched(figures.criteria) : [];
-    put(by("margin"), "hidden", found.length === 0);
+    this.worst = figures ? watched(figures.criteria) : [];
+    put(by("margin"), "hidden", this.worst.length === 0);
     const list = made("ul");
-    list.append(...found.map((one) => row(one, this.toLine)));
+    list.append(...this.worst.map((one) => row(one, hasLines(figures!) ? this.toLine : null)));
     by("margin-rows").replaceChildren(list);
   }
 
   /** Mark the worst place while the run is near it. */
   live(state: State): void {
     const run = state.progress;
-    const worst = this.figures ? watched(this.figures.criteria) : [];
-    const near = !!run && run.ended === null && worst.some((one) => nearBy(one, run.time_s));
+    const near = !!run && run.ended === null && this.worst.some((one) => nearBy(one, run.time_s));
     put(by("margin"), "className", near ? "near" : "");
   }
 }

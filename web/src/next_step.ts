@@ -41,8 +41,10 @@ export function nextStep(state: State, known: Known): Step | null {
   if (!state.proven || known.changed)
     return { what: "calculate", text: "calculate the program", part: "prepare" };
   if (known.wantsReason)
-    return { what: "reason", text: "out of specification: change it, or give a reason", part: "prepare" };
+    return { what: "reason", text: "out of spec: change it, or give a reason", part: "prepare" };
   if (!known.atStart && may("approach"))
-    return { what: "approach", text: "approach the beginning of the program", part: "" };
+    return { what: "approach", text: "hold Approach to go to the beginning", part: "" };
+  if (!known.atStart && may("home"))
+    return { what: "home", text: "home the machine: the program begins there", part: "run" };
   return may("start") ? { what: "start", text: "start", part: "" } : null;
 }

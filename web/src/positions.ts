@@ -72,7 +72,7 @@ export class Positions {
     this.told = told;
     by("signals").replaceChildren(
       ...signals.map(([name, on]) => {
-        const found = made("span", `${name} ${on}`);
+        const found = made("span", `${name.replaceAll("_", " ")} ${on ? "on" : "off"}`);
         found.className = on ? "on" : "";
         return found;
       }),

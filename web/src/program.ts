@@ -6,11 +6,13 @@ import type { Session } from "./session";
 import { toldEnd, toldRun, unitOf } from "./session";
 import { note, say } from "./toasts";
 import { tellVerdict } from "./verdict";
+import { timeOfDay } from "./wording";
 
 type Field = HTMLInputElement | HTMLSelectElement;
 
 const OF_PROGRAM = 'Replaces every feed of the program: "36 mm/s", "2000 mm/min", "10 count/tick".';
-const OF_STITCHES = 'One speed for all stitches: "100 stitch/min". Empty: each has its highest speed.';
+const OF_STITCHES = 'One speed for all stitches: "100 stitch/min".';
+const LONG_S = 60; // from here on the time of day of the end is of use
 const EXISTS = 412; // status of an upload that would overwrite a file
 /** Fields of the options, generated from the table of options; an option has the name of its field. */
 const optionFields = (): Field[] =>
@@ -109,7 +111,12 @@ export class Program {
     const feeds = !sewn && this.session.options.includes("feed");
     put(by("feed").closest<HTMLElement>("[data-option]")!, "hidden", !feeds);
     put(by<HTMLInputElement>("feed"), "disabled", this.priority !== "programmed");
-    tell("feed-told", this.session.embroiders ? OF_STITCHES : OF_PROGRAM);
+    const [name, empty, told] = this.session.embroiders
+      ? ["Speed", "as fast as each stitch allows", OF_STITCHES]
+      : ["Feed", "as programmed", OF_PROGRAM];
+    put(document.querySelector<HTMLElement>("label[for=feed]")!, "textContent", name);
+    put(by<HTMLInputElement>("feed"), "placeholder", empty);
+    tell("feed-told", told);
   }
 
   private fields(): string {
@@ -206,7 +213,11 @@ export class Program {
       answer = await put_({ "X-Overwrite": "yes" });
     else if (answer.status === EXISTS)
       answer = new Response(`${name} was not loaded: the file of that name is kept`, { status: EXISTS });
-    say(answer.ok ? `${name} is in the project folder` : (await answer.text()).trim(), !answer.ok);
+    const there = `${name} is in the project folder`;
+    if (!answer.ok) say((await answer.text()).trim(), true);
+    else if (document.body.dataset.part === "prepare")
+      note(there); // its list shows it
+    else say(there);
     by<HTMLInputElement>("file").value = "";
     await this.list(answer.ok ? name : "");
     return answer.ok;
@@ -294,7 +305,8 @@ export class Program {
     if (run.ended) return run.program === state.proven?.program ? toldEnd(run) : toldRun(run);
     const left = (Math.max(run.duration_s - run.time_s, 0) * 100) / state.feed_percent;
     const percent = Math.floor((100 * Math.min(run.time_s, run.duration_s)) / run.duration_s);
-    return `${percent} %, ${Math.ceil(left - 1e-9)} s left`;
+    const ends = state.state === "running" && left >= LONG_S ? `, ends at ${timeOfDay(left)}` : "";
+    return `${percent} %${ends}`;
   }
 
   /** Whether a start lacks its reason to run out of specification. */

@@ -184,5 +184,6 @@ export function toldRun(run: Progress): string {
 
 /** The same without the name of its program, for a place that names it already. */
 export function toldEnd({ ended, why, verdict }: Progress): string {
-  return `${endOf(ended ?? "", why !== "" && verdict.includes(why) ? "" : why)}. ${verdictOfRun(verdict)}`.trim();
+  const words = verdictOfRun(verdict);
+  return `${endOf(ended ?? "", why !== "" && words.includes(why) ? "" : why)}. ${words}`.trim();
 }

@@ -2,13 +2,15 @@
 
 import { made } from "./dom";
 import type { Lane, State } from "./messages";
+import type { Picture, Shown } from "./picture";
 import { type Parts, part, Scheme, spoken, type Told, toldBy } from "./scheme";
-import type { Picture, Shown } from "./view";
 import { sizeOf } from "./visibility";
 import { before } from "./wording";
 
 const ROW = 18;
-const HEAD = 22;
+const LABEL_ROW = 15;
+const LABEL_ROWS = 3; // in which the names of short steps stand below each other
+const LETTER = 7;
 const LEFT = 110;
 const CURVE = 54;
 
@@ -29,6 +31,17 @@ export function extend(found: [number, number][], time_s: number, on: boolean): 
   const open = last !== undefined && last[1] === Number.POSITIVE_INFINITY;
   if (on && !open) found.push([time_s, Number.POSITIVE_INFINITY]);
   else if (!on && open) last[1] = time_s;
+}
+
+/** The row of each name, so that names from their places on stand beside each other: the first free row. */
+export function rowsOf(names: string[], places: number[], rows = LABEL_ROWS): number[] {
+  const ends = new Array<number>(rows).fill(Number.NEGATIVE_INFINITY);
+  return names.map((name, k) => {
+    const free = ends.findIndex((end) => end <= places[k]!);
+    const row = free < 0 ? ends.indexOf(Math.min(...ends)) : free;
+    ends[row] = places[k]! + name.length * LETTER + 6;
+    return row;
+  });
 }
 
 /** Whether a lane is on at a time of the plan. */
@@ -56,6 +69,7 @@ export class Steps implements Picture {
   private run = "";
   private switched: Record<string, [number, number][]> = {}; // spans in which each lane was on
   private told: Told = { at: {}, on: {} }; // what the schematic shows
+  private head = 0; // height of the names of the steps, pixels
   private until_s = 0; // how far the run has come
   private dirty = true;
 
@@ -167,7 +181,13 @@ export class Steps implements Picture {
     }
     const axes = Object.entries(job.planned);
     const lanes = job.lanes.filter((one) => one.changes_s.length);
-    const height = HEAD + axes.length * CURVE + lanes.length * ROW + 8;
+    const begins = job.steps.map((one) => this.x(one.begin_s));
+    const rows = rowsOf(
+      job.steps.map((one) => one.name),
+      begins,
+    );
+    this.head = 8 + LABEL_ROW * (Math.max(...rows, 0) + 1);
+    const height = this.head + axes.length * CURVE + lanes.length * ROW + 8;
     this.diagram.setAttribute("width", String(this.wide));
     this.diagram.setAttribute("height", String(height));
     for (const one of job.steps) {
@@ -175,10 +195,10 @@ export class Steps implements Picture {
       this.diagram.append(part("line", { x1: x, x2: x, y1: 0, y2: height, class: "grid" }));
     }
     job.steps.forEach((one, k) => {
-      const next = job.steps[k + 1]?.begin_s ?? job.duration_s;
-      const room = Math.floor((this.x(next) - this.x(one.begin_s) - 3) / 7);
+      const next = rows.findIndex((row, n) => n > k && row === rows[k]);
+      const room = Math.floor(((next < 0 ? this.wide : begins[next]!) - begins[k]! - 3) / LETTER);
       const text = one.name.length <= room ? one.name : `${one.name.slice(0, Math.max(room - 1, 0))}…`;
-      const name = part("text", { x: this.x(one.begin_s) + 3, y: 14 }, room > 1 ? text : "");
+      const name = part("text", { x: begins[k]! + 3, y: 14 + LABEL_ROW * rows[k]! }, text);
       name.append(part("title", {}, one.name));
       this.diagram.append(name);
     });
@@ -186,12 +206,12 @@ export class Steps implements Picture {
       const line = places
         .map((at, n) => `${this.x(job.times_s[n]!).toFixed(1)},${this.y(name, at, k)}`)
         .join(" ");
-      this.diagram.append(part("text", { x: 4, y: HEAD + k * CURVE + CURVE / 2 }, `${name}, mm`));
+      this.diagram.append(part("text", { x: 4, y: this.head + k * CURVE + CURVE / 2 }, `${name}, mm`));
       this.diagram.append(part("polyline", { points: line, class: "planned" }));
       this.diagram.append(part("polyline", { points: "", class: "actual", "data-axis": name }));
     });
     lanes.forEach((lane, k) => {
-      const y = HEAD + axes.length * CURVE + k * ROW;
+      const y = this.head + axes.length * CURVE + k * ROW;
       this.diagram.append(part("text", { x: 4, y: y + 13 }, spoken(lane.name)));
       for (const [from, until] of spans(lane.on, lane.changes_s, job.duration_s))
         this.diagram.append(
@@ -213,7 +233,12 @@ export class Steps implements Picture {
   private y(name: string, at: number, k: number): string {
     const places = this.job!.planned[name]!;
     const [low, high] = [Math.min(...places), Math.max(...places)];
-    return (HEAD + (k + 1) * CURVE - 6 - ((CURVE - 14) * (at - low)) / Math.max(high - low, 1e-6)).toFixed(1);
+    return (
+      this.head +
+      (k + 1) * CURVE -
+      6 -
+      ((CURVE - 14) * (at - low)) / Math.max(high - low, 1e-6)
+    ).toFixed(1);
   }
 
   private drawNow(): void {

@@ -59,6 +59,7 @@ export class Teach {
   }
 
   private list(): void {
+    put(by("untaught-yet"), "hidden", this.points.length > 0);
     by("taught").replaceChildren(
       ...this.points.map((point, k) => {
         const row = made("tr"),

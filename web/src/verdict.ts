@@ -11,11 +11,18 @@ export function tellVerdict(found: Figures | null, toLine: (line: number) => voi
   put(by("verdict-none"), "hidden", found !== null);
   by("figures").replaceChildren(...(found ? figureRows(found) : []));
   by("criteria").replaceChildren(
-    ...(found ? worst(found.criteria).slice(0, MOST) : []).map((one) => row(one, toLine)),
+    ...(found ? worst(found.criteria).slice(0, MOST) : []).map((one) =>
+      row(one, hasLines(found!) ? toLine : null),
+    ),
   );
   by("notes").replaceChildren(...(found?.warnings ?? []).map((text) => made("li", text)));
   put(by("doubts"), "hidden", !found?.doubts.length);
   by("doubts-told").replaceChildren(...(found?.doubts ?? []).map((text) => made("li", text)));
+}
+
+/** Whether the program is text, whose lines are known: a design of stitches in the colours of threads is none. */
+export function hasLines(found: Pick<Figures, "stitches">): boolean {
+  return !found.stitches?.threads.length;
 }
 
 function figureRows(found: Figures): HTMLElement[] {
@@ -49,15 +56,19 @@ function controller(found: Figures): [string, string][] {
   return [["controller", `${found.ticks} ticks${each}`]];
 }
 
-/** A criterion in words, a gauge of its limit, and a button to the line of its worst place. */
-export function row(one: Criterion, toLine: (line: number) => void): HTMLLIElement {
+/**
+ * A criterion in words, a gauge of its limit, and a button to the line of its worst place. A design has
+ * records in place of lines, and no text to lead to.
+ */
+export function row(one: Criterion, toLine: ((line: number) => void) | null): HTMLLIElement {
   const found = made("li");
   const text = made("span", sentence(one));
   const wrong = one.status === "failed";
   if (wrong) text.className = "wrong";
   found.append(text);
   if (one.step) found.append(` in step ${one.step}`);
-  if (one.job_line) {
+  if (one.job_line && !toLine) found.append(`, at record ${one.job_line} of the design`);
+  else if (one.job_line && toLine) {
     const line = one.job_line;
     const there = made("button", `line ${line}`);
     there.type = "button";

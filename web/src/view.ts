@@ -3,38 +3,10 @@
 import { Cloth } from "./cloth";
 import { by, put, tell } from "./dom";
 import type { Figures, Mandrel, Preview, State, Welcome } from "./messages";
+import type { Picture, Shown } from "./picture";
 import type { Parts } from "./scheme";
 import { Steps } from "./steps";
 import { View3d } from "./view3d";
-
-/** What is drawn of a job: its path, without times before it is calculated. */
-export interface Shown {
-  program: string;
-  proof: string;
-  planned: Record<string, number[]>;
-  times_s: number[];
-  duration_s: number;
-  mandrel: Mandrel | null;
-  stitches: Figures["stitches"];
-  steps: Figures["steps"];
-  lanes: Figures["lanes"];
-}
-
-/** A picture of one kind of work. */
-export interface Picture {
-  readonly element: HTMLElement;
-  /** Whether a point of view can be chosen. */
-  readonly turns: boolean;
-  show(shown: Shown | null, mandrel: Mandrel | null): void;
-  /** Show the machine in a state. */
-  live(state: State): void;
-  /** Show the planned job at a time; null for none. */
-  at(time_s: number): void;
-  /** What the colours mean. */
-  legend(): [string, string][];
-  draw(): void;
-  resize(): void;
-}
 
 const LONGEST_S = 15; // longest playing time of a simulation, s
 

@@ -99,13 +99,15 @@ export function sentence(one: Criterion): string {
 export function verdictWords(closing: string): string {
   return closing
     .replace(/\((?:nominal|repeated): (\d+) (runs?)/, "($1 simulated $2")
+    .replace(/((?:more than )?\d[\d.]* %) of ([^();]+) used/g, "$2 is at $1 of its limit")
     .replace(/[a-z]+(?:_[a-z]+)+/g, (name) => name.replaceAll("_", " "));
 }
 
 /** The verdict of a run of the machine: the run that was judged is the one that was made. */
 export function verdictOfRun(closing: string): string {
   const judged = closing.replace(/ \((?:nominal|repeated): 1 run\)/, "");
-  return verdictWords(judged.replace(/\((?:nominal|repeated): 1 run; /, "("));
+  const short = judged.replace(/: the run ended in operation \d+, .*$/, ": it did not reach its end");
+  return verdictWords(short.replace(/\((?:nominal|repeated): 1 run; /, "("));
 }
 
 /** The used share of a limit; null where there is none. */
@@ -138,6 +140,12 @@ export function clock(seconds: number): string {
   const parts = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, whole % 60];
   const shown = parts[0] ? parts : parts.slice(1);
   return shown.map((one, k) => (k ? String(one).padStart(2, "0") : String(one))).join(":");
+}
+
+/** The time of day after some seconds: "13:07", or "1:07 PM" where people write it so. */
+export function timeOfDay(after_s: number, now = new Date()): string {
+  const then = new Date(now.getTime() + 1000 * after_s);
+  return then.toLocaleTimeString([], { hour: "numeric", minute: "2-digit" });
 }
 
 /** Index of the last time that is not later than a time; -1 before the first. */

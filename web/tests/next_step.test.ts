@@ -29,6 +29,11 @@ describe("the next step", () => {
     expect(step(ready, { atStart: false })).toBe("approach");
     expect(step(ready)).toBe("start");
   });
+  it("is to home where nothing else leads to the beginning of a program", () => {
+    const stopped = state("idle", ["start", "home"], { proven: PROVEN }); // an embroidery frame
+    expect(step(stopped, { atStart: false })).toBe("home");
+    expect(step(stopped)).toBe("start");
+  });
   it("is to calculate again after a change, and to give a reason out of specification", () => {
     const ready = state("idle", ["start"], { proven: PROVEN });
     expect(step(ready, { changed: true })).toBe("calculate");

@@ -2,12 +2,12 @@ import { describe, expect, it } from "vitest";
 import { bandOf, pace, sewnUntil } from "../src/cloth";
 import { watched } from "../src/margins";
 import type { Criterion, Cylinder, Figures, Progress } from "../src/messages";
+import type { Shown } from "../src/picture";
 import { pictured } from "../src/run_picture";
 import { ofWay, others } from "../src/scheme";
-import { isOn, plannedAt, spans } from "../src/steps";
+import { isOn, plannedAt, rowsOf, spans } from "../src/steps";
 import { type Kept, matches } from "../src/traces";
 import { counts } from "../src/verdict";
-import type { Shown } from "../src/view";
 
 describe("spans of an output", () => {
   it("begin and end where it changes, the last at the end of the plan", () => {
@@ -17,6 +17,13 @@ describe("spans of an output", () => {
     ]);
     expect(spans(true, [], 8)).toEqual([[0, 8]]);
     expect(spans(true, [0, 3, 8], 8)).toEqual([[3, 8]]);
+  });
+});
+
+describe("names of steps", () => {
+  it("stand beside each other where there is room, else below each other", () => {
+    expect(rowsOf(["start", "cut", "lift"], [0, 100, 200])).toEqual([0, 0, 0]);
+    expect(rowsOf(["start", "descend", "cut", "lift"], [0, 20, 40, 60])).toEqual([0, 1, 2, 0]);
   });
 });
 

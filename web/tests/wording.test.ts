@@ -1,6 +1,18 @@
 import { describe, expect, it } from "vitest";
-import type { Criterion } from "../src/messages";
-import { amount, before, clock, sentence, used, verdictOfRun, verdictWords, worst } from "../src/wording";
+import { placeInWords } from "../src/bar";
+import type { Criterion, Figures, Progress } from "../src/messages";
+import { toldEnd } from "../src/session";
+import {
+  amount,
+  before,
+  clock,
+  sentence,
+  timeOfDay,
+  used,
+  verdictOfRun,
+  verdictWords,
+  worst,
+} from "../src/wording";
 
 const criterion = (words: Partial<Criterion>): Criterion => ({
   name: "contour_error",
@@ -22,7 +34,29 @@ const criterion = (words: Partial<Criterion>): Criterion => ({
   ...words,
 });
 
+describe("the end of a run", () => {
+  it("says once who stopped it, and no number that nobody knows", () => {
+    const verdict = "NOT PROVEN (nominal: 1 run): the run ended in operation 177, stopped by the operator";
+    const run = { ended: "stopped", why: "stopped by the operator", verdict } as Progress;
+    expect(toldEnd(run)).toBe("stopped by the operator. NOT PROVEN: it did not reach its end");
+  });
+});
+
+describe("where a run is", () => {
+  it("is told in stitches, else in circuits", () => {
+    const lines = { times_s: [0, 2], line: [1, 2], circuit: [1, 2] };
+    const work = { lines, circuits: 2, stitches: null } as unknown as Figures;
+    expect(placeInWords(work, 2.5)).toBe("circuit 2 of 2");
+    const stitches = { times_s: [0, 1, 2], number: [0, 1, 2], count: 9 } as unknown as Figures["stitches"];
+    expect(placeInWords({ ...work, stitches }, 1.5)).toBe("stitch 1 of 9");
+  });
+});
+
 describe("amounts and times for people", () => {
+  it("tell when a run ends", () => {
+    expect(timeOfDay(3600, new Date(2026, 10, 30, 12, 7, 30))).toMatch(/^(1:07 PM|13:07)$/);
+  });
+
   it("have a unit and three digits", () => {
     expect(amount(0.00045, "m")).toBe("0.450 mm");
     expect(amount(0.032, "")).toBe("3.20 %");
@@ -86,12 +120,12 @@ describe("a verdict", () => {
   const told = "IN SPEC (repeated: 20 runs; 92 % of contour_error used; 1 criterion not measured)";
   it("has no underscores, and says what was simulated", () => {
     expect(verdictWords(told)).toBe(
-      "IN SPEC (20 simulated runs; 92 % of contour error used; 1 criterion not measured)",
+      "IN SPEC (20 simulated runs; contour error is at 92 % of its limit; 1 criterion not measured)",
     );
   });
   it("of a run of the machine says nothing of simulation", () => {
     expect(verdictOfRun("OUT OF SPEC (nominal: 1 run; 120 % of tracking_error of X used)")).toBe(
-      "OUT OF SPEC (120 % of tracking error of X used)",
+      "OUT OF SPEC (tracking error of X is at 120 % of its limit)",
     );
     expect(verdictOfRun("NOT PROVEN (nominal: 1 run): step loss was not measured")).toBe(
       "NOT PROVEN: step loss was not measured",

@@ -56,6 +56,7 @@ class Ahead:
     """
 
     keeps_home = True  # positions are counted through every stop
+    share_done = None  # its time gives it
 
     def __init__(
         self,

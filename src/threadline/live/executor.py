@@ -92,6 +92,12 @@ class Executor(AtRest):
         return ahead.place_at(self.tick) * self._period_s  # rows: its ticks are its commands
 
     @property
+    def share_done(self) -> float | None:
+        """Executed share of a run, 0 to 1; None if its time gives it."""
+        ahead = self._ahead
+        return None if ahead is None or isinstance(ahead, JogAhead) else ahead.share_done
+
+    @property
     def under_way(self) -> bool:
         """Whether a run or a jog has begun and is not over: ``step`` must be called."""
         return self._ahead is not None and not self.over

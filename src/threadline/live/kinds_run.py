@@ -52,6 +52,10 @@ class RunAhead(Protocol):
     """Rows of the table per tick that it is to play, where ``RunKind.no_override`` is empty."""
 
     @property
+    def share_done(self) -> float | None:
+        """Executed share of its commands, 0 to 1; None if the time of the recording gives it."""
+
+    @property
     def start(self) -> IntArray:
         """Starting position, in the units of its commands."""
 

@@ -317,7 +317,6 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
 class RowsOperated(Executor):
     """An executor of rows for a panel; see ``Operated``."""
 
-    share_done = None
     age_s = 0.0
     board = None
     meanwhile: Callable[[], None] = staticmethod(lambda: None)

@@ -91,6 +91,11 @@ class ScansAhead:
         return None
 
     @property
+    def share_done(self) -> float:
+        """Share of the schedule that the controller has passed; it may wait at a contact."""
+        return min(self._place / self._schedule.duration_ticks, 1.0)
+
+    @property
     def rests(self) -> bool:
         """False: a machine at a rest is told so repeatedly, or it switches off."""
         return False

@@ -66,6 +66,7 @@ class TurnsAhead:
     """
 
     keeps_home = True
+    share_done = None  # its time gives it
     rate = 1.0  # nothing overrides it
     rests = False
 

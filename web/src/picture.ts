@@ -1,0 +1,32 @@
+/** What the view draws, and a picture that draws it: each kind of work has its own. */
+
+import type { Figures, Mandrel, State } from "./messages";
+
+/** What is drawn of a job: its path, without times before it is calculated. */
+export interface Shown {
+  program: string;
+  proof: string;
+  planned: Record<string, number[]>;
+  times_s: number[];
+  duration_s: number;
+  mandrel: Mandrel | null;
+  stitches: Figures["stitches"];
+  steps: Figures["steps"];
+  lanes: Figures["lanes"];
+}
+
+/** A picture of one kind of work. */
+export interface Picture {
+  readonly element: HTMLElement;
+  /** Whether a point of view can be chosen. */
+  readonly turns: boolean;
+  show(shown: Shown | null, mandrel: Mandrel | null): void;
+  /** Show the machine in a state. */
+  live(state: State): void;
+  /** Show the planned job at a time; null for none. */
+  at(time_s: number): void;
+  /** What the colours mean. */
+  legend(): [string, string][];
+  draw(): void;
+  resize(): void;
+}
