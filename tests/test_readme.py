@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.blank_pictures import blank_pictures
-from threadline.cli.lazy import COMMANDS
+from threadline.cli.lazy import COMMANDS, SECTIONS
 from threadline.cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -39,6 +39,13 @@ def test_both_pages_together_show_every_command_and_no_other() -> None:
     assert named == set(COMMANDS)
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     assert named == set(re.findall(r"^threadline (\S+)", page, re.MULTILINE))
+
+
+def test_the_page_of_the_commands_and_the_help_have_the_same_sections() -> None:
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    for title, section in SECTIONS.items():
+        under = page.split(f"\n## {title}\n")[1].split("\n## ")[0]
+        assert set(section) <= set(re.findall(r"^threadline (\S+)", under, re.MULTILINE)), title
 
 
 @pytest.mark.long(

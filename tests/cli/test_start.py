@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from threadline.cli.lazy import COMMANDS
+from threadline.cli.main import app
 
 INTERRUPTING = """
 import os, signal, sys
@@ -129,7 +131,28 @@ def test_help_imports_nothing_heavy() -> None:
         "sys.exit(f'imported {heavy}' if heavy else 0)\n"
     )
     assert (done.returncode, done.stderr) == (0, "")
-    assert all(name in done.stdout for name in COMMANDS)
+    listed = [line.split()[0] for line in done.stdout.splitlines() if line.startswith("  ")]
+    assert [name for name in listed if name in COMMANDS] == list(COMMANDS)
+
+
+def test_the_help_of_a_command_lists_its_options_by_purpose() -> None:
+    """An operator finds what the job needs without reading all that a planner may choose."""
+    lines = CliRunner().invoke(app, ["prove", "--help"]).output.splitlines()
+    titles = [line for line in lines if line.endswith(":") and not line.startswith(" ")]
+    assert titles == [
+        "Arguments:", "Input files:", "Planning:", "Level of the verdict:",
+        "Options of this command:",
+    ]  # fmt: skip
+    section = {
+        line.split()[0].rstrip(","): max(k for k, title in enumerate(lines[:at]) if title in titles)
+        for at, line in enumerate(lines)
+        if line.startswith("  -")
+    }
+    of = {name: lines[at] for name, at in section.items()}
+    assert of["-m"] == "Input files:"
+    assert of["--feed"] == "Planning:"
+    assert of["--tolerances"] == "Level of the verdict:"
+    assert of["--report"] == "Options of this command:"
 
 
 @pytest.mark.parametrize("name", COMMANDS)

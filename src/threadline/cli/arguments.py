@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from threadline.errors import OptionError
+from threadline.proof.option_form import Group
 
 
 def ratio(option: str) -> Callable[[str | float], float]:
@@ -40,6 +41,7 @@ MachineOption = Annotated[
         "-m",
         help="Machine file (.toml) or library name (threadline machines lists them), "
         "overlays after a plus: lathe-winder+physical.",
+        rich_help_panel=Group.INPUT.value,
     ),
 ]
 ThisMachineOption = Annotated[
@@ -49,6 +51,7 @@ ThisMachineOption = Annotated[
         "-m",
         help="Machine file (.toml) or library name (threadline machines lists them), overlays "
         "after a plus: lathe-winder+physical. Not with --merge.",
+        rich_help_panel=Group.INPUT.value,
     ),
 ]
 JobsArgument = Annotated[

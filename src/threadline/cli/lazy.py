@@ -32,45 +32,61 @@ class LazyCommand:
     summary: str
 
 
-COMMANDS = {
-    "new": LazyCommand("new", "Make a working project: machine, specification, job."),
-    "connect": LazyCommand("connect", "Read the settings of a controller from itself."),
-    "prove": LazyCommand("prove", "Plan a job, simulate it, and say whether it is in spec."),
-    "verify": LazyCommand("verify", "Check that a proof still matches its files."),
-    "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
-    "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
-    "yield": LazyCommand("yield_", "Say how many machines within the tolerances are in spec."),
-    "learn": LazyCommand(
-        "learn", "Repeat JOB and correct its references by the error of every run."
-    ),
-    "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
-    "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
-    "equal": LazyCommand("equal_", "Say whether the files of controllers are the plan."),
-    "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
-    "panel": LazyCommand("panel_", "Serve the operator's panel in a browser."),
-    "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),
-    "report": LazyCommand("report_", "Judge the recording of a run again, and write a report."),
-    "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
-    "animate": LazyCommand("animate", "Show a job on the machine: a page, a gif or a film."),
-    "measure": LazyCommand(
-        "measure_", "Move one axis of MACHINE and record it, for a fit of its numbers."
-    ),
-    "fit": LazyCommand("fit_", "Fit numbers of MACHINE to measured data, with their certainty."),
-    "tune": LazyCommand(
-        "tune_", "Tune the loops of MACHINE: PE, PI, PD, PID and lead controllers by several rules."
-    ),
-    "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
-    "control": LazyCommand(
-        "control_", "Design a controller for many sensors, and write it as a machine file."
-    ),
-    "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
-    "size": LazyCommand("size", "Size a machine from what its product asks for."),
-    "wind": LazyCommand("wind", "List the patterns, lengths and thickness of a winding."),
-    "machines": LazyCommand("machines", "List the machines of the library, or print one."),
-    "guide": LazyCommand("guide_", "Write the guide to a machine: axes, wiring, calibration."),
-    "law": LazyCommand("law", "Show a motion law, rank laws on a mode, make one for it."),
-    "cam": LazyCommand("cam", "Turn a measured cam into a motion law."),
+SECTIONS = {
+    "Start": {
+        "new": LazyCommand("new", "Make a working project: machine, specification, job."),
+        "connect": LazyCommand("connect", "Read the settings of a controller from itself."),
+    },
+    "Prove and search": {
+        "prove": LazyCommand("prove", "Plan a job, simulate it, and say whether it is in spec."),
+        "verify": LazyCommand("verify", "Check that a proof still matches its files."),
+        "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
+        "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
+        "yield": LazyCommand("yield_", "Say how many machines within the tolerances are in spec."),
+        "design": LazyCommand("design", "Find the smallest change of a machine that is in spec."),
+        "learn": LazyCommand(
+            "learn", "Repeat JOB and correct its references by the error of every run."
+        ),
+        "animate": LazyCommand("animate", "Show a job on the machine: a page, a gif or a film."),
+    },
+    "Write for a controller": {
+        "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
+        "equal": LazyCommand("equal_", "Say whether the files of controllers are the plan."),
+    },
+    "Run, and judge what the machine did": {
+        "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
+        "panel": LazyCommand("panel_", "Serve the operator's panel in a browser."),
+        "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),
+        "report": LazyCommand("report_", "Judge the recording of a run again, and write a report."),
+        "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
+    },
+    "Understand and design a machine": {
+        "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
+        "control": LazyCommand(
+            "control_", "Design a controller for many sensors, and write it as a machine file."
+        ),
+        "measure": LazyCommand(
+            "measure_", "Move one axis of MACHINE and record it, for a fit of its numbers."
+        ),
+        "fit": LazyCommand(
+            "fit_", "Fit numbers of MACHINE to measured data, with their certainty."
+        ),
+        "tune": LazyCommand(
+            "tune_",
+            "Tune the loops of MACHINE: PE, PI, PD, PID and lead controllers by several rules.",
+        ),
+        "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
+        "law": LazyCommand("law", "Show a motion law, rank laws on a mode, make one for it."),
+        "cam": LazyCommand("cam", "Turn a measured cam into a motion law."),
+        "size": LazyCommand("size", "Size a machine from what its product asks for."),
+        "wind": LazyCommand("wind", "List the patterns, lengths and thickness of a winding."),
+        "machines": LazyCommand("machines", "List the machines of the library, or print one."),
+        "guide": LazyCommand("guide_", "Write the guide to a machine: axes, wiring, calibration."),
+    },
 }
+"""The commands by purpose, in the order of ``threadline --help``."""
+
+COMMANDS = {name: one for section in SECTIONS.values() for name, one in section.items()}
 
 
 class LazyGroup(TyperGroup):
@@ -111,5 +127,6 @@ class LazyGroup(TyperGroup):
 
     def format_commands(self, _context: Any, formatter: Any) -> None:
         """Write the list of commands for ``--help`` without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, entry.summary) for name, entry in COMMANDS.items()])
+        for title, section in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, entry.summary) for name, entry in section.items()])

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from threadline.cli.messages import note
-from threadline.proof.option_form import Option, Type
+from threadline.proof.option_form import Group, Option, Type
 from threadline.proof.option_table import options_for
 from threadline.proof.request import Words
 
@@ -72,7 +73,26 @@ def add(app: typer.Typer, verb: str, command: Callable[..., None]) -> None:
 
     called.__doc__, called.__name__ = command.__doc__, command.__name__
     called.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]
-    app.command(verb)(called)
+    app.command(verb, cls=SectionedCommand)(called)
+
+
+class SectionedCommand(TyperCommand):
+    """A command whose help lists its options by purpose, as the page of the options does."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options for ``--help``, those of the command alone last."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": []}
+        sections |= {group.value: [] for group in Group} | {"Options of this command": []}
+        for one in self.get_params(ctx):
+            title = getattr(one, "rich_help_panel", None) or "Options of this command"
+            if one.param_type_name == "argument":
+                title = "Arguments"
+            if (record := one.get_help_record(ctx)) is not None:
+                sections[title].append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
 
 
 def _words(verb: str, **given: Any) -> Words:
@@ -85,7 +105,13 @@ def _parameter(one: Option, verb: str) -> inspect.Parameter:
     if default is None:
         kind = kind | None
     names = [one.typed, *([f"-{one.short}"] if one.short else [])]
-    parameter = typer.Option(*names, help=one.help_of(verb), min=one.least, max=one.most)
+    parameter = typer.Option(
+        *names,
+        help=one.help_of(verb),
+        min=one.least,
+        max=one.most,
+        rich_help_panel=one.group.value,
+    )
     return inspect.Parameter(
         one.word,
         inspect.Parameter.KEYWORD_ONLY,
