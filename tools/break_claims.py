@@ -7,7 +7,10 @@ searches for so many seconds of processor time, the plan and the compilation of 
 out. ``days`` keeps the machine of the file and changes friction, supply and the place of every
 encoder between two counts, all within what runs are drawn from. ``machines`` changes every number
 within its tolerance as well. Each candidate is one run of the planned commands, judged by every
-criterion that has a limit; ``repeatability``, which needs several runs, is left out.
+criterion that has a limit. ``repeatability`` of a day is its largest distance from the mean of
+1200 drawn days, as a verdict counts it; of a machine, which has days of its own, it is left out. A
+criterion that allows nothing, such as ``dac_saturation``, counts as 1000 % where it fails, and so
+does a required one that could not be measured.
 
 The program's own search (``proof/worst_search.py``) climbs from corner to corner by single changes.
 This one shares no step with it. Climbs of three methods go side by side, and where one has ended
@@ -29,29 +32,39 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at
 from threadline.machine.variants import numbers_at, uncertain
-from threadline.machine.vary import Days, varied_numbers
+from threadline.machine.vary import REPEAT_SEED, Days, drawn_days, varied_numbers
 from threadline.proof.judge_runs import RunsJudge
 from threadline.proof.option_form import Door, Word
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.proof.request import Words
 from threadline.verdict import EachRun, Spec
+from threadline.verdict.finding import RunFindings, Worst
+from threadline.verdict.measure import Measure, MeasureKind, OfRun
+from threadline.verdict.registry import MEASURES
+from threadline.verdict.samples import Block, Setting
 
+ROOT = Path(__file__).resolve().parent.parent
 FRICTION, SUPPLY = 0.3, 0.05  # of a day, as shares on either side (docs/specs.md)
 CANDIDATES = 64  # of a generation of one climb
 BESIDE = 6  # climbs that go side by side: 384 candidates are judged at once
 FAR, NEAR = 0.6, 0.1  # first steps from a random place, and beside the worst that is known
 ENDED = 1e-3  # steps of this part of the box end a climb
 GENERATIONS = 40  # of a climb at most
+BROKEN = 10.0  # share of a limit of 0 that was not kept
+MEAN_OF = 1200  # days
+SPREAD, MEAN, AWAY = "repeatability", "mean of days", "distance from the mean of days"
+TOLD_S = 60.0  # of processor time between two lines about candidates without news
 
 Climb = Generator[FloatArray, FloatArray, None]
 """Yields (k, size) places, and is sent their (k,) used shares."""
@@ -110,20 +123,100 @@ def box_of(machine: Machine, machines: bool) -> Box:
 
 def used(found: EachRun) -> tuple[FloatArray, list[str]]:
     """Return the largest used share of a limit of each run, and the criterion that has it."""
-    rows = [row for row in found.rows if row.limit and not row.of_plan]
-    limits = [row.limit or 1.0 for row in rows]
-    known = [np.nan_to_num(row.values, nan=0.0, posinf=1e3) for row in rows]
-    shares = np.stack(known) / np.array(limits)[:, None]
-    # A plan uses the machine's own limits to the full: they count where they fail.
+    rows = [row for row in found.rows if row.limit is not None and not row.of_plan]
+    shares = np.zeros((len(rows), found.runs))
     for share, row in zip(shares, rows, strict=True):
+        if row.limit:
+            share[:] = np.nan_to_num(row.values / row.limit, nan=0.0, posinf=1e3)
+        # A plan uses the machine's own limits to the full: they count where they fail.
         if row.hard:
             share[~row.failed] = 0.0
+        if not row.limit:
+            share[row.failed] = BROKEN
+        share[row.missed] = BROKEN
     return shares.max(axis=0), [rows[k].text for k in shares.argmax(axis=0).tolist()]
+
+
+class Mean:
+    """The sum of all runs, sample by sample (a measure that finds nothing).
+
+    Parameters
+    ----------
+    sums
+        Takes, of each recording, (samples, axes) sums of the positions of its runs.
+    """
+
+    def __init__(self, sums: list[FloatArray]) -> None:
+        self._sums, self._blocks = sums, list[FloatArray]()
+
+    def feed(self, block: Block) -> None:
+        """Take the next samples of all runs."""
+        if block.actual is not None:
+            self._blocks.append(block.actual.sum(axis=1))
+
+    def finish(self) -> Sequence[RunFindings]:
+        """Hand on the sum."""
+        self._sums.append(np.concatenate(self._blocks))
+        return ()
+
+
+class Away:
+    """The largest distance of each run, at the tool, from the mean of many days (a measure).
+
+    Parameters
+    ----------
+    mean
+        (samples, axes) positions.
+    """
+
+    def __init__(self, setting: Setting, mean: FloatArray) -> None:
+        self._setting, self._mean, self._at = setting, mean, 0
+        self._worst = Worst(setting.runs, len(setting.axes))
+
+    def feed(self, block: Block) -> None:
+        """Take the next samples of all runs."""
+        if block.actual is None:
+            return
+        mean = self._mean[self._at : self._at + len(block), None]
+        self._at += len(block)
+        away = self._setting.lengths(block.actual - mean, block.actual)
+        self._worst.offer(np.sqrt((away**2).sum(axis=2).max(axis=0)))
+
+    def finish(self) -> Sequence[RunFindings]:
+        """Return the one finding of all runs."""
+        return [self._worst.found()]
 
 
 def limited(spec: Spec) -> Spec:
     """Return the specification without criteria that are only reported: no claim rests on them."""
     return replace(spec, criteria=tuple(c for c in spec.criteria if c.limit is not None))
+
+
+def with_distance(plan: Plan, spec: Spec) -> Spec:
+    """Return the specification with the distance from the mean of many days in place of the spread.
+
+    Its limit is the limit of ``repeatability``, which one run does not have.
+    """
+    of_spread = next((c for c in spec.criteria if c.name == SPREAD), None)
+    if of_spread is None or not plan.machine.motors:
+        return spec
+    sums: list[FloatArray] = []
+    with_measure(MEAN, lambda _run, _options: Mean(sums))
+    machine = plan.machine
+    days = drawn_days(MEAN_OF, len(machine.axis_names), np.random.default_rng(REPEAT_SEED))
+    only = replace(spec, criteria=(replace(of_spread, name=MEAN, options={}),))
+    RunsJudge(plan, only, threads=1).judged(varied_numbers(machine, days), days.phases)
+    mean = np.asarray(np.sum(sums, axis=0) / MEAN_OF)
+    with_measure(AWAY, lambda run, _options: Away(run, mean))
+    away = replace(of_spread, name=AWAY, options={})
+    return replace(spec, criteria=(*spec.criteria, away))
+
+
+def with_measure(name: str, start: Callable[[Setting, Mapping[str, float]], Measure]) -> None:
+    """Add a measure at the tool to the measures of specifications, or replace it."""
+    needs = MEASURES[SPREAD].needs
+    reads = (OfRun(run=Setting, start=start, needs=tuple(needs), follows=True),)
+    MEASURES[name] = MeasureKind(name=name, dimension="tool", per_axis=False, reads=reads)
 
 
 class Claim:
@@ -135,21 +228,29 @@ class Claim:
         options = words.options(job)
         plan = plan_job(open_job(Path(job), machine, options), machine, options)
         self.box = box_of(machine, machines)
-        self._judge = RunsJudge(plan, limited(words.spec(machine)), threads=1)
+        self.spec = spec = limited(words.spec(machine))
+        self.judge = RunsJudge(plan, spec if machines else with_distance(plan, spec), threads=1)
         self.tried, self.worst, self.at = 0, 0.0, np.zeros(self.box.size)
         self.criterion = ""
-        self._begun_s = time.process_time()
+        self._begun_s = self._told_s = time.process_time()
 
     def shares(self, places: FloatArray) -> FloatArray:
         """Return the (k,) used shares of (k, size) places; print what is worse than all before."""
         numbers, phases = self.box.runs(places)
-        shares, names = used(self._judge.judged(numbers, phases))
+        shares, names = used(self.judge.judged(numbers, phases))
         self.tried += len(places)
         best = int(np.argmax(shares))
         if shares[best] > self.worst * (1.0 + 1e-4):
             self.worst, self.at, self.criterion = float(shares[best]), places[best], names[best]
-            print(f"    {self.tried}: {100.0 * self.worst:.2f} % of {self.criterion}", flush=True)
+            self._tell()
+        elif time.process_time() - self._told_s > TOLD_S:
+            self._tell()
         return shares
+
+    def _tell(self) -> None:
+        self._told_s = time.process_time()
+        spent_s, share = self._told_s - self._begun_s, 100.0 * self.worst
+        print(f"    {self.tried}, {spent_s:.0f} s: {share:.2f} % of {self.criterion}", flush=True)
 
     def answer(self) -> dict[str, object]:
         """Return what was found, with the numbers of that machine and day."""

@@ -276,3 +276,43 @@ def test_a_trace_of_centuries_later_measures_nothing() -> None:
     )
     assert verdict.result("contour_error").status is Status.NOT_MEASURED
     assert not verdict.passed
+
+
+@pytest.mark.parametrize("every_ms", [20, 45, 90])
+@pytest.mark.parametrize(
+    ("ahead_s", "ahead_m", "status"),
+    [(-0.03, 0.0, {Status.PASSED, Status.NOT_MEASURED}), (0.0, 6e-3, {Status.FAILED})],
+    ids=["trails its command within the lag", "runs ahead of it"],
+)
+def test_a_command_that_turns_between_two_samples_lets_no_tool_seem_ahead(
+    every_ms, ahead_s, ahead_m, status
+) -> None:
+    """X goes 180 mm to and fro and turns within a sample: up to 1.8 mm of its way is not seen."""
+    turn_s = 4.5 + 0.4e-3 * every_ms
+    there_and_back = plan_through([[0, 0], [0.18, 0], [0, 0]], XY, move_s=turn_s)
+    time_s = 1e-3 * every_ms * np.arange(int(2100 * turn_s / every_ms))
+    at_m = 0.18 * (1.0 - np.abs(np.clip((time_s + ahead_s) / turn_s, 0.0, 2.0) - 1.0))
+    at_m += np.where(np.abs(time_s - 2.0) < 0.5, ahead_m, 0.0)
+    load = np.column_stack([at_m, np.zeros(len(at_m))])
+    clock = Clock("logger", Fraction(every_ms, 1000))
+    recording = record(XY, {ChannelKind.LOAD: load}, None, clock=clock, simulated=False)
+    names = ("progress_error", "contour_error", "turning_point_error")
+    limits = [Criterion(name=name, limit=2e-4, required=True) for name in names]
+    verdict = judge([recording], there_and_back, spec_of(*limits, lag_s=0.1))
+    assert verdict.result("progress_error").status in status
+    # The farthest sample is short of the turning point. The tool may have been there in between.
+    found = {result.status for result in verdict.results if result.name != "progress_error"}
+    assert Status.FAILED not in found
+
+
+def test_samples_off_the_path_fail_beside_a_point_that_only_their_lines_miss() -> None:
+    """0.3 mm beside the path, and a turning point between two samples: 0.3 mm is above 0.2 mm."""
+    there_and_back = plan_through([[0, 0], [0.18, 0], [0, 0]], XY, move_s=4.536)
+    time_s = 0.09 * np.arange(102)
+    at_m = 0.18 * (1.0 - np.abs(np.clip(time_s / 4.536, 0.0, 2.0) - 1.0))
+    load = np.column_stack([at_m, np.where(np.abs(time_s - 2.0) < 0.5, 3e-4, 0.0)])
+    clock = Clock("logger", Fraction(90, 1000))
+    recording = record(XY, {ChannelKind.LOAD: load}, None, clock=clock, simulated=False)
+    limit = Criterion(name="contour_error", limit=2e-4, required=True)
+    found = judge([recording], there_and_back, spec_of(limit, lag_s=0.1)).result("contour_error")
+    assert found.status is Status.FAILED

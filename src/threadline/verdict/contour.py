@@ -10,7 +10,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.verdict.bow import NO_VELOCITY, bows
-from threadline.verdict.finding import Finding, RunFindings, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst, sure_of
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.samples import Block, Setting, lanes
 from threadline.verdict.window import PathWindow
@@ -111,10 +111,20 @@ class Contour(SweptMeasure):
     ----------
     interval_s
         Time between samples if each has velocities, else 0.
+    coarse
+        Whether samples are further apart than ticks: only they are sure to be on the way.
     """
 
-    def __init__(self, radius_m: FloatArray, runs: int = 1, interval_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        radius_m: FloatArray,
+        runs: int = 1,
+        interval_s: float = 0.0,
+        *,
+        coarse: bool = False,
+    ) -> None:
         self._radius_m, self._runs = radius_m, runs
+        self._coarse, self._sure = coarse, np.zeros(runs)
         self._reach = interval_s * radius_m
         self._off: FloatArray = np.zeros(runs)  # m^2, of the last sample
         self._pace: FloatArray = np.zeros((len(radius_m), runs))
@@ -178,6 +188,8 @@ class Contour(SweptMeasure):
         found, path = self._part, block.path
         assert found is not None and path is not None and self._left is not None
         distance_m = np.sqrt(self._squared)
+        if self._coarse:
+            self._sure = np.maximum(self._sure, np.sqrt(block.nearest[0].max(axis=0)))
         if self._worst.is_beaten(distance_m):
             at, part, time_s = found.at, found.part, found.time_s
             sample = np.maximum(np.where(part <= 0.5, at - 1, at), 0)
@@ -223,7 +235,8 @@ class Contour(SweptMeasure):
                     position=left.position,
                     note=_UNREACHED,
                 )
-        return [self._worst.found(seen)]
+        found = self._worst.found(seen)
+        return [sure_of(found, self._sure, unless=_UNREACHED) if self._coarse else found]
 
     def _speed(self, block: Block) -> FloatArray:
         """Return the (n, axes, runs) velocities of a block; empty if they are unknown."""
@@ -288,4 +301,5 @@ def _from_rest(chord: int, path: PathWindow) -> int:
 
 def start_contour(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
     """Begin measuring the contour error."""
-    return Contour(setting.radius_m, setting.runs, setting.interval_s if bows(setting) else 0.0)
+    between_s = setting.interval_s if bows(setting) else 0.0
+    return Contour(setting.radius_m, setting.runs, between_s, coarse=setting.coarse)

@@ -65,8 +65,9 @@ class Finding:
     a move list. ``seen`` is the worst value of places that the recording reached, if ``value`` also
     counts places that it did not. ``unseen`` says which part was not seen, if ``value`` is only the
     worst of the rest: then it can fail a limit, but not pass one. ``hidden`` says how much larger
-    the value may be between two samples of a recording. ``typical`` is the median of all runs, for
-    a measure of many runs together.
+    the value may be between two samples of a recording, and ``over`` how much too large it may be,
+    because tool or command did not go straight there. ``typical`` is the median of all runs, for a
+    measure of many runs together.
     """
 
     value: float | None
@@ -80,6 +81,7 @@ class Finding:
     seen: Finding | None = None
     unseen: str = ""
     hidden: Hidden | None = None
+    over: float = 0.0
     typical: float | None = None
 
     def worse(self, other: Finding) -> Finding:
@@ -96,19 +98,36 @@ class Finding:
         larger = other if other.value > self.value else self
         hidden = [one for one in (self.hidden, other.hidden) if one is not None]
         coarsest = max(hidden, key=lambda one: one.most, default=None)
-        return replace(larger, unseen=self.unseen or other.unseen, hidden=coarsest)
+        over = max(self.over, other.over)
+        return replace(larger, unseen=self.unseen or other.unseen, hidden=coarsest, over=over)
 
     def under(self, limit: float | None, status: Statuses) -> Finding:
         """Return the finding as it counts under a limit: one partly unseen can only fail it.
 
-        So does one that would exceed the limit with what may be hidden between samples.
+        So does one that would exceed the limit with what may be hidden between samples. One that
+        fails only with what may be too much of it is not measured.
         """
+        if self._may_be_too_large(limit, status):
+            assert self.value is not None
+            told = "" if self.hidden is None else f"{self.hidden.channel} has a sample every "
+            told += "" if self.hidden is None else f"{1e3 * self.hidden.interval_s:.4g} ms: "
+            note = (
+                f"{told}of the {1e3 * self.value:.4g} mm that they show up to {1e3 * self.over:.4g}"
+                " mm may come of straight lines between them; record at each tick"
+            )
+            return Finding(value=None, axis=self.axis, step=self.step, note=note)
         if not self.unseen:
             return self._between(limit, status)
         if status(self.value, limit) is Status.FAILED:
             note = "; ".join(filter(None, (self.note, self.unseen)))
             return replace(self, note=note, unseen="")
         return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
+
+    def _may_be_too_large(self, limit: float | None, status: Statuses) -> bool:
+        """Return whether the value fails its limit, and would not without what may be too much."""
+        if not self.over or self.value is None or status(self.value, limit) is not Status.FAILED:
+            return False
+        return status(self.value - self.over, limit) is not Status.FAILED
 
     def _between(self, limit: float | None, status: Statuses) -> Finding:
         hidden, value = self.hidden, self.value
@@ -194,6 +213,25 @@ class RunFindings:
             return self.of(0)
         worst = self.of(int(np.nanargmax(self.value)))
         return worst.worse(self.of(int(np.argmax(blank)))) if blank.any() else worst
+
+
+def sure_of(found: RunFindings, sure: FloatArray, *, unless: str) -> RunFindings:
+    """Return findings of straight lines between samples, of which samples alone show less.
+
+    Parameters
+    ----------
+    sure
+        (runs,) values that the samples show, whatever happens between them.
+    unless
+        Note of findings that are of samples alone.
+    """
+    rows = []
+    for run, least in enumerate(sure.tolist()):
+        one = found.of(run)
+        if one.value is not None and one.note != unless:
+            one = replace(one, over=max(one.value - least, 0.0))
+        rows.append(one)
+    return RunFindings.made(rows)
 
 
 def joined(known: Sequence[RunFindings], fresh: Sequence[RunFindings]) -> list[RunFindings]:

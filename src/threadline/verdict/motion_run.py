@@ -225,7 +225,7 @@ class MotionRun(Setting):
                 lack = self.coverage.lack(channels, begin_s, end_s)
                 hidden = self._hidden(one, one_found.axis)
                 if hidden is not None:
-                    one_found = one_found.each(partial(replace, hidden=hidden))  # noqa: PLW2901
+                    one_found = one_found.each(partial(_with_hidden, hidden))  # noqa: PLW2901
                 found.append(
                     one_found
                     if lack is None
@@ -338,6 +338,11 @@ def _most(axis: Axis) -> float:
     """Return the largest acceleration that a machine file allows of an axis."""
     braking = axis.acceleration if axis.deceleration is None else axis.deceleration
     return max(axis.acceleration.si, braking.si)
+
+
+def _with_hidden(hidden: Hidden, finding: Finding) -> Finding:
+    """Return a finding with what its samples do not show: it may be too large by no more."""
+    return replace(finding, hidden=hidden, over=min(finding.over, hidden.most))
 
 
 def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from threading import local
 
 import numpy as np
@@ -22,6 +23,8 @@ from threadline.verdict.window import PathWindow
 
 COMMAND_BY_TIME = "command from the plan by time"
 """Note of a result that was measured against the plan, for lack of a recorded command."""
+_ROUNDING = 1e-9  # of the time between two samples
+_AT_ONCE = 4096  # samples whose ticks are looked at together
 _LATEST = local()
 """The trajectory that a recording of many runs had to be read again for, and the ceiling, m^2,
 with which the next recording of it need not be."""
@@ -42,6 +45,8 @@ class _Progress(SweptMeasure):
     taken as straight between samples, so that on a straight piece of the path the result does not
     depend on the sampling rate. Where the velocities of the loads are known, the most by which the
     tool may have left such a line is added: a tool that moves on along it at any speed has not.
+    Where samples are further apart than a tick, the finding says how far the command leaves its
+    line: by so much the tool may seem ahead of a command that turned between two samples.
 
     With many runs, places far behind all of them are dropped while the recording is read. If one of
     them might have been the better match, the recording is read again with every place kept. The
@@ -72,10 +77,12 @@ class _Progress(SweptMeasure):
         self._trajectory = setting.plan.motion.trajectory
         self._columns = [self._trajectory.axes.index(axis) for axis in setting.axes]
         self._planned: TrajectoryReader | None = None
+        self._turns = _Turns(setting)
 
     def part(self, block: Block) -> ProgressPart:
         """Return the arrays for the sweep, with the command of the block."""
         fresh, steady = (one * self._radius_m for one in self._commanded(block))
+        self._turns.take(block.due_s)
         first = len(self._command)
         command = np.concatenate([self._command, fresh])
         way, length = chord_vectors(command)
@@ -133,9 +140,11 @@ class _Progress(SweptMeasure):
         whole = self._worst.copy()
         whole.value += self._charge
         found = whole.found()
-        if self._planned is None:
-            return [found]
-        return [found.each(_by_time)]
+        if self._planned is not None:
+            found = found.each(_by_time)
+        if self._turns.most_m:
+            found = found.each(partial(replace, over=self._turns.most_m))
+        return [found]
 
     def _again(self) -> Sequence[RunFindings]:
         """Read the recording once more, and keep every place."""
@@ -149,6 +158,7 @@ class _Progress(SweptMeasure):
         _LATEST.trajectory = self._trajectory
         _LATEST.ceiling = CEILING * float(every._squared.max())
         every._charge[:] = self._charge
+        every._turns = self._turns
         return every.finish()
 
     def _commanded(self, block: Block) -> tuple[FloatArray, FloatArray]:
@@ -164,6 +174,46 @@ class _Progress(SweptMeasure):
         found = self._planned.ladder(block.due_s, 1)[:, 0, self._columns]
         self._planned.drop(float(block.due_s[-1]))
         return found, found
+
+
+class _Turns:
+    """How far the planned command leaves the straight line between two samples, at the tool.
+
+    It is looked at in each tick between them. Samples at each tick have nothing between them.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        trajectory, tick_s = setting.plan.motion.trajectory, setting.plan.commands.clock.period_s
+        parts = int(np.ceil(setting.interval_s / float(tick_s) * (1.0 - _ROUNDING)))
+        self._share = np.arange(parts) / parts if setting.coarse else np.empty(0)
+        self._reader = TrajectoryReader(trajectory)
+        self._columns = [trajectory.axes.index(axis) for axis in setting.axes]
+        self._radius_m = setting.radius_m
+        self._last_s: FloatArray = np.empty(0)
+        self.most_m = 0.0
+
+    def take(self, due_s: FloatArray) -> None:
+        """Take the plan's time at the next samples."""
+        if not len(self._share) or not len(due_s):
+            return
+        ends = np.concatenate([self._last_s, due_s])
+        self._last_s = ends[-1:]
+        for begin in range(0, len(ends) - 1, _AT_ONCE):
+            part = ends[begin : begin + _AT_ONCE + 1]
+            between = part[:-1, None] + np.diff(part)[:, None] * self._share
+            times = np.append(between.ravel(), part[-1])
+            places = self._reader.ladder(times, 1)[:, 0, self._columns] * self._radius_m
+            self._reader.drop(float(part[-1]))
+            self.most_m = max(self.most_m, _beside(places, len(self._share)))
+
+
+def _beside(places: FloatArray, parts: int) -> float:
+    """Return the largest distance of (n parts + 1, axes) places from the line of their part."""
+    start, end = places[:-1:parts, None], places[parts::parts, None]
+    away, way = places[:-1].reshape(len(start), parts, -1) - start, end - start
+    length = np.maximum((way**2).sum(axis=2), np.finfo(np.float64).tiny)
+    along = np.clip((away * way).sum(axis=2) / length, 0.0, 1.0)
+    return float(np.sqrt(((away - along[..., None] * way) ** 2).sum(axis=2).max()))
 
 
 def _by_time(finding: Finding) -> Finding:

@@ -169,6 +169,12 @@ class Setting:
     lag_samples: int
 
     @property
+    def coarse(self) -> bool:
+        """Whether samples are further apart than ticks of the commands."""
+        tick_s = float(self.plan.commands.clock.period_s)
+        return self.interval_s > tick_s * (1.0 + _LESS_THAN_A_COUNT)
+
+    @property
     def resolution(self) -> FloatArray:
         """(axes,) smallest change of a commanded position that counts as motion, m or rad.
 

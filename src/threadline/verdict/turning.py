@@ -20,7 +20,7 @@ from threadline.verdict.bow import (
     turns,
 )
 from threadline.verdict.boxes import Boxes, ends_of
-from threadline.verdict.finding import Finding, RunFindings, Worst
+from threadline.verdict.finding import Finding, RunFindings, Worst, sure_of
 from threadline.verdict.measure import Measure, Option, SweptMeasure
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -290,6 +290,9 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
 follow_turnings = njit(nogil=True)(_follow)
 
 
+_EARLY = "the recording ends before the job"
+
+
 class _Axis:
     """One axis: the turnings ahead of it, and its farthest position in the current direction.
 
@@ -308,6 +311,7 @@ class _Axis:
         )
         self._last_s = 0.0
         self._last: FloatArray = np.zeros(setting.runs)
+        self._coarse, self._past = setting.coarse, np.zeros(setting.runs)
 
     def read(self, path: PathWindow) -> None:
         """Take the turnings that the path has reached."""
@@ -344,11 +348,13 @@ class _Axis:
                 operation=rest.operation,
                 line=rest.line,
                 position=rest.position,
-                note="the recording ends before the job",
+                note=_EARLY,
             )
-        return self._worst.found()
+        found = self._worst.found()
+        return sure_of(found, self._past, unless=_EARLY) if self._coarse else found
 
     def _offer(self, turning: Turning, error: FloatArray, time_s: FloatArray | float) -> None:
+        self._past = np.maximum(self._past, error)
         sides = np.where(error > 0.0, "past", np.where(error < 0.0, "short", ""))
         self._worst.offer(
             np.abs(error),

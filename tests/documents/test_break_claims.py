@@ -1,0 +1,61 @@
+"""The search of another hand judges by every criterion that a claim rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from tools.break_claims import AWAY, BROKEN, MEAN_OF, ROOT, Claim, used
+
+from threadline.machine.vary import REPEAT_SEED, drawn_days, varied_numbers
+from threadline.proof.pipeline import Trials, prove_plan
+from threadline.verdict import EachRun
+from threadline.verdict.each_run import CriterionRow
+from threadline.verdict.registry import MEASURES
+
+FAST = (
+    "threadline prove examples/x-180.prg -m lathe-winder --interpolation b-spline-pulled "
+    '--feed "80 count/tick"'
+)
+
+
+@pytest.fixture(autouse=True)
+def _at_the_root(monkeypatch) -> Iterator[None]:
+    monkeypatch.chdir(ROOT)
+    with patch.dict(MEASURES):
+        yield
+
+
+def _row(name: str, limit: float, values: list[float], **more: bool) -> CriterionRow:
+    measured = np.array(values)
+    return CriterionRow(
+        name=name, axis="", step="", limit=limit, unit="m", values=measured,
+        failed=measured > limit, **{"required": False, "hard": False} | more,
+    )  # fmt: skip
+
+
+def test_a_limit_of_nothing_and_a_missing_value_break_a_claim() -> None:
+    """A sample at the clamp has no share of a limit of 0; a required number must be there."""
+    found = EachRun(
+        rows=(
+            _row("contour_error", 2.0, [1.0, 1.0, np.nan, 1.0], required=True),
+            _row("dac_saturation", 0.0, [0.0, 0.01, 0.0, 0.0]),
+            _row("velocity", 1.0, [0.9, 0.9, 0.9, 1.2], hard=True),
+        ),
+        runs=4,
+    )
+    shares, names = used(found)
+    assert shares.tolist() == [0.5, BROKEN, BROKEN, 1.2]
+    assert names == ["contour_error", "dac_saturation", "contour_error", "velocity"]
+
+
+def test_the_distance_from_the_mean_of_days_is_the_repeatability_of_these_days() -> None:
+    claim = Claim(FAST, machines=False)
+    plan, judge = claim.judge.plan, claim.judge
+    days = drawn_days(MEAN_OF, len(plan.axes), np.random.default_rng(REPEAT_SEED))
+    found = judge.judged(varied_numbers(plan.machine, days), days.phases)
+    verdict = prove_plan(plan, claim.spec, None, Trials(repeats=MEAN_OF)).verdict
+    measured = verdict.result("repeatability").measured
+    assert found.row(AWAY).values.max() == pytest.approx(measured, rel=1e-9)
