@@ -171,8 +171,8 @@ def test_braking_that_shakes_the_load_out_of_spec_is_foreseen() -> None:
         assert result.measured is not None and result.limit == pytest.approx(0.5e-3)
         assert result.limit < result.measured < 1e-3
     words = hold_words(plan, 0.0, waits=True, spoiled=spoiled)
-    assert "contour_error" in words and "of 0.5 mm" in words
-    assert words.endswith("so h stands at the end, for there is no rest")
+    assert "contour error" in words and "of 0.5 mm" in words
+    assert words.endswith("so a hold stands at the end, for there is no rest")
 
 
 def test_what_a_hold_was_foreseen_to_do_is_what_it_does() -> None:

@@ -131,7 +131,7 @@ def test_a_rate_that_meets_a_mode_is_foreseen_and_named(tmp_path: Path) -> None:
     percent, spoiled = spoiled_by_override(plan, spec, holds=False)
     assert [result.name for result in spoiled] == ["contour_error"]
     may = interventions(plan, spec)
-    assert f"at {percent} % its loads would shake (contour_error 0." in may.no_override
+    assert f"at {percent} % its loads would shake (contour error 0." in may.no_override
     assert "of 0.08 mm)" in may.no_override
     assert may.notes[-1] == f"the feed of this run cannot be overridden: {may.no_override}"
 

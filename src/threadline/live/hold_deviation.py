@@ -308,7 +308,7 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Re
     if spoiled and math.isfinite(leaves_m):
         found = _results_words(spoiled)
         until = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
-        return f"braking at full speed would shake the load ({found}), so h stands {until}"
+        return f"braking at full speed would shake the load ({found}), so a hold stands {until}"
     if not 0.0 < leaves_m < math.inf:
         return ""
     ahead_m = hold_ahead_m(plan)
@@ -318,8 +318,10 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Re
     if not waits:
         return f"a hold may stand {places}, within the limit"
     if rests_within(plan):
-        return f"a hold may stand {places}, so h stands at the next rest"
-    return f"a hold may stand {places}, so h waits for a rest, and there is none before the end"
+        return f"a hold may stand {places}, so a hold stands at the next rest"
+    return (
+        f"a hold may stand {places}, so a hold waits for a rest, and there is none before the end"
+    )
 
 
 def override_words(leaves_m: float, percent: int, spoiled: Sequence[Result]) -> str:
@@ -343,8 +345,8 @@ def override_words(leaves_m: float, percent: int, spoiled: Sequence[Result]) -> 
 
 def _results_words(results: Sequence[Result]) -> str:
     return ", ".join(
-        f"{' '.join(filter(None, (r.name, r.axis)))} {shown(r.measured or 0.0, r.unit)} of "
-        f"{shown(r.limit or 0.0, r.unit)}"
+        f"{' '.join(filter(None, (r.name.replace('_', ' '), r.axis)))} "
+        f"{shown(r.measured or 0.0, r.unit)} of {shown(r.limit or 0.0, r.unit)}"
         for r in results
     )
 
