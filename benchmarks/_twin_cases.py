@@ -46,6 +46,7 @@ def machine_of(case: str, *, reversal: bool = True) -> Machine:
         controllers={"x": dataclasses.replace(controller, dac=dac)},
         axes={"X": whole.axes["X"]},
         inputs={},
+        tool=None,
     )
 
 
