@@ -9,7 +9,7 @@ import pytest
 
 from threadline.cli.main import main
 from threadline.proof.option_words import parse_share
-from threadline.search import least_limits as gentle
+from threadline.search import least_limits
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
 
@@ -74,9 +74,9 @@ def test_the_share_of_the_limits_can_be_typed_back(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """17.6777 % was printed as 17.7 %, a plan that nobody had tried."""
-    monkeypatch.setattr(gentle, "_LADDER", (0.176777,))
-    monkeypatch.setattr(gentle, "LEAST_SHARE", 0.17)
-    monkeypatch.setattr(gentle, "_STEP", 0.5)
+    monkeypatch.setattr(least_limits, "_LADDER", (0.176777,))
+    monkeypatch.setattr(least_limits, "LEAST_SHARE", 0.17)
+    monkeypatch.setattr(least_limits, "_STEP", 0.5)
     program = tmp_path / "turn.prg"
     program.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n")
     words = ["-m", "lathe-winder", "--low", "100 mm/s", "--high", "101 mm/s", "--nominal"]

@@ -106,9 +106,9 @@ def test_a_drawing_of_inkscape_is_proven(capsys: pytest.CaptureFixture[str]) -> 
 def test_the_head_travels_gently_and_settles(tmp_path: Path) -> None:
     """The speed of a journey and the rest after it stand in the job, before the first stitch."""
     file = tmp_path / "line.seam.toml"
-    gentle = 'travel_speed = "40 mm/s"\nsettle = "0.3 s"\n'
+    slow = 'travel_speed = "40 mm/s"\nsettle = "0.3 s"\n'
     contour = '[[contour]]\nunit = "mm"\npoints = [[10, 0], [40, 0]]\n'
-    file.write_text(STITCHING + gentle + contour)
+    file.write_text(STITCHING + slow + contour)
     travel, rest, *_ = read_job(file, load_machine("stitcher"))
     assert isinstance(travel, Move) and travel.feed is not None
     assert (travel.feed.mode, travel.feed.value) == (FeedMode.PATH, pytest.approx(0.04))

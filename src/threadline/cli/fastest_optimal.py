@@ -46,13 +46,13 @@ class OptimalOutput(SearchOutput):
     def _chosen(self) -> Printed:
         """Return a table of the plans that were the best so far."""
         rows, best_s = [], math.inf
-        gentle = any(rung.share != 1.0 for rung in self.of.rungs)
+        shares_differ = any(rung.share != 1.0 for rung in self.of.rungs)
         for rung in self.of.rungs:
             if rung.duration_s is None or rung.duration_s >= best_s or rung.options is None:
                 continue
             best_s = rung.duration_s
             one = rung.options
-            shares = [share_words(rung.share)] if gentle else []
+            shares = [share_words(rung.share)] if shares_differ else []
             rows.append(
                 [
                     f"{best_s:.3f}",
@@ -67,7 +67,7 @@ class OptimalOutput(SearchOutput):
             )
         header = [
             "job s",
-            *(["limits used"] if gentle else []),
+            *(["limits used"] if shares_differ else []),
             "tolerance mm",
             "outside mm",
             "narrow",

@@ -148,8 +148,8 @@ def _of_firmware(name: str) -> Target:
         from threadline.commands.firmware_program import refuse_slower
 
         # With a share of the limits the user asked for the planned speeds, so they stay.
-        gentle = not plan.limits_in_full
-        file = write_one(plan, path, slower=gentle)
+        slower = not plan.limits_in_full
+        file = write_one(plan, path, slower=slower)
         refuse_slower(name, plan.job, file.as_run_s, plan.feed_override)
         return [file]
 

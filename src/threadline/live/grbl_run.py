@@ -17,7 +17,7 @@ from threadline.live.at_rest import OPERATOR
 from threadline.live.feed_override import refuse_override
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_program import ReportTrace
-from threadline.live.grbl_way import OFF_PATH_M, Way, refuse_program, way_passed
+from threadline.live.grbl_progress import OFF_PATH_M, Way, refuse_program, way_passed
 from threadline.live.grbl_words import (
     HOLD,
     PAUSES,

@@ -1,4 +1,4 @@
-"""The way of a program for grbl: where it begins, and which lines a position has passed."""
+"""The progress of a program on grbl: where it begins, and which lines a position has passed."""
 
 from __future__ import annotations
 
