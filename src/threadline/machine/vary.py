@@ -21,7 +21,8 @@ REPEAT_SEED = 1994
 """Seed of the runs of one machine."""
 DAMPING_OF_DAYS = (0.7, 1.3)
 """Smallest and largest damping from day to day, as a factor on the file's value."""
-_TENSION = (0.95, 1.05)  # of the brake of a spool, from day to day
+FRICTION_OF_DAYS, SUPPLY_OF_DAYS, TENSION_OF_DAYS = (0.7, 1.3), (0.95, 1.05), (0.95, 1.05)
+"""Smallest and largest friction, supply and brake of a spool from day to day, as such factors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,12 +62,13 @@ def drawn_days(count: int, axes: int, random: np.random.Generator) -> Days:
 
     The brake of a spool, within +-5 %, has a generator of its own: other machines keep their days.
     """
-    tension = np.random.default_rng((REPEAT_SEED, axes)).uniform(*_TENSION, count)
+    tension = np.random.default_rng((REPEAT_SEED, axes)).uniform(*TENSION_OF_DAYS, count)
     tension[:1] = 1.0
     friction, supply = np.ones(count), np.ones(count)
     phases = np.full((count, axes), 0.5)
     for day in range(1, count):
-        friction[day], supply[day] = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
+        friction[day] = random.uniform(*FRICTION_OF_DAYS)
+        supply[day] = random.uniform(*SUPPLY_OF_DAYS)
         phases[day] = random.uniform(0.0, 1.0, axes)
     return Days(friction=friction, supply=supply, phases=phases, tension=tension)
 
