@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -189,6 +190,61 @@ def test_a_winding_is_searched_from_above(
     # Searched in one run at each feed; the answer is judged in all of them, by the whole job.
     assert asked.trials.repeats == 20 and runs[-1] == 20 and set(runs[:-1]) == {1}
     assert found.whole
+
+
+def _judged_by(
+    monkeypatch: pytest.MonkeyPatch, error_m: Callable[[Question, float], float]
+) -> list[tuple[int, float]]:
+    """Let an error by question and percent of the feeds decide; return machines and percent."""
+    tried: list[tuple[int, float]] = []
+
+    def judged(question: Question, plan: Plan) -> Verdict:
+        percent = float(plan.options["feed"].removesuffix(" %"))
+        tried.append((question.trials.machines, percent))
+        measured = error_m(question, percent)
+        result = Result(
+            name="contour_error", axis="", measured=measured, limit=2e-3, unit="m",
+            status=Status.PASSED if measured <= 2e-3 else Status.FAILED,
+        )  # fmt: skip
+        return Verdict(results=(result,), simulated=True)
+
+    monkeypatch.setattr(Question, "judged", judged)
+    return tried
+
+
+def _over_tolerances() -> Question:
+    words = Words.of(
+        "fastest", Door.PYTHON, {"interpolation": "linear", "level": "over tolerances"}
+    )
+    return question_of(words, VESSEL, "lathe-winder")
+
+
+def test_a_winding_is_searched_in_one_run_and_judged_over_the_tolerances(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Other machines are asked only near the answer: hundreds of them pass one feed."""
+    tried = _judged_by(
+        monkeypatch, lambda q, percent: percent * (3e-6 if q.trials.machines else 2e-6)
+    )
+    found = fastest_job(_over_tolerances())
+    assert found.whole and found.in_one_run
+    best = found.best.found.best
+    assert best is not None and 0.93 * 666.7 < 100.0 * best <= 666.7
+    over = [percent for machines, percent in tried if machines]
+    assert len(over) <= 6 and over[0] == pytest.approx(1000.0, rel=0.02)
+    assert sum(percent <= 666.7 for percent in over) <= 3
+
+
+def test_an_error_over_the_tolerances_that_no_feed_mends_ends_the_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As by the steps per degree: it is the same at a third of the feed."""
+    tried = _judged_by(
+        monkeypatch, lambda q, percent: 3e-3 if q.trials.machines else percent * 2e-6
+    )
+    found = fastest_job(_over_tolerances())
+    assert found.best.found.best is None and found.best.found.fixed == "contour_error"
+    assert found.whole and sum(machines > 0 for machines, _ in tried) <= 8
 
 
 @pytest.mark.long(shown_by="test_programs_with_feeds_that_differ_are_searched_by_their_override")

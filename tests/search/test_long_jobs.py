@@ -26,7 +26,7 @@ from threadline.machine.motion_planner import GrblPlanner
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import open_job, plan_job, try_plan, with_product
-from threadline.search import fastest_job, least_limits
+from threadline.search import fastest_job, least_limits, whole_jobs
 from threadline.search import paced as search_paced
 from threadline.search.allowance import FastestJob, Rung
 from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline
@@ -352,12 +352,12 @@ def test_coverage_and_tie_are_judged_on_the_whole_winding(
             best=0.05, fastest=fastest, complete=True, intervals=(fastest,), verdict=None
         )
 
-    def whole(best: least_limits.Rung, asked: Question) -> least_limits.Rung:
+    def whole(best: Rung, asked: Question) -> Rung:
         of_whole.append(asked)
         return best
 
     monkeypatch.setattr(least_limits, "fastest_feed", searched)
-    monkeypatch.setattr(least_limits, "_of_whole", whole)
+    monkeypatch.setattr(whole_jobs, "_of_whole", whole)
     monkeypatch.setattr(
         least_limits, "planned_at", lambda *_: SimpleNamespace(duration_s=10.0, tick_s=1e-3)
     )

@@ -51,7 +51,6 @@ from threadline.verdict.replayed import (
     wound_job,
 )
 from threadline.winding.clearance import Clearance
-from threadline.winding.fit import fitting_radius
 from threadline.winding.product import Product, product_of_text, product_text
 from threadline.winding.product_reader import Toleranced
 from threadline.winding.raster import Gap, Raster
@@ -321,46 +320,6 @@ def test_a_pattern_closes_after_its_number_of_circuits(
     cos = math.sqrt(1.0 - (programs.TURN_M / 0.05) ** 2)
     assert away.value == pytest.approx(share * 2.0 * math.pi * 0.05 * cos, abs=3e-4)
     assert f"after {circuits} circuits" in away.note
-
-
-@pytest.mark.parametrize(
-    ("start", "step", "times", "said"),
-    [
-        ("Y 60;\nX 20;\nX 100;", "X -1", 20, "the mandrel never turns, so that nothing is laid"),
-        ("Y 40;\nX 20;", "A 30 X 3", 20, "10 mm inside the mandrel; a mandrel of 40 mm at its w"),
-        ("Y 60;\nX -400;", "A 30 X 3", 20, "end, and the mandrel is 200 mm long"),
-        ("Y 40;\nX 20;", "A 1200 X 30", 1, "up to 10 mm inside the mandrel"),
-        ("Y 240;\nX 20;", "A 30 X 3", 20, "lengths in a row, needed are 5, and the free length"),
-    ],
-)
-def test_a_program_that_lays_nothing_says_why(
-    tmp_path: Path, machine: Machine, start: str, step: str, times: int, said: str
-) -> None:
-    """One reason, at one criterion; the others only say that the fibre is never known."""
-    product = tmp_path / "c.wind.toml"
-    product.write_text(
-        '[[part]]\nkind = "cylinder"\nradius = "50 mm"\nlength = "200 mm"\n'
-        '[band]\nwidth = "5 mm"\n[friction]\nvalue = "0.3"\n'
-    )
-    steps = "\n".join([f"{step};"] * times)
-    text = f"%\nO 998;\nG01 F 1200;\nG91;\n{start}\n{steps}\nM30;\n%\n"
-    file = tmp_path / "p.prg"
-    file.write_text(text)
-    options = options_of(product=str(product), interpolation="linear")
-    found = _found(plan_job(open_job(file, machine, options), machine, options))
-    assert said in found["planned_slip_tendency"].note
-    assert found["planned_lifting"].note == "the fibre is never known"
-
-
-def test_the_radius_that_would_fit_is_found(vessel: Product, circuit: FloatArray) -> None:
-    """The program of the vessel on mandrels 6 mm thinner and 12 mm thicker than its own."""
-    tool = load_machine("lathe-winder").tool
-    assert tool is not None
-    eyes = _eyes(circuit, 3)
-    assert fitting_radius(vessel.surface, tool, eyes, 0.2, None, 0.01) is None
-    for by in (-0.006, 0.012):
-        found = fitting_radius(vessel.surface.grown(by), tool, eyes, 0.2, None, 0.01 - by)
-        assert found == pytest.approx(-by, abs=2e-4)
 
 
 def test_the_design_is_found_again_where_the_fibre_was_not_known() -> None:

@@ -298,6 +298,15 @@ class FeedOutput(SearchOutput):
             )
         if result.cut:
             yield "long moves were judged by their beginnings and ends"
+        if result.in_one_run:
+            yield (
+                "the feeds of the table pass in one run of each plan"
+                + (
+                    "; the answer is judged at the level asked for"
+                    if result.whole
+                    else ", and so does the answer: prove it by the command below"
+                )
+            )
         if result.left_out:
             left_out = ", ".join(share_words(share) for share in result.left_out)
             yield (
@@ -328,6 +337,7 @@ class FeedOutput(SearchOutput):
             "long_moves_cut": result.cut,
             "limits_left_out": list(result.left_out),
             "whole_job_judged": result.whole,
+            "searched_in_one_run": result.in_one_run,
             "rungs": [
                 {
                     "limits": rung.share,

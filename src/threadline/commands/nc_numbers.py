@@ -36,6 +36,11 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
         error is below two units in the last place, or 1e-17 of the unit.
     """
     approximate = math.degrees(wanted) if factor is None else wanted * float(factor)
+    # Of a decimal with 15 digits at most, which reads back, these are the digits.
+    near = f"{approximate:.15g}"
+    known = None if "e" in near else exact(near)
+    if known is not None and read(known) == wanted:
+        return known
     for decimals, scale in enumerate(_SCALES):
         scaled = approximate * scale
         if abs(scaled - round(scaled)) > _UNREADABLE * abs(scaled):
@@ -51,9 +56,9 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
         return 10 * round(Fraction(wanted) * factor * (ONE // 10))
     candidates = [approximate]
     for direction in (math.inf, -math.inf):
-        near = math.nextafter(approximate, direction)
-        candidates += [near, math.nextafter(near, direction)]
-    values = [exact(f"{near:.{MAX_DECIMALS}f}") or 0 for near in candidates]
+        beside = math.nextafter(approximate, direction)
+        candidates += [beside, math.nextafter(beside, direction)]
+    values = [exact(f"{one:.{MAX_DECIMALS}f}") or 0 for one in candidates]
     return min(values, key=lambda value: abs(read(value) - wanted))
 
 

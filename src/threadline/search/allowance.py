@@ -79,6 +79,9 @@ class FastestJob:
         Whether trials were judged without the middles of long moves.
     whole
         Whether the best plan of the whole job was judged, too, where trials were judged by a part.
+    in_one_run
+        Whether every trial was one run of the machine of the file, and ``whole`` its answer alone
+        was judged at the level that was asked for.
     ended
         Why the search stopped early; empty where it came to its end.
     left
@@ -100,6 +103,7 @@ class FastestJob:
     parts: int = 0
     cut: bool = False
     whole: bool = True
+    in_one_run: bool = False
     ended: str = ""
     left: int = 0
     by: FeedMode = FeedMode.FASTEST_AXIS

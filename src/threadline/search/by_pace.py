@@ -34,7 +34,7 @@ from threadline.search.deadline import with_answer
 from threadline.search.fastest import COARSE, Fastest
 from threadline.search.feed import fastest_feed, fastest_needle, feed_unit, search_range, sewn_at
 from threadline.search.feed_ranges import Interval
-from threadline.search.least_limits import fastest_job, planned_at
+from threadline.search.least_limits import fastest_job
 from threadline.search.mismatch import (
     CYCLE,
     F_WORDS,
@@ -58,6 +58,7 @@ from threadline.search.shaft import (
     fastest_shaft,
     speed_range_hz,
 )
+from threadline.search.whole_jobs import planned_at
 from threadline.verdict import Verdict
 
 

@@ -14,7 +14,6 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
 from threadline.base.progress import Progress
-from threadline.commands.plan import Plan
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
@@ -22,15 +21,15 @@ from threadline.motion.path.interpolations import OPTIMAL
 from threadline.motion.timing import Pace
 from threadline.proof.option_words import LEAST_SHARE
 from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Trials, check_loops, plan_job
+from threadline.proof.pipeline import check_loops, plan_job
 from threadline.search.allowance import FastestJob, Rung, fastest_allowed
 from threadline.search.chosen_plans import fastest_chosen
 from threadline.search.deadline import Deadline, HaltError, no_answer, until_deadline
 from threadline.search.fastest import FINE, RANGE, Fastest, Grid, check_range
 from threadline.search.feed import fastest_feed, feed_unit, search_range, searched_by
-from threadline.search.feed_ranges import Interval, closeness, worst_criterion
 from threadline.search.paced import Question
 from threadline.search.shortened_jobs import LongMoves, distinct_parts, moves_in
+from threadline.search.whole_jobs import in_one_run, in_order, judged_whole, planned_at
 from threadline.verdict import Verdict
 from threadline.winding.product import product_text
 
@@ -156,8 +155,6 @@ _SCAN = Grid(points=20)
 _CLOSELY = Grid(points=20, near=FINE.near)
 _STEPS = len(_LADDER) + 5
 """Expected searches: the ladder, two shares on either side of the best, and the best again."""
-_LOWERED = 8  # feeds at which the whole job is tried
-_LOWER = 0.98
 
 
 def fastest_job(question: Question) -> FastestJob:
@@ -179,7 +176,7 @@ def fastest_job(question: Question) -> FastestJob:
     takes no less time than the best result so far: it cannot be the answer. There, and in every
     winding, feeds are tried from above until four in a row are in spec. At the end only the fastest
     interval and its upper edge are examined closely. A winding is searched in one run of each plan;
-    the answer is judged in as many as asked.
+    the answer is judged in as many as asked, and over the tolerances where that is asked.
     """
     job, machine, options, until = question.job, question.machine, question.options, question.until
     check_loops(machine)
@@ -201,7 +198,7 @@ def fastest_job(question: Question) -> FastestJob:
         parts = distinct_parts(job, machine, joined=options.product is not None)
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
-    scanned = _in_one_run(question)
+    scanned = in_one_run(question)
 
     def searched(share: float, grid: Grid, telling: Progress | None) -> Fastest:
         part = scanned if parts == (job,) else of_a_part(scanned)
@@ -237,7 +234,7 @@ def fastest_job(question: Question) -> FastestJob:
     except KeyboardInterrupt as signal:
         if until is None or not rungs or not until.interrupted(signal):
             raise
-    best, stopped = min(rungs.values(), key=_order), until is not None and bool(until.ended)
+    best, stopped = min(rungs.values(), key=in_order), until is not None and bool(until.ended)
     repeats, cut = parts != (job,), _cut(parts, machine, best, by)
     partly = repeats or cut or scanned is not question
     whole = not stopped or not partly
@@ -246,7 +243,7 @@ def fastest_job(question: Question) -> FastestJob:
         if question.progress is not None:
             question.progress("the whole job", shares.steps / (shares.steps + 1))
         with until_deadline(until, lambda: rungs):
-            best = _whole(best, rungs, question, 1 if scanned is question else len(rungs))
+            best = judged_whole(best, rungs, question, 1 if scanned is question else len(rungs))
             whole = True
     return FastestJob(
         best=best,
@@ -257,6 +254,7 @@ def fastest_job(question: Question) -> FastestJob:
         parts=len(parts) if repeats else 0,
         cut=cut,
         whole=whole,
+        in_one_run=scanned is not question,
         ended="" if until is None else until.ended,
         by=by,
         enough=None if stopped or not _only_limits(question) else _enough(best, planned_s),
@@ -327,7 +325,7 @@ def _climb(
     """
     for share in ladder:
         tried(share, _SCAN)
-    best = min(rungs.values(), key=_order)
+    best = min(rungs.values(), key=in_order)
     if best.duration_s is None and len(ladder) == 1:
         _climb(tried, rungs, _LADDER)
         return
@@ -336,7 +334,7 @@ def _climb(
             share = round(best.share * factor, 6)
             while LEAST_SHARE <= share <= 1.0:
                 rung = tried(share, _SCAN)
-                if rung is None or not _order(rung) < _order(best):
+                if rung is None or not in_order(rung) < in_order(best):
                     break
                 best = rung
                 share = round(share * factor, 6)
@@ -344,7 +342,7 @@ def _climb(
     while best.duration_s is not None and best.share not in finer:
         finer.add(best.share)
         tried(best.share, _CLOSELY)
-        best = min(rungs.values(), key=_order)
+        best = min(rungs.values(), key=in_order)
 
 
 def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bool:
@@ -359,66 +357,9 @@ def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bo
     )
 
 
-def planned_at(question: Question, share: float, feed: float) -> Plan:
-    """Return the plan of the whole job at a feed of ``Question.by``, with a share of the limits."""
-    by = FeedMode.FASTEST_AXIS if question.by is None else question.by
-    options = replace(question.options, limit_share=share, feed=Feed(by, feed))
-    return plan_job(question.job, question.machine, options)
-
-
-def _in_one_run(question: Question) -> Question:
-    """Return the question that a search asks at every feed: of a winding in one run.
-
-    Near a limit a verdict over repeats takes hundreds of runs, and a winding runs long.
-    """
-    repeats = Trials(repeats=question.trials.repeats)
-    if question.options.product is None or question.trials != repeats or repeats == NOMINAL:
-        return question
-    return replace(question, trials=NOMINAL)
-
-
-def _whole(best: Rung, rungs: dict[float, Rung], question: Question, most: int) -> Rung:
-    """Return the best rung as the whole job is judged; where it fails, the next ones."""
-    for rung in sorted(rungs.values(), key=_order)[:most]:
-        if rung.duration_s is not None:
-            rungs[rung.share] = best = _of_whole(rung, question)
-            if best.duration_s is not None:
-                break
-    return best
-
-
-def _of_whole(best: Rung, question: Question) -> Rung:
-    """Return ``best`` judged by the whole job, at the highest feed at which it is in spec."""
-    interval = best.found.fastest
-    assert interval is not None
-    feed_m_s = interval.high
-    for _ in range(_LOWERED):
-        plan = planned_at(question, best.share, feed_m_s)
-        verdict = question.judged(plan)
-        if verdict.passed:
-            kept = best.found.intervals
-            if feed_m_s < interval.high:
-                # Parts alone passed above this feed; the whole job did not.
-                own = Interval(low=min(interval.low, feed_m_s), high=feed_m_s)
-                kept = (own, *(i for i in kept if i.high < own.low))
-            found = replace(best.found, intervals=kept, verdict=verdict)
-            return replace(best, found=found, duration_s=plan.duration_s)
-        feed_m_s = float(f"{feed_m_s * _LOWER:.6g}")
-    limited_by = worst_criterion(verdict)[0]
-    found = replace(best.found, intervals=(), verdict=verdict, limited_by=limited_by)
-    return replace(best, found=found, duration_s=None)
-
-
 def ignores_limits(job: Job, machine: Machine, options: Options) -> bool:
     """Return whether a share of the limits makes no difference to a plan."""
     if options.timing.pace is Pace.PROGRAMMED:
         return True
     # Planned without feed-forward, whose smoothing would hide the path's timing.
     return plan_job(job, machine, replace(options, feed_forward_s=None)).intent.historical
-
-
-def _order(rung: Rung) -> tuple[float, tuple[bool, float]]:
-    """Return the sort key of a rung: its duration; without a feed in spec, its distance to spec."""
-    if rung.duration_s is None:
-        return math.inf, closeness(rung.found.verdict)
-    return rung.duration_s, (False, 0.0)

@@ -351,7 +351,7 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
         taking["planned_coverage_gap"] = Covering([job], axes)
     from threadline.winding.fit import Witness
 
-    witness = Witness(job.surface)
+    witness = Witness(job.surface, job.tool.payout_m)
     for samples in planned_fibre(plan, job):
         witness.take(samples.eyes, samples.fibre)
         for one in taking.values():

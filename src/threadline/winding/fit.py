@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from threadline.base.arrays import FloatArray
@@ -20,10 +22,18 @@ _TURNED = 1e-3  # rad; less is no turn
 
 
 class Witness:
-    """What a program does about its mandrel, for the reason why its fibre is never known."""
+    """What a program does about its mandrel, for the reason why its fibre is never known.
 
-    def __init__(self, surface: Surface) -> None:
-        self._surface = surface
+    Parameters
+    ----------
+    surface
+        Of the mandrel.
+    payout_m
+        Along, across and up from the eye's carrier to the pay-out point at yaw and roll 0, m.
+    """
+
+    def __init__(self, surface: Surface, payout_m: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+        self._surface, self._payout_m = surface, payout_m
         u = np.linspace(0.0, surface.length_m, 2001)
         self._x, self._r = (values[:, 0] for values in surface.at(u))
         self._turn = np.array([np.inf, -np.inf])
@@ -54,11 +64,12 @@ class Witness:
             self.eyes.append(eyes[turns][:_MOST])
         # Only while it turns: the eye may come from anywhere.
         eyes = eyes[turns]
-        for ends, column in ((self._turn, eyes[:, 0]), (self._along, eyes[:, 1])):
+        along, across, up = self._places(eyes)
+        for ends, column in ((self._turn, eyes[:, 0]), (self._along, along)):
             ends[0] = min(ends[0], float(column.min(initial=np.inf)))
             ends[1] = max(ends[1], float(column.max(initial=-np.inf)))
-        above = (eyes[:, 1] >= self._x[0]) & (eyes[:, 1] <= self._x[-1])
-        room = np.hypot(eyes[:, 2], eyes[:, 3]) - np.interp(eyes[:, 1], self._x, self._r)
+        above = (along >= self._x[0]) & (along <= self._x[-1])
+        room = np.hypot(across, up) - np.interp(along, self._x, self._r)
         self._count += len(eyes)
         self._beside += int((~above).sum())
         self._inside += int((room[above] < 0.0).sum())
@@ -75,6 +86,17 @@ class Witness:
         self._longest = max(self._longest, float((sums - start).max()))
         self._in_a_row = float(sums[-1] - start[-1])
         self._free_m = min(self._free_m, float(np.nanmin(fibre.free_m, initial=np.inf)))
+
+    def _places(self, eyes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return where the pay-out point is along, across and up, m, as ``eye.centre`` has it."""
+        sin, cos = np.sin(eyes[:, 4:6]), np.cos(eyes[:, 4:6])
+        x, y, z = self._payout_m
+        rolled, up = x * cos[:, 1] + z * sin[:, 1], z * cos[:, 1] - x * sin[:, 1]
+        return (
+            eyes[:, 1] + rolled * cos[:, 0] - y * sin[:, 0],
+            eyes[:, 2] + rolled * sin[:, 0] + y * cos[:, 0],
+            eyes[:, 3] + up,
+        )
 
     def reason(self) -> str:
         """Return in words why the fibre is never known."""
