@@ -13,6 +13,7 @@ import pytest
 import threadline as tl
 from tests.blank_pictures import blank_pictures
 from tests.cli.test_commands import run
+from threadline.cli.from_settings import settings_files
 from threadline.cli.main import main
 from threadline.errors import MachineError, OptionError
 from threadline.files import ChannelKind
@@ -416,3 +417,47 @@ def test_the_feed_is_named_above_which_the_job_gets_no_faster(
     assert code == 0 and "takes the same time within 0.1 %: above it acceleration" in out
     assert "limited by acceleration, corners and rapid moves; " in out
     assert "velocity limits" not in out  # of the feed, not of the time
+
+
+@pytest.mark.parametrize(
+    ("dwell_s", "limit"),
+    [
+        (150.0, r"dwells \(G4, 100 % of the time\); "),
+        (0.1, r"dwells \(G4, \d+ % of the time\), acceleration, corners and rapid moves; "),
+    ],
+)
+def test_dwells_limit_a_job_that_waits(
+    dwell_s: float, limit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Plotters' files wait 150 ms for the pen, where grbl waits 150 s: both are told."""
+    machine, job = files(tmp_path, f"G1 X2 F6000\nG4 P{dwell_s:g}\nG1 X0\nG4 P{dwell_s:g}")
+    code, out, err = run(capsys, "fastest", job, "-m", machine, "--interpolation", "firmware")
+    assert code == 0 and re.search(f"limited by {limit}", out)
+    told = f"this G4 waits {dwell_s:g} s (1 more line waits as long): grbl takes P as seconds"
+    assert (told in err and "write P0.15." in err) == (dwell_s > 20.0)
+    code, out, _ = run(capsys, "prove", job, "-m", machine, "--interpolation", "firmware")
+    assert f"; {2.0 * dwell_s:g} s of both are dwells (G4)" in out
+
+
+def test_small_helices_keep_the_acceleration(tmp_path: Path) -> None:
+    """On symmetric pieces a limit is met by the start of a part alone; its rounding set the end.
+
+    A pocket's entry of 0.175 mm radius was planned 7 % above the acceleration, and refused.
+    """
+    dump = "".join(
+        f"${100 + k}={20 if k < 2 else 200}\n${110 + k}={15000 if k < 2 else 600}\n"
+        f"${120 + k}=400\n${130 + k}=2000\n"
+        for k in range(3)
+    )
+    (tmp_path / "dump.txt").write_text(dump)
+    for name, content in settings_files("grbl", tmp_path / "dump.txt", []).contents.items():
+        (tmp_path / name).write_bytes(content)
+    turns = "\n".join(
+        f"G3 X{135.825 if k % 2 else 136.175} Y35 Z{-0.25 * k} I{-0.175 if k % 2 else 0.175} J0"
+        for k in range(1, 14)
+    )
+    lead = "G1 X136 Y34 Z1 F1000\nX136.121 Y34.919\nX136.149 Y34.938\nX136.168 Y34.967"
+    job = files(tmp_path, f"{lead}\nX136.175 Y35\n{turns}")[1]
+    proof = tl.prove(job, tmp_path / "machine.toml", interpolation="auto", level="nominal")
+    used = [one for one in proof.verdict.results if one.name == "acceleration"]
+    assert proof.passed and all(one.measured <= 1.0001 * one.limit for one in used)

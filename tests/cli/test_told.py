@@ -223,8 +223,8 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
     with told.telling() as telling:
         told.at_work("simulating", shown=False)
         assert telling.doing() == "simulating"
-        told.at_work("simulating", 0.25, shown=False)
         monkeypatch.setattr(time, "monotonic", lambda: now_s + 7200.0)
+        told.at_work("simulating", 0.25, shown=False)
         assert telling.doing() == "simulating, 25 % done, about 6 h more"
         told.at_work("simulating", 0.996, shown=False)
         assert telling.doing() == "simulating, nearly done"
@@ -236,6 +236,23 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
         monkeypatch.setattr(time, "monotonic", lambda: now_s + 60.0)
         told.at_work("narrowing", 0.25, shown=False)
         assert telling.doing() == "narrowing, 25 % done, about 3 min more"
+
+
+def test_the_time_left_is_told_once_it_can_be_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first percent and a share that stands too long tell nothing; the last half tells most."""
+    clock = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    telling = told.Telling(since_s=0.0)
+
+    def at(time_s: float, share: float) -> str:
+        clock[0], telling.stage, telling.fraction = time_s, "searching", share
+        return telling.doing()
+
+    assert at(100.0, 0.01) == "searching, 1 % done"
+    assert at(500.0, 0.1) == "searching, 10 % done, about 67 min more"
+    assert at(700.0, 0.5) == "searching, 50 % done, about 10 min more"
+    assert at(800.0, 0.5) == "searching, 50 % done, about 8.5 min more"
+    assert at(2000.0, 0.5) == "searching, 50 % done"
 
 
 def test_a_stage_that_names_what_it_is_at_is_one_stage(monkeypatch: pytest.MonkeyPatch) -> None:

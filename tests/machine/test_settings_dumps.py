@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.machine.test_firmware import FLUIDNC, KLIPPER, REPRAPFIRMWARE
+from threadline.cli.from_settings import settings_files
 from threadline.errors import MachineError, OptionError
 from threadline.machine import load_machine
 from threadline.machine.firmware import (
@@ -581,3 +582,43 @@ def test_an_ini_that_cannot_be_read_is_refused(
 ) -> None:
     with pytest.raises(MachineError, match=re.escape(said)):
         read(tmp_path, INI.replace(*change), "mill.ini")
+
+
+@pytest.mark.parametrize(
+    ("scale", "steps"),
+    [("OUTPUT_SCALE = 1.0\nINPUT_SCALE = -400", 400.0), ("ENCODER_SCALE = 500", 500.0)],
+)
+def test_the_scale_of_an_amplifier_is_no_scale_of_an_axis(
+    scale: str, steps: float, tmp_path: Path
+) -> None:
+    """Servos have volts in OUTPUT_SCALE: read as steps, one count was an inch."""
+    settings = read(tmp_path, INI.replace("SCALE = 200\n", f"{scale}\n", 1), "mill.ini")
+    assert numbers(settings)["Y steps"] == steps
+
+
+def test_limits_of_linuxcnc_need_no_scale(tmp_path: Path) -> None:
+    """HAL files have it, and no time depends on it: the same times with any steps."""
+    ini = tmp_path / "servo.ini"
+    ini.write_text(re.sub(r"(?m)^SCALE = .*\n", "", INI))
+    made = settings_files("linuxcnc", ini, ["radius=40 mm"])
+    assumed = [(name, value, source) for name, value, source in made.rows if "steps" in name]
+    assert [value for _, value, _ in assumed] == ["1000 /mm", "1000 /mm", "1000 /deg"]
+    assert all(source.startswith("assumed: the INI has no scale") for *_, source in assumed)
+    own = settings_files(
+        "linuxcnc", ini, ["radius=40 mm", "steps=80 count/mm", "steps.A=9 count/deg"]
+    )
+    assert [row for row in own.rows if row[:2] == ("X steps", "80 count/mm")]
+    assert not [one for one in made.notes if "steps" in one]
+    with pytest.raises(OptionError, match="steps=80"):
+        settings_files("linuxcnc", ini, ["radius=40 mm", "torque=1 N m"])
+
+
+def test_what_linuxcnc_passes_over_is_told_and_passed_over(tmp_path: Path) -> None:
+    """A line without =, and what stands behind the name of a section; an INI may include all."""
+    said = INI.replace("[TRAJ]", "TOOL_CHANGE_POSITION -18 -12\n[TRAJ] section of the path", 1)
+    settings = read(tmp_path, said, "mill.ini")
+    assert numbers(settings) == numbers(read(tmp_path, INI, "whole.ini"))
+    assert any("TOOL_CHANGE_POSITION" in note for note in settings.notes)
+    (tmp_path / "all.inc").write_text(INI)
+    outer = read(tmp_path, "#INCLUDE all.inc\n\n[APPLICATIONS]\nAPP = sim_pin x\n", "outer.ini")
+    assert numbers(outer) == numbers(settings)

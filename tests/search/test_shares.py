@@ -10,7 +10,7 @@ from tests.jobs.made_machines import made_machine
 from tests.search.test_fastest import verdict
 from tests.search.test_long_jobs import winding_blocks, written
 
-from threadline.base.progress import Progress
+from threadline.base.progress import Progress, TrialShares
 from threadline.cli.search_text import resolution_words, settings_words
 from threadline.errors import LimitError
 from threadline.machine import Machine
@@ -298,3 +298,26 @@ def test_what_limits_is_what_fails_above_the_best() -> None:
     assert found.best is not None and 0.99 < found.best <= 1.0
     assert found.limited_by == "contour_error"
     assert find_fastest(judged, 0.1, 0.9, Grid(points=9)).limited_by == RANGE
+
+
+def test_a_search_between_two_feeds_is_half_done_behind_the_first() -> None:
+    """Two feeds stand for all between them; where one fails, the rest of the share is for the scan.
+
+    Told as one of fifty trials, the first made a search of minutes look like hours.
+    """
+    told: list[float] = []
+    trials = TrialShares(lambda _, share: told.append(share), "searching", 0.0)
+
+    def judged(feed: float) -> Verdict:
+        trials.within(0.5)
+        return verdict(0.5 if feed < highest else 2.0)
+
+    highest = 100.0
+    grid = Grid(points=9, near=4, between=True)
+    find_fastest(judged, 0.1, 10.0, grid, trials=trials)
+    assert told == pytest.approx([0.245, 0.49, 0.735, 0.98])
+    told.clear()
+    trials, highest = TrialShares(lambda _, share: told.append(share), "searching", 0.0), 3.0
+    find_fastest(judged, 0.1, 10.0, grid, trials=trials)
+    assert told == sorted(set(told)) and told[1] == pytest.approx(0.49) and told[-1] <= 0.98
+    assert len(told) > 20

@@ -132,8 +132,66 @@ WRITING = WritingSoFar()
 """Writing of this process."""
 
 
+_UNDER_WAY = 0.98
+"""Largest reported share of an unfinished search, even if it takes longer than expected."""
 Progress = Callable[[str, float], None]
 """Called with the name of the work and the fraction done."""
+
+
+class TrialShares:
+    """Share done of a search by trials: it never falls, and is 1 for nothing but its end.
+
+    A search that learns how many trials are left spreads the rest of the share over them, so that
+    neither a wrong guess nor a second guess takes the share back or lets it stand.
+
+    Parameters
+    ----------
+    progress
+        Receives the work and the share done; None reports nothing.
+    work
+        The work, in words.
+    left
+        Number of trials that are expected.
+
+    Examples
+    --------
+    >>> told = []
+    >>> trials = TrialShares(lambda work, share: told.append(round(share, 2)), "searching", left=2)
+    >>> trials.within(0.5)
+    >>> trials.done()
+    >>> trials.expects(4)
+    >>> trials.done()
+    >>> told
+    [0.24, 0.49, 0.61]
+    """
+
+    def __init__(self, progress: Progress | None, work: str, left: float) -> None:
+        self._progress, self._work = progress, work
+        self._share = self._from = 0.0
+        self._done, self._left = 0, left
+
+    def expects(self, left: float) -> None:
+        """Set the number of trials that are left."""
+        self._from, self._done, self._left = self._share, 0, left
+
+    def within(self, share: float) -> None:
+        """Report the share done of the present trial."""
+        of_rest = min((self._done + share) / max(self._left, 1e-9), 1.0)
+        now = self._from + (_UNDER_WAY - self._from) * of_rest
+        if now > self._share:
+            self._share = now
+            if self._progress is not None:
+                self._progress(self._work, now)
+
+    def done(self) -> None:
+        """Report the end of a trial."""
+        self._done += 1
+        self.within(0.0)
+
+
+def part_of(progress: Progress | None, begun: float, part: float) -> Progress | None:
+    """Return a callback for a part of a work, which begins at the share ``begun`` of it."""
+    return None if progress is None else lambda work, share: progress(work, begun + part * share)
 
 
 def never_back(progress: Progress | None) -> Progress | None:

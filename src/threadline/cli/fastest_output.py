@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -27,6 +28,7 @@ from threadline.cli.search_text import (
     until_words,
 )
 from threadline.commands.plan import Following
+from threadline.jobs.feed_times import dwells_s
 from threadline.jobs.operations import FeedMode
 from threadline.proof.option_words import share_words
 from threadline.proof.pipeline import prove_plan
@@ -205,6 +207,8 @@ _UNITS = {
 """By feed mode: unit of printed feeds, and factor from m/s."""
 
 
+_MANY_DWELLS, _DWELLS_ALONE = 0.02, 0.5
+"""Shares of the time from which the output names dwells, and from which it names them alone."""
 _MUCH_LESS = 1.1  # ratio of the highest feed to ``enough`` from which the output names it
 
 
@@ -263,8 +267,8 @@ class FeedOutput(SearchOutput):
         if enough is not None and self._far_above_enough:
             least = self._feed_text(float(f"{1.0005 * enough:.4g}"))
             yield (
-                f"{least} takes the same time within 0.1 %: above it acceleration, corners and "
-                "rapid moves set the time, not the feed"
+                f"{least} takes the same time within 0.1 %: above it {self._beside_feed} set the "
+                "time, not the feed"
             )
         yield f"feeds {resolution_words(best.found)}"
         if best.found.alone:
@@ -279,8 +283,18 @@ class FeedOutput(SearchOutput):
     def _limit(self, limited_by: str, *, best: bool = True) -> str:
         """Return what limits the time; the end of the search limits the feed alone."""
         if best and limited_by == RANGE and self._far_above_enough:
-            return "acceleration, corners and rapid moves"
+            return self._beside_feed
         return limit_words(limited_by, self._end)
+
+    @property
+    def _beside_feed(self) -> str:
+        """What sets the time of the best plan where a higher feed does not shorten it."""
+        share = dwells_s(self.asked.job) / (self.of.best.duration_s or math.inf)
+        dwells = f"dwells (G4, {100.0 * share:.0f} % of the time)"
+        if share >= _DWELLS_ALONE:
+            return dwells
+        rest = "acceleration, corners and rapid moves"
+        return rest if share < _MANY_DWELLS else f"{dwells}, {rest}"
 
     def _feed_text(self, value: float) -> str:
         unit, per_m_s = _UNITS[self.of.by]
@@ -330,6 +344,7 @@ class FeedOutput(SearchOutput):
             "feed": self.question.job.feed_rule if by_word else result.by.value,
             "limits": result.best.share,
             "duration_s": result.best.duration_s,
+            "dwells_s": dwells_s(self.asked.job),
             "enough": result.enough,
             "moves": result.moves,
             "judged_moves": result.judged_moves,

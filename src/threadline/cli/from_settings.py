@@ -49,6 +49,7 @@ ANSWERS_TO = {
 PROVE = "there-and-back.gcode -m machine.toml"
 _SPEC = "stepper-winder"
 _WAY_MM, _FEED_MM_MIN = 20.0, 1200.0
+_ANY_STEPS = "1000"  # per mm or degree: finer than any motion that matters
 _UNITS = {"steps": "/{}", "rate": "{}/min", "acceleration": "{}/s^2", "travel": "{}"}
 _PLANNER_UNITS = {
     "junction_deviation": "mm", "acceleration": "mm/s^2", "velocity": "mm/s", "least_speed": "mm/s",
@@ -117,7 +118,10 @@ def still_missing(
     settings: Settings, answers: Sequence[str], *, limits_only: bool
 ) -> list[Missing]:
     """Return the values that the owner still has to give."""
-    return missing_answers(settings, parse_answers(answers), limits_only=limits_only)
+    said = parse_answers(answers)
+    if limits_only or not names_dynamics(said):
+        _assume_steps(settings, said)
+    return missing_answers(settings, said, limits_only=limits_only)
 
 
 def settings_files(
@@ -148,6 +152,8 @@ def settings_files(
     said = parse_answers(answers)
     unasked = not limits_only and not names_dynamics(said)
     limits_only |= unasked
+    if limits_only:
+        _assume_steps(settings, said)
     text = machine_text(settings, said, kind, limits_only=limits_only)
     _check(text, settings)
     for unheeded in settings.unheeded:
@@ -173,6 +179,21 @@ def settings_files(
     form = settings.form or settings.firmware
     notes = [*settings.notes, *([_ALONE] if unasked else [])]
     return FromSettings(contents, form, rows, notes, settings.unheeded)
+
+
+def _assume_steps(settings: Settings, answers: Answers) -> None:
+    """Assume the steps of LinuxCNC's axes whose INI has no scale: a HAL file has it.
+
+    LinuxCNC plans in numbers of any size, so the steps change neither its limits nor its times.
+    """
+    if settings.firmware != "linuxcnc":
+        return
+    for axis, said in settings.axes.items():
+        own = answers.given.get(f"steps.{axis}")
+        own = own if settings.turning.get(axis, False) else answers.of("steps", axis)
+        if said.steps is None and own is None:
+            name = "the INI has no scale; times do not depend on it"
+            settings.say(axis, "steps", _ANY_STEPS, Place(settings.file), name)
 
 
 def read_rows(settings: Settings) -> list[Row]:

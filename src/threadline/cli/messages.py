@@ -22,6 +22,7 @@ STDOUT = "standard output"
 """Name of standard output in errors, where a file has its path."""
 _STDERR = 2  # its file descriptor
 _NEARLY = 99  # percent: above this the share left says nothing about the time left
+_TELLING_FROM = 0.05  # share done below which it says nothing about the time left
 EVERY_S = 50.0  # a minute without output is too long
 LOOK_S = 1.0
 PLANNING_STAGE = "planning"
@@ -90,6 +91,8 @@ class Telling:
         Share of the stage that is done.
     shown
         Whether a progress bar shows the stage.
+    grown
+        Times at which the share was seen to have grown, on the monotonic clock, with the shares.
     """
 
     warnings: list[str] = field(default_factory=list)
@@ -97,18 +100,41 @@ class Telling:
     since_s: float = field(default_factory=time.monotonic)
     fraction: float = 0.0
     shown: bool = False
+    grown: list[tuple[float, float]] = field(default_factory=list)
+
+    def look(self) -> None:
+        """Note when the share done has grown."""
+        fraction = share_of(self.stage, self.fraction)
+        if fraction > max((share for _, share in self.grown[-1:]), default=0.0):
+            self.grown.append((time.monotonic(), fraction))
 
     def doing(self) -> str:
-        """Return the stage, its share done, and the time left at the same rate."""
+        """Return the stage, its share done, and the time left if it can be told."""
+        self.look()
         fraction = share_of(self.stage, self.fraction)
         if not self.stage or not fraction:
             return in_full(self.stage)
         percent = int(100.0 * fraction + 1e-9)
         if percent >= _NEARLY:
             return f"{self.stage}, nearly done"
-        passed_s = time.monotonic() - self.since_s
-        left_s = passed_s * (1.0 - fraction) / fraction
-        return f"{self.stage}, {percent} % done, about {_lasting(left_s)} more"
+        left_s = self._left_s()
+        left = f", about {_lasting(left_s)} more" if left_s > 0.0 else ""
+        return f"{self.stage}, {percent} % done{left}"
+
+    def _left_s(self) -> float:
+        """Return the time left at the rate of the last half of the time; 0 if it cannot be told.
+
+        A first few percent tell nothing: they may be of the quickest or of the slowest part. A
+        share that stands for longer than it should tells nothing any more.
+        """
+        began_s, now_s = self.since_s, time.monotonic()
+        *before, (last_s, last) = [(began_s, 0.0), *self.grown]
+        if last < _TELLING_FROM:
+            return 0.0
+        half = [one for one in before if one[0] <= 0.5 * (began_s + now_s)]
+        from_s, share = half[-1] if half else before[0]
+        per_s = (last - share) / max(last_s - from_s, 1e-9)
+        return (1.0 - last) / per_s - (now_s - last_s)
 
 
 def share_of(stage: str, fraction: float) -> float:
@@ -160,7 +186,9 @@ def at_work(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
     # A stage's text may include changing values (a duration, a limit); a new stage starts at 0.
     if stage != telling.stage and fraction <= telling.fraction:
         telling.since_s = time.monotonic()
+        telling.grown.clear()
     telling.stage, telling.fraction, telling.shown = stage, fraction, shown
+    telling.look()
 
 
 def _lasting(seconds: float) -> str:
@@ -209,6 +237,7 @@ def _beat(held: Telling, ended: threading.Event) -> None:
     began = last_s = time.monotonic()
     compiled_s: float | None = COMPILING.lasted_s()
     while not ended.wait(min(LOOK_S, EVERY_S)):
+        held.look()
         if compiled_s is not None and COMPILING.lasted_s() - compiled_s > COMPILING_S:
             compiled_s = None
             note(f"compiling machine code, {_ONCE if COMPILING.kept else _EACH_TIME}")

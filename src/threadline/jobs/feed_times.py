@@ -18,6 +18,11 @@ _MM_AS_DEGREE_M = 1e-3 * 180.0 / math.pi  # m per rad: a degree counts as a mill
 _IN_TURN = ("XYZ", "UVW", "ABC")
 
 
+def dwells_s(job: Job) -> float:
+    """Return the time that a job dwells (G4), in all."""
+    return sum(item.duration_s for item in job.runs() if isinstance(item, Dwell))
+
+
 def check_feed(feed: Feed, axes: tuple[str, ...], place: Place | None) -> None:
     """Refuse a feed that is not above 0, or has base axes that the job lacks.
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from threadline.base.option_defaults import MOST_RUNS
-from threadline.base.progress import PLANNING, Progress
+from threadline.base.progress import PLANNING, Progress, part_of
 from threadline.base.wording import nearest
 from threadline.base.writing import together
 from threadline.commands.plan import Plan
@@ -475,15 +475,22 @@ def try_plan(
     trials: Trials = NOMINAL,
     actual: Machine | None = None,
     suspects: Suspects | None = None,
+    *,
+    progress: Progress | None = None,
 ) -> Proof:
     """Prove a plan for a search; stop after runs that are out of spec.
 
     The machine of the file comes first, in one run, and then in all. Of the machines within its
-    tolerances ``suspects`` come first; the list takes the machine that is out of spec.
+    tolerances ``suspects`` come first; the list takes the machine that is out of spec. ``progress``
+    receives the share of the runs of the file's machine that is read.
     """
     judge = Judge(plan, spec)
-    for some in dict.fromkeys((NOMINAL, Trials(repeats=trials.repeats))):
-        proof = prove_plan(plan, spec, None, some, actual, judge)
+    stages = dict.fromkeys((NOMINAL, Trials(repeats=trials.repeats)))
+    runs, before = sum(some.repeats for some in stages), 0
+    for some in stages:
+        part = part_of(progress, before / runs, some.repeats / runs)
+        before += some.repeats
+        proof = prove_plan(plan, spec, part, some, actual, judge)
         failed = any(result.status is Status.FAILED for result in proof.verdict.results)
         if some == trials or failed:
             return proof

@@ -13,6 +13,7 @@ from threadline.base.option_defaults import AUTO
 from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
 from threadline.commands.turns import Sewn
 from threadline.files import TickTable, tick_table
+from threadline.jobs.feed_times import dwells_s
 from threadline.jobs.gcode.feeds import of_which
 from threadline.jobs.operations import Job, Source, begins_circuit
 from threadline.motion.path.interpolations import OPTIMAL
@@ -231,12 +232,25 @@ def feed_lines(plan: Plan) -> list[str]:
     nominal_s = plan.nominal_s
     if nominal_s is None:
         return []
-    length = of_which(plan.job.feed_rule)
+    turning = any(plan.machine.axes[axis].kind == "rotary" for axis in plan.job.axes)
+    length = of_which(plan.job.feed_rule, turning=turning)
+    rest_s = dwells_s(plan.job)
+    rests = f"; {rest_s:.6g} s of both are dwells (G4)" if rest_s else ""
     return [
         f"F is a speed:         {length} (feed mode {plan.job.feed_rule})",
-        f"Time:                 {plan.duration_s:.6g} s ({plan.duration_s / 60.0:.2f} min) as "
-        f"planned; {nominal_s:.6g} s by F alone, rapids at the velocity limits",
+        f"Time:                 {plan.duration_s:.6g} s ({_lasting(plan.duration_s)}) as "
+        f"planned; {nominal_s:.6g} s by F alone, rapids at the velocity limits{rests}",
     ]
+
+
+def _lasting(seconds: float) -> str:
+    """Return a time in minutes, or in hours and minutes.
+
+    >>> _lasting(15.8654), _lasting(100422.0)
+    ('0.26 min', '27 h 53.7 min')
+    """
+    hours, minutes = divmod(seconds / 60.0, 60.0)
+    return f"{hours:.0f} h {minutes:.1f} min" if hours else f"{minutes:.2f} min"
 
 
 def motion_lines(plan: Plan) -> list[str]:

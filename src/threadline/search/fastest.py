@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from threadline.base.progress import Progress
+from threadline.base.progress import TrialShares
 from threadline.errors import OptionError
 from threadline.search.deadline import Deadline, HaltError
 from threadline.search.feed_ranges import (
@@ -35,13 +35,12 @@ from threadline.search.feed_ranges import (
 from threadline.verdict import Status, Verdict
 
 EDGE_RELATIVE = 2e-3
+_AT_ENDS = 2  # feeds that stand for all between them
 _ENOUGH = 4  # feeds in a row that must pass to end a scan from above
 _SLOWED = 3.0
 """Factor by which the motion must be slower for an error that stays the same to count as fixed."""
 _FIXED = 0.01
 """Share by which a fixed error changes at most."""
-_UNDER_WAY = 0.98
-"""Largest reported progress of an unfinished search, even if it takes longer than expected."""
 RANGE = "range"
 """``limited_by`` of a search that reached the end of its range before any feed failed."""
 
@@ -168,7 +167,7 @@ def find_fastest(
     high: float,
     grid: Grid = PLAIN,
     *,
-    progress: Progress | None = None,
+    trials: TrialShares | None = None,
     until: Deadline | None = None,
     seen: dict[float, Verdict] | None = None,
 ) -> Fastest:
@@ -181,6 +180,8 @@ def find_fastest(
     low, high
         Ends of the scan, ``0 < low < high``. Feeds are evenly spaced on a logarithmic scale,
         because the load on a machine's limits grows with powers of its speed.
+    trials
+        Reports how far the search is.
     until
         Deadline of the search. With a deadline, an interrupt ends the search and not the program,
         once a feed was judged.
@@ -202,11 +203,11 @@ def find_fastest(
     seen = {} if seen is None else seen
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
     inside = INSIDE if near else 0
-    expected = points + 6.0 * near + 2.0 * an_edge + inside  # for one interval
-    share = 0.0
+    trials = TrialShares(None, "", 0.0) if trials is None else trials
+    scanned = points + 6.0 * near + 2.0 * an_edge + inside - len(seen)  # for one interval
+    trials.expects(_AT_ENDS if grid.between else scanned)
 
     def verdict_at(feed: float) -> Verdict:
-        nonlocal share
         if feed not in seen:
             if until is None:
                 seen[feed] = judged(feed)
@@ -214,14 +215,11 @@ def find_fastest(
                 until.check()
                 with until.interrupting():
                     seen[feed] = judged(feed)
-            if progress is not None:
-                share = max(share, min(len(seen) / expected, _UNDER_WAY))
-                progress("searching", share)
+            trials.done()
         return seen[feed]
 
     def expects(edges: int) -> None:
-        nonlocal expected
-        expected = len(seen) + an_edge * edges + inside * (edges / 2.0 + 1.0)
+        trials.expects(an_edge * edges + inside * (edges / 2.0 + 1.0))
 
     step = (high / low) ** (1.0 / (points - 1))
     steps: dict[str, Any] = {
@@ -235,6 +233,8 @@ def find_fastest(
     try:
         intervals = _whole_range(verdict_at, (low, high), grid)
         steps |= {"step": 0.0, "near_step": 0.0} if intervals else {}
+        if grid.between and not intervals:
+            trials.expects(scanned)
         intervals = intervals or (_searched if grid.every else _searched_from_above)(
             verdict_at, seen, (low, high), grid, expects
         )

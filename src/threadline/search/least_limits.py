@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
-from threadline.base.progress import Progress
+from threadline.base.progress import Progress, TrialShares, never_back, part_of
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
@@ -188,7 +188,7 @@ def fastest_job(question: Question) -> FastestJob:
         low if question.low is None else question.low,
         high if question.high is None else question.high,
     )
-    question = replace(question, by=by, low=low, high=high)
+    question = replace(question, by=by, low=low, high=high, progress=never_back(question.progress))
     check_range(low, high, feed_unit(by) or "times the feeds")
     if question.progress is not None:
         question.progress("looking for what repeats", 0.0)
@@ -198,7 +198,7 @@ def fastest_job(question: Question) -> FastestJob:
         parts = distinct_parts(job, machine, joined=options.product is not None)
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
-    scanned = in_one_run(question)
+    scanned, limits_alone = in_one_run(question), _only_limits(question)
 
     def searched(share: float, grid: Grid, telling: Progress | None) -> Fastest:
         part = scanned if parts == (job,) else of_a_part(scanned)
@@ -206,7 +206,7 @@ def fastest_job(question: Question) -> FastestJob:
         at_share = replace(part, options=with_share, progress=telling)
         # The slow feeds of a winding take longest to judge, and are never its answer.
         every = options.product is None and (by_feed or not shares.long)
-        closely = replace(grid, every=every, between=_only_limits(question))
+        closely = replace(grid, every=every, between=limits_alone)
         return fastest_feed(at_share, closely, parts, seen.setdefault(share, {}))
 
     def planned_s(share: float, feed: float) -> float:
@@ -218,8 +218,8 @@ def fastest_job(question: Question) -> FastestJob:
             None if found.best is None else planned_s(share, found.best)
         ),
         at_top_s=lambda share: planned_s(share, high),
-        expected=1 if by_feed else 2 if _only_limits(question) else _STEPS,
-        progress=question.progress,
+        expected=1 if by_feed or limits_alone else _STEPS,
+        progress=part_of(question.progress, 0.0, _OF_SEARCH if limits_alone else 1.0),
         until=until,
     )
     tried, rungs = shares.tried, shares.rungs
@@ -227,7 +227,7 @@ def fastest_job(question: Question) -> FastestJob:
         if by_feed:
             tried(1.0, FINE)
         else:
-            _climb(tried, rungs, _LADDER[:1] if _only_limits(question) else _LADDER)
+            _climb(tried, rungs, _LADDER[:1] if limits_alone else _LADDER)
     except HaltError as halt:
         if not rungs:
             raise no_answer() from halt
@@ -257,15 +257,22 @@ def fastest_job(question: Question) -> FastestJob:
         in_one_run=scanned is not question,
         ended="" if until is None else until.ended,
         by=by,
-        enough=None if stopped or not _only_limits(question) else _enough(best, planned_s),
+        enough=_enough(best, planned_s, question.progress)
+        if limits_alone and not stopped
+        else None,
     )
 
 
+_OF_SEARCH = 0.7
+"""Share of the progress that the search itself has; the rest is for the lowest feed as fast."""
 _SAME_TIME = 1e-3
+_LOWEST = "looking for the lowest feed as fast"
 _ENOUGH_STEP = 1.02  # ratio of neighbouring feeds at which the search for ``enough`` ends
 
 
-def _enough(best: Rung, planned_s: Callable[[float, float], float]) -> float | None:
+def _enough(
+    best: Rung, planned_s: Callable[[float, float], float], progress: Progress | None
+) -> float | None:
     """Return the lowest feed found of the best interval with the time of its upper end.
 
     Above it the moves never reach their feed, or an axis holds them back: only acceleration,
@@ -275,12 +282,16 @@ def _enough(best: Rung, planned_s: Callable[[float, float], float]) -> float | N
     if interval is None or best.duration_s is None or best.found.limited_by != RANGE:
         return None
     low, high = interval.low, interval.high
+    halvings = math.log2(max(math.log(high / low) / math.log(_ENOUGH_STEP), 1.0))
+    rest = part_of(progress, _OF_SEARCH, 1.0 - _OF_SEARCH)
+    trials = TrialShares(rest, _LOWEST, halvings)
     while high > low * _ENOUGH_STEP:
         feed = math.sqrt(low * high)
         if planned_s(best.share, feed) <= best.duration_s * (1.0 + _SAME_TIME):
             high = feed
         else:
             low = feed
+        trials.done()
     return high
 
 

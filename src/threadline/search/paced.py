@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from threadline.base.progress import Progress
+from threadline.base.progress import Progress, TrialShares
 from threadline.commands.plan import Plan
 from threadline.errors import LimitError
 from threadline.jobs.operations import FeedMode, Job
@@ -87,11 +87,16 @@ class Question:
         """The file of the job."""
         return Path(self.job.file)
 
-    def judged(self, plan: Plan) -> Verdict:
-        """Return the verdict on a plan, or on the tables learned from it."""
+    def judged(self, plan: Plan, progress: Progress | None = None) -> Verdict:
+        """Return the verdict on a plan, or on the tables learned from it.
+
+        ``progress`` receives the share of the runs that is read.
+        """
         if self.learned is not None:
             return learned_verdict(plan, self.spec, self.learned, self.trials, self.actual)
-        return try_plan(plan, self.spec, self.trials, self.actual, self.suspects).verdict
+        return try_plan(
+            plan, self.spec, self.trials, self.actual, self.suspects, progress=progress
+        ).verdict
 
 
 _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
@@ -158,20 +163,27 @@ def fastest_paced(
         If the time is over before a pace was judged.
     """
     stretches = list(paced.planned_at)
+    trials = TrialShares(asked.progress, "searching", 0.0)
 
-    def judged_at(planned_at: Callable[[float], Plan], pace: float) -> Verdict:
+    def judged_at(planned_at: Callable[[float], Plan], pace: float, before: int) -> Verdict:
         try:
             plan = planned_at(pace)
         except LimitError as error:
             if not paced.is_verdict(error):
                 raise
             return beyond(error, question.machine)
-        return question.judged(plan) if paced.judged is None else paced.judged(pace, plan)
+        if paced.judged is not None:
+            return paced.judged(pace, plan)
+        if question.progress is None:
+            return question.judged(plan)
+        return question.judged(
+            plan, lambda _, read: trials.within((before + read) / len(stretches))
+        )
 
     def judged(pace: float) -> Verdict:
         passed = []
         for at, planned_at in enumerate(stretches):
-            verdict = judged_at(planned_at, pace)
+            verdict = judged_at(planned_at, pace, at)
             if not verdict.passed:
                 # A stretch that fails at one pace most likely fails at the next, so it goes first.
                 stretches.insert(0, stretches.pop(at))
@@ -182,9 +194,7 @@ def fastest_paced(
     low = paced.low if question.low is None else question.low
     high = paced.high if question.high is None else question.high
     check_range(low, high, paced.unit)
-    return find_fastest(
-        judged, low, high, grid, progress=question.progress, until=question.until, seen=seen
-    )
+    return find_fastest(judged, low, high, grid, trials=trials, until=question.until, seen=seen)
 
 
 def _of_all(passed: Sequence[Verdict]) -> Verdict:

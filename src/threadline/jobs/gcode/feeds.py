@@ -168,14 +168,21 @@ def as_f_words(value_m_s: float, rule: str) -> Feed:
     return Feed(RULES[name][0], value_m_s, tuple(base.split(",")) if base else ())
 
 
-def of_which(rule: str) -> str:
+def of_which(rule: str, *, turning: bool = True) -> str:
     """Return a text that names the speed set by F, by the rule text of ``Job.feed_rule``.
+
+    Without ``turning`` no axis turns, and the text says nothing about axes that do.
 
     >>> of_which("base-axes:A,X"), of_which("x-winder")
     ('of the base axes, a rotary axis at its radius', 'of the carriage, a second')
+    >>> of_which("grbl", turning=False), of_which("linuxcnc", turning=False)
+    ('of all axes together', 'of X Y Z')
     """
     name = rule.partition(":")[0]
-    return RULES[name][1] if name in RULES else "of the carriage, a second"
+    if name not in RULES:
+        return "of the carriage, a second"
+    text = RULES[name][1]
+    return text if turning else text.partition(",")[0]
 
 
 _MOST = 1000

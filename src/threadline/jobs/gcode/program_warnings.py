@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from threadline.jobs.gcode.block import CHANGE
 from threadline.jobs.gcode.dialects import SILENT, Dialect
@@ -49,10 +49,7 @@ def capped_feeds(
 
 def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[str, ...]:
     """Return warnings of what the scan found, each with file and line."""
-    warnings = [
-        f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."
-        for line in findings.long_dwells
-    ]
+    warnings = list(_long_dwells(findings, file, dialect))
     blends = (
         "this G64 does not count: the interpolation decides how corners are rounded, and with "
         "--interpolation firmware [planner] of the machine file (tolerance is P of G64, "
@@ -136,7 +133,22 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
     return _first(warnings)
 
 
-_ACT_NOW = {"!": "holds the feed", "~": "goes on behind a hold", "?": "asks for a report"}
+def _long_dwells(findings: Findings, file: SourceFile, dialect: Dialect) -> Iterator[str]:
+    """Yield a warning of the first dwell that looks like milliseconds in place of seconds."""
+    for line, dwell_s in list(findings.long_dwells.items())[:1]:
+        if dialect.dwell_s.get("P") != (1.0, 1.0):
+            return
+        more = len(findings.long_dwells) - 1
+        others = f" ({more} more {'line waits' if more == 1 else 'lines wait'} as long)" * bool(
+            more
+        )
+        yield (
+            f"{file.place(line)}: this G4 waits {dwell_s:g} s{others}: {dialect.name} takes P as "
+            f"seconds. If milliseconds were meant, write P{dwell_s * 1e-3:g}."
+        )
+
+
+_ACT_NOW = {"!": "stops the feed", "~": "resumes after a stop", "?": "asks for a report"}
 
 
 def _realtime(file: SourceFile, dialect: Dialect) -> list[str]:
@@ -146,11 +158,11 @@ def _realtime(file: SourceFile, dialect: Dialect) -> list[str]:
     line, letter = first_found(file, dialect.grammar.realtime)
     if not line:
         return []
-    does = _ACT_NOW.get(letter, "holds the machine or changes an override")
+    does = _ACT_NOW.get(letter, "stops the machine or changes an override")
     return [
-        f"{file.place(line)}: {letter!r} {does} at the instant at which {dialect.name} is sent it, "
-        "in a comment, too: have a sender that leaves comments out, or take it out (and ! ~ ? and "
-        "letters that are not ASCII elsewhere)."
+        f"{file.place(line)}: {dialect.name} acts on {letter!r} as soon as it is sent, even within "
+        f"a comment: it {does}. Use a sender that leaves comments out, or delete ! ~ ? and all "
+        "letters that are not ASCII."
     ]
 
 

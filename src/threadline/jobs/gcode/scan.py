@@ -18,7 +18,7 @@ from threadline.jobs.gcode.words import ONE, READ_TO_TAPE, TAPE, Tapes
 from threadline.jobs.gcode.zeros import FIRST, SystemsUsed, ToolLengths, moves_length
 
 MAX_REMEMBERED = 1000
-_LONG_DWELL_S = 1000
+_LONG_DWELL_S = 20.0  # pens, valves and spindles take less
 
 
 @dataclass(slots=True)
@@ -29,8 +29,10 @@ class Findings:
     ----------
     feeds
         Every F, with the modes and calls that set its unit.
-    long_dwells, blends
-        Lines of dwells whose time looks like milliseconds, and lines of G64.
+    long_dwells
+        Times of dwells that look like milliseconds, by line.
+    blends
+        Lines of G64.
     idle
         First line of each word without effect on motion.
     waits
@@ -58,7 +60,7 @@ class Findings:
     """
 
     feeds: FeedNotes = field(default_factory=FeedNotes)
-    long_dwells: list[int] = field(default_factory=list)
+    long_dwells: dict[int, float] = field(default_factory=dict)
     blends: list[int] = field(default_factory=list)
     idle: dict[str, int] = field(default_factory=dict)
     waits: int = 0
@@ -82,8 +84,7 @@ class Findings:
         if block.feed is not None:
             self.feeds.feed(program, block.feed, block.line)
         if block.action == 40 and block.dwell_s >= _LONG_DWELL_S:
-            self.long_dwells.append(block.line)
-            del self.long_dwells[MAX_REMEMBERED:]
+            self.long_dwells[block.line] = block.dwell_s
         for word in block.idle:
             if len(self.idle) < MAX_REMEMBERED:
                 self.idle.setdefault(word, block.line)

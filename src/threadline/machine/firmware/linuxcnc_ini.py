@@ -28,7 +28,7 @@ _TURNING = "ABC"
 _OWN = re.compile(
     r"\s*\[(?:EMC|EMCMOT|KINS|TRAJ|JOINT_\d+|AXIS_\w+)\]\s*(?:[;#].*)?$", re.IGNORECASE
 )
-_SECTION = re.compile(r"\[([A-Za-z0-9_]+)\]$")
+_SECTION = re.compile(r"\[([A-Za-z0-9_]+)\]")  # LinuxCNC, too, passes over what stands behind it
 _INCHES = ("in", "inch", "imperial")
 _MILLIMETRES = ("mm", "metric")
 _ANGLES = {"degree": 1.0, "deg": 1.0, "radian": 57.29577951308232, "rad": 57.29577951308232,
@@ -36,7 +36,11 @@ _ANGLES = {"degree": 1.0, "deg": 1.0, "radian": 57.29577951308232, "rad": 57.295
 _LIMITS = {
     "MAX_VELOCITY": ("rate", 60.0), "MAX_ACCELERATION": ("acceleration", 1.0),
 }  # fmt: skip
-_SCALES = ("STEP_SCALE", "SCALE", "OUTPUT_SCALE", "INPUT_SCALE")
+_SCALES = ("STEP_SCALE", "SCALE", "ENCODER_SCALE", "INPUT_SCALE")
+"""Keys of steps or counts a unit. OUTPUT_SCALE is none: it scales what goes to an amplifier."""
+_READ = frozenset(
+    (*_LIMITS, *_SCALES, "MIN_LIMIT", "MAX_LIMIT", "COORDINATES", "KINEMATICS", "LINEAR_UNITS")
+)
 _MOST_BYTES = 1_000_000
 _ENDLESS = 1e9  # INI files write this for "no limit"
 
@@ -44,10 +48,12 @@ Keys = dict[str, tuple[str, Place]]
 
 
 def is_linuxcnc(lines: Sequence[str]) -> bool:
-    """Return whether lines hold a LinuxCNC INI: two of its sections, or one beside an #INCLUDE."""
+    """Return whether lines hold a LinuxCNC INI: two of its sections, or any beside an #INCLUDE."""
     own = sum(_OWN.match(line) is not None for line in lines)
+    if own > 1:
+        return True
     included = any(line.strip().upper().startswith("#INCLUDE") for line in lines)
-    return own > 1 or (own == 1 and included)
+    return included and any(_SECTION.match(line.strip()) is not None for line in lines)
 
 
 def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
@@ -59,7 +65,7 @@ def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
         If a line cannot be read, or a joint moves more than one axis.
     """
     settings = Settings("linuxcnc", file)
-    sections = _sections(lines, file)
+    sections = _sections(lines, file, settings.notes)
     whole = Place(file)
     traj, kins = sections.get("TRAJ", {}), sections.get("KINS", {})
     _check_kinematics(settings, kins)
@@ -84,8 +90,12 @@ def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
     return settings
 
 
-def _sections(lines: Sequence[str], file: str) -> dict[str, Keys]:
-    """Return the sections by name, in capitals; repeated keys get an apostrophe each time."""
+def _sections(lines: Sequence[str], file: str, notes: list[str]) -> dict[str, Keys]:
+    """Return the sections by name, in capitals; repeated keys get an apostrophe each time.
+
+    A line without ``=`` is added to the ``notes``: LinuxCNC passes over it. One that begins with a
+    key that is read here is refused.
+    """
     sections: dict[str, Keys] = {}
     section: Keys | None = None
     for place, code in _joined(lines, (Path(file).resolve(),)):
@@ -95,7 +105,10 @@ def _sections(lines: Sequence[str], file: str) -> dict[str, Keys]:
             continue
         key, equals, value = (part.strip() for part in code.partition("="))
         if not equals:
-            raise unknown(code, place, "MAX_VELOCITY = 100.0")
+            if code.split()[0].upper() in _READ:
+                raise unknown(code, place, "MAX_VELOCITY = 100.0")
+            notes.append(f"{place}: {code[:40]!r} has no = and is passed over, as by LinuxCNC")
+            continue
         if section is None:
             raise unknown(code, place, "[TRAJ], with its keys behind it")
         key = key.upper()
@@ -245,8 +258,8 @@ def _path_limits(settings: Settings, traj: Mapping[str, tuple[str, Place]], leng
         settings.say(axis, "rate", repr(most), said[1], "[TRAJ] MAX_LINEAR_VELOCITY", said[0])
     if slower:
         settings.notes.append(
-            f"{said[1]}: the largest path speed is below the limit of "
-            f"{', '.join(slower)} and is used as the limit of each"
+            f"{said[1]}: [TRAJ] limits the speed of the path to less than {', '.join(slower)} may "
+            "do alone, so it is the limit of each of them"
         )
 
 
@@ -260,7 +273,10 @@ def _path_mode(settings: Settings, interpreter: Keys, length: float) -> None:
         return
     blend = re.search(r"\bG64\s*(?:P\s*([\d.]+))?\s*(?:Q\s*([\d.]+))?", code)
     if blend is None:
-        settings.notes.append("G64 without P: the INI sets no other path mode")
+        settings.notes.append(
+            "assumed G64 without P (no tolerance): no RS274NGC_STARTUP_CODE of the INI sets a path "
+            "mode"
+        )
         return
     for key, number, letter in (("tolerance", blend[1], "P"), ("cam_tolerance", blend[2], "Q")):
         if number is not None:
