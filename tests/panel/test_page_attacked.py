@@ -67,6 +67,7 @@ def test_files_that_are_no_programs(browser: Browser, plant: Plant, tmp_path: Pa
     press(page, "Take control")
     part(page, "Prepare")
     expect(page.locator("#program")).to_have_value("there.prg")
+    expect(page.locator("#extent")).to_contain_text("X 0.0 to 60.0 mm")
     for name, told in (
         ("long.prg", "long.prg has more than 8 MiB"),
         ("binary.prg", "binary.prg:1: controllers execute the byte 0x00 at once"),

@@ -1,6 +1,7 @@
 /** The program: load it, see it, calculate it, and run what was calculated. */
 
 import { asked, button, by, intoSight, made, put, tell, value } from "./dom";
+import { extentInWords } from "./extent";
 import type { Figures, Preview, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { toldEnd, toldRun, unitOf } from "./session";
@@ -266,6 +267,8 @@ export class Program {
     if (answer && !answer.ok) say((await answer.text()).trim(), true);
     if (this.preview && !this.preview.whole)
       say(`${program} is long: only its first ${this.preview.moves} moves are drawn`);
+    const shown = this.preview;
+    tell("extent", shown ? extentInWords(shown, (name) => unitOf(this.session, name)) : "");
     this.paced();
     this.previewed();
   }
