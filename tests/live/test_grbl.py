@@ -138,6 +138,19 @@ def test_a_hold_stands_on_the_path_and_goes_on_from_there() -> None:
         ]  # fmt: skip
 
 
+def test_a_hold_after_the_last_line_is_refused_and_the_run_ends() -> None:
+    """A feed hold would leave the controller in Hold with nothing to go on with."""
+    model = GrblModel(settings(), faster=4.0)
+    with meeting(model) as (one, desk, kept):
+        ready(one, program())
+        go_on(one, lambda: one.ended is not None)
+        before = model.heard.count(b"!")
+        desk.ask(Cause.HOLD)
+        go_on(one)
+        assert (one.state, model.heard.count(b"!")) == (State.IDLE, before)
+        assert any("the run has come to its end" in text for *_, text in kept.log)
+
+
 def test_a_hold_of_the_controller_itself_is_one_of_the_run() -> None:
     """M0, or its own button: nothing goes on before the operator says so."""
     model = GrblModel(settings(), faster=4.0)

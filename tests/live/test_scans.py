@@ -125,6 +125,15 @@ def test_a_hold_stands_at_the_next_rest_with_the_letter_held(scan: int) -> None:
     assert 3000 < len(switched) - len(whole) < 4100  # ms
 
 
+def test_a_hold_after_the_last_scan_is_refused_and_the_run_ends() -> None:
+    made = bench()
+    while made.executor.ended is None:
+        made.executor.step()
+    made.desk.ask(Cause.HOLD)
+    made.go_on()
+    assert (made.executor.state, made.executor.share_done) == (State.IDLE, 1.0)
+
+
 def test_a_hold_lasts_longer_than_a_wait_may() -> None:
     """A minute without its contact is a fault of a wait, and none of a hold."""
     made = bench()

@@ -38,6 +38,18 @@ def test_the_document_prints_the_table() -> None:
     assert printed == TRANSITIONS
 
 
+def test_a_hold_after_the_last_row_is_refused_and_the_run_ends() -> None:
+    """Its machine only settles: a hold would leave it holding what is over, for good."""
+    made = Bench().ready()
+    made.executor.start(TABLE)
+    while made.executor.ended is None:
+        made.executor.step()
+    made.desk.ask(Cause.HOLD)
+    made.go_on()
+    assert made.executor.state is State.IDLE
+    assert any("the run has come to its end" in text for *_, text in made.kept.log)
+
+
 def test_safe_by_construction() -> None:
     """A stop and a fault are taken everywhere; a start needs idle, and idle needs homing."""
     for state in State:

@@ -105,7 +105,7 @@ def test_what_is_said_is_seen_on_every_part_and_ends_are_kept(
     press_until(page, "Start", "running")
     press(page, "STOP")
     state(page, "idle")
-    expect(page.locator("#log")).to_contain_text("there.prg: stopped. NOT PROVEN")
+    expect(page.locator("#log")).to_contain_text("there.prg: stopped by the operator. NOT PROVEN")
     page.close()
 
 

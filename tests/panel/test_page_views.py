@@ -223,3 +223,34 @@ def test_a_seam(browser: Browser, plant: Plant) -> None:
     worst = page.locator("#error-line")
     expect(worst).to_have_text(re.compile(r"^worst at line \d+$"))
     page.close()
+
+
+@pytest.mark.parametrize(
+    "name, plant",
+    [(name, (name, 4.0)) for name in ("schiffli-frame", "lathe-winder")],
+    indirect=["plant"],
+)
+def test_a_view_is_seen_larger_by_the_keyboard(browser: Browser, plant: Plant, name: str) -> None:
+    """A picture of the whole work comes back with Fit."""
+    page = opened(browser, plant, name)
+    part(page, "Prepare")
+    expect(page.locator("#extent")).not_to_be_empty()
+
+    def drawn() -> bytes:
+        page.mouse.move(5, 5)
+        page.wait_for_timeout(600)
+        return page.locator("#space canvas").screenshot()
+
+    whole = drawn()
+    page.get_by_role("button", name="Larger", exact=True).focus()
+    page.keyboard.press("Enter")
+    page.keyboard.press("Enter")
+    larger = drawn()
+    assert larger != whole
+    page.get_by_role("button", name="Smaller", exact=True).focus()
+    page.keyboard.press("Enter")
+    assert drawn() not in (whole, larger)
+    page.get_by_role("button", name="Fit", exact=True).focus()
+    page.keyboard.press("Enter")
+    assert drawn() == whole
+    page.close()

@@ -48,9 +48,9 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
     press_until(page, "Start", "running")
     press(page, "STOP")
     state(page, "idle")
-    expect(page.locator("#log")).to_contain_text("there.prg: stopped. NOT PROVEN")
+    expect(page.locator("#log")).to_contain_text("there.prg: stopped by the operator. NOT PROVEN")
     expect(page.locator("#log li", has_text=re.compile("  stopped by"))).to_have_count(1)
-    once = re.compile(r"^stopped\. NOT PROVEN.*, stopped by the op")
+    once = re.compile(r"^stopped by the operator\. NOT PROVEN: it did not reach its end$")
     expect(page.locator("#progress-text")).to_contain_text(once)
     part(page, "Review")
     for told in ("stopped by the operator", "not proven"):

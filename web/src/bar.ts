@@ -22,6 +22,8 @@ const LOOKS: Record<string, string> = {
 const PREPARES: Record<string, string> = {
   connecting: "the machine is being prepared; the first time on a computer this takes up to a minute",
 };
+/** What somebody is to know whose page hears nothing. */
+const ALONE = "this page tries again; a run goes on, and another browser or the machine's own stop ends it";
 const FEED_MS = 250;
 export const STEP_PERCENT = 10;
 
@@ -56,7 +58,7 @@ export class Bar {
   /** Show the state as a chip, with its reason beside it. */
   tellState(state: State | null, refused: string): void {
     const word = state?.state ?? (refused ? "refused by the panel" : "no connection");
-    const why = state ? whyInWords(state) || PREPARES[state.state] || "" : refused;
+    const why = state ? whyInWords(state) || PREPARES[state.state] || "" : refused || ALONE;
     const told = `${word}\n${why}`;
     put(by("state").dataset, "look", state ? (LOOKS[state.state] ?? "") : "wrong");
     if (told === this.chip) return;

@@ -67,6 +67,7 @@ export class Buttons {
       (OF_PROGRAMS.has(what) && session.untaught) ||
       (this.ofChosen(one, what) && this.continuing.whole(this.traces.chosen)) ||
       (BY_PLACE.has(what) && byPlace) ||
+      (what === "start" && homeless && one.disabled && HOME_FIRST) ||
       (what === "override-feed" && overridden) ||
       (one.disabled && state !== null && session.waits(what)) ||
       ""

@@ -6,6 +6,7 @@ import type { Picture, Shown } from "./picture";
 import { colour, onTheme } from "./theme";
 import { onScreen, sizeOf } from "./visibility";
 import { before, isOf } from "./wording";
+import { Zoom } from "./zoom";
 
 /** Upper ends of the shares of a limit, and the colours of what lies below them. */
 const BANDS: [number, string, string][] = [
@@ -60,6 +61,7 @@ export class Cloth implements Picture {
   private dirty = true;
   private percent = 100; // feed override of the run
   private readonly seen: () => boolean;
+  private readonly part: Zoom; // that is seen
 
   /** @param recoloured called when other colours were chosen */
   constructor(recoloured: () => void) {
@@ -68,6 +70,9 @@ export class Cloth implements Picture {
     this.canvas.setAttribute("aria-label", "the cloth from above");
     this.element.append(this.told, this.canvas);
     this.seen = onScreen(this.element);
+    this.part = new Zoom(this.canvas, () => {
+      this.dirty = true;
+    });
     onTheme(() => {
       this.dirty = true;
     });
@@ -77,7 +82,10 @@ export class Cloth implements Picture {
     };
   }
 
+  readonly zoom = (factor: number): void => this.part.by(factor);
+
   show(job: Shown | null): void {
+    if (job?.program !== this.job?.program) this.part.by(0);
     this.job = job;
     this.dirty = true;
     this.put(null, null);
@@ -215,9 +223,11 @@ export class Cloth implements Picture {
     const [wide, tall] = [Math.max(high[0]! - low[0]!, 1e-4), Math.max(high[1]! - low[1]!, 1e-4)];
     const space = MARGIN * sharp;
     const scale = Math.min((this.canvas.width - 2 * space) / wide, (this.canvas.height - 2 * space) / tall);
-    const x = (at: number) => (this.canvas.width - wide * scale) / 2 + (at - low[0]!) * scale;
-    const y = (at: number) => (this.canvas.height + tall * scale) / 2 - (at - low[1]!) * scale;
-    const size = Math.max(1.5, Math.min(4, scale * 4e-4)) * sharp;
+    const { width, height } = this.canvas;
+    const x = (at: number) => this.part.seen((width - wide * scale) / 2 + (at - low[0]!) * scale, width, "x");
+    const y = (at: number) =>
+      this.part.seen((height + tall * scale) / 2 - (at - low[1]!) * scale, height, "y");
+    const size = Math.max(1.5, Math.min(4, scale * this.part.factor * 4e-4)) * sharp;
     for (let k = 0; k < stitches.x.length; k++) {
       const sewn = k < this.done;
       pen.globalAlpha = sewn ? 1 : 0.35;

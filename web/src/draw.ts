@@ -7,6 +7,7 @@ import type { Session } from "./session";
 import type { Fill, Kind, Point, Shape, Style } from "./shapes";
 import { bounds, filledTogether, LABEL_MM, middle, moved, NEEDS, pathData, scaled, turned } from "./shapes";
 import { say } from "./toasts";
+import { counted } from "./wording";
 
 const SVG = "http://www.w3.org/2000/svg";
 const NEAR_PX = 10;
@@ -14,8 +15,6 @@ const DASH: Record<Style, string> = { solid: "", dashed: "6 3", dotted: "1 3", d
 const MOST_UNDONE = 100;
 
 type Tool = Kind | "select";
-
-const counted = (number: number, what: string): string => `${number} ${what}${number === 1 ? "" : "s"}`;
 
 export class Draw {
   private shapes: Shape[] = [];

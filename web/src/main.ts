@@ -205,9 +205,15 @@ by("to-review").onclick = () => open("review");
 by("stop").onclick = () => session.link.stop();
 by("take").onclick = () => {
   const held = session.state?.control;
-  session.link.control(session.mine() ? (held?.asks != null ? "give" : "release") : "take");
+  giveBack(held?.asks != null ? "give" : "release");
 };
-by("release").onclick = () => session.link.control("release");
+by("release").onclick = () => giveBack("release");
+
+/** Take control, or give it to whoever asks for it, or release it. */
+function giveBack(word: "give" | "release"): void {
+  released = session.mine();
+  session.link.control(session.mine() ? word : "take");
+}
 by("token-enter").onclick = () => session.knock(value("token"));
 by("token").onkeydown = (event) => {
   if (event.key === "Enter") session.knock(value("token"));
@@ -239,6 +245,28 @@ function tellEnds(state: State): void {
   if (end !== toldEnd && end) tellEnd(end, !run!.verdict.startsWith("IN SPEC"));
   if (fault !== toldFault && fault) say(fault, true);
   [toldEnd, toldFault] = [end, fault];
+}
+
+let hadControl = false; // in the last state
+let askedForControl = false; // by this page, and not answered yet
+let released = false; // by this page
+
+/** Say what became of control, where this page has not done it itself. */
+function tellPassed(state: State): void {
+  const held = state.control;
+  const mine = session.mine();
+  const asks = held.asks === session.me;
+  if (askedForControl && !asks && held.client !== null)
+    say(mine ? "you have control now" : `${held.name} (${held.client}) keeps control`);
+  else if (hadControl && !mine && !released)
+    say(
+      held.client === null
+        ? "control was lost: take it again"
+        : `control has passed to ${held.name} (${held.client})`,
+      true,
+    );
+  [hadControl, askedForControl] = [mine, asks];
+  if (!mine) released = false;
 }
 
 /** Show who has control, and who asks for it. */
@@ -306,6 +334,7 @@ function show(state: State | null): void {
     jogging.disarm();
     return;
   }
+  tellPassed(state);
   tellControl(state);
   tellEnds(state);
   tellWork(state);

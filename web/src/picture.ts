@@ -20,6 +20,8 @@ export interface Picture {
   readonly element: HTMLElement;
   /** Whether a point of view can be chosen. */
   readonly turns: boolean;
+  /** See it larger by a factor, all of it with 0; none where all of it is always seen. */
+  readonly zoom?: (factor: number) => void;
   show(shown: Shown | null, mandrel: Mandrel | null): void;
   /** Show the machine in a state. */
   live(state: State): void;

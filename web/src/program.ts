@@ -1,6 +1,7 @@
 /** The program: load it, see it, calculate it, and run what was calculated. */
 
 import { asked, button, by, intoSight, made, put, tell, value } from "./dom";
+import { extentInWords } from "./extent";
 import type { Figures, Preview, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { toldEnd, toldRun, unitOf } from "./session";
@@ -12,6 +13,8 @@ type Field = HTMLInputElement | HTMLSelectElement;
 
 const OF_PROGRAM = 'Replaces every feed of the program: "36 mm/s", "2000 mm/min", "10 count/tick".';
 const OF_STITCHES = 'One speed for all stitches: "100 stitch/min".';
+const NO_PROGRAM =
+  "It is no program of this machine: it is a drawing, a table or a product, or work for another.";
 const LONG_S = 60; // from here on the time of day of the end is of use
 const EXISTS = 412; // status of an upload that would overwrite a file
 /** Fields of the options, generated from the table of options; an option has the name of its field. */
@@ -215,20 +218,21 @@ export class Program {
       answer = new Response(`${name} was not loaded: the file of that name is kept`, { status: EXISTS });
     const there = `${name} is in the project folder`;
     if (!answer.ok) say((await answer.text()).trim(), true);
-    else if (document.body.dataset.part === "prepare")
-      note(there); // its list shows it
-    else say(there);
     by<HTMLInputElement>("file").value = "";
-    await this.list(answer.ok ? name : "");
+    const names = await this.list(answer.ok ? name : "");
+    if (answer.ok && names && !names.includes(name)) say(`${there}. ${NO_PROGRAM}`);
+    else if (answer.ok && document.body.dataset.part === "prepare")
+      note(there); // its list shows it
+    else if (answer.ok) say(there);
     return answer.ok;
   }
 
-  /** Read the list of programs; choose one of them, if a drawing was loaded none. */
-  async list(wanted = ""): Promise<void> {
+  /** Read the list of programs and return it; choose one of them, if a drawing was loaded none. */
+  async list(wanted = ""): Promise<string[] | null> {
     const answer = await this.session.ask("/api/programs");
     if (!answer.ok) {
       say(await answer.text(), true);
-      return;
+      return null;
     }
     const names = (await answer.json()) as string[];
     const chosen = by<HTMLSelectElement>("program");
@@ -238,8 +242,8 @@ export class Program {
     chosen.replaceChildren(...(names.length ? names.map((name) => made("option", name)) : [none]));
     if (before) chosen.value = before;
     if (names.includes(wanted)) chosen.value = wanted;
-    if (wanted) await this.look();
-    else await this.lookOnce();
+    void (wanted ? this.look() : this.lookOnce());
+    return names;
   }
 
   /** Read the chosen program for the part of the page that shows it, unless it was read. */
@@ -263,6 +267,8 @@ export class Program {
     if (answer && !answer.ok) say((await answer.text()).trim(), true);
     if (this.preview && !this.preview.whole)
       say(`${program} is long: only its first ${this.preview.moves} moves are drawn`);
+    const shown = this.preview;
+    tell("extent", shown ? extentInWords(shown, (name) => unitOf(this.session, name)) : "");
     this.paced();
     this.previewed();
   }

@@ -7,7 +7,7 @@ import { sizeOf } from "./visibility";
 
 const SVG = "http://www.w3.org/2000/svg";
 const LEFT = 110; // as in the timing diagram below it
-const LEFT_NARROW = 70;
+const LEFT_NARROW = 80; // room for "165.27 mm"
 const RIGHT = 14;
 const BARREL = 22;
 const TALL = 66; // of a cylinder with its switches and valves

@@ -8,6 +8,7 @@ import type { Parts } from "./scheme";
 import { Steps } from "./steps";
 import { View3d } from "./view3d";
 
+const CLOSER = 1.5; // at each press
 const LONGEST_S = 15; // longest playing time of a simulation, s
 
 export class View {
@@ -29,6 +30,8 @@ export class View {
       this.playing = may ? performance.now() : null;
     };
     new ResizeObserver(() => this.picture?.resize()).observe(place);
+    for (const [id, factor] of Object.entries({ "zoom-in": CLOSER, "zoom-out": 1 / CLOSER, "zoom-fit": 0 }))
+      by(id).onclick = () => this.picture?.zoom?.(factor);
   }
 
   /** Draw a machine: a bed, the cylinders, or a cloth. */
@@ -59,6 +62,7 @@ export class View {
       this.picture = next;
     }
     put(by("seen-from"), "hidden", !next?.turns);
+    put(by("zoom"), "hidden", !next?.zoom);
     put(by("seen-as"), "hidden", true);
     next?.show(this.shown, this.shown?.mandrel ?? bare);
     next?.resize();

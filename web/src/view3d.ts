@@ -65,6 +65,15 @@ export class View3d implements Picture {
     onTheme(() => this.show(this.job, this.bare));
   }
 
+  readonly zoom = (factor: number): void => {
+    if (factor === 0) this.look();
+    const { target } = this.controls;
+    const from = this.camera.position.clone().sub(target);
+    this.camera.position.copy(target).addScaledVector(from, 1 / (factor || 1));
+    this.controls.update();
+    this.dirty = true;
+  };
+
   /** Show the path of a job; without one the bare machine. */
   show(job: Shown | null, mandrel: Mandrel | null): void {
     this.job = job;

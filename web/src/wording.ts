@@ -142,6 +142,11 @@ export function clock(seconds: number): string {
   return shown.map((one, k) => (k ? String(one).padStart(2, "0") : String(one))).join(":");
 }
 
+/** A number of things: "1 stitch", "185 stitches". */
+export function counted(number: number, one: string, many = `${one}s`): string {
+  return `${number} ${number === 1 ? one : many}`;
+}
+
 /** The time of day after some seconds: "13:07", or "1:07 PM" where people write it so. */
 export function timeOfDay(after_s: number, now = new Date()): string {
   const then = new Date(now.getTime() + 1000 * after_s);

@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { placeInWords } from "../src/bar";
+import { extentInWords } from "../src/extent";
 import type { Criterion, Figures, Progress } from "../src/messages";
 import { toldEnd } from "../src/session";
 import {
@@ -32,6 +33,29 @@ const criterion = (words: Partial<Criterion>): Criterion => ({
   required: false,
   note: "",
   ...words,
+});
+
+describe("what a program has", () => {
+  const unit = (name: string): [number, string] => (name === "A" ? [180 / Math.PI, "°"] : [1000, "mm"]);
+  const none = { planned: {}, moves: 0, stitches: null, steps: [] };
+
+  it("is its moves or steps and the way of each axis", () => {
+    const planned = { A: [0, Math.PI], X: [-0.01, 0.06, 0.02] };
+    expect(extentInWords({ ...none, planned, moves: 3 }, unit)).toBe(
+      "3 moves; A 0.0 to 180.0 °, X -10.0 to 60.0 mm",
+    );
+    const steps = [{ name: "cut", begin_s: 0, line: 1 }];
+    expect(extentInWords({ ...none, planned: { X: [0, 0.2] }, steps }, unit)).toBe(
+      "1 step; X 0.0 to 200.0 mm",
+    );
+    expect(extentInWords(none, unit)).toBe("0 moves");
+  });
+  it("is the size of a work that is sewn, and its threads", () => {
+    const stitches = { x: [0, 0.05], y: [0.01, 0.03], count: 185, threads: [null, "#f00"] };
+    expect(extentInWords({ ...none, stitches: stitches as unknown as Figures["stitches"] }, unit)).toBe(
+      "185 stitches, 50.0 x 20.0 mm, 2 threads",
+    );
+  });
 });
 
 describe("the end of a run", () => {

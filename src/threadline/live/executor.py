@@ -300,6 +300,7 @@ class Executor(AtRest):
         self._sink.state(self.tick, self.state, Cause.OVERRIDE, feed_words(percent))
 
     def _command(self, cause: Cause) -> None:
+        cause.refuse_after(self.ended)
         moving = self.state in MOVING
         waits = cause is Cause.HOLD and self._hold_at_rest
         self._go(cause, "it goes on to the next rest and stands there" if waits else "")

@@ -290,6 +290,7 @@ class GrblRun:
             self._lost(f"the controller was silent for {SILENCE_S:g} s")
 
     def _command(self, cause: Cause) -> None:
+        cause.refuse_after(self.ended)
         moving = self.state in MOVING
         if cause is Cause.RESUME and self._unready:
             raise CommandError(self._unready, remedy="Close the door, then go on.")
@@ -353,8 +354,7 @@ class GrblRun:
         if self._settled_s is not None:
             self.over = self._heard_s >= self._settled_s
             if self.over and self.state in (State.STOPPING, State.RUNNING):
-                stopping = self.state is State.STOPPING
-                self._go(Cause.AT_REST if stopping else Cause.COMPLETED)
+                self._go(Cause.AT_REST if self.state is State.STOPPING else Cause.COMPLETED)
             return
         self._overrides.take(found)
         if found.overrides is not None or self._overrides.waited_s(self._heard_s) > OBEYS_S:

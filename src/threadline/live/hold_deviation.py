@@ -318,10 +318,8 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Re
     if not waits:
         return f"a hold may stand {places}, within the limit"
     if rests_within(plan):
-        return f"a hold may stand {places}, so a hold stands at the next rest"
-    return (
-        f"a hold may stand {places}, so a hold waits for a rest, and there is none before the end"
-    )
+        return f"a hold may stand {places}, so it stands at the next rest"
+    return f"a hold may stand {places}, so it waits for a rest, and there is none before the end"
 
 
 def override_words(leaves_m: float, percent: int, spoiled: Sequence[Result]) -> str:

@@ -50,6 +50,20 @@ class Cause(StrEnum):
     OVERRIDE = "override"  # reported: speeds were changed; the state stays
     RESET = "reset"
 
+    def refuse_after(self, ended: object | None) -> None:
+        """Refuse to hold, or to go on with, a run that has come to its end: its machine settles.
+
+        Raises
+        ------
+        CommandError
+            If this is one of these, and the run has ``ended``.
+        """
+        if ended is not None and self in {Cause.HOLD, Cause.RESUME}:
+            raise CommandError(
+                f"{self.value!r} is not possible: the run has come to its end",
+                remedy="Wait until the machine has settled.",
+            )
+
 
 _S, _C = State, Cause
 

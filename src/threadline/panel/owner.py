@@ -306,6 +306,7 @@ class Owner:
             raise CommandError(
                 f"{cause.value!r} is not possible while the machine is {self._executor.state.value}"
             )
+        cause.refuse_after(self._executor.ended)
         if cause in (Cause.JOG, Cause.START) and self._moves.left:
             raise CommandError("the machine makes an earlier move", remedy="Wait.")
         if cause is Cause.START and self._runs.busy:

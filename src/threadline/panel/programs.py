@@ -194,7 +194,7 @@ def take_program(folder: Path, name: str, content: bytes, *, overwrite: bool) ->
     if not name.lower().endswith((*_ENDINGS, *_BESIDE)):
         raise JobError(
             f"{name[:60]!r} has a suffix of no format of jobs or drawings",
-            remedy=f"Known: {', '.join((*_ENDINGS, *_BESIDE))}.",
+            remedy=f"Known: {', '.join(dict.fromkeys((*_ENDINGS, *_BESIDE)))}.",
         )
     if len(content) > MOST_UPLOAD:
         raise JobError(
