@@ -21,6 +21,7 @@ from threadline.machine.firmware import (
     parse_answers,
     read_settings,
 )
+from threadline.machine.motion_planner import MarlinPlanner
 
 GRBL = """$0=10
 $11=0.020
@@ -245,6 +246,27 @@ def test_each_form_of_marlin_s_dump_is_read_as_its_own(
         settings = read(tmp_path, head + text)
         assert settings.form == named
         assert {key: said.value for key, said in settings.planner.items()} == meant
+
+
+@pytest.mark.parametrize(
+    ("told", "slower"),
+    [
+        ("FIRMWARE_NAME:Marlin 2.1.2.4 (Jan  1 2024)", True), ("echo:Marlin 1.1.9", True),
+        ("Marlin 2.0", True), ("FIRMWARE_NAME:Marlin 2.1.3 (Jan  1 2026)", False), ("", False),
+    ],
+)  # fmt: skip
+def test_the_version_of_marlin_says_what_bounds_a_corner(
+    told: str, slower: bool, tmp_path: Path
+) -> None:
+    """Where the settings do not tell it, a note says so."""
+    limits = "M92 X80 Y80\nM203 X200 Y200\nM201 X500 Y300\nM204 T800\nM205 J0.02\n"
+    settings = read(tmp_path, f"{told}\n{limits}")
+    assert any("corner_axes" in note for note in settings.notes) == (not told)
+    file = tmp_path / "machine.toml"
+    answers = parse_answers(["travel=300 mm"])
+    file.write_text(machine_text(settings, answers, "m", limits_only=True))
+    planner = load_machine(file).planner
+    assert isinstance(planner, MarlinPlanner) and planner.corner_axes == slower
 
 
 def test_a_jerk_that_is_not_said_is_marlin_s_and_told(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ Klipper's host, grbl's code and Marlin's are no packages: ``docs/equal.md`` says
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from tests.conftest import NO_FIRMWARE
 
 import threadline as tl
+from threadline.machine import load_machine
 from threadline.readback import grbl_steps, klipper_host, marlin_steps
 from threadline.readback.stepped import Steps, beside
 
@@ -30,11 +32,25 @@ def needs(missing: str) -> None:
         pytest.skip(f"{NO_FIRMWARE}{missing}")
 
 
+def machine_with(board: str, folder: Path) -> Path:
+    """Return the stepper winder with a planner, as the Marlin at hand has it."""
+    file = folder / "mine.toml"
+    text = f'base = "stepper-winder+{board}"\nname = "mine"\n'
+    if board == "marlin" and not marlin_steps.missing():
+        own = marlin_steps.bounds_axes_in_corners(Path(os.environ[marlin_steps.FOLDER]))
+        text += f"[planner]\ncorner_axes = {str(own).lower()}\n"
+    file.write_text(text)
+    return file
+
+
 @pytest.mark.parametrize("target", ["csv", "grbl", "klipper", "marlin", "reprapfirmware"])
-def test_a_winders_program_is_the_plan_on_each_of_its_boards(job: Path, target: str) -> None:
+def test_a_winders_program_is_the_plan_on_each_of_its_boards(
+    job: Path, target: str, tmp_path: Path
+) -> None:
     """The stepper winder with each planner, whose plan is what the firmware makes of the job."""
     board = "grbl" if target == "csv" else target
-    found = tl.equal(job, f"stepper-winder+{board}", [target], interpolation="firmware")
+    machine = machine_with(board, tmp_path)
+    found = tl.equal(job, machine, [target], interpolation="firmware")
     (one,) = found.targets
     assert found.passed and one.verdict in {"equal", "read back"}
     if one.verdict == "read back":
@@ -97,7 +113,7 @@ def test_grbls_own_code_follows_the_plan(job: Path, tmp_path: Path) -> None:
 def test_marlins_own_planner_follows_the_plan(job: Path, tmp_path: Path) -> None:
     """Within a step of each axis of the path; an end, a wait and a feed that changed are found."""
     needs(marlin_steps.missing())
-    machine = "stepper-winder+marlin"
+    machine = machine_with("marlin", tmp_path)
     (one,) = tl.equal(job, machine, ["marlin"], interpolation="firmware").targets
     assert (one.reader, one.verdict, one.unit) == ("Marlin's own planner", "equal", "m")
     assert one.time_s is not None and abs(one.time_s) < 0.003
@@ -113,6 +129,20 @@ def test_marlins_own_planner_follows_the_plan(job: Path, tmp_path: Path) -> None
             assert 1.0e-4 < one.place < 1.6e-4
         else:
             assert abs(one.time_s) > 0.09
+
+
+def test_another_marlin_than_the_machines_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """An older planner has other times in corners; the machine file has to name it."""
+    code = tmp_path / "src/module/planner.cpp"
+    code.parent.mkdir(parents=True)
+    code.write_text("x = limit_value_by_axis_maximum(block->acceleration, way);")
+    monkeypatch.setenv(marlin_steps.FOLDER, str(tmp_path))
+    machine = load_machine("stepper-winder+marlin")
+    assert "corner_axes = true" in marlin_steps.apart(machine)
+    code.write_text("x = block->acceleration;")
+    assert marlin_steps.apart(machine) == ""
 
 
 @pytest.mark.parametrize("short", [True, False])

@@ -2,8 +2,12 @@
 
 ``COUNTED_S`` are the times of Marlin's own planner, of bugfix-2.1.x on the way to 2.1.3, compiled
 by itself (``marlin_planner``) and kept full. The last test asks it anew, where
-``THREADLINE_MARLIN`` names the folder ``Marlin`` of a checkout. Moves are long and short, of X, Y
-and Z, and of a mandrel A beside and alone, at speeds from 2 to 200 mm/s; an axis may be slow.
+``THREADLINE_MARLIN`` names the folder ``Marlin`` of a checkout. ``COUNTED_BY_AXES_S`` are the
+times of bugfix-2.1.x of September 2024, whose speed through a corner the acceleration of each axis
+also bounds (``corner_axes``); where a time is in ``COUNTED_S`` alone, both are the same.
+
+Moves are long and short, of X, Y and Z, and of a mandrel A beside and alone, at speeds from 2 to
+200 mm/s; an axis may be slow.
 Marlin computes with 24 bits: where a number of steps falls on the edge between two, one step more
 at a slow end takes up to a tenth of a percent.
 """
@@ -25,6 +29,7 @@ from threadline.machine.quantity import parse_machine_quantity
 from threadline.motion.path.types import PieceBlock
 from threadline.motion.timing.firmware import trapezoids
 from threadline.motion.timing.firmware.rules import Rules
+from threadline.readback import marlin_steps
 
 AXES = ("X", "Y", "Z", "A")
 SI = np.array([1e3, 1e3, 1e3, np.degrees(1.0)])
@@ -86,14 +91,19 @@ def made(seed: int) -> Program:
     return Program(*limits, float(travel), np.array(points), np.array(speeds))
 
 
-def planner(corners: str, travel: float) -> MarlinPlanner:
+def planner(corners: str, travel: float, by_axes: bool) -> MarlinPlanner:
     def number(value: float, shown: str, unit: str):
         return parse_machine_quantity(f"{value} {shown} exact, assumed", (unit,))
 
     acceleration = number(travel, "mm/s^2", "m/s^2")
     if corners == "deviation":
         deviation = number(DEVIATION, "mm", "m")
-        return MarlinPlanner(kind="marlin", junction_deviation=deviation, acceleration=acceleration)
+        return MarlinPlanner(
+            kind="marlin",
+            junction_deviation=deviation,
+            acceleration=acceleration,
+            corner_axes=by_axes,
+        )
     jump = {
         axis: number(v, "deg/s", "rad/s") if axis == "A" else number(v, "mm/s", "m/s")
         for axis, v in zip(AXES, JUMPS, strict=True)
@@ -101,7 +111,9 @@ def planner(corners: str, travel: float) -> MarlinPlanner:
     return MarlinPlanner(kind="marlin", jump=jump, acceleration=acceleration)
 
 
-def our_time(program: Program, corners: str, at_once: int = 1000) -> float:
+def our_time(
+    program: Program, corners: str, at_once: int = 1000, *, by_axes: bool = False
+) -> float:
     """Return the time in s, with so many moves read at once."""
     ends = np.vstack([np.zeros(4), program.points])
     way = np.diff(ends, axis=0)
@@ -119,7 +131,12 @@ def our_time(program: Program, corners: str, at_once: int = 1000) -> float:
         line=np.arange(count),
     )
     rules = Rules(
-        planner(corners, program.travel), AXES, SI, program.rate, program.most, program.steps
+        planner(corners, program.travel, by_axes),
+        AXES,
+        SI,
+        program.rate,
+        program.most,
+        program.steps,
     )
     moves, blocks = trapezoids.moves_of(rules), []
     for first in range(0, count, at_once):
@@ -169,10 +186,31 @@ COUNTED_S: dict[tuple[int, str], float] = {
     (17, "jumps"): 13.956733,
 }
 
+COUNTED_BY_AXES_S = {
+    2: 4.178153,
+    3: 1.048345,
+    4: 55.809804,
+    6: 197.859148,
+    8: 6.149874,
+    9: 2.742025,
+    12: 942.270838,
+    13: 71.096383,
+    14: 44.035419,
+    15: 1.010364,
+    16: 167.844783,
+    17: 5.374012,
+}
+
 
 @pytest.mark.parametrize(("seed", "corners"), COUNTED_S)
 def test_marlin_takes_the_time_of_its_own_planner(seed: int, corners: str) -> None:
     assert our_time(made(seed), corners) == pytest.approx(COUNTED_S[seed, corners], rel=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(18))
+def test_an_older_marlin_is_slower_in_the_corners_of_slow_axes(seed: int) -> None:
+    counted_s = COUNTED_BY_AXES_S.get(seed, COUNTED_S[seed, "deviation"])
+    assert our_time(made(seed), "deviation", by_axes=True) == pytest.approx(counted_s, rel=2e-3)
 
 
 def test_most_of_these_times_are_the_same_to_24_bits() -> None:
@@ -187,10 +225,14 @@ def test_moves_of_a_few_steps_wait_for_the_next_however_they_are_read(seed: int)
 
 
 def test_marlins_own_planner_takes_as_long(tmp_path: Path) -> None:
-    """By both rules of corners; speeds that follow S-curves take the same times."""
+    """By both rules of corners; speeds that follow S-curves take the same times.
+
+    The code of the checkout says whether it is an older one.
+    """
     marlin = marlin_planner.installed()
     if marlin is None:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_MARLIN names the folder Marlin of a checkout")
+    by_axes = marlin_steps.bounds_axes_in_corners(marlin)
     apart = []
     for (corners, curved), own in marlin_planner.built(marlin, tmp_path).items():
         for seed in range(RANDOM_PROGRAMS):
@@ -203,7 +245,8 @@ def test_marlins_own_planner_takes_as_long(tmp_path: Path) -> None:
                 "corner": DEVIATION if corners == "deviation" else np.array(JUMPS),
             }
             time_s = marlin_planner.time_on_marlin(own, settings, program.points, program.speed)
-            apart.append(abs(our_time(program, corners) / time_s - 1.0))
+            ours_s = our_time(program, corners, by_axes=by_axes and corners == "deviation")
+            apart.append(abs(ours_s / time_s - 1.0))
             assert apart[-1] < 2e-3, (seed, corners, curved)
     print(f"{len(apart)} runs: median {np.median(apart):.1e}, at most {max(apart):.1e}")
     assert np.median(apart) < 1e-6

@@ -57,6 +57,10 @@ class MarlinPlanner(Planner):
     """Marlin."""
     junction_deviation: Deviation | None = None
     """``M205 J``. Without it: ``jump``."""
+    corner_axes: StrictBool = False
+    """Whether the acceleration of each axis also bounds the speed through a corner by
+    ``junction_deviation``: ``true`` for Marlin up to 2.1.2, and for bugfix-2.1.x up to summer
+    2025."""
     jump: dict[str, Jump] = Field(default_factory=dict)
     """Step of speed that each axis may make at a corner, by letter (``M205 X Y Z``, "jerk").
     Without it: ``junction_deviation``."""
@@ -75,6 +79,10 @@ class MarlinPlanner(Planner):
             raise ValueError(
                 "corner speed follows junction_deviation (M205 J) or jump (M205 X Y Z): give "
                 "exactly one of them"
+            )
+        if self.corner_axes and self.jump:
+            raise ValueError(
+                "corner_axes belongs to junction_deviation (M205 J): remove it beside jump"
             )
         return self
 

@@ -56,6 +56,8 @@ class Oracle:
         Whether the place is compared at the same instant; if not, it is the distance from the path.
     slack_s
         Time by which a step may differ besides its share of the time, s.
+    apart
+        Function of a machine that returns what this code does otherwise than its file says.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Oracle:
     run: Callable[[Path, Machine, Sequence[str], Mapping[str, float]], dict[str, Steps]]
     same_instant: bool
     slack_s: float = 0.0
+    apart: Callable[[Machine], str] = lambda _machine: ""
 
 
 ORACLES: Mapping[str, Oracle] = {
@@ -88,6 +91,7 @@ ORACLES: Mapping[str, Oracle] = {
         unfit=marlin_steps.unfit,
         run=marlin_steps.steps_on_marlin,
         same_instant=False,
+        apart=marlin_steps.apart,
     ),
 }
 """By target. Firmwares without an entry are read back by Threadline alone."""
@@ -178,6 +182,7 @@ def _found(
         wrong = f"it leaves the path of the plan by {1e6 * read.place:.3g} um at {read.at}"
     compared = "with the plan" if of_plan else "with the model of its planner"
     note = f"steps compared {compared}; ends of moves within {1e6 * read.place:.2g} um; "
+    note += "".join(f"{why}; " for why in (oracle.apart(plan.machine),) if why)
     one = Found(
         reader=oracle.name,
         place=found.off,

@@ -79,6 +79,29 @@ def missing() -> str:
     return ""
 
 
+def bounds_axes_in_corners(marlin: Path) -> bool:
+    """Return whether the acceleration of each axis bounds this Marlin's speed through a corner.
+
+    By ``corner_axes`` a machine file says the same of its own Marlin.
+    """
+    text = (marlin / "src/module/planner.cpp").read_text(encoding="utf-8", errors="replace")
+    return "limit_value_by_axis_maximum(block->acceleration" in text
+
+
+def apart(machine: Machine) -> str:
+    """Return what this Marlin does otherwise than the machine file says; empty for nothing."""
+    planner = machine.planner
+    if not isinstance(planner, MarlinPlanner) or planner.jump:
+        return ""
+    own = bounds_axes_in_corners(Path(os.environ[FOLDER]))
+    if own == planner.corner_axes:
+        return ""
+    return (
+        f"the Marlin that {FOLDER} names has corner_axes = {str(own).lower()}, the "
+        f"machine file {str(planner.corner_axes).lower()}: speeds in corners may differ"
+    )
+
+
 def unfit(machine: Machine, axes: Sequence[str]) -> str:
     """Return why a job with these axes has no place on this Marlin; empty if it has one."""
     turning = [axis for axis in axes if machine.axes[axis].kind == "rotary"]

@@ -104,6 +104,7 @@ _PLANNER_KEYS = {
     "linuxcnc": {"tolerance": "mm", "cam_tolerance": "mm"},
 }  # fmt: skip
 """Unit of each key of [planner]."""
+_SWITCHES = ("exact_stop", "corner_axes")
 _KLIPPER_WORDS = {"velocity": "max_velocity", "acceleration": "max_accel"}
 DEFAULTS = {"rotor": "3.2e-5 kg m^2", "friction": "0.03 N m"}
 _UNITS = {
@@ -348,8 +349,7 @@ def _planner(settings: Settings, turning: str) -> Iterator[str]:
             if key.removeprefix("jump.") in settings.axes
         )
         yield f"jump = {{ {', '.join(texts)} }}"
-    if "exact_stop" in said:
-        yield "exact_stop = true"
+    yield from (f"{key} = true" for key in _SWITCHES if key in said)
     if settings.unheeded:
         texts = (f'"{_printable(text)}"' for text in settings.unheeded)
         yield f"left_out = [{', '.join(texts)}]"

@@ -43,6 +43,8 @@ _WORD = re.compile(r"\s*([A-LN-Z])\s*(-?(?:\d+\.?\d*|\.\d+))(?![\d.])")
 _COMMENT = re.compile(r"\s*(?:$|[;#(<*/>-].*|=.*)")
 _HEEDED = (206, 420, 425, 493, 593, 665, 666, 852)
 _ASSUMED = "default of marlin"
+_ALONE = (2, 1, 3)
+"""Version from which the acceleration of the axes does not bound the speed through a corner."""
 _DEFAULT_JERK = {FIRST: {"X": "20", "Y": "20", "Z": "0.4"}}
 _LATER_JERK = {"X": "10", "Y": "10", "Z": "0.3"}
 
@@ -54,18 +56,21 @@ class _Evidence:
     kimbra: bool = False
     first: bool = False
     later: bool = False
+    version: tuple[tuple[int, ...], Place] | None = None  # as a line of M115 or the start tells it
     of_both: bool = False  # a comment says that the jerk of X also applies to Y
     stealth: bool = False  # lines of Prusa's second motor mode follow
 
-    def note(self, text: str) -> None:
+    def note(self, text: str, place: Place) -> None:
         """Use a line that is not a command, in lower case."""
         if "acceleration" in text and "retract" in text:
             self.kimbra |= "v=travel" in text or " v<" in text
             self.first |= "s=acceleration" in text
             self.later |= "t=travel" in text or "t<travel" in text
-        version = re.match(r"marlin\s*v?(\d+)\.(\d+)", text)
+        version = re.match(r"(?:firmware_name:\s*)?marlin\s*v?(\d+)\.(\d+)(?:\.(\d+))?", text)
         if version is not None:
-            self.later |= (int(version[1]), int(version[2])) >= (1, 1)
+            numbers = tuple(int(number or 0) for number in version.groups())
+            self.later |= numbers >= (1, 1)
+            self.version = numbers, place
         self.of_both |= "maximum xy jerk" in text
         if text.startswith(("maximum ", "; maximum ")):
             self.stealth = "stealth" in text
@@ -131,7 +136,7 @@ def _prose(text: str, place: Place, evidence: _Evidence) -> None:
     bare = re.split(r"[;#]", text, maxsplit=1)[0]
     if _COUNTS.search(bare) is not None and not text.lower().startswith("unknown command"):
         raise unknown(text, place, "echo:  M92 X80.00 Y80.00, with nothing before the M")
-    evidence.note(text.lower())
+    evidence.note(text.lower(), place)
 
 
 def _words(text: str) -> tuple[dict[str, str], str]:
@@ -229,11 +234,10 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[DumpSetti
 def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str]) -> None:
     """Give every axis its jerk, if corner speed is limited by jerk."""
     said = settings.planner
-    if "junction_deviation" in said:
-        return
     by_jerk = any(key.startswith("jump.") for key in said)
-    if not by_jerk and form == LATER:
-        return  # by junction deviation, with its default value
+    if "junction_deviation" in said or (not by_jerk and form == LATER):
+        _bounds(settings, evidence)
+        return  # by junction deviation, with its default value where none is given
     whole = evidence.of_both or form == FIRST or "M205 Z" in keys
     if "jump.X" in said and "jump.Y" not in said and "Y" in settings.axes and whole:
         said["jump.Y"] = said["jump.X"]
@@ -253,6 +257,19 @@ def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str])
             )
         settings.set_planner(f"jump.{axis}", default, Place(settings.file), _ASSUMED)
         settings.notes.append(f"no jerk of {axis}: {default} mm/s, the default of {form}")
+
+
+def _bounds(settings: Settings, evidence: _Evidence) -> None:
+    """Set whether the acceleration of each axis bounds the speed through a corner."""
+    if evidence.version is None:
+        settings.notes.append(
+            "M503 does not tell the version (M115 does): Marlin up to 2.1.2 is slower in some "
+            "corners, and needs corner_axes = true in [planner]"
+        )
+        return
+    version, place = evidence.version
+    if version < _ALONE:
+        settings.set_planner("corner_axes", "1", place, "Marlin " + ".".join(map(str, version)))
 
 
 def _heed(settings: Settings, code: int, text: str, place: Place) -> None:

@@ -114,7 +114,7 @@ def along_axes(limits: FloatArray, directions: FloatArray) -> FloatArray:
 
 def by_junction_deviation(
     moves: Moves,
-    acceleration: FloatArray,
+    acceleration: FloatArray | None,
     deviation: float,
     *,
     most: FloatArray | None = None,
@@ -127,12 +127,12 @@ def by_junction_deviation(
     moves
         n moves.
     acceleration
-        (axes,) limits of the axes.
+        (axes,) limits of the axes along the change of direction; None for none.
     deviation
         Junction deviation in the unit of length of the moves.
     most
-        (n,) acceleration of each move, an upper bound at the corner where it begins; None for the
-        limits of the axes only.
+        (n,) acceleration of each move, an upper bound at the corner where it begins; None for none,
+        as in grbl.
     arcs
         Whether short moves that bend by less than 45 degrees count as chords of an arc.
     """
@@ -141,7 +141,9 @@ def by_junction_deviation(
     bend = after - before
     size = np.linalg.norm(bend, axis=1)
     size[size == 0.0] = 1.0
-    limit = along_axes(acceleration, bend / size[:, None]) if most is None else most[1:]
+    limit = np.full(len(bend), np.inf) if most is None else most[1:]
+    if acceleration is not None:
+        limit = np.minimum(limit, along_axes(acceleration, bend / size[:, None]))
     # Marlin clamps the cosine at -1; grbl accepts any speed there.
     half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -_STRAIGHT, 1.0)))
     square = limit * deviation * half / (1.0 - half)
@@ -390,7 +392,7 @@ class Rules:
             assert isinstance(planner, MarlinPlanner) and planner.junction_deviation is not None
             between = by_junction_deviation(
                 moves,
-                self.acceleration,
+                self.acceleration if planner.corner_axes else None,
                 planner.junction_deviation.si * MM,
                 most=moves.acceleration,
                 arcs=True,
