@@ -163,7 +163,7 @@ def fastest_paced(
         If the time is over before a pace was judged.
     """
     stretches = list(paced.planned_at)
-    trials = TrialShares(asked.progress, "searching", 0.0)
+    trials = TrialShares(question.progress, "searching", 0.0)
 
     def judged_at(planned_at: Callable[[float], Plan], pace: float, before: int) -> Verdict:
         try:
