@@ -289,7 +289,7 @@ class FeedOutput(SearchOutput):
     @property
     def _beside_feed(self) -> str:
         """What sets the time of the best plan where a higher feed does not shorten it."""
-        share = dwells_s(self.asked.job) / (self.of.best.duration_s or math.inf)
+        share = dwells_s(self.question.job) / (self.of.best.duration_s or math.inf)
         dwells = f"dwells (G4, {100.0 * share:.0f} % of the time)"
         if share >= _DWELLS_ALONE:
             return dwells
@@ -344,7 +344,7 @@ class FeedOutput(SearchOutput):
             "feed": self.question.job.feed_rule if by_word else result.by.value,
             "limits": result.best.share,
             "duration_s": result.best.duration_s,
-            "dwells_s": dwells_s(self.asked.job),
+            "dwells_s": dwells_s(self.question.job),
             "enough": result.enough,
             "moves": result.moves,
             "judged_moves": result.judged_moves,
