@@ -41,6 +41,7 @@ from tools.fuzz_measured import fuzz_measured
 from tools.fuzz_metamorphic import fuzz_metamorphic
 from tools.fuzz_programs import fuzz_programs
 from tools.fuzz_recordings import fuzz_recordings
+from tools.fuzz_windings import SHORT
 
 from threadline.errors import ThreadlineError
 from threadline.jobs import read_job
@@ -359,7 +360,8 @@ SEEDS: dict[str, list[bytes]] = {
     "par": [_PAR, _PAR + b"3 ; axes\n2 ; Kp\n4 ; Kd\n"],
     "machine": [p.read_bytes() for p in sorted(LIBRARY.glob("*.toml")) if ".spec." not in p.name],
     "spec": [p.read_bytes() for p in sorted(LIBRARY.glob("*.spec.toml"))],
-    "winding": [(EXAMPLES / f"{name}.wind.toml").read_bytes() for name in ("vessel", "tube")],
+    "winding": SHORT
+    + [(EXAMPLES / f"{name}.wind.toml").read_bytes() for name in ("vessel", "tube")],
     "layers": [
         p.read_bytes()
         for p in sorted(ROOT.glob("*/**/*.wind.toml"))

@@ -11,12 +11,15 @@ import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.jobs.made_machines import made_machine
 
 import threadline as tl
+from threadline.cli.fastest_output import FeedOutput
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, PlanError
@@ -28,7 +31,10 @@ from threadline.proof.option_words import feed_words, parse_feed
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import plan_job, write
 from threadline.proof.request import Words
+from threadline.search.allowance import FastestJob, Rung
+from threadline.search.fastest import Fastest
 from threadline.search.feed import search_range, searched_by
+from threadline.search.feed_ranges import Interval
 from threadline.search.least_limits import fastest_job
 from threadline.search.paced import Question
 from threadline.search.question import question_of
@@ -233,6 +239,22 @@ def test_a_winding_is_searched_in_one_run_and_judged_over_the_tolerances(
     over = [percent for machines, percent in tried if machines]
     assert len(over) <= 6 and over[0] == pytest.approx(1000.0, rel=0.02)
     assert sum(percent <= 666.7 for percent in over) <= 3
+
+
+@pytest.mark.parametrize(("whole", "said"), [(True, "at the level asked for"), (False, "prove it")])
+def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: str) -> None:
+    result = Result(
+        name="contour_error", axis="", measured=1e-3, limit=2e-3, unit="m", status=Status.PASSED
+    )
+    verdict = Verdict(results=(result,), simulated=True)
+    found = Fastest(
+        intervals=(Interval(low=0.1, high=0.5),), limited_by="x", verdict=verdict, tried=3
+    )
+    rung = Rung(share=0.25, found=found, duration_s=1.0)
+    job = FastestJob(best=rung, rungs=(rung,), in_one_run=True, whole=whole)
+    found_by: Any = SimpleNamespace(asked=SimpleNamespace(margin=0.0), of=job)
+    (line,) = FeedOutput(found_by, "job")._judged()
+    assert line.startswith("the feeds of the table pass in one run of each plan") and said in line
 
 
 def test_an_error_over_the_tolerances_that_no_feed_mends_ends_the_search(
