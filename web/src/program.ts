@@ -115,7 +115,7 @@ export class Program {
     put(by("feed").closest<HTMLElement>("[data-option]")!, "hidden", !feeds);
     put(by<HTMLInputElement>("feed"), "disabled", this.priority !== "programmed");
     const [name, empty, told] = this.session.embroiders
-      ? ["Speed", "as fast as each stitch allows", OF_STITCHES]
+      ? ["Speed", "the fastest of each stitch", OF_STITCHES]
       : ["Feed", "as programmed", OF_PROGRAM];
     put(document.querySelector<HTMLElement>("label[for=feed]")!, "textContent", name);
     put(by<HTMLInputElement>("feed"), "placeholder", empty);
