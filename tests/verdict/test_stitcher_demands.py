@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from threadline.files import ChannelKind, Clock
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import REPEATED, plan_job, prove_plan
-from threadline.verdict import Status, Verdict, load_spec
+from threadline.verdict import Status, Verdict, judge, load_spec
+
+from .builders import record
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STEEP, SLOW = "stitcher-steep.seam.toml", "stitcher-test-path.seam.toml"
@@ -83,3 +89,35 @@ def test_a_needle_that_would_have_to_wait_fails() -> None:
     """Of a seam with a constant needle, by a plan whose times are a spline, not turns of it."""
     verdict = proved(SLOW, "20 stitch/s", Options())
     assert "needle_time_error" in failed(verdict)
+
+
+def test_a_recording_of_few_samples_does_not_fail_a_run_that_keeps_its_demands() -> None:
+    """Means over 5 ms and more see a start early and the speed late: 2.1 to 3 stitches of 1.9."""
+    machine = load_machine("stitcher")
+    job = read_job(EXAMPLES / "stitcher-even.seam.toml", machine)
+    options = options_of("auto", None, "0.1 mm", feed_forward=True, robust="0 %")
+    plan, spec = plan_job(job, machine, options), load_spec(None, machine)
+    proof = prove_plan(plan, spec)
+    assert proof.verdict.passed
+    kinds = (ChannelKind.COMMANDED, ChannelKind.LOAD)
+    names = [f"{axis}.{kind}" for kind in kinds for axis in plan.axes]
+    samples = proof.recording.samples_of([*names, "operation"])
+    columns = [np.column_stack([samples[f"{axis}.{kind}"][1] for axis in plan.axes])
+               for kind in kinds]  # fmt: skip
+    late = []
+    for every in (2, 3, 5, 8, 10, 13):
+        thin = record(
+            plan.axes, dict(zip(kinds, (one[::every] for one in columns), strict=True)),
+            samples["operation"][1][::every], clock=Clock("logger", Fraction(every, 1000)),
+            job_sha256=plan.job.sha256, simulated=False,
+        )  # fmt: skip
+        assert not failed(judge([thin], plan, spec)), every
+        # A head that takes a stitch longer than the limit and both ends fails all the same.
+        strict = tuple(
+            replace(one, limit=0.2) if one.name == "stitches_to_speed" else one
+            for one in spec.criteria
+        )
+        late.append(
+            "stitches_to_speed" in failed(judge([thin], plan, replace(spec, criteria=strict)))
+        )
+    assert all(late)

@@ -52,9 +52,13 @@ class Hidden:
         if math.isfinite(self.most):
             allowed_s = self.interval_s * math.sqrt(max(room, 0.0) / self.most)
         return (
-            f"{self.channel} has a sample every {1e3 * self.interval_s:.4g} ms: {self.why}; "
-            f"record every {1e3 * allowed_s:.3g} ms at least{self.instead}"
+            f"{self.every}{self.why}; record every {1e3 * allowed_s:.3g} ms at least{self.instead}"
         )
+
+    @property
+    def every(self) -> str:
+        """The channel and the time between its samples, in words."""
+        return f"{self.channel} has a sample every {1e3 * self.interval_s:.4g} ms: "
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,13 +112,9 @@ class Finding:
         fails only with what may be too much of it is not measured.
         """
         if self._may_be_too_large(limit, status):
-            assert self.value is not None
-            told = "" if self.hidden is None else f"{self.hidden.channel} has a sample every "
-            told += "" if self.hidden is None else f"{1e3 * self.hidden.interval_s:.4g} ms: "
-            note = (
-                f"{told}of the {1e3 * self.value:.4g} mm that they show up to {1e3 * self.over:.4g}"
-                " mm may come of straight lines between them; record at each tick"
-            )
+            every = "" if self.hidden is None else self.hidden.every
+            note = f"{every}what is above the limit may come of straight lines between them"
+            note += "; record at each tick"
             return Finding(value=None, axis=self.axis, step=self.step, note=note)
         if not self.unseen:
             return self._between(limit, status)

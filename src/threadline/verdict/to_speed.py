@@ -75,8 +75,8 @@ class _Head:
             return self._due_s[at + 1], self._ups[at + 1][1]
         return None
 
-    def count(self, value: float, at: Instant, note: str) -> None:
-        """Keep a count if it is the largest."""
+    def count(self, value: float, at: Instant, note: str, over: float) -> None:
+        """Keep a count if it is the largest; ``over``: by how much it may be too large."""
         if self.worst is None or self.worst.value is None or value > self.worst.value:
             self.worst = Finding(
                 value=value,
@@ -84,6 +84,7 @@ class _Head:
                 operation=at.operation,
                 position=at.position,
                 note=note,
+                over=over,
             )
 
 
@@ -118,6 +119,9 @@ class _ToSpeed:
         interval_s = self._every * setting.interval_s
         self._span = max(round(over_s / interval_s), 1)
         self._over_s = self._span * interval_s
+        # Coarser means see a start too early and a speed too late, each by less than a mean.
+        coarse = self._over_s > over_s and setting.coarse
+        self._late_s = 2.0 * self._over_s if coarse else 0.0
         self._sews = self._run is not None
         self._turn_s = 0.0  # the longest turn of the needle so far
         self._tail: list[FloatArray] = []
@@ -328,7 +332,8 @@ class _ToSpeed:
         for head in self._heads:
             left_s = head.left(dip.stop.due_s)
             if left_s is not None and not np.isnan(gone_s):
-                head.count(max(gone_s - left_s, 0.0) / dip.period_s, dip.stop, note)
+                turns = max(gone_s - left_s, 0.0) / dip.period_s
+                head.count(turns, dip.stop, note, self._late_s / dip.period_s)
 
     def _started(self, dip: Dip, came: Sequence[tuple[float, Instant] | None]) -> None:
         """Count from the start of the command until each head has its speed."""
@@ -339,7 +344,8 @@ class _ToSpeed:
             moved_s, note = needle_s + self._delay_s, _STARTS[2]
         for head, there in zip(self._heads, came, strict=True):
             if there is not None and not np.isnan(moved_s):
-                head.count(max(there[0] - moved_s, 0.0) / dip.rise_period_s, there[1], note)
+                turns = max(there[0] - moved_s, 0.0) / dip.rise_period_s
+                head.count(turns, there[1], note, self._late_s / dip.rise_period_s)
 
 
 _STARTS = ("from where it is slowest", "from the first movement", "from the first needle-down")
