@@ -95,11 +95,8 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
 ) -> None:
     """On each part: STOP in the same corner, the state, hold and time left above the fold."""
     page = opened(browser, plant)
-    bar_leaves_room_on_all(page)  # nobody has control
     ready(page)
-    bar_leaves_room_on_all(page)
     calculate(page)
-    bar_leaves_room_on_all(page)
     press_until(page, "Start", "running")
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
@@ -121,8 +118,6 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
             assert hold["y"] + hold["height"] < height / 2
         assert len(corners) == 1
         assert max(next(iter(corners))) < 16
-    press_until(page, "Hold", "holding")
-    bar_leaves_room_on_all(page)
     if AXE.exists():  # what is drawn in a run has names, also before it was scrolled into sight
         page.set_viewport_size({"width": SIZES[0][0], "height": SIZES[0][1]})
         part(page, "Run")
@@ -131,7 +126,28 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
         assert findings(page) == []
     press(page, "STOP")
     state(page, "idle")
-    expect(page.locator("#progress-text")).to_contain_text("stopped")
+    page.close()
+
+
+@pytest.mark.parametrize("plant", [("lathe-winder", 0.1)], indirect=True)
+def test_the_bar_leaves_room_in_each_state(browser: Browser, plant: Plant) -> None:
+    page = opened(browser, plant)
+    bar_leaves_room_on_all(page)  # nobody has control
+    press(page, "Take control")
+    press_until(page, "Enable", "enabled")
+    bar_leaves_room_on_all(page)
+    press_until(page, "Home all", "homing|idle")
+    state(page, "idle")
+    calculate(page)
+    expect(page.locator("#next")).to_have_text("Next: start")
+    bar_leaves_room_on_all(page)
+    press_until(page, "Start", "running")
+    bar_leaves_room_on_all(page)
+    press_until(page, "Hold", "holding")
+    bar_leaves_room_on_all(page)
+    press(page, "STOP")
+    state(page, "idle")
+    expect(page.locator("#progress-text")).to_contain_text("did not reach its end")
     bar_leaves_room_on_all(page)
     page.close()
 

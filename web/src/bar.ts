@@ -23,7 +23,7 @@ const PREPARES: Record<string, string> = {
   connecting: "the machine is being prepared; the first time on a computer this takes up to a minute",
 };
 /** What somebody is to know whose page hears nothing. */
-const ALONE = "this page tries again; a run goes on, and another browser or the machine's own stop ends it";
+const ALONE = "trying again; a run goes on without this page";
 const FEED_MS = 250;
 export const STEP_PERCENT = 10;
 

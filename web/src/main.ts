@@ -332,6 +332,8 @@ function show(state: State | null): void {
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) {
     jogging.disarm();
+    bar.tellNext(null);
+    next = null;
     return;
   }
   tellPassed(state);

@@ -43,7 +43,7 @@ export function nextStep(state: State, known: Known): Step | null {
   if (known.wantsReason)
     return { what: "reason", text: "out of spec: change it, or give a reason", part: "prepare" };
   if (!known.atStart && may("approach"))
-    return { what: "approach", text: "hold Approach to go to the beginning", part: "" };
+    return { what: "approach", text: "Approach (hold it down)", part: "" };
   if (!known.atStart && may("home"))
     return { what: "home", text: "home the machine: the program begins there", part: "run" };
   return may("start") ? { what: "start", text: "start", part: "" } : null;

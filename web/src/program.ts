@@ -7,7 +7,7 @@ import type { Session } from "./session";
 import { toldEnd, toldRun, unitOf } from "./session";
 import { note, say } from "./toasts";
 import { tellVerdict } from "./verdict";
-import { timeOfDay } from "./wording";
+import { isOf, timeOfDay } from "./wording";
 
 type Field = HTMLInputElement | HTMLSelectElement;
 
@@ -308,7 +308,7 @@ export class Program {
     if (state.calculating !== null) return `calculating, ${Math.round(state.calculating * 100)} %`;
     const run = state.progress;
     if (!run) return "";
-    if (run.ended) return run.program === state.proven?.program ? toldEnd(run) : toldRun(run);
+    if (run.ended) return isOf(state.proven?.program ?? "", run.program) ? toldEnd(run) : toldRun(run);
     const left = (Math.max(run.duration_s - run.time_s, 0) * 100) / state.feed_percent;
     const percent = Math.floor((100 * Math.min(run.time_s, run.duration_s)) / run.duration_s);
     const ends = state.state === "running" && left >= LONG_S ? `, ends at ${timeOfDay(left)}` : "";

@@ -4,6 +4,7 @@ import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { by, made, value } from "./dom";
 import type { Mandrel, State } from "./messages";
+import { Path3d } from "./path3d";
 import type { Picture, Shown } from "./picture";
 import { colour, onTheme } from "./theme";
 import { bySoftware, onScreen, sizeOf } from "./visibility";
@@ -11,6 +12,23 @@ import { before } from "./wording";
 import { inSpace, Wound } from "./wound";
 
 type At = Record<string, number>;
+
+const TURN_RAD = 0.05; // of a mandrel between two drawn points of a move
+
+/** Places of moves with others between them, so that none turns the mandrel far. */
+export function roundly(ways: At[], turns: string): At[] {
+  return ways.flatMap((to, k) => {
+    const from = ways[k - 1] ?? to;
+    const steps = Math.max(Math.ceil(Math.abs((to[turns] ?? 0) - (from[turns] ?? 0)) / TURN_RAD), 1);
+    return Array.from({ length: steps }, (_, n) => {
+      const share = (n + 1) / steps;
+      const names = Object.entries(to);
+      return Object.fromEntries(
+        names.map(([name, at]) => [name, at * share + (from[name] ?? at) * (1 - share)]),
+      );
+    });
+  });
+}
 
 export class View3d implements Picture {
   readonly element = made("div");
@@ -21,10 +39,8 @@ export class View3d implements Picture {
   private readonly controls: OrbitControls;
   private readonly product = new three.Group(); // turns with the mandrel
   private readonly head = new three.Mesh(new three.ConeGeometry(1, 3, 16), new three.MeshLambertMaterial());
-  private readonly done = new three.Line(
-    new three.BufferGeometry(),
-    new three.LineBasicMaterial({ linewidth: 2 }),
-  );
+  private readonly path: Path3d; // as planned
+  private readonly done: Path3d; // its first part
   private job: Shown | null = null;
   private bare: Mandrel | null = null; // of the machine or its job
   private mandrel: Mandrel | null = null; // which is shown: a product's own, if there is one
@@ -51,6 +67,7 @@ export class View3d implements Picture {
       told();
     });
     this.renderer = new three.WebGLRenderer({ antialias: !this.slow, alpha: true });
+    [this.path, this.done] = [1.5, 4].map((wide) => new Path3d(this.slow ? 0 : wide)) as [Path3d, Path3d];
     this.element.append(this.renderer.domElement);
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
@@ -82,33 +99,27 @@ export class View3d implements Picture {
     this.wound.recolour();
     this.mandrel = this.wound.mandrel ?? mandrel;
     this.head.material.color.set(colour("--ink"));
-    this.done.material.color.set(colour("--done"));
     this.shown = "";
     this.product.clear();
-    this.done.geometry.dispose();
-    this.done.geometry = new three.BufferGeometry();
     const count = Object.values(job?.planned ?? {})[0]?.length ?? 0;
     // Where the fibre lies is shown in place of the path of the eye that lays it.
-    const points = this.wound.mandrel
-      ? []
-      : Array.from({ length: count }, (_, k) => this.onProduct(this.planned(k)));
+    const ways = this.wound.mandrel ? [] : Array.from({ length: count }, (_, k) => this.planned(k));
+    const turns = mandrel?.axis ?? "";
+    // Before the calculation a move is one straight way, which would cut through the mandrel.
+    const points = (job?.times_s.length ? ways : roundly(ways, turns)).map((at) => this.onProduct(at));
     const box = new three.Box3().setFromPoints(
       points.length ? points : [new three.Vector3(-0.1, -0.1, 0), new three.Vector3(0.1, 0.1, 0)],
     );
     if (this.wound.mandrel) this.product.add(...this.onShaft(this.wound.mandrel), this.wound.group);
     else if (mandrel) this.product.add(this.body(mandrel, box));
     else this.product.add(this.bed(box));
+    this.path.through(points, colour("--faint"));
+    this.done.through(points, colour("--accent"));
     if (points.length) {
-      this.product.add(
-        new three.Line(
-          new three.BufferGeometry().setFromPoints(points),
-          new three.LineBasicMaterial({ color: colour("--planned") }),
-        ),
-      );
-      this.done.position.set(0, 0, mandrel ? 0 : this.size / 500);
-      this.done.scale.set(1, ...((mandrel ? [1.004, 1.004] : [1, 1]) as [number, number]));
-      this.done.geometry.setFromPoints(points);
-      this.product.add(this.done);
+      const { object } = this.done; // above the planned path
+      object.position.set(0, 0, mandrel ? 0 : this.size / 500);
+      object.scale.set(1, ...((mandrel ? [1.004, 1.004] : [1, 1]) as [number, number]));
+      this.product.add(this.path.object, object);
     }
     this.size = Math.max(
       box.getSize(new three.Vector3()).length(),
@@ -137,8 +148,8 @@ export class View3d implements Picture {
 
   legend(): [string, string][] {
     const path: [string, string][] = [
-      ["var(--planned)", "planned path"],
-      ["var(--done)", "done so far"],
+      ["var(--faint)", "planned path"],
+      ["var(--accent)", "done so far"],
     ];
     const fibre: [string, string][] = [
       ["var(--done)", "fibre laid so far (before a run: all of it)"],
@@ -256,7 +267,7 @@ export class View3d implements Picture {
       this.head.position.set(along, 0, radius + this.size / 20);
     } else this.head.position.copy(this.onProduct(at)).add(new three.Vector3(0, 0, this.size / 40));
     this.head.rotation.x = -Math.PI / 2;
-    this.done.geometry.setDrawRange(0, points);
+    this.done.upTo(points);
     this.dirty = true;
   }
 

@@ -8,6 +8,7 @@ import { ofWay, others } from "../src/scheme";
 import { isOn, plannedAt, rowsOf, spans } from "../src/steps";
 import { type Kept, matches } from "../src/traces";
 import { counts } from "../src/verdict";
+import { roundly } from "../src/view3d";
 
 describe("spans of an output", () => {
   it("begin and end where it changes, the last at the end of the plan", () => {
@@ -24,6 +25,23 @@ describe("names of steps", () => {
   it("stand beside each other where there is room, else below each other", () => {
     expect(rowsOf(["start", "cut", "lift"], [0, 100, 200])).toEqual([0, 0, 0]);
     expect(rowsOf(["start", "descend", "cut", "lift"], [0, 20, 40, 60])).toEqual([0, 1, 2, 0]);
+  });
+});
+
+describe("a move round a mandrel", () => {
+  it("is drawn round it: with places between its ends", () => {
+    expect(roundly([{ A: 0, X: 0 }], "A")).toEqual([{ A: 0, X: 0 }]);
+    const found = roundly(
+      [
+        { A: 0, X: 0 },
+        { A: 1, X: 2 },
+        { A: 1, X: 3 },
+      ],
+      "A",
+    );
+    expect(found).toHaveLength(22);
+    expect(found[10]).toEqual({ A: 0.5, X: 1 });
+    expect(found[21]).toEqual({ A: 1, X: 3 });
   });
 });
 
