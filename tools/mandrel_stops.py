@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -62,17 +63,20 @@ class Mandrel:
         whole = np.concatenate(
             [np.full(round(_BEFORE_S / DT_S), full), speed, np.zeros(round(_AFTER_S / DT_S))]
         )
+        even = full * DT_S * np.arange(len(whole))
+        at = np.cumsum(whole) * DT_S + self.full_step * np.array(places)[:, None]
+        motor = at + self.error * np.sin(2.0 * math.pi * at / self.full_step)
+        load = lfilter(*self._filter(times), motor - even - motor[:, :1]) + even
+        load = load[:, round(_SETTLED_S / DT_S) :]
+        return float((np.maximum.accumulate(load, axis=1) - load).max())
+
+    @cache  # noqa: B019 - one mandrel
+    def _filter(self, times: float) -> tuple[FloatArray, FloatArray]:
+        """Return the coefficients of the mode at a factor on its frequency, in steps of time."""
         omega, damping = 2.0 * math.pi * times * self.mode.frequency_hz, self.mode.damping
         mode: Any = [2.0 * damping * omega, omega**2], [1.0, 2.0 * damping * omega, omega**2]
         numerator, denominator, _ = cont2discrete(mode, DT_S, method="foh")
-        base, even, worst = np.cumsum(whole) * DT_S, full * DT_S * np.arange(len(whole)), 0.0
-        for place in places:
-            at = base + place * self.full_step
-            motor = at + self.error * np.sin(2.0 * math.pi * at / self.full_step)
-            load = lfilter(numerator[0], denominator, motor - even - motor[0]) + even
-            load = load[round(_SETTLED_S / DT_S) :]
-            worst = max(worst, float((np.maximum.accumulate(load) - load).max()))
-        return worst
+        return numerator[0], denominator
 
     def stop(self, shares: FloatArray, full: float) -> FloatArray:
         """Return the speeds of a stop from ``full`` deg/s by shares of 20 decelerations."""
@@ -95,7 +99,7 @@ def half_cosine(full: float, lasts_s: float) -> FloatArray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--speed", type=float, default=305.0, help="of the mandrel, deg/s")
-    parser.add_argument("--rounds", type=int, default=600, help="of the search")
+    parser.add_argument("--rounds", type=int, default=400, help="of the search")
     options = parser.parse_args()
     mandrel, full = Mandrel(), options.speed
     six, many = [k / 6 for k in range(6)], [k / 24 for k in range(24)]

@@ -349,7 +349,7 @@ def test_coverage_and_tie_are_judged_on_the_whole_winding(
         of_parts.append(asked)
         fastest = Interval(low=0.05, high=0.05)
         return SimpleNamespace(
-            best=0.05, fastest=fastest, complete=True, intervals=(fastest,), verdict=None
+            best=0.05, fastest=fastest, complete=True, intervals=(fastest,), verdict=None, fixed=""
         )
 
     def whole(best: Rung, asked: Question) -> Rung:

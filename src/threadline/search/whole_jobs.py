@@ -16,9 +16,9 @@ from threadline.verdict import Verdict
 _LOWERED = 8  # feeds at which the whole job is tried
 _LOWER = 0.98
 _OVER_MACHINES = 12  # feeds of a share of the limits that are tried over the tolerances
-_MOST_LOWERED, _LEAST_LOWERED, _POWER = 0.7, 0.96, 0.7  # a feed falls with the used share
+_LEAST_SLOWER, _MOST_SLOWER, _POWER = 1.04, 1.4, 0.7  # the time grows with the used share
+_CLOSE = 1.02  # ratio of feeds whose time is near enough
 _UNKNOWN = 1.2  # used share of a limit of 0 that is not kept
-_CLOSE, _BETWEEN = 1.05, 2  # ratio of a failing and a passing feed, and tries between them
 _SLOWED, _FIXED = 3.0, 0.01  # as in ``fastest``: no slower motion mends this error
 
 
@@ -84,10 +84,12 @@ def _of_whole(best: Rung, question: Question) -> Rung:
 
 
 def _over_machines(best: Rung, question: Question, shortest_s: float) -> Rung:
-    """Return ``best`` at a feed at which all machines are in spec.
+    """Return ``best`` at the first feed at which all machines are in spec.
 
     A feed that fails does so in the first machines, as they failed at the feed above. It takes
-    hundreds of machines to pass, so the feed falls at once by what the error asks for.
+    hundreds of machines to pass, so the job is slowed down at once by what the error asks for.
+    Machines come before the repeats of the machine of the file: near a limit these are hundreds,
+    too.
 
     Parameters
     ----------
@@ -96,36 +98,52 @@ def _over_machines(best: Rung, question: Question, shortest_s: float) -> Rung:
     """
     interval = best.found.fastest
     assert interval is not None
-    feed, failing, passed = interval.high, 0.0, best
-    first: tuple[str, float] | None = None
-    verdict, between = best.found.verdict, 0
+    screening = replace(question, trials=replace(question.trials, repeats=1))
+    feed: float | None = interval.high
+    verdict = best.found.verdict
+    first: tuple[str, float, float] | None = None
     for _ in range(_OVER_MACHINES):
+        if feed is None:
+            break
         plan = planned_at(question, best.share, feed)
-        if passed is best and plan.duration_s >= shortest_s:
+        lasts_s = plan.duration_s
+        if lasts_s >= shortest_s:
             break
-        judged = question.judged(plan)
-        if judged.passed:
-            passed = _passed(best, feed, judged, plan.duration_s)
+        verdict = screening.judged(plan)
+        if verdict.passed:
+            verdict = question.judged(plan)
+        if verdict.passed:
+            return _passed(best, feed, verdict, lasts_s)
+        worst = worst_criterion(verdict)[0], used(verdict), lasts_s
+        first = first or worst
+        if lasts_s >= _SLOWED * first[2] and _same(worst[:2], first[:2]):
+            return _failed(best, verdict, fixed=worst[0])
+        slower = min(max((worst[1] or _UNKNOWN) ** _POWER, _LEAST_SLOWER), _MOST_SLOWER)
+        feed = _slower(question, best.share, feed, slower * lasts_s)
+    return _failed(best, verdict)
+
+
+def _slower(question: Question, share: float, feed: float, lasts_s: float) -> float | None:
+    """Return a lower feed at which the job takes about ``lasts_s``; None if no feed does.
+
+    Above some feed, acceleration and the axes' speeds set the time, and no feed changes it.
+    """
+    low, high = feed, feed
+    while planned_at(question, share, low).duration_s < lasts_s:
+        if question.low is not None and low < question.low:
+            return None
+        low, high = low / _MOST_SLOWER, low
+    while high > _CLOSE * low:
+        middle = math.sqrt(low * high)
+        if planned_at(question, share, middle).duration_s < lasts_s:
+            high = middle
         else:
-            verdict, failing = judged, feed
-            worst = worst_criterion(judged)[0], used(judged)
-            first = first or worst
-            if feed * _SLOWED <= interval.high and _same(worst, first):
-                return _failed(best, judged, fixed=worst[0])
-        if passed is best:
-            share = max(used(verdict) or _UNKNOWN, 1.0)
-            feed *= min(max(share**-_POWER, _MOST_LOWERED), _LEAST_LOWERED)
-        elif failing <= _CLOSE * (low := passed.found.best or feed) or between == _BETWEEN:
-            break
-        else:
-            between += 1
-            feed = math.sqrt(low * failing)
-        feed = float(f"{feed:.6g}")
-    return _failed(best, verdict) if passed is best else passed
+            low = middle
+    return float(f"{low:.6g}")
 
 
 def _same(worst: tuple[str, float], first: tuple[str, float]) -> bool:
-    """Return whether a criterion exceeds its limit by the same as at the first feed."""
+    """Return whether a criterion exceeds its limit by the same as at the first duration."""
     return worst[0] == first[0] and abs(worst[1] - first[1]) <= _FIXED * first[1] > 0.0
 
 

@@ -39,7 +39,7 @@ _JOIN = 0.5  # times the tolerance: chords of the eye in a join
 _NO_BETTER = 0.8  # times the error with steps twice as long
 _KEPT = 0.9  # of the tolerance
 _CHECKED = 2  # circuits that are replayed
-_CHORD_M = 5e-4  # of the replay's check
+_CHORD_M, _SAGITTA_M = 5e-4, 3e-7  # of the replay's check: on a large mandrel by the sagitta
 _TIED_M = 1e-3  # a tied place within this of the turn is the turn
 _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of this
 _LEAST_S = 1e-4  # of a move
@@ -346,7 +346,9 @@ def laid_error(circuit: Circuit, path: EyePath, eye: FloatArray, tool: Tool) -> 
     chain = np.vstack(laps)
     way = np.abs(np.diff(chain, axis=0))
     size = np.maximum(way[:, 0] * chain[1:, 2], np.maximum(way[:, 1], way[:, 2]))
-    count = np.maximum(np.ceil(size / _CHORD_M), 1.0).astype(np.int64)
+    radius_m = float(surface.r[:, 0].max())
+    chord_m = max(_CHORD_M, math.sqrt(8.0 * _SAGITTA_M * radius_m))
+    count = np.maximum(np.ceil(size / chord_m), 1.0).astype(np.int64)
     row = np.repeat(np.arange(len(count)), count)
     within = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
     points = np.vstack([chain[:1], chain[row] + within[:, None] * (chain[row + 1] - chain[row])])
