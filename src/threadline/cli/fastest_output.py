@@ -290,7 +290,7 @@ class FeedOutput(SearchOutput):
     def _beside_feed(self) -> str:
         """What sets the time of the best plan where a higher feed does not shorten it."""
         share = dwells_s(self.asked.job) / (self.of.best.duration_s or math.inf)
-        dwells = f"dwells (G4, {100.0 * share:.0f} % of the time)"
+        dwells = f"dwells ({100.0 * share:.0f} % of the time)"
         if share >= _DWELLS_ALONE:
             return dwells
         rest = "acceleration, corners and rapid moves"
