@@ -62,8 +62,10 @@ class SearchOutput(ABC):
         self.found, self.asked, self.of = found, found.asked, found.of
         self.title = f"{title}{margin_words(found.asked.margin)}"
         self.how = title
+        self.as_found: str | None = None
+        """The command that writes a file for the firmware with the answer."""
         self.faster: str | None = None
-        """The command that writes a file for the firmware with its corners rounded."""
+        """The same command with corners rounded."""
 
     def warnings(self) -> list[str]:
         """Return warnings about the best plan."""
@@ -165,7 +167,11 @@ class SearchOutput(ABC):
         if found.passed:
             say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
         if found.passed and self.faster is not None:
-            say(f"For a faster file, its corners rounded within the tolerance: {self.faster}")
+            say(f"For a file as fast: {self.as_found}")
+            say(
+                "For a faster file, its corners rounded within the tolerance (compile refuses if "
+                f"that is slower): {self.faster}"
+            )
         if found.mismatch:
             show_mismatch(found.mismatch, self.title, found.searched)
         if page is not None:
