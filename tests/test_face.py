@@ -111,9 +111,10 @@ def test_the_best_is_proved_in_one_call(tmp_path: Path) -> None:
     proof = found.prove()
     assert proof.passed and proof.plan.options["radius"] == "A=40 mm"
     shown = repr(found).splitlines()  # and not every try
-    assert shown[0].startswith("fastest: 0.") and shown[0].endswith(
-        "limited by the end of the search"
-    )
+    assert shown[0].startswith(f"fastest: {found.of.best.duration_s:.6g} s at 0.")
+    assert shown[0].endswith("limited by the velocity limits of the axes")
+    capped = tl.fastest(job, machine, level="nominal", radius="A=40 mm", high="F 2000")
+    assert repr(capped).splitlines()[0].endswith("limited by the end of the search")
     assert found.best_options is not None
     assert len(shown) == 2 and str(found.best_options["feed"]) in shown[1]
     again = tl.prove(job, machine, level="nominal", **found.best_options)

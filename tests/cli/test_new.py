@@ -335,6 +335,7 @@ def test_from_a_dump_and_a_plotter_file_to_a_faster_file(
     assert run(capsys, "new", "grbl", "mine", "--from", "dollar.txt")[0] == 0
     code, out, _ = run(capsys, "fastest", "plot.gcode", "-m", "mine/machine.toml")
     assert code == 0 and "limited by acceleration, corners and rapid moves" in out
+    found, fastest_s = out, float(re.findall(r"fastest: ([\d.]+) s", out)[0])
     hint = next(line for line in out.splitlines() if line.startswith("For a faster file"))
     words = shlex.split(hint.partition(": ")[2])
     assert words[:2] == ["threadline", "compile"]
@@ -342,3 +343,7 @@ def test_from_a_dump_and_a_plotter_file_to_a_faster_file(
     assert code == 0 and Path("faster-plot.gcode").is_file()
     [file] = json.loads(out)["files"]
     assert file["as_run_s"] < 0.9 * file["stands_s"], file
+    hint = next(line for line in found.splitlines() if line.startswith("For a file as fast"))
+    code, out, _ = run(capsys, *shlex.split(hint.partition(": ")[2])[1:], "--json")
+    [plain] = json.loads(out)["files"]
+    assert code == 0 and file["as_run_s"] < plain["as_run_s"] == pytest.approx(fastest_s, rel=1e-3)

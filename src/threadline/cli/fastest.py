@@ -95,6 +95,7 @@ def fastest(
                 to = {"--target": dialect, "-o": f"faster-{job.name}"}
                 rest = {"-m": machine, **typed, "--interpolation": None, **best, **to}
                 output.faster = command_line("compile", job, rest)
+                output.as_found = command_line("compile", job, rest | {"--interpolation": FIRMWARE})
         else:
             options["--repeats"] = str(question.learned)
             again = command_line("learn", job, options)

@@ -62,8 +62,10 @@ class SearchOutput(ABC):
         self.found, self.question, self.of = found, found.question, found.of
         self.title = f"{title}{margin_words(found.question.margin)}"
         self.how = title
+        self.as_found: str | None = None
+        """The command that writes a file for the firmware with the answer."""
         self.faster: str | None = None
-        """The command that writes a file for the firmware with its corners rounded."""
+        """The same command with corners rounded."""
 
     def warnings(self) -> list[str]:
         """Return warnings about the best plan."""
@@ -165,7 +167,11 @@ class SearchOutput(ABC):
         if found.passed:
             say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
         if found.passed and self.faster is not None:
-            say(f"For a faster file, its corners rounded within the tolerance: {self.faster}")
+            say(f"For a file as fast: {self.as_found}")
+            say(
+                "For a faster file, its corners rounded within the tolerance (compile refuses if "
+                f"that is slower): {self.faster}"
+            )
         if found.mismatch:
             show_mismatch(found.mismatch, self.title, found.searched)
         if page is not None:
@@ -290,7 +296,7 @@ class FeedOutput(SearchOutput):
     def _beside_feed(self) -> str:
         """What sets the time of the best plan where a higher feed does not shorten it."""
         share = dwells_s(self.question.job) / (self.of.best.duration_s or math.inf)
-        dwells = f"dwells (G4, {100.0 * share:.0f} % of the time)"
+        dwells = f"dwells ({100.0 * share:.0f} % of the time)"
         if share >= _DWELLS_ALONE:
             return dwells
         rest = "acceleration, corners and rapid moves"

@@ -55,6 +55,7 @@ def write_firmware_program(
     *,
     programmed: ProgrammedPath,
     override: float | None = 1.0,
+    vertices: bool = False,
     slower: bool = True,
 ) -> Written:
     """Write a plan for a firmware; the file appears only after a correct read-back.
@@ -66,11 +67,13 @@ def write_firmware_program(
     override
         Factor on the feeds of the job: no chord exceeds a feed times ``override``. None if another
         feed replaces the job's feeds.
+    vertices
+        As in ``Chords``.
     slower
         Whether the firmware's planner may take longer for the program than for the job itself. If
-        False and the program is slower, F is the feed of the job in place of the planned speeds.
-        The program then has fewer blocks, and the firmware slows down by itself where the plan
-        does.
+        False and the program is slower, F is the feed of the job in place of the planned speeds,
+        and with ``vertices`` its moves are written as they are. The program then has fewer blocks,
+        and the firmware slows down by itself where the plan does.
 
     Raises
     ------
@@ -79,14 +82,17 @@ def write_firmware_program(
         differs from the plan, or the program is slower than allowed.
     """
     refuse_lost(job, machine, target)
-    planned = Chords(target, job, trajectory, machine, override)
+    planned = Chords(target, job, trajectory, machine, override, vertices=vertices)
     with atomic_file(path) as file:
         summary, as_run_s = _written_once(planned, file, programmed, (0.25, 0.4))
         if not slower and _is_slower(as_run_s):
-            if override is not None:
+            if override is not None or vertices:
                 own = planned.at_own_feeds()
                 summary, as_run_s = _written_once(own, file, programmed, (0.6, 0.75))
-                summary += "; F is the job's own, since the planned speeds as F would be slower"
+                moves = " and its moves are as programmed" if vertices else ""
+                summary += (
+                    f"; F is the job's own{moves}, since the planned speeds as F would be slower"
+                )
             refuse_slower(target, job, as_run_s, override)
         WRITING.pass_to(0.9)
         ways = (item.points for item in planned if isinstance(item, Chord))

@@ -10,8 +10,8 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.progress import WRITING
-from threadline.commands.merging import merged
-from threadline.commands.planned_job import ChordRun, planned_runs
+from threadline.commands.merging import CLOSE_M, merged
+from threadline.commands.planned_job import CHORD_TOLERANCE_M, ChordRun, planned_runs
 from threadline.jobs.feed_times import feed_time_s
 from threadline.jobs.gcode.dialects import DIALECTS
 from threadline.jobs.gcode.feeds import RULES
@@ -20,6 +20,7 @@ from threadline.machine import Machine
 from threadline.motion.timing.types import Trajectory
 
 _MOST_POINTS = 100_000
+_STRAIGHT_M = 2.0 * CLOSE_M  # points nearer to a line are on it: both its ends are rounded, too
 MOST_KEPT = 24_000_000
 """Numbers of a plan that are kept in memory between two passes over it; 192 MB."""
 
@@ -78,8 +79,12 @@ class Chords:
         Machine of the plan.
     override
         As in ``write_firmware_program``.
+    vertices
+        Whether the plan goes through the ends of the program's moves, as a firmware itself does.
     own_feeds
-        Whether F is the feed of the job, where job and target measure feeds alike.
+        Whether F is the feed of the job, where job and target measure feeds alike. With
+        ``vertices``, moves in different directions are then not merged, and F of moves whose feed
+        was replaced is their highest speed.
     """
 
     target: str
@@ -87,6 +92,7 @@ class Chords:
     trajectory: Trajectory
     planned_on: Machine
     override: float | None
+    vertices: bool = False
     own_feeds: bool = False
     runs: Runs = field(init=False)
 
@@ -143,6 +149,8 @@ class _Stretch:
         mode, _ = RULES[dialect.feed_rule]
         self._unit, self._override = Feed(mode, 1.0), chords.override
         self._own_feeds = chords.own_feeds
+        as_programmed = chords.own_feeds and chords.vertices
+        self._within_m = _STRAIGHT_M if as_programmed else CHORD_TOLERANCE_M
         self._rapid_is_feed = dialect.rapid_is_feed
         self._axes, self._machine = job.axes, machine
         self._radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
@@ -182,8 +190,10 @@ class _Stretch:
             # The plan accelerates to a faster move on the end of a slower one; F does not.
             most = self._override * self.feed.value
             speeds = np.full(len(speeds), most) if self._own_feeds else np.minimum(speeds, most)
+        elif self._own_feeds:
+            speeds = np.full(len(speeds), speeds.max())
         acts = self.acts
-        for part in merged(points * self._radius_m, speeds):
+        for part in merged(points * self._radius_m, speeds, self._within_m):
             yield Chord(
                 points[part.first : part.stop + 1],
                 part.speed,

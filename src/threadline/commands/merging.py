@@ -27,15 +27,22 @@ class Part(NamedTuple):
     speed: float
 
 
-def merged(points: FloatArray, speeds: FloatArray) -> list[Part]:
-    """Return the chords of moves along (n + 1, axes) ``points`` of the tool at (n,) ``speeds``."""
+def merged(
+    points: FloatArray, speeds: FloatArray, within_m: float = CHORD_TOLERANCE_M
+) -> list[Part]:
+    """Return the chords of moves along (n + 1, axes) ``points`` of the tool at (n,) ``speeds``.
+
+    No point is farther than ``within_m`` from its chord.
+    """
     points = np.ascontiguousarray(points, dtype=float)
-    first, stop, fastest = _chords(points, np.ascontiguousarray(speeds, dtype=float))
+    first, stop, fastest = _chords(points, np.ascontiguousarray(speeds, dtype=float), within_m)
     return [Part(*one) for one in zip(first.tolist(), stop.tolist(), fastest.tolist(), strict=True)]
 
 
 @njit(nogil=True)
-def _chords(points: FloatArray, speeds: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+def _chords(
+    points: FloatArray, speeds: FloatArray, within_m: float
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Return the first move of each chord, the move behind its last one, and its speed."""
     moves = len(speeds)
     starts, stops = np.empty(moves, np.int64), np.empty(moves, np.int64)
@@ -43,12 +50,12 @@ def _chords(points: FloatArray, speeds: FloatArray) -> tuple[IntArray, IntArray,
     first, count = 0, 0
     for last in _humps(speeds, points):
         while first < last:
-            stop = first + _longest(points, first, last)
+            stop = first + _longest(points, first, last, within_m)
             starts[count], stops[count] = first, stop
             fastest[count] = speeds[first:stop].max()
             count += 1
             first = stop
-    kept = _without_slivers(starts, stops, fastest, count, points)
+    kept = _without_slivers(starts, stops, fastest, count, points, within_m)
     return starts[:kept], stops[:kept], fastest[:kept]
 
 
@@ -103,8 +110,9 @@ def _sharpest(points: FloatArray, first: int, last: int) -> int:
 
 @njit(nogil=True)
 def _without_slivers(
-    first: IntArray, stop: IntArray, speed: FloatArray, count: int, points: FloatArray
-) -> int:
+    first: IntArray, stop: IntArray, speed: FloatArray, count: int, points: FloatArray,
+    within_m: float,
+) -> int:  # fmt: skip
     """Join each chord shorter than the tolerance to its neighbour; return how many are left.
 
     Where a planned speed falls and rises again in the middle of a move, the rest of the move would
@@ -115,11 +123,9 @@ def _without_slivers(
     for k in range(count):
         if kept:
             before = kept - 1
-            sliver = _short(points, first[before], stop[before])
-            joins = sliver or _short(points, first[k], stop[k])
-            if joins and _within(
-                points, first[before], stop[k], CHORD_TOLERANCE_M, CHORD_TOLERANCE_M
-            ):
+            sliver = _short(points, first[before], stop[before], within_m)
+            joins = sliver or _short(points, first[k], stop[k], within_m)
+            if joins and _within(points, first[before], stop[k], within_m, within_m):
                 stop[before] = stop[k]
                 if sliver:
                     speed[before] = speed[k]
@@ -130,30 +136,28 @@ def _without_slivers(
 
 
 @njit(nogil=True)
-def _short(points: FloatArray, first: int, stop: int) -> bool:
-    """Return whether no point is farther than the tolerance from the first one."""
+def _short(points: FloatArray, first: int, stop: int, within_m: float) -> bool:
+    """Return whether no point is as far as the tolerance from the first one."""
     for k in range(first, stop + 1):
         squared = 0.0
         for a in range(points.shape[1]):
             squared += (points[k, a] - points[first, a]) ** 2
-        if squared >= CHORD_TOLERANCE_M**2:
+        if squared >= within_m**2:
             return False
     return True
 
 
 @njit(nogil=True)
-def _longest(points: FloatArray, first: int, last: int) -> int:
+def _longest(points: FloatArray, first: int, last: int, within_m: float) -> int:
     """Return how many moves from ``first`` on, up to ``last``, fit one chord, at least 1."""
     most = last - first
     good = 1
-    while good < most and _within(
-        points, first, first + min(2 * good, most), CHORD_TOLERANCE_M, CLOSE_M
-    ):
+    while good < most and _within(points, first, first + min(2 * good, most), within_m, CLOSE_M):
         good = min(2 * good, most)
     bad = min(2 * good, most + 1)
     while bad - good > 1:
         middle = (good + bad) // 2
-        if middle <= most and _within(points, first, first + middle, CHORD_TOLERANCE_M, CLOSE_M):
+        if middle <= most and _within(points, first, first + middle, within_m, CLOSE_M):
             good = middle
         else:
             bad = middle

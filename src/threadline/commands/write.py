@@ -15,7 +15,9 @@ from threadline.files import Commands, TickTable
 from threadline.files.formats.common import Written
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.motion.path.types import ProgrammedPath
+from threadline.machine.motion_planner import LinuxCncPlanner
+from threadline.motion.path.interpolations import FIRMWARE
+from threadline.motion.path.types import PlannedPath, ProgrammedPath
 from threadline.motion.timing.types import Trajectory
 
 if TYPE_CHECKING:
@@ -47,6 +49,11 @@ def table_writer(target: str) -> TableWriter:
 
 class Timed(Protocol):
     """The part of an intent that targets of moves use."""
+
+    @property
+    def path(self) -> PlannedPath:
+        """Planned path."""
+        ...
 
     @property
     def programmed(self) -> ProgrammedPath:
@@ -129,6 +136,12 @@ def _write_nc(plan: WrittenPlan, path: Path) -> list[Written]:
     return [write_nc(plan.job, plan.motion.trajectory, plan.machine, path)]
 
 
+def _keeps_vertices(plan: WrittenPlan) -> bool:
+    """Return whether a plan goes through the ends of the program's moves; LinuxCNC's does not."""
+    as_firmware = plan.motion.path.interpolation == FIRMWARE
+    return as_firmware and not isinstance(plan.machine.planner, LinuxCncPlanner)
+
+
 def _of_firmware(name: str) -> Target:
     def write_one(plan: WrittenPlan, path: Path, slower: bool) -> Written:
         from threadline.commands.firmware_program import write_firmware_program
@@ -141,6 +154,7 @@ def _of_firmware(name: str) -> Target:
             path,
             programmed=plan.motion.programmed,
             override=plan.feed_override,
+            vertices=_keeps_vertices(plan),
             slower=slower,
         )
 

@@ -119,6 +119,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
     InputError
         As on the command line.
     """
+    from threadline.search import FastestJob
     from threadline.search.by_pace import answered
     from threadline.search.question import question_of
 
@@ -127,6 +128,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         found = answered(question_of(given, Path(job), machine))
     proving = {one.word for one in options_for("prove", Door.PYTHON)}
     kept = {word: value for word, value in words.items() if word in proving}
+    own_end = isinstance(found.of, FastestJob) and words.get("high") is None
     return FastestResult(
         found.best if found.over_band is None else found.over_band.cycle_s,
         found.unit,
@@ -136,6 +138,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         found.certainty,
         found.mismatch,
         partial(_prove_again, job, machine, kept),
+        "the velocity limits of the axes" if own_end else "the end of the search",
     )
 
 

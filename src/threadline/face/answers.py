@@ -196,6 +196,7 @@ class FastestResult:
     certainty: Certainty | None = None
     mismatch: tuple[Mismatch, ...] = ()
     _asked: Callable[..., Proved] | None = None
+    _end: str = "the end of the search"
 
     def prove(self, **words: Word) -> Proved:
         """Prove the best: the same job on the same machine, with ``best_options``.
@@ -225,12 +226,14 @@ class FastestResult:
         """Return the answer in a few lines; ``of`` has every try."""
         from threadline.search.fastest import RANGE
 
-        limit = "the end of the search" if self.limited_by == RANGE else self.limited_by
+        limit = self._end if self.limited_by == RANGE else self.limited_by
         if self.best is None:
             return f"nothing is in spec, limited by {limit}"
         unit = self.unit or "times the feeds of the program"
         options = ", ".join(
             f"{name}={value!r}" for name, value in (self.best_options or {}).items()
         )
-        lines = [f"fastest: {self.best:.6g} {unit}, limited by {limit}"]
+        duration_s = getattr(getattr(self.of, "best", None), "duration_s", None)
+        lasting = "" if duration_s is None else f"{duration_s:.6g} s at "
+        lines = [f"fastest: {lasting}{self.best:.6g} {unit}, limited by {limit}"]
         return "\n".join([*lines, *([f"  .prove() proves it: {options}"] if options else [])])

@@ -235,7 +235,7 @@ def feed_lines(plan: Plan) -> list[str]:
     turning = any(plan.machine.axes[axis].kind == "rotary" for axis in plan.job.axes)
     length = of_which(plan.job.feed_rule, turning=turning)
     rest_s = dwells_s(plan.job)
-    rests = f"; {rest_s:.6g} s of both are dwells (G4)" if rest_s else ""
+    rests = f"; {rest_s:.6g} s of both are dwells" if rest_s else ""
     return [
         f"F is a speed:         {length} (feed mode {plan.job.feed_rule})",
         f"Time:                 {plan.duration_s:.6g} s ({_lasting(plan.duration_s)}) as "

@@ -19,7 +19,8 @@ from threadline.base.compiled import njit
 
 PARTS = 4
 _TINY = 1e-300
-_NO_PART = 1e-15  # share of a bound below which the value at the end of a part has no part in a row
+_NO_PART = 1e-9
+"""Share of a bound below which a value has no part in a row: a bound by it would be rounding."""
 
 
 @njit()
@@ -54,8 +55,9 @@ def part_rows(c, part, limit_v, limit_a, p, s, bound):
 def largest_start(p, s, bound, end_most, start_most):
     """Return the largest x0 <= start_most for which some x1 in [0, end_most] meets the rows."""
     x0 = start_most
+    reach = max(end_most, start_most)
     for i in range(len(p)):
-        if abs(s[i]) * max(end_most, x0) < _NO_PART * bound[i] and abs(p[i]) > _TINY:
+        if abs(s[i]) * reach < _NO_PART * bound[i] and abs(p[i]) > _TINY:
             x0 = min(x0, bound[i] / abs(p[i]))
     # lowest(x0) - highest(x0) is convex and not positive at 0: Newton's method from the right end
     # reaches the largest root after finitely many rows.
@@ -63,7 +65,7 @@ def largest_start(p, s, bound, end_most, start_most):
         low, low_slope = 0.0, 0.0
         high, high_slope = end_most, 0.0
         for i in range(len(p)):
-            if abs(s[i]) <= _TINY:
+            if abs(s[i]) * reach < _NO_PART * bound[i]:
                 continue
             slope = -p[i] / s[i]
             half = bound[i] / abs(s[i])
@@ -85,7 +87,6 @@ def largest_end(p, s, bound, start, end_most):
     """Return the largest x1 <= end_most that the rows allow after x0 = start."""
     low, high = 0.0, end_most
     for i in range(len(p)):
-        # Such a row is met by the start alone; dividing by s[i] would make a bound of its rounding.
         if abs(s[i]) * max(end_most, start) < _NO_PART * bound[i]:
             continue
         centre = -p[i] / s[i] * start
