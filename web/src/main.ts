@@ -247,7 +247,7 @@ function tellEnds(state: State): void {
   [toldEnd, toldFault] = [end, fault];
 }
 
-let hadControl = false; // in the last state
+let hadControl = 0; // number of this page when it had control; 0 for none in the last state
 let askedForControl = false; // by this page, and not answered yet
 let released = false; // by this page
 
@@ -260,12 +260,12 @@ function tellPassed(state: State): void {
     say(mine ? "you have control now" : `${held.name} (${held.client}) keeps control`);
   else if (hadControl && !mine && !released)
     say(
-      held.client === null
+      held.client === null || held.client === hadControl // which was this page, before it connected again
         ? "control was lost: take it again"
         : `control has passed to ${held.name} (${held.client})`,
       true,
     );
-  [hadControl, askedForControl] = [mine, asks];
+  [hadControl, askedForControl] = [mine ? session.me : 0, asks];
   if (!mine) released = false;
 }
 

@@ -2,6 +2,7 @@
 
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { sewnUntil } from "./cloth";
 import { by, made, value } from "./dom";
 import type { Mandrel, State } from "./messages";
 import { Path3d } from "./path3d";
@@ -136,7 +137,7 @@ export class View3d implements Picture {
     for (const [name, where] of Object.entries(state.axes))
       at[name] = where.measured ?? where.load ?? where.commanded ?? 0;
     const run = state.progress?.ended === null ? state.progress : null; // the run's time does not advance in a hold
-    this.wound.live(state);
+    this.wound.live(state, sewnUntil(state.progress, this.job));
     this.put(at, run ? this.step(run.time_s) : 0);
   }
 

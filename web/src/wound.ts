@@ -65,10 +65,19 @@ export class Wound {
     if (proof) void this.read();
   }
 
-  /** Read on while a run lays more; show what it has laid. */
-  live(state: State): void {
+  /**
+   * Read on while a run lays more; show what it has laid until a time of the plan, null for all of it. What
+   * was read as a run was broken off is the whole work.
+   */
+  live(state: State, until_s: number | null): void {
     const runs = state.progress !== null && state.progress.ended === null;
     if (this.mandrel && runs && performance.now() - this.askedMs > ASKS_MS) void this.read();
+    const times = this.times.subarray(0, this.filled);
+    const laid = until_s === null ? this.filled : before(times, until_s) + 1;
+    if (this.mandrel && laid !== this.laid) {
+      this.laid = laid;
+      this.changed(false, laid);
+    }
     this.upTo(this.laid);
   }
 
