@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from threadline.cli import yield_
 from threadline.cli import yield_tables as why
 from threadline.cli.main import main
 from threadline.machine.variants import Uncertain
+from threadline.proof import worst_machine
 from threadline.proof.worst_search import WorstSearch
 from threadline.search.machine_yield import Yield, criterion_cells, quantile
 from threadline.verdict import CriterionRow, EachRun
@@ -177,3 +179,36 @@ def test_machines_that_ring_without_bound_count_in_the_distribution() -> None:
     assert quantile(row, 0.99) == quantile(row, 1.0) == np.inf
     assert quantile(replace(row, values=np.array([1.0, 3.0, np.nan])), 0.5) == 2.0
     assert criterion_cells(row)[1:4] == ["2000 mm", "unbounded", "unbounded"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["yield", "--variants", "8"], ["prove", "--tolerances", "--law", "modified-sine"]],
+    ids=lambda words: words[0],
+)
+def test_a_full_disk_keeps_the_worst_machine_that_was_there(
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The system itself refuses to write on; the file is named, and no part of it is left."""
+    job, worst = tmp_path / "turn.prg", tmp_path / "worst.toml"
+    job.write_text("G91\nG1 X2 F1000\nM30\n", encoding="utf-8")
+    worst.write_text("as before", encoding="utf-8")
+    before, own = resource.getrlimit(resource.RLIMIT_FSIZE), worst_machine.worst_toml
+
+    def limited(*given: object) -> str:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+        return own(*given)
+
+    monkeypatch.setattr(worst_machine, "worst_toml", limited)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main([words[0], str(job), "-m", "lathe-winder", *words[1:], "--worst", str(worst)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert ended.value.code == 2
+    assert f"cannot use {worst}: File too large" in capsys.readouterr().err
+    assert worst.read_text(encoding="utf-8") == "as before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["turn.prg", "worst.toml"]

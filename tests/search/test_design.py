@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.cli import design as command
 from threadline.dynamics.lead import design_lead
 from threadline.dynamics.loop import axis_loop
@@ -26,7 +28,7 @@ from threadline.search.design import DesignResult, Wanted, design
 from threadline.search.design_evaluate import Effort, Evaluator, Tried, design_gains
 from threadline.search.design_judge import OtherRuns, design_judge
 from threadline.search.design_proof import with_delay
-from threadline.search.design_search import cheapest_by_planes, with_settings
+from threadline.search.design_search import cheapest_by_planes, least_change, with_settings
 from threadline.search.design_space import design_space
 from threadline.verdict import Spec, load_spec
 from threadline.verdict.types import Level
@@ -381,3 +383,42 @@ def test_planes_find_the_cheapest_trade() -> None:
     assert (level == 0).all()
     assert cost.min() == pytest.approx(1.2, abs=1e-3)
     assert np.exp(steps[np.argmin(cost), a]) == pytest.approx(np.exp(1.2), rel=1e-3)
+
+
+@dataclass
+class _Edge:
+    """Stands for the evaluator: two numbers, of which both together meet the specification."""
+
+    effort: Effort
+    simulated: int = 0
+
+    def tried(self, points: FloatArray, level: IntArray, beyond: float = 0.0) -> Tried:
+        """Return candidates in specification where x y is 0.04 or more."""
+        del beyond
+        self.simulated += len(points)
+        ratio = 1.3 - 7.5 * np.abs(points[:, 0] * points[:, 1]) * (points[:, 1] > 0.0)
+        none = np.zeros(len(points), dtype=np.int64)
+        return Tried(
+            points=points, level=level, ratio=ratio, nominal=ratio, delay=none,
+            binding=("",) * len(points),
+        )  # fmt: skip
+
+
+def test_two_numbers_are_traded_along_the_edge_of_the_specification() -> None:
+    """The least of x + y where x y is 0.04 is 0.4; ten searches of some 400 candidates each."""
+    machine = load_machine("lathe-winder")
+    space = replace(design_space(machine, ()), weights=np.ones(2))
+    few = Effort(sample_log2=6, settings_log2=4, proposals=48, rounds=12, trade_rounds=0, side=0)
+    found, spent = [], []
+    for seed in range(10):
+        judged = _Edge(few)
+        start = np.vstack(
+            [qmc.scale(qmc.Sobol(2, rng=seed).random_base2(6), space.low, space.high)]
+        )
+        tried = judged.tried(start, np.zeros(len(start), dtype=np.int64))
+        tried = least_change(space, judged, tried, lambda _f: None, seed=seed)  # type: ignore[arg-type]
+        found.append(space.cost(tried.points)[tried.ratio <= 1.0].min())
+        spent.append(judged.simulated)
+    assert np.mean(spent) < 700
+    assert min(found) >= 0.4 - 1e-9
+    assert np.mean(found) < 0.4 * 1.005

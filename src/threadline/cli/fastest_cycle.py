@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from threadline.base.writing import together
+from threadline.base.writing import staged_file
 from threadline.cli.fastest_output import SearchOutput, verdict_content
 from threadline.cli.search_text import limit_words
 from threadline.machine import Machine
@@ -237,12 +237,12 @@ def write_move_list(found: Answer, file: Path) -> Path | None:
     if job is None:
         return None
     over = "" if question.band is None else f" for modes within {question.band * 100:g} %"
-    with together(file):
-        file.write_text(
-            f"# The shortest cycle of {question.file.name} in spec on {question.machine.name}"
-            f"{over}, by threadline fastest.\n{move_list(job, question.machine)}",
-            encoding="utf-8",
-        )
+    text = (
+        f"# The shortest cycle of {question.file.name} in spec on {question.machine.name}"
+        f"{over}, by threadline fastest.\n{move_list(job, question.machine)}"
+    )
+    with staged_file(file) as stream:
+        stream.write(text.encode())
     return file
 
 

@@ -149,11 +149,9 @@ def write_worst(proof: Proof, file: Path) -> None:
     """Write the machine file of the worst machine within the tolerances that a proof found."""
     assert proof.worst is not None
     machine = proof.plan.machine if proof.actual is None else proof.actual
-    from threadline.proof.worst_machine import worst_toml
+    from threadline.proof import worst_machine
 
-    text = worst_toml(machine, proof.worst, file.parent, "prove --tolerances")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(text, encoding="utf-8")
+    worst_machine.write_worst(machine, proof.worst, file, "prove --tolerances")
 
 
 def write_worst_beside(proof: Proof, report: Path, worst: Path | None) -> Path | None:

@@ -56,7 +56,7 @@ from threadline.errors import OptionError
 from threadline.proof.option_words import parse_yield
 from threadline.proof.proof_hash import spec_sha256
 from threadline.proof.request import Words
-from threadline.proof.worst_machine import Worst, worst_toml
+from threadline.proof.worst_machine import Worst, write_worst
 from threadline.search.influence import MACHINES, CheapestSet, cheapest_set
 from threadline.search.machine_yield import (
     CRITERION_HEADER,
@@ -176,7 +176,7 @@ def yield_(
         title = f"{judged.plan.job.name} on {chosen.name}: {_words(found, level)}"
         with together(worst):
             if worst is not None:
-                worst.write_text(worst_toml(chosen, bad, worst.parent, "yield"), encoding="utf-8")
+                write_worst(chosen, bad, worst, "yield")
             drawn = None if report is None else _drawn(found, title, report)
     proving = command_line(
         "prove",

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.wording import toml_string
 from threadline.base.workers import Done
+from threadline.base.writing import staged_file
 from threadline.commands.plan import Plan
 from threadline.dynamics.values import Values
 from threadline.files import tick_table
@@ -307,6 +308,19 @@ def unanswered_in(found: EachRun) -> NDArray[np.bool_]:
     if not rows:
         return np.zeros(found.runs, dtype=np.bool_)
     return np.asarray(np.all([np.isposinf(row.values) for row in rows], axis=0))
+
+
+def write_worst(machine: Machine, worst: Worst, file: Path, by: str) -> None:
+    """Write the machine file of the worst machine, as ``worst_toml``, whole or not at all.
+
+    Raises
+    ------
+    OptionError, OSError
+        If the file cannot be written.
+    """
+    text = worst_toml(machine, worst, file.parent, by)
+    with staged_file(file) as stream:
+        stream.write(text.encode())
 
 
 def worst_toml(machine: Machine, worst: Worst, folder: Path, by: str) -> str:

@@ -243,7 +243,12 @@ def least_change(
     best = _least(space, tried, target)
     for turn in range(rounds):
         elite = _elite(space, tried, target)
-        points, level = _proposals(space, tried, elite, step, random, effort.proposals)
+        on_edge = len(space.low) <= _FEW and _both_sides(tried, elite, target)
+        each = max(effort.proposals // 3, 1) if on_edge else effort.proposals
+        points, level = _proposals(space, tried, elite, step, random, each)
+        if on_edge:
+            others, of_level = _along_edge(space, tried, elite, target, random, 2 * each)
+            points, level = np.concatenate([points, others]), np.concatenate([level, of_level])
         if effort.modelled:
             steps, of_level = cheapest_by_planes(space, tried, elite, step, target)
             points, level = np.concatenate([points, steps]), np.concatenate([level, of_level])
@@ -384,6 +389,48 @@ def _proposals(
         chosen = np.sort(random.choice(len(every), 2 * most, replace=False))
         every, of_level = every[chosen], of_level[chosen]
     return every, of_level
+
+
+_FEW = 3  # numbers that may change: with more, moves along the edge find dearer designs
+_WITHIN = (0.0005, 0.002, 0.005)  # of the target: how far within it a crossing should be
+
+
+def _both_sides(tried: Tried, elite: IntArray, target: float) -> bool:
+    """Return whether some of the elite meet the target, and some do not."""
+    met = tried.ratio[elite] <= target
+    return bool(met.any() and not met.all())
+
+
+def _along_edge(
+    space: Space,
+    tried: Tried,
+    elite: IntArray,
+    target: float,
+    random: np.random.Generator,
+    most: int,
+) -> tuple[FloatArray, IntArray]:
+    """Return candidates on the edge of the specification and along it, ``most`` of each.
+
+    A crossing lies between one of the elite that meets the target and a cheaper one that does not,
+    where the ratio of measured to limit, linear between them, is just within the target. The elite
+    lies along the edge, so that its differences follow it and trade one number for another, as in
+    differential evolution (Storn and Price, "Differential evolution", J. of Global Optimization 11,
+    1997).
+    """
+    met = tried.ratio[elite] <= target
+    inside = random.choice(elite[met], most)
+    outside = random.choice(elite[~met], most)
+    goal = target * (1.0 - random.choice(_WITHIN, most))
+    rise = np.maximum(tried.ratio[outside] - tried.ratio[inside], 1e-9)
+    share = np.clip((goal - tried.ratio[inside]) / rise, 0.02, 0.98)[:, None]
+    crossing = (1.0 - share) * tried.points[inside] + share * tried.points[outside]
+    own, one, other = random.integers(0, len(elite), (3, most))
+    points = tried.points[elite]
+    moved = points[own] + random.uniform(0.3, 1.0, (most, 1)) * (points[one] - points[other])
+    still = (points[own] == 0.0) & (random.random(moved.shape) < 0.5)
+    moved = np.clip(np.where(still, 0.0, moved), space.low, space.high)
+    levels = np.concatenate([tried.level[inside], tried.level[elite][own]])
+    return np.concatenate([crossing, moved]), levels
 
 
 def pareto(space: Space, tried: Tried, most: float, apart: float = 0.05) -> IntArray:
