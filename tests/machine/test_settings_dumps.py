@@ -100,6 +100,8 @@ TERMINALS: dict[str, Callable[[str], bytes]] = {
     "quoted": each(lambda line: f"│ {line}"),
     "mark": lambda text: codecs.BOM_UTF8 + text.encode(),
     "wide": lambda text: text.encode("utf-16"),
+    "wide, little end first, no mark": lambda text: text.encode("utf-16-le"),
+    "wide, big end first, no mark": lambda text: text.encode("utf-16-be"),
     "Windows": lambda text: text.replace("\n", "\r\n").encode(),
     "prose": lambda text: f"My machine moves well.\n\n{text}\nAny ideas?\n".encode(),
     "backup": lambda text: (

@@ -110,13 +110,23 @@ def _encoding(path: Path) -> str:
         return _UTF8
     if begin[:2] in _WIDE:
         return "utf-16"
-    if len(begin) > _MOST_BYTES or b"\0" in begin:  # the reader refuses it
+    if len(begin) > _MOST_BYTES:  # the reader refuses it
         return _UTF8
+    if b"\0" in begin:
+        return _wide_without_mark(begin)
     try:
         begin.decode(_UTF8)
     except UnicodeDecodeError:
         return _OLD
     return _UTF8
+
+
+def _wide_without_mark(begin: bytes) -> str:
+    """Return the encoding of text with zero bytes: UTF-16 if every other byte is zero."""
+    for name, high in (("utf-16-le", 1), ("utf-16-be", 0)):
+        if not any(begin[high::2]) and all(begin[1 - high :: 2]):
+            return name
+    return _UTF8  # the reader refuses it
 
 
 _READERS: tuple[
