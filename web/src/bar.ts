@@ -39,6 +39,11 @@ export function placeInWords(
   return circuit && circuits ? `circuit ${circuit} of ${circuits}` : "";
 }
 
+/** The speed that is shown of linear axes, mm/s, and of turning ones, °/s: a mandrel may turn with hardly a feed. */
+export function feedOf(linear: number, turning: number): [number, string] {
+  return linear < 0.5 && turning >= 0.5 ? [turning, "°/s"] : [linear, "mm/s"];
+}
+
 /** Stitches a minute at an instant of the plan; null for other work. */
 function stitchesAMinute(figures: Figures, time_s: number, percent: number): number | null {
   const { stitches } = figures;
@@ -119,10 +124,9 @@ export class Bar {
         else turning = Math.max(turning, Math.abs(speed));
       }
     else if (moves && dt === 0) return;
-    const inDegrees = linear < 0.05 && turning > 0;
-    const feed = sewn ?? (inDegrees ? turning : linear);
+    const [feed, unit] = sewn === null ? feedOf(linear, turning) : [sewn, "stitches/min"];
     tell("feed-now", moves ? feed.toFixed(0) : "–");
-    tell("feed-unit", sewn !== null ? "stitches/min" : inDegrees ? "°/s" : "mm/s");
+    tell("feed-unit", unit);
   }
 
   /** Mark what is pressed next, and say it. */

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { placeInWords } from "../src/bar";
+import { feedOf, placeInWords } from "../src/bar";
 import { extentInWords } from "../src/extent";
 import type { Criterion, Figures, Progress } from "../src/messages";
 import { toldEnd } from "../src/session";
@@ -67,6 +67,11 @@ describe("the end of a run", () => {
 });
 
 describe("where a run is", () => {
+  it("is told with the turning of a mandrel where it hardly feeds", () => {
+    expect(feedOf(0.4, 36)).toEqual([36, "°/s"]);
+    expect(feedOf(36, 90)).toEqual([36, "mm/s"]);
+    expect(feedOf(0, 0)).toEqual([0, "mm/s"]);
+  });
   it("is told in stitches, else in circuits", () => {
     const lines = { times_s: [0, 2], line: [1, 2], circuit: [1, 2] };
     const work = { lines, circuits: 2, stitches: null } as unknown as Figures;
