@@ -145,7 +145,7 @@ def _asked(port: Port, heard: list[str]) -> ControllerSettings | None:
     who = firmware.string.strip()[:120]
     name = firmware[1].lower()
     if name == "marlin":
-        return _settings(port, "marlin", who, b"M503\n", [])
+        return _settings(port, "marlin", who, b"M503\n", [who])  # it tells the version
     if name == "reprapfirmware":
         return _settings(port, "rrf", who, b"M503\n", [])
     if name == KLIPPER:
