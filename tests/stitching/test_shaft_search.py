@@ -50,9 +50,9 @@ def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     eight = Trials(repeats=8)
     original = paced.try_plan
 
-    def counting(plan, spec, trials, *more):  # type: ignore[no-untyped-def]
+    def counting(plan, spec, trials, *more, **named):  # type: ignore[no-untyped-def]
         counted.append(trials.repeats)
-        return original(plan, spec, trials, *more)
+        return original(plan, spec, trials, *more, **named)
 
     monkeypatch.setattr(paced, "try_plan", counting)
     found = []
@@ -95,8 +95,8 @@ def test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within(
     runs: dict[float, int] = {}
     original = paced.try_plan
 
-    def counting(plan, spec, trials, *more):  # type: ignore[no-untyped-def]
-        proof = original(plan, spec, trials, *more)
+    def counting(plan, spec, trials, *more, **named):  # type: ignore[no-untyped-def]
+        proof = original(plan, spec, trials, *more, **named)
         assert proof.verdict.passed
         runs[plan.duration_s] = max(runs.get(plan.duration_s, 0), trials.repeats)
         return proof
