@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.base.progress import TrialShares
 from threadline.cli.main import main
 from threadline.jobs import Job, read_job
 from threadline.machine import load_machine
@@ -146,7 +147,7 @@ def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
         0.1,
         1.0,
         Grid(points=24, near=3, edge=5e-3),
-        progress=lambda _, share: told.append(share),
+        trials=TrialShares(lambda _, share: told.append(share), "searching", 0.0),
     )
     assert len(told) == found.tried
     assert all(after >= before for before, after in pairwise(told))
