@@ -92,7 +92,7 @@ def test_a_plan_whose_neighbour_fails_is_not_the_answer(
     tried: list[float] = []
 
     def chancy(
-        plan: Plan, spec: Spec, trials: Trials, actual: Machine | None, *_: object
+        plan: Plan, spec: Spec, trials: Trials, actual: Machine | None, *_: object, **__: object
     ) -> SimpleNamespace:
         allowed = tried[-1]
         good = allowed <= 0.402e-3 or 0.409e-3 <= allowed <= 0.411e-3

@@ -205,7 +205,7 @@ def test_of_stretches_that_fail_the_shortest_alone_is_judged(
         folder.mkdir()
         parts.append(written(folder, winding_blocks(count), machine))
 
-    def failing(plan: Plan, *_: object) -> SimpleNamespace:
+    def failing(plan: Plan, *_: object, **__: object) -> SimpleNamespace:
         asked.append(moves_in(plan.job))
         return SimpleNamespace(verdict=verdict(2.0))
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.base.progress import TrialShares
 from threadline.cli.main import main
 from threadline.jobs import Job, read_job
 from threadline.machine import load_machine
@@ -50,9 +51,9 @@ def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     eight = Trials(repeats=8)
     original = paced.try_plan
 
-    def counting(plan, spec, trials, *more):  # type: ignore[no-untyped-def]
+    def counting(plan, spec, trials, *more, **named):  # type: ignore[no-untyped-def]
         counted.append(trials.repeats)
-        return original(plan, spec, trials, *more)
+        return original(plan, spec, trials, *more, **named)
 
     monkeypatch.setattr(paced, "try_plan", counting)
     found = []
@@ -95,8 +96,8 @@ def test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within(
     runs: dict[float, int] = {}
     original = paced.try_plan
 
-    def counting(plan, spec, trials, *more):  # type: ignore[no-untyped-def]
-        proof = original(plan, spec, trials, *more)
+    def counting(plan, spec, trials, *more, **named):  # type: ignore[no-untyped-def]
+        proof = original(plan, spec, trials, *more, **named)
         assert proof.verdict.passed
         runs[plan.duration_s] = max(runs.get(plan.duration_s, 0), trials.repeats)
         return proof
@@ -146,7 +147,7 @@ def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
         0.1,
         1.0,
         Grid(points=24, near=3, edge=5e-3),
-        progress=lambda _, share: told.append(share),
+        trials=TrialShares(lambda _, share: told.append(share), "searching", 0.0),
     )
     assert len(told) == found.tried
     assert all(after >= before for before, after in pairwise(told))

@@ -177,11 +177,9 @@ class TrialShares:
     def within(self, share: float) -> None:
         """Report the share done of the present trial."""
         of_rest = min((self._done + share) / max(self._left, 1e-9), 1.0)
-        now = self._from + (_UNDER_WAY - self._from) * of_rest
-        if now > self._share:
-            self._share = now
-            if self._progress is not None:
-                self._progress(self._work, now)
+        self._share = max(self._share, self._from + (_UNDER_WAY - self._from) * of_rest)
+        if self._progress is not None:
+            self._progress(self._work, self._share)
 
     def done(self) -> None:
         """Report the end of a trial."""

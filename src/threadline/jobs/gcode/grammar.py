@@ -220,7 +220,9 @@ def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
             raise JobError(
                 f"the line has {size} characters{blanks}; {name} takes {grammar.longest}",
                 place=place,
-                remedy="Write its words in two blocks, or fewer decimals.",
+                remedy="Take its comment out."
+                if not grammar.packed and any(mark in text for mark in "(;")
+                else "Write its words in two blocks, or fewer decimals.",
             )
 
 
