@@ -20,8 +20,7 @@ from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, prove_plan
-from threadline.search import Fastest, Interval, by_pace, fastest_feed, shaft
-from threadline.search import least_limits as gentle
+from threadline.search import Fastest, Interval, by_pace, fastest_feed, least_limits, shaft
 from threadline.search.fastest import Grid
 from threadline.search.least_limits import ignores_limits
 from threadline.search.paced import Question
@@ -131,7 +130,7 @@ def test_tolerances_of_any_job(examples: Path, monkeypatch: pytest.MonkeyPatch) 
     job = read_job(examples / "x-180.prg", MACHINE)
     spec = load_spec(None, MACHINE)
     asked = Question(job=job, machine=MACHINE, spec=spec, options=AHEAD, high=0.2, mismatch=True)
-    monkeypatch.setattr(gentle, "fastest_feed", canned([]))
+    monkeypatch.setattr(least_limits, "fastest_feed", canned([]))
     cells = by_pace.answered(asked).mismatch
     ends = [(mass, stiffness) for mass in (-1, 0, 1) for stiffness in (-1, 0, 1)]
     assert [(c.mass, c.stiffness) for c in cells] == ends
@@ -176,7 +175,7 @@ def test_the_command_takes_them_for_any_job(
 ) -> None:
     searched: list[Any] = []
     off: list[Any] = []
-    monkeypatch.setattr(gentle, "fastest_feed", canned(searched))
+    monkeypatch.setattr(least_limits, "fastest_feed", canned(searched))
     monkeypatch.setattr(by_pace, "fastest_feed", canned(off))
     words = ["fastest", str(examples / "x-180.prg"), "-m", "lathe-winder", "--feed-forward"]
     words += ["--smoothing", "100 ms", "--mismatch", "--report", str(tmp_path / "r"), "--json"]

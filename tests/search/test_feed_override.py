@@ -252,7 +252,7 @@ def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: s
     )
     rung = Rung(share=0.25, found=found, duration_s=1.0)
     job = FastestJob(best=rung, rungs=(rung,), in_one_run=True, whole=whole)
-    found_by: Any = SimpleNamespace(asked=SimpleNamespace(margin=0.0), of=job)
+    found_by: Any = SimpleNamespace(question=SimpleNamespace(margin=0.0), of=job)
     (line,) = FeedOutput(found_by, "job")._judged()
     assert line.startswith("the feeds of the table pass in one run of each plan") and said in line
 

@@ -16,8 +16,7 @@ from threadline.machine import load_machine
 from threadline.proof.option_words import parse_share, share_words
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, prove_plan
-from threadline.search import fastest_job
-from threadline.search import least_limits as gentle
+from threadline.search import fastest_job, least_limits
 from threadline.search.allowance import Rung
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
@@ -65,7 +64,7 @@ def test_shares_of_the_limits_are_read_as_they_are_printed() -> None:
         return rungs.setdefault(share, Rung(share=share, found=found, duration_s=1.0 + away))
 
     rungs: dict[float, Rung] = {}
-    gentle._climb(tried, rungs, gentle._LADDER)
+    least_limits._climb(tried, rungs, least_limits._LADDER)
     assert len(rungs) > 6
     for share in (*rungs, *np.random.default_rng(5).uniform(0.01, 1.0, 300).round(6).tolist()):
         assert parse_share(share_words(share)) == share
@@ -131,9 +130,9 @@ def test_the_ladder_is_left_to_either_side(
     def planned(_asked: Question, share: float, _feed: float) -> SimpleNamespace:
         return SimpleNamespace(duration_s=1.0 + abs(log2(share) - wanted))
 
-    monkeypatch.setattr(gentle, "fastest_feed", found)
-    monkeypatch.setattr(gentle, "planned_at", planned)
-    monkeypatch.setattr(gentle, "ignores_limits", lambda *_: False)
+    monkeypatch.setattr(least_limits, "fastest_feed", found)
+    monkeypatch.setattr(least_limits, "planned_at", planned)
+    monkeypatch.setattr(least_limits, "ignores_limits", lambda *_: False)
     machine = load_machine("lathe-winder")
     job = read_job(Path(__file__).parents[2] / "examples" / "x-180.prg", machine)
     result = fastest_job(

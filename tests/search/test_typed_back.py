@@ -28,8 +28,7 @@ from threadline.proof.pipeline import (
     plan_job,
     prove_plan,
 )
-from threadline.search import fastest_needle, mismatch, shaft
-from threadline.search import least_limits as gentle
+from threadline.search import fastest_needle, least_limits, mismatch, shaft
 from threadline.search.by_pace import speeds
 from threadline.search.fastest import COARSE, Grid, find_fastest
 from threadline.search.feed import fastest_feed
@@ -312,9 +311,9 @@ def test_a_law_is_typed_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The search names the law that it ran with, a table of one's own here, and so its proof."""
-    monkeypatch.setattr(gentle, "_LADDER", (1.0,))
-    monkeypatch.setattr(gentle, "_SCAN", Grid(points=2))
-    monkeypatch.setattr(gentle, "_CLOSELY", Grid(points=2, near=1))
+    monkeypatch.setattr(least_limits, "_LADDER", (1.0,))
+    monkeypatch.setattr(least_limits, "_SCAN", Grid(points=2))
+    monkeypatch.setattr(least_limits, "_CLOSELY", Grid(points=2, near=1))
     file = tmp_path / "my.law.csv"
     write_law(law("cycloidal"), file)
     job = tmp_path / "short.prg"

@@ -197,7 +197,7 @@ def test_mzv_takes_klippers_parameters(word: str, n: int, t: float, zeta: float)
         ("mzv(t=0.9,tau=1)", "leave one out"),
         ("mzv(m=3)", "unknown"),
         ("mzv(t=inf)", "positive numbers"),
-        ("mzv(t=x)", "no number"),
+        ("mzv(t=x)", "not a number"),
     ],
 )
 def test_mzv_refuses_what_klipper_cannot_play(word: str, said: str) -> None:
