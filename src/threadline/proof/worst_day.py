@@ -34,7 +34,7 @@ ROUNDS, CHANGED, KEPT = 8, 256, 32
 """Rounds of changes, changed days of a round, and the worst days that they begin at."""
 _FIRST, _SHRINK = 0.2, 0.6  # of each range: the first step, and the next of each
 _MOST_SAMPLES = 5e7  # ticks times days: half a minute
-_TOLD = "the worst day of a search"
+_BY_SEARCH = "the worst day of a search"
 _RANGES = np.array([FRICTION_OF_DAYS, SUPPLY_OF_DAYS, TENSION_OF_DAYS])
 
 
@@ -64,7 +64,7 @@ def with_worst_day(plan: Plan, spec: Spec, verdict: Verdict) -> Verdict:
         found = EachRun.joined([found, _judged(judge, moved)])
         places = np.concatenate([places, moved])
         step *= _SHRINK
-    with_day = with_other_machines(verdict, found, _TOLD)
+    with_day = with_other_machines(verdict, found, _BY_SEARCH)
     return replace(with_day, results=with_lines(with_day.results, plan))
 
 
