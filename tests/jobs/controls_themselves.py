@@ -14,6 +14,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -38,7 +39,6 @@ class Told(NamedTuple):
 
 
 _NEW = "@new"
-_TRIES = 5
 
 
 def grbl_folder() -> Path | None:
@@ -123,17 +123,14 @@ def interpreted(
 
     ``more`` are further words of its command line, such as a tool table.
 
-    Now and then it dies of SIGBUS while other processes of LinuxCNC share its memory; it is asked
-    again.
+    LinuxCNC keeps the tools of an account in ``~/.tool.mmap``, shared: each run has its own home.
     """
     given = [] if settings is None else ["-i", str(settings)]
-    for _ in range(_TRIES):
+    with tempfile.TemporaryDirectory() as home:
         done = subprocess.run(
             [rs274, "-g", *given, *more, program.name], cwd=program.parent, capture_output=True,
-            text=True, timeout=timeout_s, check=False,
+            env=os.environ | {"HOME": home}, text=True, timeout=timeout_s, check=False,
         )  # fmt: skip
-        if done.returncode >= 0:
-            break
     assert done.returncode >= 0, f"rs274 dies of signal {-done.returncode}"
     return done.stdout + done.stderr
 

@@ -65,6 +65,20 @@ def test_every_target_of_the_winder_is_the_plan(job: Path) -> None:
             assert one.place is not None and 0.0 < one.place < 12e-6  # chords: 10 um, sampled 1 um
 
 
+@pytest.mark.linuxcnc
+def test_the_tools_of_a_running_linuxcnc_are_left_alone(
+    job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """LinuxCNC 2.9 keeps them in a file of the home, which its interpreter alone writes, too."""
+    needs("linuxcnc")
+    file = compiled(job, "linuxcnc", tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    tools = tmp_path / ".tool.mmap"
+    tools.write_text("tools of the machine")
+    assert beside(job, "linuxcnc", file).verdict == "equal"
+    assert tools.read_text() == "tools of the machine"
+
+
 @pytest.mark.parametrize(
     ("target", "pattern", "digit", "told"),
     [

@@ -187,7 +187,8 @@ def _run(folder: Path) -> None:
         Path(theirs).chmod(0o777)
         started = subprocess.Popen(
             ["linuxcnc", "-r", str(folder / "measured.ini")],
-            env=os.environ | {"RTAPI_UID": "65534", "RTAPI_FIFO_PATH": f"{theirs}/fifo"},
+            env=os.environ
+            | {"HOME": theirs, "RTAPI_UID": "65534", "RTAPI_FIFO_PATH": f"{theirs}/fifo"},
             cwd=folder,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import shutil
 import subprocess
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +24,6 @@ from threadline.readback.equal_path import PLACE_M, Followed, Points, followed, 
 TIME_SHARE = 1e-3
 """Share of the plan's time by which the clock of a program with times may differ."""
 _RS274 = "rs274"
-_TRIES = 5  # it dies of SIGBUS now and then while others share its memory
 _TIMEOUT_S = 300.0
 _CALL = re.compile(r"(?:N(\S*)\s+)?\b([A-Z_]+)\(([^()]*)\)")
 _TIMED = re.compile(r"^N(\d+)\b.*\bF(\d+\.?\d*)", re.MULTILINE)
@@ -180,11 +181,14 @@ def _interpreted(path: Path) -> str:
     program = shutil.which(_RS274)
     if program is None:
         raise OptionError(missing_rs274(), remedy="Install linuxcnc-uspace.")
-    for _ in range(_TRIES):
+    # LinuxCNC keeps the tool table of an account in the file ~/.tool.mmap and shares it with each
+    # of its programs: rs274 would write into the tools of a machine that runs meanwhile.
+    with tempfile.TemporaryDirectory(prefix="threadline-") as home:
         try:
             done = subprocess.run(  # noqa: S603
                 [program, "-g", f"./{path.name}"],
                 cwd=path.resolve().parent,
+                env=os.environ | {"HOME": home},
                 capture_output=True,
                 text=True,
                 errors="replace",
@@ -196,6 +200,6 @@ def _interpreted(path: Path) -> str:
                 f"{_RS274} takes longer than {_TIMEOUT_S:g} s over the program",
                 place=Place(str(path)),
             ) from error
-        if done.returncode >= 0:
-            return done.stdout + done.stderr
-    raise OptionError(f"{_RS274} dies of signal {-done.returncode}", remedy="Try again.")
+    if done.returncode < 0:
+        raise OptionError(f"{_RS274} dies of signal {-done.returncode}", remedy="Try again.")
+    return done.stdout + done.stderr
