@@ -184,3 +184,10 @@ def test_a_feed_that_is_not_in_force_is_no_doubt(
 
     assert "G64 is for other controllers" in err  # its other warnings stay
     assert "normal feed" not in err
+
+
+def test_a_missing_argument_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    """With --merge the argument JOB takes the files of parts, which its name alone does not say."""
+    code, out, err = run(capsys, "yield", "--merge")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "'JOB': part program" in err and "with --merge, the files of all parts" in err

@@ -112,10 +112,11 @@ def _of_arguments(error: TyperException) -> str:
             f"[{OptionError.code}] {verb} takes no {name}; {', '.join(elsewhere)} take it. "
             "Leave it out."
         )
-    return (
-        f"[{OptionError.code}] {error.format_message().rstrip('.')}. "
-        "See the command's --help for its arguments and options."
-    )
+    what = error.format_message().rstrip(".")
+    text = getattr(getattr(error, "param", None), "help", "")
+    if what.startswith("Missing") and text:
+        what = f"{what}: {text[0].lower()}{text[1:].rstrip('.')}"
+    return f"[{OptionError.code}] {what}. See the command's --help for its arguments and options."
 
 
 def _run(given: list[str], termination: Termination) -> int:
