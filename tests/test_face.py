@@ -122,7 +122,7 @@ def test_the_best_is_proved_in_one_call(tmp_path: Path) -> None:
     assert proof.plan.duration_s == found.of.best.duration_s
     slow = found.prove(feed="F 60")
     assert slow.plan.duration_s > 2.0 * proof.plan.duration_s
-    with pytest.raises(OptionError, match="there is no best to prove"):
+    with pytest.raises(OptionError, match="so there is no best plan to prove"):
         replace(found, best=None, best_options=None).prove()
 
 

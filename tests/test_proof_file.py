@@ -546,7 +546,7 @@ def test_an_entry_that_stands_in_it_twice_is_refused(shop: Path) -> None:
     file.write_text(text.replace('  "passed": true', '  "passed": false,\n  "passed": true'))
     status, told = run("verify", str(file))
     assert (status, told.count("\n")) == (2, 0)
-    assert "the entry 'passed' stands in it twice" in told
+    assert "the entry 'passed' occurs twice" in told
 
 
 def test_a_step_that_is_left_out_of_a_proof_is_missed(shop: Path) -> None:

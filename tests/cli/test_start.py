@@ -97,7 +97,7 @@ def test_an_interrupt_behind_the_files_says_that_they_are_there(tmp_path: Path) 
         "start.run()\n"
     )
     assert done.returncode == 130
-    assert done.stderr == "error: interrupted; what it wrote is there, and whole\n"
+    assert done.stderr == "error: interrupted; its files are written completely\n"
     assert (tmp_path / "mine" / "machine.toml").stat().st_size > 1000
 
 

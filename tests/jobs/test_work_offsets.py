@@ -73,9 +73,15 @@ def test_systems_lie_as_far_apart_as_the_machine_file_says(tmp_path: Path, told:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("G1 X1 F60\nG55 X2\nM2\n", "a.nc:2: the program moves by G54 and G55: how far G5"),
-        ("G55 G1 X1 F60\nG53 X2\nM2\n", "a.nc:2: the program moves by G55 and G53: how far G55"),
-        ("G1 X1 F60\nG56 X2\nM2\n", "by G54 and G56: how far G56"),
+        (
+            "G1 X1 F60\nG55 X2\nM2\n",
+            "a.nc:2: the program moves by G54 and G55: only the control knows",
+        ),
+        (
+            "G55 G1 X1 F60\nG53 X2\nM2\n",
+            "a.nc:2: the program moves by G55 and G53: only the control knows",
+        ),
+        ("G1 X1 F60\nG56 X2\nM2\n", "by G54 and G56: only the control knows"),
     ],
 )
 def test_what_the_control_alone_knows_is_asked_for(
@@ -101,7 +107,7 @@ def test_grbl_goes_on_behind_the_end_of_a_program(tmp_path: Path, plain: Machine
     operations = list(job)
     assert [type(one) for one in operations if not isinstance(one, Move)] == [Dwell, Stop]
     assert operations[3].source.line == 5 and operations[3].feed == operations[1].feed
-    (said,) = [warning for warning in job.warnings if "end nothing" in warning]
+    (said,) = [warning for warning in job.warnings if "do not end the program" in warning]
     assert "a.nc:4" in said and "lines 4)" in said
     open_end = read(tmp_path, plain, "G1 X1 F60\nM30\nX2\n")
     assert places(open_end) == [(1, 0), (2, 0)] and isinstance(list(open_end)[-1], Stop)
@@ -143,7 +149,7 @@ def test_a_tool_length_before_all_moves_is_where_the_zero_is(
     for lengths in ("G43 H1\n", "G43\nG43\n", "G49\nG43 H0\n", "N5 G43 H12 (long)\n"):
         job = read(tmp_path, plain, head + lengths + bare.format("G49\n"), "linuxcnc")
         assert places(job) == [(2.0, 1.0), (7.0, 1.0)]
-        assert sum("how long the tool of G43 is" in said for said in job.warnings) == 1
+        assert sum("knows the tool length of G43" in said for said in job.warnings) == 1
         taken, *_, left = [word for word in _words(job) if word[:2] == "G4"]
         assert taken in lengths and taken.startswith("G43") and left == "G49"
     in_move = read(tmp_path, plain, "G90\nG0 G43 Z5 H1 X1\n#1=3\nG0 X#1\nM2\n", "linuxcnc")

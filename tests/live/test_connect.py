@@ -259,7 +259,7 @@ def test_a_machine_that_moves_is_not_asked(ran: Callable[..., Done]) -> None:
         ({"M115": "FIRMWARE_NAME:Smoothieware\nok"}, "a firmware whose planner is not known", 2),
         ({"M115": "ok FIRMWARE_VERSION:v0.12 FIRMWARE_NAME:Klipper"}, "ask its Moonraker", 2),
         ({**GRBL, "$$": "error:8"}, "answered 'error:8' when it was asked $$", 3),
-        ({}, "tells neither $I nor M115 who it is", 3),
+        ({}, "does not name its firmware", 3),
     ],
 )
 def test_what_cannot_be_read_is_said_and_nothing_written(

@@ -32,7 +32,7 @@ AT = 200  # at 10 counts per tick, on the way out
     [
         # Twice the lag of 29 ms at 36 mm/s and 1 mm are 3.1 mm of following error, 2.1 mm more
         # than a sound machine has: 58 ms, and the report that says so.
-        ("stuck-encoder", "X", "the encoder of X stands still while the axis is told", 12 + 10),
+        ("stuck-encoder", "X", "the encoder of X stands still while the axis should move", 12 + 10),
         ("encoder-jump", "A", "the encoder of A jumps by 2", 5),
         ("unheeded-reversal", "Y", "the output of Y changed its sign", 5),
         ("switch-hit", "x_high", "the limit switch x_high is hit", 5),

@@ -105,14 +105,14 @@ def test_interlocks_that_cannot_be_are_refused(
 @pytest.mark.parametrize(
     ("levels", "words"),
     [
-        ("0 for 50 ms, 1 for 460 ms", "'0 for 50 ms' is the level that was there"),
-        ("1 for 100 ms, 1 for 360 ms", "'1 for 360 ms' is the level that was there"),
+        ("0 for 50 ms, 1 for 460 ms", "'0 for 50 ms' repeats the level before it"),
+        ("1 for 100 ms, 1 for 360 ms", "'1 for 360 ms' repeats the level before it"),
         ("1 for 460 ms, 0 for 50 ms", "they end with 0"),
-        ("1 for -30 ms, 0 for 20 ms, 1 for 490 ms", "-30 ms is no time that a level can last"),
-        ("1 for 0 s", "0 s is no time that a level can last"),
+        ("1 for -30 ms, 0 for 20 ms, 1 for 490 ms", "-30 ms is not a duration above 0"),
+        ("1 for 0 s", "0 s is not a duration above 0"),
         ("1 for 455 ms", "no whole number of scans of 10 ms"),
         ("2 for 230 ms", "passes through level 2.000, outside the unshaped 0 ... 1"),
-        ("1 for 400 ms", "move the piston by 172.00 mm of 200.00 mm"),
+        ("1 for 400 ms", "by 172.00 mm, and its move is 200.00 mm"),
         ("1 for 450 ms, 0.63 for 10 ms, 0.37 for 10 ms", "would switch again after 10 ms"),
     ],
 )

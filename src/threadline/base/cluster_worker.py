@@ -69,7 +69,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Answers, the worker that gave them, its time for each, and the bits that it comes to."""
+    """Answers, the worker that gave them, its time for each, and its bits for a known machine."""
 
     worker: str
     known: bytes

@@ -78,7 +78,7 @@ SECTIONS = {
         "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
         "law": LazyCommand("law", "Show a motion law, rank laws on a mode, make one for it."),
         "cam": LazyCommand("cam", "Turn a measured cam into a motion law."),
-        "size": LazyCommand("size", "Size a machine from what its product asks for."),
+        "size": LazyCommand("size", "Size a machine from the demands of its product."),
         "wind": LazyCommand("wind", "List the patterns, lengths and thickness of a winding."),
         "machines": LazyCommand("machines", "List the machines of the library, or print one."),
         "guide": LazyCommand("guide_", "Write the guide to a machine: axes, wiring, calibration."),

@@ -5,8 +5,8 @@ The next speed decides how long the swing decays and turns before the next move 
 move adds. The same swing is followed on several machines at once (damping, mode off by a share);
 each of them must be within the tolerance when a needle enters.
 
-A dynamic program over pairs of speeds gives the shortest time to go. It lets the swing before each
-pair of turns be whatever is best within the tolerance, so it is a lower bound for every schedule on
+A dynamic program over pairs of speeds gives the shortest time to go. It assumes the best swing
+within the tolerance before each pair of turns, so it is a lower bound for every schedule on
 the grid. The beam ranks its states by the time so far plus this bound. At each speed it keeps the
 best of each cell of swings, because a long move later needs a slow turn before it, and a swing of
 the right phase. Of two states of one speed and one cell, the later one is given up.
@@ -31,7 +31,7 @@ _COLUMNS = 100  # with more, fewer states are kept
 _MISSING = 300  # states kept where none keeps the tolerance
 _CELLS, _OUTER = 3.0, 12.0  # cells of the swing per tolerance, and cells to each side
 _MOST_KEPT = 60_000_000  # states of all turns
-_BUCKETS = 4096  # of ranks: states in one of them are not told apart
+_BUCKETS = 4096  # of ranks: states in one of them count as equal
 _SLACK = 1.0 + 1e-12
 
 

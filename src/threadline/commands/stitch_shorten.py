@@ -36,7 +36,7 @@ _AFTER = 12  # turns after a window that are watched
 _FIRST, _MOST, _LEAST = 0.05, 0.1, 1e-3  # relative change of the square of a speed per step
 _WIDER, _NARROWER = 1.6, 0.4
 _STEPS, _SWEEPS = 3, 12
-_CORRECTIONS = 2  # times that a program is solved again for what its step missed
+_CORRECTIONS = 2  # times that a program is solved again for the error of its step
 _ENOUGH = 2e-5  # of the time of a window: a smaller gain is none
 _PRICES = (17.0, 100.0, 1000.0)  # of 100 % over the tolerance at a needle, in turns at full speed
 _GRID = 0.01  # relative step of the turn times of a search of all turns
@@ -147,7 +147,7 @@ def _slope(turn_s: FloatArray, share: float) -> FloatArray:
 def _worth(
     turns: FloatArray, first: int, given: tuple[Limits, Swung], price: float
 ) -> tuple[float, Sums]:
-    """Return the time around a window with the price of what is over the tolerance, and swings."""
+    """Return the time around a window with the price of swings over the tolerance, and swings."""
     limits, swung = given
     count = len(turns)
     end, watched = min(count, first + _WINDOW), min(count, first + _WINDOW + _AFTER)

@@ -213,10 +213,10 @@ class FastestResult:
         """
         if self._asked is None or self.best_options is None:
             raise OptionError(
-                "there is no best to prove: nothing was in spec"
+                "nothing was in spec, so there is no best plan to prove"
                 if self.best is None
-                else "the best is commands that only a move list can say",
-                remedy="Prove with a lower feed, or with less asked."
+                else "only a move list can describe the best plan",
+                remedy="Prove with a lower feed, or with wider limits."
                 if self.best is None
                 else "threadline fastest -o FILE writes the move list; prove that.",
             )

@@ -22,7 +22,7 @@ _LINETYPES = {
 PATTERNS = {"hatched": "ANSI31", "crossed": "ANSI37"}
 """Names of patterns of AutoCAD by names of fills."""
 FILL_LAYER, LEADER_LAYER = "FILL", "LEADER"
-"""Layers of what is not sewn."""
+"""Layers of shapes that are not sewn."""
 _LABEL_MM = 4.0
 _CHORDS = 32  # of a piece of a curve, where it bounds a fill
 _GREY = 8
@@ -30,7 +30,7 @@ _GREY = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnShape:
-    """A shape that is what its points say.
+    """A shape given by its points.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class DrawnShape:
     style
         ``solid``, ``dashed``, ``dotted`` or ``dashdot``.
     fill
-        Fill of what it bounds; an open one is closed by a straight line for that.
+        Fill of the area inside; an open shape is closed by a straight line for that.
     label
         Text at the last point of a leader.
     group

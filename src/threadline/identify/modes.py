@@ -39,9 +39,9 @@ _WIDE, _WIDTHS = (
 )  # of the lines fitted to either side, in halves of the mode's width
 _USUAL = 1e-20, 1e20
 """Range of the greatest power of a line, beyond which all powers are divided by it."""
-_REST = 0.4  # of the width of the window: a narrower mode cannot be told from the window
+_REST = 0.4  # of the width of the window: a narrower mode looks like the window itself
 _SEEN = 4.0  # power of a peak over the median around it
-_OTHERS = 1.0 / 20.0  # Klipper ignores what is below this share of the peak
+_OTHERS = 1.0 / 20.0  # Klipper ignores power below this share of the peak
 _UNKNOWN = 0.35  # half width of the damping over its value, beyond which it is refused
 _FINE = 24  # points of the model to a line of a spectrum
 _CLEAR, _FALL = 5, 1.5  # an end of the sweep: lines off the peak, and fall of log power over three

@@ -180,7 +180,7 @@ class Netting:
 
     @property
     def ratio(self) -> float:
-        """What is carried round over what is carried along; a closed cylinder needs 2."""
+        """Load carried round over load carried along; a closed cylinder needs 2."""
         return self.round / self.along if self.along > 0.0 else math.inf
 
     def stress(self, pressure: float, radius: float) -> float:

@@ -1,4 +1,4 @@
-"""The operator's override of the feed: how far it reaches, and what it is refused for."""
+"""The operator's override of the feed: its range, and the reasons for a refusal."""
 
 from __future__ import annotations
 

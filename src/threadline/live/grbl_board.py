@@ -60,7 +60,7 @@ class GrblBoard:
 
     @property
     def identity(self) -> str:
-        """Version of the firmware; empty if it told none."""
+        """Version of the firmware; empty if it is unknown."""
         return self._controller.identity
 
     @property

@@ -170,7 +170,7 @@ def compared(
                 number,
                 name,
                 "" if unit in (_MASK, _ON) else unit,
-                board or "not told",
+                board or "not reported",
                 _words(number, unit, board, letters),
                 "" if right is None else f"{right:.6g}",
                 _mark(number, number_of(board), right),

@@ -440,7 +440,7 @@ def _in_order(found: list[EachRun], places: list[IntArray]) -> EachRun:
 
 
 class _SoFar:
-    """Tells how many variants of a part were judged since it last told: a share of its motion."""
+    """Reports the variants of a part judged since its last report, as a share of its motion."""
 
     def __init__(self, count: int, plan: Plan, done: Done | None) -> None:
         self._count, self._plan, self.done, self._share = count, plan, done, 0.0

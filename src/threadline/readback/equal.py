@@ -97,7 +97,7 @@ class Equal:
 
     @property
     def remark(self) -> str:
-        """Note and missing reader, each told once; empty if there is nothing to tell."""
+        """Note and missing reader, each once; empty without either."""
         text = self.note if self.missing in self.note else f"{self.note}; {self.missing}"
         return text.removeprefix("; ")
 

@@ -117,12 +117,12 @@ def no_file_of(
 
 @contextmanager
 def refusing(what: str, target: str, path: Path) -> Iterator[None]:
-    """Tell in one line whatever a reader of a file of ``target`` stumbles over.
+    """Raise every failure of a reader of a file of ``target`` as an error of one line.
 
     Raises
     ------
     RecordingError
-        If it is anything but an error that is already told in one line.
+        If the failure is not an error of one line already.
     """
     try:
         yield

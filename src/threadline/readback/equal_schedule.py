@@ -138,7 +138,7 @@ def _free(waits: list[tuple[int, int]], vacuums: IntArray) -> IntArray:
 
 
 def _run(controller: Controller, one: Scheduled, played: _Played, scan_us: int) -> IntArray:
-    """Bring the program home, start a cycle, and return (n, outputs) what it switches.
+    """Bring the program home, start a cycle, and return its (n, outputs) switchings.
 
     The first row is of the scan in which the start button is down.
     """

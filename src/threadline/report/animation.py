@@ -62,7 +62,7 @@ def needs_of(file: Path) -> None:
 
 
 def write_animation(proof: Proof, file: Path, progress: Progress | None = None) -> Scene:
-    """Write the animation of a proof; return what it shows.
+    """Write the animation of a proof; return its scene.
 
     Raises
     ------

@@ -116,7 +116,7 @@ class Scene:
 
 
 _Error = tuple[FloatArray, float | None, str]
-"""Error at each sample in mm, its limit in mm, and what it is."""
+"""Error at each sample in mm, its limit in mm, and its name."""
 _NONE: _Error = (np.empty(0), None, "")
 
 

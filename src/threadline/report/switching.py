@@ -103,7 +103,7 @@ class _Bar:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The outputs that are on, and what is opened beside them by creeping."""
+        """The outputs that are on, and those that creeping opens as well."""
         if self.opened is None:
             return self.place.on
         beside = [name for name in self.opened.on if name not in self.place.on]
@@ -248,7 +248,7 @@ _CAPTIONS = {
     "the time of its own place, or when its input comes; grey places wait for an input, and one "
     "that does not come in time is a fault. The places of homing bring every cylinder back from "
     "wherever it stands. Below a place that waits for an end switch stands the place to which the "
-    "token goes and from which it returns while a cylinder creeps, with what it opens. "
+    "token goes and from which it returns while a cylinder creeps, with the outputs that it opens. "
     "The program's own times count on from the last input "
     "that was waited for, and add these up. The dashed line is what every place has: a broken "
     "beam, a missing enable, a late scan or a contact that cannot be believed return the token to "

@@ -118,7 +118,7 @@ def winding_caption(name: str) -> str:
             "The unrolled mandrel: the darker, the more bands lie on each other; white is bare. "
             "The line is the middle of the last fibre, the marks are the worst places with their "
             "program lines. Fibre whose place is not known is not drawn. report-winding-map.glb "
-            "shows the same in space: each node is a twentieth of what is wound."
+            "shows the same in space: each node is a twentieth of the winding."
         )
     return (
         "Along the mandrel: the largest steering of the fibre, mean of a block, against the lower "

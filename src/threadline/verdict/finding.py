@@ -113,7 +113,7 @@ class Finding:
         """
         if self._may_be_too_large(limit, status):
             every = "" if self.hidden is None else self.hidden.every
-            note = f"{every}what is above the limit may come of straight lines between them"
+            note = f"{every}the excess over the limit may come from straight lines between them"
             note += "; record at each tick"
             return Finding(value=None, axis=self.axis, step=self.step, note=note)
         if not self.unseen:
@@ -216,7 +216,7 @@ class RunFindings:
 
 
 def sure_of(found: RunFindings, sure: FloatArray, *, unless: str) -> RunFindings:
-    """Return findings of straight lines between samples, of which samples alone show less.
+    """Return findings of straight lines between samples, which are larger than at the samples.
 
     Parameters
     ----------

@@ -440,5 +440,5 @@ def _divided(count: IntArray) -> tuple[IntArray, FloatArray]:
 
 
 def _timeless(samples: Wound) -> Wound:
-    """Return samples of a plan, whose places are told by their lines."""
+    """Return samples of a plan without times: messages name their lines instead."""
     return replace(samples, time_s=np.full(len(samples.time_s), np.nan))

@@ -59,12 +59,12 @@ def is_assumed(spec: Spec) -> bool:
 def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     """Read a specification, or the default one of ``machine``.
 
-    The criteria of ``always_of`` are added for every axis for which the file does not mention
-    them. For an axis with a path they are travel, velocity, acceleration and jerk with the
-    machine's limits, path deviation, tracking error, and DAC saturation or (driven by pulses) lost
-    steps; for an on/off machine what its frame does at each step, the time of the cycle, and the
-    limits of its valves; for an embroidery machine the residual of the stitches and the limits of
-    its step tables and servos. A wider limit in the file does not replace the machine's own.
+    The criteria of ``always_of`` are added for every axis for which the file does not mention them.
+    For an axis with a path they are travel, velocity, acceleration and jerk with the machine's
+    limits, path deviation, tracking error, and DAC saturation or (driven by pulses) lost steps; for
+    an on/off machine the vibration of its frame at each step, the time of the cycle, and the limits
+    of its valves; for an embroidery machine the residual of the stitches and the limits of its step
+    tables and servos. A wider limit in the file does not replace the machine's own.
 
     Parameters
     ----------

@@ -151,7 +151,7 @@ def completed(reader: KeyReader, band: Band) -> Band:
     Raises
     ------
     JobError
-        If more is told than fits; names the line.
+        If the keys contradict each other; names the line.
     """
     composite = band.composite
     if composite is None:
