@@ -1,4 +1,4 @@
-"""What a worker of a cluster runs: the items of a task, by work that it keeps ready.
+"""The code that a worker of a cluster runs: the items of a task, by work that it keeps ready.
 
 Every task names the work by a digest, and a worker plans and compiles once for each digest. It
 returns the bits of its result for a known item, and refuses to work if its versions differ from the

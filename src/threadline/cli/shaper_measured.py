@@ -34,7 +34,7 @@ _MOST_DAMPED = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured:
-    """What a file says, and what Klipper would make of it.
+    """The mode measured in a file, and the shaper that Klipper would choose.
 
     Parameters
     ----------

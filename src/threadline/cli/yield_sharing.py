@@ -28,7 +28,7 @@ _ENGINES = ("numpy", "scipy", "numba")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """Whose yield is wanted: from the command line, or from the record of the parts.
+    """Job, machine and options of a yield: from the command line, or from the parts.
 
     Parameters
     ----------
@@ -208,9 +208,9 @@ def check_part_options(
     Parameters
     ----------
     given
-        Options of the whole, by name; None or False for what was left out.
+        Options of the whole, by name; None or False for options that were left out.
     whole, some
-        What is in parts, and what a part has some of.
+        Names of the divided work, and of its items.
 
     Raises
     ------

@@ -102,7 +102,7 @@ class Speeds:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Swings:
-    """What each turn on the grid does to the swing; M columns: a mode of an axis of a machine.
+    """The effect of each turn on the swing; M columns: a mode of an axis of a machine.
 
     The modes of one axis of one machine follow each other; their amplitudes add up.
 

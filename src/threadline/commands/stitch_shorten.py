@@ -261,7 +261,7 @@ def _rows_of(
 ) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
     """Return (R, n) rows, (R,) room left and (R,) needle of each, in shares of the tolerance.
 
-    Of neighbours in frequency, only the mode with the largest swing has a row.
+    Among neighbours in frequency, only the mode with the largest swing has a row.
     """
     first, end, watched, before = span[0], span[1], span[2], span[3]
     groups = len(row)

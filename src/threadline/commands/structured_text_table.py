@@ -206,7 +206,7 @@ def table_transitions(
     Parameters
     ----------
     ends
-        What the last place of the cycle does, and the last place of the way home.
+        Actions of the last place of the cycle, and of the last place of the way home.
     """
     creeps = sequence.creeps
     yield "(* The transitions: from place to place as long as one fires. *)"

@@ -45,7 +45,7 @@ class Answer:
 
     @property
     def plan(self) -> Plan:
-        """What was intended."""
+        """The plan of the job."""
         return self.of.plan
 
     @property
@@ -110,7 +110,7 @@ class Proved(Answer):
 
     @property
     def recording(self) -> Recording:
-        """What happened on the simulated machine."""
+        """The recording of the simulated machine."""
         return self.of.recording
 
     @checked
@@ -183,7 +183,7 @@ class FastestResult:
         The options of planning with which ``prove`` plans the best: ``tl.prove(job, machine,
         **best_options)``. None where nothing is in spec, or where only a move list can say it.
     certainty
-        What it costs to hold on the machines of ``ends``, ``band`` or ``robust``; None without.
+        Cost of passing on the machines of ``ends``, ``band`` or ``robust`` as well; None without.
     mismatch
         The fastest on machines at the ends of the tolerances, with ``mismatch``.
     """

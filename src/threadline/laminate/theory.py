@@ -167,7 +167,7 @@ def hoop_to_helical(angle: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Netting:
-    """What fibres alone carry on a cylinder, N/m for a fibre stress of 1 Pa: m.
+    """Load that fibres alone carry on a cylinder, N/m for a fibre stress of 1 Pa: m.
 
     Parameters
     ----------

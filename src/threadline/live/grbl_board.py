@@ -1,4 +1,4 @@
-"""What a controller with grbl tells of itself for a panel: settings, buffer, lines said."""
+"""State of a controller with grbl for a panel: settings, buffer, lines sent and received."""
 
 from __future__ import annotations
 

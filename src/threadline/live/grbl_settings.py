@@ -156,7 +156,8 @@ def compared(
 ) -> list[BoardSetting]:
     """Return the settings of a board beside the values of a machine file, by their numbers.
 
-    What a run needs (steps, speed, acceleration) is listed even if the board does not tell it.
+    Settings that a run needs (steps, speed, acceleration) are listed even if the board does not
+    report them.
     """
     wanted = wanted_of(machine, letters)
     rows = []

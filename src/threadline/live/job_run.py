@@ -71,7 +71,7 @@ class Manner:
     Parameters
     ----------
     may
-        What holds and overrides of the feed do to its work.
+        Effects of holds and overrides of the feed on its work.
     recorded
         Entries of the recording's origin besides the options of the plan, such as ``link``.
     pass_stops
@@ -116,7 +116,7 @@ class JudgedRun:
     Parameters
     ----------
     recording
-        What happened, with the parts of the runs that it continues.
+        Its recording, with the parts of the runs that it continues.
     verdict
         None without anything to judge.
     text

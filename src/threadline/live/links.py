@@ -46,7 +46,7 @@ class Link(Protocol):
     """Runs checked plans on the machine at its far end."""
 
     label: str
-    """What is at its far end if it is neither a machine nor its twin; else empty."""
+    """Name of the far end if it is neither a machine nor its twin; else empty."""
 
     @property
     def after_fault(self) -> str:
@@ -272,7 +272,7 @@ class AtLink:
     Parameters
     ----------
     label
-        What it is, if it is neither a machine nor its twin; else empty.
+        Name of the far end if it is neither a machine nor its twin; else empty.
     lacks
         Commands that are not available there, and why.
     notes

@@ -77,7 +77,7 @@ def check_runnable(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interventions:
-    """What an operator may do in a run without spoiling its work.
+    """The holds and overrides that an operator may use in a run without spoiling its work.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class Running(Protocol):
     why: str
     """Reason of its latest change of state; empty without one."""
     stopped_by: str
-    """Who stopped it, if it was stopped."""
+    """Source of its stop, if it was stopped."""
 
     @property
     def percent(self) -> int:

@@ -175,9 +175,9 @@ class WorstSearch:
     def worst_of_days(self, days: Days) -> int:
         """Return the number of the machine that is worst over several days.
 
-        What encoders round may decide more than a number of the machine: an error that a coarse
-        controller leaves standing changes from day to day. So the worst machines that are apart are
-        judged on every day, where machines are simulated in batches.
+        The rounding of encoders may matter more than a number of the machine: the remaining error
+        of a coarse controller changes from day to day. So the worst machines that differ clearly
+        are judged on every day, where machines are simulated in batches.
         """
         order = self._in_order()
         if not self._within.together or self.ended:

@@ -25,7 +25,7 @@ _FAULTS = (
     ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError,
     TypeError, ValueError, csv.Error, struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-"""What the readers of the standard library and numpy raise at files that are changed or cut."""
+"""Errors that the readers of the standard library and numpy raise at changed or truncated files."""
 _TIME = re.compile(r"\d{1,30}(/\d{1,30}|(\.\d{1,30})?(e[-+]?\d{1,2})?)")
 UNITS = {
     "count": (1.0, "count"), "step": (1.0, "step"), "m": (1e6, "um"), "rad": (1e6, "urad"),

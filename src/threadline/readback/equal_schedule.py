@@ -74,7 +74,7 @@ def _check_addresses(controller: Controller, machine: Machine) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Played:
-    """What the plan does on the simulated machine: n scans of outputs and contacts."""
+    """The plan on the simulated machine: n scans of outputs and contacts."""
 
     outputs: IntArray
     contacts: Mapping[str, IntArray]

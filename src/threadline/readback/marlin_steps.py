@@ -255,7 +255,7 @@ def _settings(
 
 
 _FILLED = {"steps": 80.0, "rate": 1000.0, "most": 1000.0}
-"""What an axis without a job has."""
+"""Settings of an axis that the job does not have."""
 
 
 def _moves(

@@ -57,7 +57,7 @@ class Laid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
-    """What one factor does to a winding.
+    """The effect of one factor on a winding.
 
     Parameters
     ----------

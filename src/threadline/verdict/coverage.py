@@ -28,7 +28,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """What is missing of a channel.
+    """The missing samples of a channel.
 
     ``why`` says it in words. ``early``: only the end is missing, without a gap before it.
     """

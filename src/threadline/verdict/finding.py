@@ -22,7 +22,7 @@ Statuses = Callable[[float | None, float | None], Status]
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """What a recording does not show between two of its samples.
+    """The possible error that a recording does not show between two of its samples.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Hidden:
         By how much the finding may be larger between samples, in its unit; it grows with the square
         of the interval. Infinite if samples so far apart say nothing of the finding.
     why
-        What limits it, in words.
+        Its bound, in words.
     enough_s
         Longest interval at which the samples say something of it; for an infinite ``most``.
     instead

@@ -139,7 +139,7 @@ class WoundJob:
 
     @property
     def rings(self) -> tuple[Ring, ...]:
-        """What else turns about the axis, from the mandrel's left end."""
+        """The other parts that turn about the axis, from the mandrel's left end."""
         found, tool = list(self.product.rings), self.tool
         for name, stop, sign in (("chuck", tool.chuck, -1.0), ("tailstock", tool.tailstock, 1.0)):
             if stop is not None:

@@ -101,7 +101,7 @@ class Clearance:
     surface
         The mandrel.
     rings
-        What else turns about its axis.
+        The other parts that turn about its axis.
     tool
         The eye with its sizes.
     wanted_m

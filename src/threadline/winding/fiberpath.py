@@ -25,7 +25,7 @@ SUFFIX = ".wind"
 FRICTION = 0.2
 """Default slip limit of FiberPath's machine profile; no planner writes a friction."""
 NAMED = f"friction {FRICTION:g} assumed"
-"""What the name of a product says, so that nobody takes the friction for the planner's."""
+"""Words in the name of a product: the friction is assumed, and not from the planner's file."""
 _MAX_BYTES = 20_000_000
 _BANDS = 2.0  # widths of the band by which a mandrel is longer than FiberPath's winding length
 ANGLES = 1.0, 89.0

@@ -66,7 +66,7 @@ class Tables(NamedTuple):
 
 
 class Laid(NamedTuple):
-    """What was laid in each of n blocks; see ``replay.Fibre`` for the meaning.
+    """The fibre laid in each of n blocks; see ``replay.Fibre`` for the meaning.
 
     ``state`` is (n,), the others are (n, columns).
     """
@@ -240,7 +240,7 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
         length, least and largest steering since the last mean; 1 if the fibre was known when it
         began to be unwound.
     laid
-        What was laid in each block; rows from ``first`` on are written.
+        The fibre laid in each block; rows from ``first`` on are written.
     first
         Block to begin with.
 

@@ -218,7 +218,7 @@ def read_svg(
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """What an element inherits: its axes, property values, layer and clipping."""
+    """Inherited values of an element: its axes, property values, layer and clipping."""
 
     matrix: FloatArray
     inherited: Mapping[str, str]

@@ -33,7 +33,7 @@ _DOES = {
     **dict.fromkeys(("PAUSE", "RESUME", "CANCEL_PRINT"), "stops the program or goes on with it"),
     **dict.fromkeys(("BED_MESH_PROFILE", "BED_MESH_CLEAR"), "changes the mesh that bends the path"),
 }
-"""What commands of klipper with a name do that changes time or motion."""
+"""Effects on time or motion of klipper's commands with names."""
 _IDLE = frozenset(
     {
         "EXCLUDE_OBJECT_DEFINE", "EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END",

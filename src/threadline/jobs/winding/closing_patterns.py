@@ -47,7 +47,7 @@ class Pattern:
     turns
         Turns of the mandrel in the layer.
     off
-        What a circuit of the geodesic lacks, rad; negative: it goes too far.
+        Angle by which a circuit of the geodesic falls short, rad; negative: it goes too far.
     ratio
         Friction ratio on the domes that closes it; NaN if none does.
     constant_m
@@ -70,7 +70,7 @@ class Pattern:
 
     @property
     def ways(self) -> tuple[Closing, ...]:
-        """What can close it."""
+        """The ways to close it."""
         found: list[Closing] = []
         for name, value in (
             ("friction", self.ratio), ("angle", self.constant_m), ("dwell", self.dwell)
@@ -122,7 +122,7 @@ def patterns(wrap: Wrap) -> list[Pattern]:
 
 
 class _Ways:
-    """What can close the patterns of a layer."""
+    """The ways to close the patterns of a layer."""
 
     def __init__(self, wrap: Wrap) -> None:
         self.wrap = wrap

@@ -58,9 +58,9 @@ class Layer:
     angle
         Winding angle at the largest radius, rad; None: it follows from the turn.
     circuits, shift
-        Of the pattern: each circuit is ``shift / circuits`` turns further on; None: chosen.
+        Shift of the pattern: each circuit is ``shift / circuits`` turns further on; None: chosen.
     close
-        What closes the pattern; None: chosen.
+        Way to close the pattern; None: chosen.
     cover
         Least coverage at the largest radius, as a share; 0 where only circuits are given.
     begin_m, end_m
@@ -84,7 +84,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class HourlyRate:
-    """What an hour of the machine costs, and in which currency (three letters)."""
+    """Cost of an hour of the machine, and its currency (three letters)."""
 
     per_hour: float
     currency: str
@@ -111,7 +111,7 @@ class Winding:
     tolerance_m
         Largest distance between the laid and the designed fibre.
     hour
-        What an hour of the machine costs; None: unknown.
+        Cost of an hour of the machine; None: unknown.
     """
 
     path: Path

@@ -57,7 +57,7 @@ class SheetRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet:
-    """What a shop needs to wind a product.
+    """The quantities that a shop needs to wind a product.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Sheet:
     timed
         How the times were found.
     costed
-        What the cost includes.
+        The items that the cost includes.
     """
 
     title: str
@@ -231,7 +231,7 @@ class WoundLaminate:
     laminate
         Its stiffness; axis 1 along the mandrel.
     net
-        What its fibres alone carry.
+        The load that its fibres alone carry.
     radius_m
         Of the mandrel there.
     strength

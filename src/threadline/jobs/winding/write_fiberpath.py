@@ -27,7 +27,7 @@ _SAMPLES = 513
 
 @dataclass(frozen=True, slots=True)
 class _Mandrel:
-    """What the format holds of a mandrel, m: where it is covered, and the radii there."""
+    """The part of a mandrel that the format holds, m: its covered length, and the radii there."""
 
     begin: float
     end: float
