@@ -387,7 +387,7 @@ def _connected(address: str) -> Any:
 
 
 def _result(future: Any) -> Answer | Refusal | None:
-    """Return what a task came to; None if it is still on its way after a moment."""
+    """Return the result of a task; None if it has not come after a moment."""
     try:
         with _quiet():
             return future.result(timeout=_LOOK_S)  # type: ignore[no-any-return]

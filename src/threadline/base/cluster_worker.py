@@ -29,7 +29,7 @@ _ENGINES = ("numpy", "scipy", "numba", "llvmlite")
 
 
 def versions() -> dict[str, str]:
-    """Return what the bits of an answer depend on: versions, and a digest of Threadline's source.
+    """Return everything that may change the bits of an answer: versions, and a source digest.
 
     >>> versions()["numpy"] == version("numpy")
     True
@@ -121,7 +121,7 @@ def answer_on_worker(
         return Answer(worker=worker, known=ready.known, answers=found, item_s=item_s)
     except OSError as error:
         what = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
-        return Refusal(worker=worker, why=f"cannot read what the job needs: {what}")
+        return Refusal(worker=worker, why=f"cannot read a file of the job: {what}")
 
 
 def _prepared(content: bytes, digest: str) -> _Ready:

@@ -53,12 +53,12 @@ SECTIONS = {
         "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
         "equal": LazyCommand("equal_", "Say whether the files of controllers are the plan."),
     },
-    "Run, and judge what the machine did": {
+    "Run, and judge the motion of the machine": {
         "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
         "panel": LazyCommand("panel_", "Serve the operator's panel in a browser."),
         "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),
         "report": LazyCommand("report_", "Judge the recording of a run again, and write a report."),
-        "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
+        "judge": LazyCommand("judge_", "Judge the motion of a machine from its recording."),
     },
     "Understand and design a machine": {
         "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),

@@ -186,7 +186,7 @@ def creep_of(
 
 
 def _creep_warning(machine: Machine, move: ScheduledMove, creep: Creep) -> dict[str, float]:
-    """Return what an opening covers, when the next one comes, and how much one rings."""
+    """Return the distance of an opening, the time to the next one, and the ringing of one."""
     assert machine.plc is not None
     scan_s = float(machine.clock(machine.plc.clock).period_s)
     cylinder = machine.cylinders[move.axis]

@@ -177,7 +177,7 @@ def _continued(
     most_over: float, cells: float,
     cost: FloatArray, rank: FloatArray, source: IntArray, speed: IntArray, cell_of: IntArray,
 ) -> int:  # fmt: skip
-    """Fill ``cost`` to ``cell_of`` with what may follow each state; return their number."""
+    """Fill ``cost`` to ``cell_of`` with the followers of each state; return their number."""
     columns = swing.shape[1]
     value = np.zeros(columns, np.complex128)
     most_m = tolerance_m * (1.0 + most_over)

@@ -1,9 +1,9 @@
 """The fastest turns of a shaft whose frame keeps ringing: a beam search over speed and swing.
 
 Turn by turn, the state is the speed of the shaft, on a grid, and the complex swing of every mode.
-The next speed decides how long the swing decays and turns before the next move ends, and what that
-move adds. The same swing is followed on several machines at once (damping, mode off by a share);
-each of them must be within the tolerance when a needle enters.
+The next speed decides how long the swing decays and turns before the next move ends, and how much
+that move adds. The same swing is followed on several machines at once (damping, mode off by a
+share); each of them must be within the tolerance when a needle enters.
 
 A dynamic program over pairs of speeds gives the shortest time to go. It assumes the best swing
 within the tolerance before each pair of turns, so it is a lower bound for every schedule on
@@ -238,8 +238,8 @@ def _possible(
     """Return whether some swing before turn ``k`` lets this turn and the next keep the tolerance.
 
     The swing at the end of the window of ``k`` is in three disks: around 0 for its needle, around
-    the swing of its move for what came before, and around what the next move takes off. If two of
-    them do not meet, no swing is in all.
+    the swing of its move for earlier swings, and around the swing that the next move cancels. If
+    two of them do not meet, no swing is in all.
     """
     for c in range(len(axis)):
         z = kept[pair, c]
@@ -322,7 +322,7 @@ def _continued(
     to_go: FloatArray, first: IntArray, begin: IntArray, pair_s: FloatArray,
     time: FloatArray, speed: IntArray, source: IntArray,
 ) -> int:  # fmt: skip
-    """Fill ``time`` to ``source`` with what may follow each state; return their number."""
+    """Fill ``time`` to ``source`` with the followers of each state; return their number."""
     found = 0
     for h in range(states):
         low, high = 0, to_go.shape[1]

@@ -3,11 +3,11 @@
 A search on a grid of speeds leaves time between its speeds, and on machines all over a wide band it
 misses passages that are narrower than its grid. Here the turns of a window of the schedule change
 together, by a little: the swings are linear in that change, the limit of the spindle is linear in
-the square of the speed. What is over the tolerance costs a price, so a start that is over it is
-mended. Windows overlap, and are solved one after the other until none gains any more. Swings bend:
-if the exact sum of swings after a step exceeds the tolerance, the excess is taken off what the
-program may use, and the program is solved again. A step that does not gain is not taken; the next
-is smaller.
+the square of the speed. Swing over the tolerance costs a price, so a start that is over it is
+corrected. Windows overlap, and are solved one after the other until none gains any more. Swings are
+not quite linear: if the exact sum of swings after a step exceeds the tolerance, the program gets a
+tolerance that is lower by the excess, and is solved again. A step that does not gain is not taken;
+the next is smaller.
 """
 
 from __future__ import annotations

@@ -391,7 +391,7 @@ def _joined(
 ) -> Designed:
     """Return feedback, observer and a filter of the references as one controller.
 
-    The filter gives what the references add to the outputs.
+    The filter gives the contribution of the references to the outputs.
     """
     Af, Bf, Cf, Df = filtered
     m, n, q = len(regulator.parts), len(regulator.F), len(regulator.H)

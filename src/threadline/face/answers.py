@@ -50,7 +50,7 @@ class Answer:
 
     @property
     def verdict(self) -> Verdict:
-        """Every criterion, with what was measured."""
+        """Every criterion, with its measured value."""
         return self.of.verdict
 
     @property
@@ -70,7 +70,7 @@ class Answer:
         return self.of.verdict.result(criterion, axis)
 
     def json(self) -> dict[str, Any]:
-        """Return what the command line prints with ``--json``."""
+        """Return the output of the command line with ``--json``."""
         return verdict_json(self.of.verdict, self.of.plan)
 
     def __repr__(self) -> str:
@@ -104,7 +104,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Proved(Answer):
-    """A proof: a plan, what the simulated machine made of it, and the verdict."""
+    """A proof: a plan, its recording on the simulated machine, and the verdict."""
 
     of: Proof
 

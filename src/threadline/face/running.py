@@ -101,7 +101,7 @@ def run(
     InputError
         As on the command line; nothing has moved.
     LinkFaultError
-        If the machine or the link failed; what was recorded is in the folder of the run.
+        If the machine or the link failed; the recording until then is in the folder of the run.
     """
     from threadline.base.reading import inputs_read
     from threadline.files import RunEnd

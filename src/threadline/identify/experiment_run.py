@@ -1,4 +1,4 @@
-"""Run an experiment on a machine at the end of a link, and evaluate what was recorded."""
+"""Run an experiment on a machine at the end of a link, and evaluate its recording."""
 
 from __future__ import annotations
 

@@ -195,7 +195,7 @@ class Netting:
 
 
 def netting(layers: Sequence[tuple[float, float]]) -> Netting:
-    """Return what the fibres of layers carry, from their angle, rad, and fibre thickness, m."""
+    """Return the load that the fibres of layers carry, from their angle, rad, and thickness, m."""
     return Netting(
         along=sum(t * math.cos(angle) ** 2 for angle, t in layers),
         round=sum(t * math.sin(angle) ** 2 for angle, t in layers),

@@ -136,7 +136,7 @@ def last_executed(trace: Path) -> int:
             values = block.samples[channel.name]
             last = max(last, int(np.nanmax(values, initial=-1.0)))
     if last < 0:
-        raise CommandError("nothing of that run was executed", remedy="Run the job anew.")
+        raise CommandError("nothing of that run was executed", remedy="Run the job again.")
     return last
 
 

@@ -160,7 +160,7 @@ class GrblLink:
         self.sent: Mapping[str, bytes] = {}
 
     def prepare(self, plan: Plan) -> Sequence[str]:
-        """Write the program, and connect; return notes on what a lost link would do."""
+        """Write the program, and connect; return notes on the effect of a lost link."""
         machine = plan.machine
         self._program, self.sent = written_program(plan)
         self._controller = Controller(Port(self._address), machine)
@@ -170,7 +170,7 @@ class GrblLink:
     def run(
         self, plan: Plan, desk: Desk, sink: Sink, conduct: Conduct = UNATTENDED
     ) -> tuple[RunEnd, str]:
-        """Home, send the program, and record what the controller reports.
+        """Home, send the program, and record the reports of the controller.
 
         The controller holds on its path, whatever ``hold_at_rest`` says.
         """
@@ -240,7 +240,7 @@ def link_of(
             raise OptionError(
                 f"--actual is simulated, and --link is {text[:40]!r}", remedy="Leave it out."
             )
-        check_dynamics("what another machine makes of the plan", machine, actual)
+        check_dynamics("the motion of another machine", machine, actual)
     if text == "sim":
         return SimLink(speed, fault, actual)
     if text == SLOWER:

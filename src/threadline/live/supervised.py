@@ -101,7 +101,7 @@ class Interventions:
 
 
 def interventions(plan: Plan, spec: Spec) -> Interventions:
-    """Return what holds and overrides of the feed do to the work of a plan."""
+    """Return the effects of holds and overrides of the feed on the work of a plan."""
     kind = run_kind_of(plan.machine)
     leaves_m = kind.hold_deviation_m(plan)
     at_rest = hold_waits(plan, spec, leaves_m)

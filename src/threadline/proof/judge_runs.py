@@ -180,7 +180,7 @@ def keep_freed_memory() -> None:
 AT_ONCE = 256
 """Variants per part: they share common calculations, and their samples fit the cache."""
 _LEAST_WOUND = 16
-"""Least variants with products per part, if there are as many: what they share costs as much."""
+"""Least variants with products per part, if there are as many: their common part costs as much."""
 _WOUND_BYTES = 256 << 20
 """Memory of the rasters of a part, each variant with a product having its own."""
 

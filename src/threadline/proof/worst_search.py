@@ -62,14 +62,14 @@ class WorstSearch:
     Both ends of each number alone give the slopes of every criterion. Then come the corners of the
     numbers that matter: by the signs of the slopes, by the signs of a linear fit to all machines,
     and next to the worst ones. Where machines are simulated in batches, 400 corners are drawn, half
-    of them leaning to the slopes of the criteria that are worst at the ends: what a machine comes
-    to may jump from corner to corner, and a few machines in a thousand may be far worse than all
+    of them mostly by the slopes of the criteria that are worst at the ends: the result of a machine
+    may jump from corner to corner, and a few machines in a thousand may be far worse than all
     others. So many short climbs find more than one long one: up to 16 start from the worst machines
-    of these criteria that are apart. One number after the other goes to its other end, then all
-    that make it worse together, as long as that helps. Numbers that changed nothing are left out
-    until a climb ends, and are tried then. When all have ended, further climbs start from the worst
-    of their ends with four numbers changed at random. A fifth of the machines is kept for the last
-    steps: each number goes to the middle and half-way there. Each round is one batch.
+    of these criteria that differ clearly. One number after the other goes to its other end, then
+    all that make it worse together, as long as that helps. Numbers that changed nothing are left
+    out until a climb ends, and are tried then. When all have ended, further climbs start from the
+    worst of their ends with four numbers changed at random. A fifth of the machines is kept for the
+    last steps: each number goes to the middle and half-way there. Each round is one batch.
 
     No gain below a ten-millionth of a limit counts, so that rounding decides nothing.
 

@@ -3,7 +3,7 @@
 ``scan_language`` reads the program, and a controller of its own runs it: home, start, one cycle.
 Its end switches come from the simulated machine that plays the plan, and each input that nothing
 moves comes at the scan at which the plan waits for it. What the program then switches, scan after
-scan, is compared with what the plan switches.
+scan, is compared with the switchings of the plan.
 """
 
 from __future__ import annotations

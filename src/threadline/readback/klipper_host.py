@@ -127,7 +127,7 @@ def _run(words: list[str], folder: Path, into: Path | None) -> str:
             remedy=f"{PYTHON} names a Python with Klipper's packages (docs/equal.md).",
         ) from error
     if done.returncode:
-        last = (output.strip().splitlines() or ["nothing is said"])[-1]
+        last = (output.strip().splitlines() or ["without a message"])[-1]
         raise OptionError(
             f"Klipper's host ends with status {done.returncode}: {last[:160]}",
             remedy=f"{PYTHON} names a Python with Klipper's packages (docs/equal.md).",

@@ -290,7 +290,7 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
         [
             "Thread",
             f"{sum(one.thread_m for one in stitched.sewn):.4g} m on the upper side, from hole to "
-            "hole with the jumps between; what the stitches draw in comes on top",
+            "hole with the jumps between; the take-up of the stitches is extra",
         ],
         *([["Threads", _threads_words(stitched.sewn)]] if len(stitched.sewn) > 1 else []),
     ]

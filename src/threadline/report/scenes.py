@@ -1,4 +1,4 @@
-"""The scene of an animation: what of a machine is drawn, and where it is at each instant.
+"""The scene of an animation: the drawn parts of a machine, and their places at each instant.
 
 A scene is made of lines in a few groups; each moves as a whole: a mandrel turns, a
 carriage goes along, a frame carries its cloth. The path that the tool has made lies in one of the

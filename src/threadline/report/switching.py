@@ -235,12 +235,12 @@ def _arc(panel: Axes, points: Sequence[tuple[float, float]], arrow: bool = False
 
 _DRAWN = ("residual_vibration",)
 _CAPTIONS = {
-    "residual": "What rings in the frame once each step has brought its cylinder to rest"
+    "residual": "Ringing of the frame once each step has brought its cylinder to rest"
     "{beside}; dotted: the limit.",
-    "cycle": "Pistons, and what was switched on, over the cycle; dotted lines part the steps.",
+    "cycle": "Pistons, and outputs that are on, over the cycle; dotted lines part the steps.",
     "frame": "The frame over the cycle{beside}.",
     "broken-beam": "A beam of the light grid is broken at each instant of the longest move and all "
-    "valves shut: what rings then. First the move as it is scheduled, with the twin's own runs as "
+    "valves shut: the ringing after that. First the move as scheduled, with simulated runs as "
     "circles at the scans that shut the valves; then every kind of shaper, made for "
     "the machine's own mode.",
     "petri-net": "The sequence that the PLC program runs, a Petri net with one token: places "
@@ -249,9 +249,9 @@ _CAPTIONS = {
     "that does not come in time is a fault. The places of homing bring every cylinder back from "
     "wherever it stands. Below a place that waits for an end switch stands the place to which the "
     "token goes and from which it returns while a cylinder creeps, with the outputs that it opens. "
-    "The program's own times count on from the last input "
-    "that was waited for, and add these up. The dashed line is what every place has: a broken "
-    "beam, a missing enable, a late scan or a contact that cannot be believed return the token to "
+    "The program's own times are sums of these, from the last input "
+    "that was waited for. The dashed line holds for every place: a broken "
+    "beam, a missing enable, a late scan or an implausible contact return the token to "
     "place 0, everything off.",
 }
 

@@ -106,10 +106,10 @@ class Finding:
         return replace(larger, unseen=self.unseen or other.unseen, hidden=coarsest, over=over)
 
     def under(self, limit: float | None, status: Statuses) -> Finding:
-        """Return the finding as it counts under a limit: one partly unseen can only fail it.
+        """Return the finding as it counts under a limit: if partly unseen, it can only fail.
 
-        So does one that would exceed the limit with what may be hidden between samples. One that
-        fails only with what may be too much of it is not measured.
+        The same holds if it would exceed the limit with the error that may be hidden between
+        samples. If it fails only by the part that may be exaggerated, it is not measured.
         """
         if self._may_be_too_large(limit, status):
             every = "" if self.hidden is None else self.hidden.every
@@ -124,7 +124,7 @@ class Finding:
         return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
 
     def _may_be_too_large(self, limit: float | None, status: Statuses) -> bool:
-        """Return whether the value fails its limit, and would not without what may be too much."""
+        """Return whether the value fails its limit only by the part that may be exaggerated."""
         if not self.over or self.value is None or status(self.value, limit) is not Status.FAILED:
             return False
         return status(self.value - self.over, limit) is not Status.FAILED

@@ -234,9 +234,9 @@ class MotionRun(Setting):
         return found
 
     def _hidden(self, one: Running, axis: str) -> Hidden | None:
-        """Return what the samples do not show of a measure; None of samples at each tick.
+        """Return the error that the samples may hide from a measure; None for samples at each tick.
 
-        Of samples at each tick a measure that follows the loads between them has it, in a
+        With samples at each tick a measure that follows the loads between them has it, in a
         recording from outside without velocities.
         Between samples T apart a position leaves the straight line by at most a T^2 / 8 at an
         acceleration of a. A speed is measured as a mean, over samples that are no further apart.

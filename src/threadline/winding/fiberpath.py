@@ -160,7 +160,7 @@ def layered(path: Path, margin: float) -> Content:
     """Return the content of a product file with layers, of a ``.wind``.
 
     FiberPath turns the fibre within ``windLength`` by friction that it does not name; here the
-    mandrel is longer at its open ends by what such a turn takes.
+    mandrel is longer at its open ends by the length of such a turn.
 
     Parameters
     ----------

@@ -263,7 +263,7 @@ class _Walk:
             ) from error
 
     def _enter(self, element: Element, outside: _Here, depth: int) -> _Here | None:
-        """Return what the children of an element inherit; None where it is not drawn."""
+        """Return the values that children of an element inherit; None where it is not drawn."""
         if id(element) not in self.cached:
             self.cached[id(element)] = self.styles.declared(element)
         declared = self.cached[id(element)]

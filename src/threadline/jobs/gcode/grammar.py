@@ -195,8 +195,7 @@ def check_line(text: str, grammar: Grammar, name: str, place: Place) -> None:
     """
     if grammar.split_comments and _SPLIT_COMMENT.search(text):
         raise JobError(
-            f"a semicolon in parentheses ends the line for {name}, and what stands behind it is "
-            "not run",
+            f"a semicolon in parentheses ends the line for {name}, and words behind it are not run",
             place=place,
             remedy="Take the semicolon out of the comment.",
         )

@@ -18,7 +18,7 @@ _NAMED = re.compile(r" *(?:N *[0-9]+ *)?([A-Z_][A-Z_]+[0-9]*(?:_[A-Z0-9_]*)?)(?!
 _M204 = re.compile(r" *(?:N *[0-9]+ *)?M *0*204(?![0-9.])(.*)", re.I)
 _LETTERED = re.compile(r"([A-Z]) *([-+0-9.]*)")
 _DOES = {
-    "SET_INPUT_SHAPER": "sets the input shaper anew",
+    "SET_INPUT_SHAPER": "changes the input shaper",
     "SET_GCODE_OFFSET": "moves the zero",
     "SAVE_GCODE_STATE": "keeps the zero and the feed for later",
     "RESTORE_GCODE_STATE": "takes back the zero and the feed of before",

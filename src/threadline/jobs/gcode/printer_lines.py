@@ -1,7 +1,7 @@
 """The lines of printers' firmwares: their numbers, checksums, texts and commands.
 
 Marlin and Klipper run one command of a line, RepRapFirmware every command. These functions return
-the commands as words with numbers; what the firmware would run otherwise is refused.
+the commands as words with numbers; lines that the firmware would run otherwise are refused.
 
 Sources: Marlin 2.1 (``parser.cpp``, ``queue.cpp``), Klipper (``gcode.py``), RepRapFirmware 3.5
 (``StringParser.cpp``, ``GCodes2.cpp``).

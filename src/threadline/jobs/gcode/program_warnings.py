@@ -48,7 +48,7 @@ def capped_feeds(
 
 
 def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[str, ...]:
-    """Return warnings of what the scan found, each with file and line."""
+    """Return warnings about findings of the scan, each with file and line."""
     warnings = list(_long_dwells(findings, file, dialect))
     blends = (
         "this G64 does not count: the interpolation decides how corners are rounded, and with "

@@ -16,7 +16,7 @@ _ANALOGUE = "an analogue output, which no machine here has"
 _BUILT = "what marlin knows only where it is built with"
 _PEN = "files for Marlin lift the pen of a plotter by it"
 WHY: Mapping[int, str] = {
-    410: _RADIUS, 420: _RADIUS, 100: "setting what the control keeps (offsets, tool tables)",
+    410: _RADIUS, 420: _RADIUS, 100: "a setting of data in the control (offsets, tool tables)",
     430: "compensation of the tool's length", 431: "compensation of the tool's length",
     **dict.fromkeys((382, 383, 384, 385), "probing, whose end nobody knows before"),
     **dict.fromkeys((730, 810, 820, 830, 850, 890), _CYCLE),

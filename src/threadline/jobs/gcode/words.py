@@ -110,7 +110,7 @@ def without_comments(
         for part in _PARENTHESES.sub(" ", comment).split(";"):
             if _WORD.match(part) and _BLOCK.fullmatch(part):
                 raise JobError(
-                    f"what follows ';' reads as another block: {_shown(part.strip())}",
+                    f"the text after ';' reads as another block: {_shown(part.strip())}",
                     place=Place(file, line),
                     remedy="Put it on a line of its own, or in parentheses if it is a comment.",
                 )

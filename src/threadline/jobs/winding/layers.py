@@ -237,7 +237,7 @@ class _LayerReader(ProductReader):
         )  # fmt: skip
 
     def _hour(self, content: Mapping[str, Any], layers: Sequence[Layer]) -> HourlyRate | None:
-        """Return what an hour of the machine costs, in the currency of the materials."""
+        """Return the cost of an hour of the machine, in the currency of the materials."""
         cost = self.table_of(content, "cost")
         text, rate = cost.get("hour"), None
         if text is not None:

@@ -204,7 +204,7 @@ def gentle_ratio(
     """Return the friction ratio with which a fibre turns: 0 on a dome.
 
     At an open end it is less than the friction allows, if the whole band then stays on the mandrel:
-    what the machine adds to the steering has room, too.
+    the rest is a reserve for the steering that the machine adds.
     """
     if site.dome:
         return 0.0

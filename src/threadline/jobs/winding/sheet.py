@@ -28,7 +28,7 @@ LEAST_VOLUME, MOST_VOLUME = 0.2, 0.75
 
 @dataclass(frozen=True, slots=True)
 class SheetRow:
-    """A layer, or all of them; what the product file does not tell is None.
+    """A layer, or all of them; numbers that the product file does not give are None.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Sheet:
         ]  # fmt: skip
 
     def note(self) -> str:
-        """Return what the numbers include."""
+        """Return in words the items that the numbers include."""
         percent = "" if all(row.share is None for row in self.rows) else (
             " The percentage is the stress of the fibres over their strength."
         )  # fmt: skip

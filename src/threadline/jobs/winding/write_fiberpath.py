@@ -1,4 +1,4 @@
-"""Layers as a definition of FiberPath (``.wind``): what the format can hold, and no more."""
+"""Layers as a definition of FiberPath (``.wind``), as far as the format can hold them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def check_wind(winding: Winding) -> None:
 
 
 def write_wind(file: Path, laid: Sequence[Laid]) -> list[str]:
-    """Write the layers of a winding as a ``.wind``; return what the format has no place for.
+    """Write the layers of a winding as a ``.wind``; return the parts that the format cannot hold.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def _turn(count: int, shift: int) -> tuple[int, int]:
 
 
 def _left_out(winding: Winding, laid: Sequence[Laid], shape: _Mandrel) -> list[str]:
-    """Return what the product says and the format has no place for, for people."""
+    """Return in words the parts of the product that the format cannot hold."""
     product, said = winding.product, []
     zero = product.at.si + shape.begin
     if abs(zero) > _STRAIGHT_M:
