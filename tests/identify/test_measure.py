@@ -52,11 +52,11 @@ def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path,
     sweep = ("--axis", "X", "--band", "1 Hz, 20 Hz", "--actual", "lathe-winder", "-o", "x.npz")
     code, out, err = run(capsys, "measure", "off.toml", *sweep, "--json")
     assert (code, err) == (0, "")
-    told = json.loads(out)
-    assert set(told["predicted"]) == {"duration_s", "lowest", "highest", "speed", "current_a"}
+    answer = json.loads(out)
+    assert set(answer["predicted"]) == {"duration_s", "lowest", "highest", "speed", "current_a"}
     found = response_of(read_recording("x.npz").origin)
     assert found is not None and found.coherence.min() > 0.99
-    assert told["response"]["frequency_hz"] == found.frequency_hz.tolist()
+    assert answer["response"]["frequency_hz"] == found.frequency_hz.tolist()
     plant = winder_plant(found.frequency_hz)
     slow = found.frequency_hz < 8.0  # above, what aliases at 200 Hz reaches a percent
     assert np.abs(found.value / plant - 1.0)[slow].max() < 0.015

@@ -266,8 +266,8 @@ def test_other_files_and_options(tmp_path: Path) -> None:
         ("axes", of_both),
     ):
         typed = f"--{option.replace('_', '-')}"
-        told = refused(seam, **{option: "grbl"})
-        assert f"a.seam.toml is a seam, and {typed} is for {formats}. Leave {typed} out." in told
+        message = refused(seam, **{option: "grbl"})
+        assert f"a.seam.toml is a seam, and {typed} is for {formats}. Leave {typed} out." in message
     with pytest.raises(OptionError, match="F cannot be read as 'fast'"):
         read_job(good, MACHINE, feed_mode="fast")
     with pytest.raises(OptionError, match="base axes go with"):

@@ -29,7 +29,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+def with_offsets(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return made_machine(tmp_path_factory.mktemp("told"), "XYZ", "A", OFFSETS)
 
 
@@ -55,16 +55,18 @@ def test_a_program_in_one_system_has_its_zero_there(
     assert first == [(10.0, 2.0), (15.0, 2.0)]
 
 
-def test_systems_lie_as_far_apart_as_the_machine_file_says(tmp_path: Path, told: Machine) -> None:
+def test_systems_lie_as_far_apart_as_the_machine_file_says(
+    tmp_path: Path, with_offsets: Machine
+) -> None:
     """The zero of the first is where the job begins; G92 goes along, and G53 knows no shift."""
     text = (
         "G1 F600 X10 Y0\nG55 X10\nY1\nG91 X1\nG90 G54 X0\nG92 X100\nX101\nG55 X101\n"
         "G91 G53 X100 Y-5\nG90 X101\nM2\n"
     )
-    assert places(read(tmp_path, told, text)) == [
+    assert places(read(tmp_path, with_offsets, text)) == [
         (10, 0), (40, 0), (40, 6), (41, 6), (0, 6), (1, 6), (31, 6), (0, 0), (31, 0),
     ]  # fmt: skip
-    job = read(tmp_path, told, "G1 F600 X10\nG55 A0\nM2\n")
+    job = read(tmp_path, with_offsets, "G1 F600 X10\nG55 A0\nM2\n")
     assert [one.target[3] for one in job if isinstance(one, Move)][-1] == pytest.approx(
         1.5707963268
     )
@@ -85,9 +87,9 @@ def test_systems_lie_as_far_apart_as_the_machine_file_says(tmp_path: Path, told:
     ],
 )
 def test_what_the_control_alone_knows_is_asked_for(
-    tmp_path: Path, plain: Machine, told: Machine, text: str, said: str
+    tmp_path: Path, plain: Machine, with_offsets: Machine, text: str, said: str
 ) -> None:
-    machine = told if "G56" in text else plain
+    machine = with_offsets if "G56" in text else plain
     with pytest.raises(JobError) as caught:
         read(tmp_path, machine, text)
     assert said in str(caught.value) and "\n" not in str(caught.value)

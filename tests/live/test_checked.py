@@ -211,7 +211,7 @@ def test_the_command_runs_what_it_proves(
     assert second.simulated
 
 
-def told(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[object, str, str]:
+def answer_of(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[object, str, str]:
     with pytest.raises(SystemExit) as ended:
         main([str(word) for word in words])
     captured = capsys.readouterr()
@@ -235,21 +235,21 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
     job.write_bytes((EXAMPLES / "x-180.prg").read_bytes())
     how = (job, "-m", "lathe-winder", "--interpolation", "linear")
     fast = (*how, "--feed", "60 count/tick", "--nominal", "--speed", "0", "--store", store)
-    code, out, err = told(capsys, "run", *fast, "-s", spec)
+    code, out, err = answer_of(capsys, "run", *fast, "-s", spec)
     assert (code, "IN SPEC" in out) == (0, True), (out, err)
     again = ("report", "last", "--store", store)
-    code, out, _ = told(capsys, *again)
+    code, out, _ = answer_of(capsys, *again)
     assert (code, "IN SPEC" in out) == (0, True), out
-    assert told(capsys, *again, "-s", LIBRARY / "lathe-winder.spec.toml")[0] == 1
+    assert answer_of(capsys, *again, "-s", LIBRARY / "lathe-winder.spec.toml")[0] == 1
     (folder,) = (path for path in store.iterdir() if path.is_dir())
     assert (folder / "inputs" / "coarse.toml").read_bytes() == spec.read_bytes()
     assert (folder / "inputs" / "x-180.prg").is_file()
-    assert told(capsys, "verify", folder / "proof.json")[0] == 0
+    assert answer_of(capsys, "verify", folder / "proof.json")[0] == 0
     spec.write_text(spec.read_text(encoding="utf-8").replace("6 mm", "2 mm"), encoding="utf-8")
-    code, out, err = told(capsys, *again)
+    code, out, err = answer_of(capsys, *again)
     assert (code, out, "'coarse', has changed since" in err) == (2, "", True)
     job.write_bytes(job.read_bytes() + b"\n")
-    code, out, err = told(capsys, *again)
+    code, out, err = answer_of(capsys, *again)
     assert (code, out, "from another version of x-180.prg" in err) == (2, "", True)
     assert f"{folder / 'inputs'} has a copy of each input" in err
 

@@ -212,9 +212,9 @@ def test_the_lag_is_the_models() -> None:
     rows = np.zeros((600, 3), np.int64)
     rows[:, 1] = 10
     recording = simulate(table_of_counts(rows), winder())
-    told, read = (recording.samples(f"X.{what}")[1] for what in ("commanded", "measured"))
+    commanded, read = (recording.samples(f"X.{what}")[1] for what in ("commanded", "measured"))
     speed = 10 / winder().counts_per_unit[1] / 0.005
-    lag = (told - read)[500] / speed
+    lag = (commanded - read)[500] / speed
     guards = Guards(winder())
     assert lag == pytest.approx(guards.lag_s["X"], rel=0.02)  # half a count of the encoder
 

@@ -82,10 +82,10 @@ for told in pickle.load(sys.stdin.buffer):
 def test_a_process_that_knows_nothing_else_serves_each_kind() -> None:
     """Each is told to it through a pipe, and greets."""
     machines = [load_machine(name) for name in ("lathe-winder", *JOBS, "stitcher")]
-    told = [(one, np.zeros(len(one.axes), np.int64), 0.0, None) for one in machines]
+    requests = [(one, np.zeros(len(one.axes), np.int64), 0.0, None) for one in machines]
     done = subprocess.run(
         [sys.executable, "-c", SERVES],
-        input=pickle.dumps(told), capture_output=True, check=False, timeout=600,
+        input=pickle.dumps(requests), capture_output=True, check=False, timeout=600,
     )  # fmt: skip
     assert done.stdout.decode().splitlines() == [one.sha256 for one in machines], done.stderr
 

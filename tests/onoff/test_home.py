@@ -336,13 +336,13 @@ def test_a_switch_at_the_edge_of_its_tolerance_is_told(
     """z_is_down switches at 94 +- 2 mm: with Z at 95 mm it may stay off, with Z at 97 mm not."""
     file = tmp_path / "edge.toml"
     steps = '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { Z = "95 mm" }\n'
-    for place, told in ((95, True), (97, False)):
+    for place, message in ((95, True), (97, False)):
         text = steps.replace("95", str(place)) + '[[operation]]\nwait = "z_is_down"\n'
         file.write_text(text, encoding="utf-8")
         main_or_exit(["prove", str(file), "-m", "letter-placer", "--nominal"])
         err = capsys.readouterr().err
-        assert ("may never come: Z stands at 95 mm then" in err) is told
-        assert ("edge.toml:5" in err) is told
+        assert ("may never come: Z stands at 95 mm then" in err) is message
+        assert ("edge.toml:5" in err) is message
 
 
 def main_or_exit(words: list[str]) -> None:

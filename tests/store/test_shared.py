@@ -168,10 +168,10 @@ def test_a_run_whose_index_is_locked_at_its_end_is_kept_and_entered_later(
     with pytest.raises(SystemExit) as ended:
         main(["run", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--nominal",
               "--speed", "0", "--store", "runs", "--json"])  # fmt: skip
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     assert ended.value.code in (0, None)
-    assert "are kept in runs/" in told.err and "is locked" in told.err
-    assert "threadline runs --store runs enters it into the index later" in told.err
+    assert "are kept in runs/" in output.err and "is locked" in output.err
+    assert "threadline runs --store runs enters it into the index later" in output.err
     locked[0].rollback()
     locked[0].close()
     (row,) = RunIndex(tmp_path / "runs" / INDEX).runs()

@@ -76,6 +76,6 @@ def test_the_block_that_is_too_long_is_named(words: str, tmp_path: Path) -> None
     job = tmp_path / "slow.prg"
     job.write_text(f"%\nO 1;\nN 10 G91 G01 X 1 F 2160;\nN 20 {words};\nN 30 M30;\n%\n")
     for interpolation in ("optimal", "auto"):
-        with pytest.raises(BudgetError, match="the job takes more than") as told:
+        with pytest.raises(BudgetError, match="the job takes more than") as caught:
             plan_job(read_job(job, machine), machine, Options(interpolation=interpolation))
-        assert "slow.prg:4" in str(told.value)
+        assert "slow.prg:4" in str(caught.value)

@@ -100,4 +100,4 @@ def test_a_careless_program_is_found_out(
     """Limits two thousandths wider, the first channel of a kind, an F in inches taken as mm."""
     pool()
     monkeypatch.setattr(owner, name, careless)
-    assert any(found in told for told in run(kind, tmp_path, CASES[kind]))
+    assert any(found in message for message in run(kind, tmp_path, CASES[kind]))
