@@ -155,8 +155,8 @@ def test_the_worst_of_other_machines_has_the_line_of_its_own_proof() -> None:
     found = EachRun.joined([within.judged(parts[4:]), within.judged(parts[:4])])
     found = found.taken(np.array([4, 5, 6, 7, 0, 1, 2]))
     nominal = prove_plan(plan, spec).verdict
-    told = with_lines(with_other_machines(nominal, found).results, plan)
-    others = [r for r in told if r.note.endswith("a machine within the tolerances")]
+    results = with_lines(with_other_machines(nominal, found).results, plan)
+    others = [r for r in results if r.note.endswith("a machine within the tolerances")]
     assert {"contour_error", "progress_error", "tracking_error"} <= {r.name for r in others}
     alone = [prove_plan(plan, spec, actual=variant(plan.machine, one)).verdict for one in parts[:7]]
     for result in others:

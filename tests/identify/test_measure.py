@@ -220,15 +220,15 @@ def test_a_response_that_was_not_measured_is_refused(capsys, tmp_path):
     ],
 )
 def test_a_response_that_no_model_can_have_is_refused(key, value, message):
-    told = {"frequency_hz": [1.0, 2.0], "real": [3.0, 4.0], "imag": [0.0, 0.0]}
-    told |= {"coherence": [1.0, 0.9], "unit": "count/V", "axis": "X", "output": "sensors.x"}
+    content = {"frequency_hz": [1.0, 2.0], "real": [3.0, 4.0], "imag": [0.0, 0.0]}
+    content |= {"coherence": [1.0, 0.9], "unit": "count/V", "axis": "X", "output": "sensors.x"}
     if key == "all":
-        told |= dict.fromkeys(("frequency_hz", "real", "imag", "coherence"), value)
-    told[key] = value
+        content |= dict.fromkeys(("frequency_hz", "real", "imag", "coherence"), value)
+    content[key] = value
     if value is None:
-        del told[key]
+        del content[key]
     with pytest.raises(RecordingError, match=message) as raised:
-        response_of({"response": json.dumps(told)}, Place("x.npz"))
+        response_of({"response": json.dumps(content)}, Place("x.npz"))
     assert str(raised.value).startswith("[RECORDING] x.npz: ") and "\n" not in str(raised.value)
 
 

@@ -111,10 +111,10 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
 
 
 @contextmanager
-def forked_link(_program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
+def forked_link(_program: str, request: tuple[Any, ...]) -> Iterator[Connection]:
     """Stand in for ``process_link`` of a simulated machine, which is told the same bytes."""
     ours, theirs = socket.socketpair()
-    words = pickle.dumps(told)
+    words = pickle.dumps(request)
 
     def machine_only() -> None:
         ours.close()

@@ -108,13 +108,13 @@ def test_the_remedy_is_of_the_kind_of_work(tmp_path: Path) -> None:
     job = open_job(EXAMPLES / "letter-cycle.toml", placer, Options())
     found = prove_plan(plan_job(job, placer, Options()), load_spec(None, placer))
     write_proof(found, file)
-    told = {
+    remedies = {
         "switchings": r"Shape its moves \(--shaper\), or let it rest longer \(threadline fastest",
         "needle": "Lower the speed of the needle",
         "shaft": "Lower the speed of the shaft",
         "feed": "Lower the feed",
     }
-    for pace, remedy in told.items():
+    for pace, remedy in remedies.items():
         plan = replace(found.plan, job=replace(job, paced_by=pace))
         with pytest.raises(ProofError, match=f"residual_vibration Z. {remedy}"):
             check_runnable(file, plan, found.spec, None)
@@ -198,9 +198,9 @@ def test_the_command_runs_what_it_proves(
         with pytest.raises(SystemExit) as ended:
             main([*command, "--store", str(tmp_path / "runs"), "--json"])
         assert ended.value.code in (None, 0)
-        told = json.loads(capsys.readouterr().out)
-        told = told[0] if isinstance(told, list) else told
-        assert (told["run"], told["passed"]) == (folder.name, True)
+        answer = json.loads(capsys.readouterr().out)
+        answer = answer[0] if isinstance(answer, list) else answer
+        assert (answer["run"], answer["passed"]) == (folder.name, True)
     assert read_recording(csv).job_sha256 == content["job_sha256"]
     assert (folder / "report" / "report.html").stat().st_size > 1000
     first, second = read_once(read_recording(proved)), read_once(read_recording(ran))

@@ -274,8 +274,8 @@ def test_nothing_that_moves_is_sent_after_the_computer_slept(
     with meeting(model) as (one, _, _):
         ready(one, program())
         go_on(one, moving(model))
-        told = time.clock_gettime
-        monkeypatch.setattr(time, "clock_gettime", lambda clock: told(clock) + 3600.0)
+        real_clock = time.clock_gettime
+        monkeypatch.setattr(time, "clock_gettime", lambda clock: real_clock(clock) + 3600.0)
         assert b"G1" not in slept(one, model)
 
 

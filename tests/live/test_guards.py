@@ -61,9 +61,9 @@ def test_a_fault_brakes_on_the_path(kind: str, where: str, said: str, within_tic
     assert [state for _, state, _, _ in bench.kept.log].count(State.FAULT) == 1
 
 
-def report_of(told: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
+def report_of(commanded: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
     """Return a report of an X that is told and reads such positions, m, at ticks of 5 ms."""
-    return {"X.commanded": told, "X.measured": read, "X.voltage": np.zeros(len(told))}
+    return {"X.commanded": commanded, "X.measured": read, "X.voltage": np.zeros(len(commanded))}
 
 
 def test_an_axis_that_falls_behind_is_a_fault_at_twice_its_lag_and_1_mm() -> None:

@@ -93,8 +93,8 @@ def test_a_process_that_knows_nothing_else_serves_each_kind() -> None:
 @pytest.mark.long(shown_by="test_a_process_that_knows_nothing_else_serves_each_kind")
 def test_nothing_is_loaded_once_time_counts() -> None:
     """To load its machine code takes a third of a second, and a tick 10 ms at most."""
-    told = [f"{name}={EXAMPLES / job}" for name, job in JOBS.items()]
+    arguments = [f"{name}={EXAMPLES / job}" for name, job in JOBS.items()]
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *told], capture_output=True, check=False, timeout=600
+        [sys.executable, "-c", PROGRAM, *arguments], capture_output=True, check=False, timeout=600
     )
     assert done.stdout.decode().splitlines() == [f"{name} True []" for name in JOBS], done.stderr

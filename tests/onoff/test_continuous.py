@@ -45,8 +45,8 @@ def proved(file: Path) -> dict[str, object]:
     return answer
 
 
-def measured(told: dict[str, object], name: str) -> float:
-    rows = told["criteria"]
+def measured(answer: dict[str, object], name: str) -> float:
+    rows = answer["criteria"]
     assert isinstance(rows, list)
     return max(float(row["measured"]) for row in rows if row["name"] == name)
 

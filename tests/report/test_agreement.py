@@ -190,9 +190,9 @@ def test_the_report_has_the_warnings_that_the_terminal_has(
     with pytest.raises(SystemExit):
         main(["prove", str(job), "-m", "stitcher", "--report", str(tmp_path / "report")])
     lines = capsys.readouterr().err.splitlines()  # on a busy computer one says "still at work"
-    told = [line for line in lines if line.startswith("warning: ")]
+    warned = [line for line in lines if line.startswith("warning: ")]
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     listed = [html.unescape(line) for line in re.findall(r"<li>(.*?)</li>", page)]
-    assert [f"warning: {line}" for line in listed] == told
+    assert [f"warning: {line}" for line in listed] == warned
     assert any("drives.x" in line and "(likewise drives.y)" in line for line in listed)
     assert len(listed) == len(set(listed)) >= 3

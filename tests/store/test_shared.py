@@ -84,11 +84,11 @@ def test_the_table_is_one_of_postgresql(tmp_path: Path) -> None:
     """
     RunStore(tmp_path)
     made = Table("runs", MetaData(), autoload_with=create_engine(f"sqlite:///{tmp_path / INDEX}"))
-    told = str(CreateTable(made).compile(dialect=postgresql.dialect()))
-    assert "CREATE TABLE runs" in told
-    assert "PRIMARY KEY (run)" in told
+    statement = str(CreateTable(made).compile(dialect=postgresql.dialect()))
+    assert "CREATE TABLE runs" in statement
+    assert "PRIMARY KEY (run)" in statement
     for column, kind in (("run", "VARCHAR"), ("passed", "BOOLEAN"), ("late_ticks", "INTEGER")):
-        assert f"{column} {kind}" in told
+        assert f"{column} {kind}" in statement
 
 
 def at_once(url: Any, **options: Any) -> Any:

@@ -266,9 +266,9 @@ def test_marlin_gets_the_damped_frequency(tmp_path: Path) -> None:
     assert train.amplitudes == pytest.approx([1 / (1 + decay), decay / (1 + decay)], abs=1 / 128)
     assert train.times_s.tolist() == [0.0, 0.5 / said["F"]]
     assert left(train, hz, zeta) < 0.01
-    (told,) = (line for line in head if "Marlin's ZV leaves" in line)
+    (comment,) = (line for line in head if "Marlin's ZV leaves" in line)
     off = max(left(train, f, zeta) for f in hz * np.linspace(0.9, 1.1, 41))
-    assert f"{off:.0%} at most" in told
+    assert f"{off:.0%} at most" in comment
     assert any(line.startswith("A: Marlin shapes X, Y alone") for line in head)
 
 

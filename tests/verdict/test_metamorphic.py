@@ -36,8 +36,8 @@ def run(kind: str, folder: Path, count: int) -> Iterator[str]:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 check(path)
-        except AssertionError as told:
-            yield f"{index}: {told}"
+        except AssertionError as error:
+            yield f"{index}: {error}"
 
 
 @pytest.mark.long(but=("same-program-few", "same-winding-few", "same-machine-few"))
@@ -71,8 +71,8 @@ def _wider(criterion, plan):
     return None if criterion.limit is None else 1.002 * criterion.limit
 
 
-def _in_millimetres(told, _, **mode):
-    return VALUE_OF(told, 10, **mode)
+def _in_millimetres(content, _, **mode):
+    return VALUE_OF(content, 10, **mode)
 
 
 def _first(recording, kind, axis=""):
