@@ -372,7 +372,7 @@ def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_p
         pass
     with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
         check_continued(folder, "nosuch", None, confirmed=False)
-    with pytest.raises(OptionError, match="nobody is at the keys"):
+    with pytest.raises(OptionError, match="nobody is at the keyboard"):
         check_continued(folder, "last", None, confirmed=False)
     store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):

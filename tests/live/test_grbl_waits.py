@@ -211,8 +211,8 @@ def test_a_hold_that_nobody_can_end_is_stopped(
     assert desk.take() is (Cause.STOP if alone else None)
     said = capsys.readouterr().err
     assert "holding: its door is open; " in said
-    assert ("nobody is at the keys" in said) is alone
-    assert (run.stopped_by == "Threadline: nobody is at the keys to resume") is alone
+    assert ("nobody is at the keyboard" in said) is alone
+    assert (run.stopped_by == "Threadline: nobody is at the keyboard to resume") is alone
     desk.close()
 
 

@@ -27,7 +27,7 @@ from threadline.live.supervised import Running
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 _OVERRIDES = {"-": -STEP_PERCENT, "+": STEP_PERCENT}
 """Any other key stops."""
-_ALONE = f"nobody is at the keys: the run stops after {UNATTENDED_S:g} s unless it is resumed"
+_ALONE = f"nobody is at the keyboard: the run stops after {UNATTENDED_S:g} s unless it is resumed"
 
 
 def somebody_at_the_keys() -> bool:
@@ -203,7 +203,7 @@ def check_continued(store: Path, run: str | None, at: str | None, *, confirmed: 
     unfinished_run(store, run)
     if not confirmed and not somebody_at_the_keys():
         raise OptionError(
-            "--continue: nobody is at the keys to confirm the run",
+            "--continue: nobody is at the keyboard to confirm the run",
             remedy="Run it from a terminal, or with --confirmed.",
         )
 

@@ -221,8 +221,8 @@ def _check_design(stitched: Stitched, path: Path, suffix: str, most: int) -> tup
     ending = path.suffix.lower()
     if ending in SUFFIXES and ending != suffix:
         raise OptionError(
-            f"{name}, and the name of {str(path)!r} ends in {path.suffix}: whoever "
-            "reads it would take it for another format",
+            f"{name}, and the name of {str(path)!r} ends in {path.suffix}: a reader would take "
+            "it for another format",
             remedy=f"Name it {str(path.with_suffix(suffix))!r}.",
         )
     if ending == suffix or is_stdout(path):

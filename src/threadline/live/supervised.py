@@ -141,7 +141,7 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
         raise PlanError(
             f"after this it waits for the input {event.name!r}, which {plan.machine.name} lacks"
             if lacking
-            else "the program stops after this, and nobody is at the keys to resume",
+            else "the program stops after this, and nobody is at the keyboard to resume",
             place=Place(plan.job.file, line),
             remedy="Take the wait out, or run it where there is such an input."
             if lacking
