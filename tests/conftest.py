@@ -207,10 +207,10 @@ def pytest_runtest_makereport(
 @pytest.fixture(autouse=True, scope="session")
 def nothing_said_of_compiling() -> Iterator[None]:
     """Tests count lines: which of them has machine code compiled hangs on their order."""
-    from threadline.cli import messages as told
+    from threadline.cli import messages
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(told, "COMPILING_S", math.inf)
+        patched.setattr(messages, "COMPILING_S", math.inf)
         yield
 
 

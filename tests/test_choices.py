@@ -68,9 +68,9 @@ def test_a_curved_path_has_no_programmed_times() -> None:
 
 def test_a_plan_says_what_follows_and_what_was_intended() -> None:
     job = job_of(POINTS, ("X",), FEED)
-    told = plan_job(job, MACHINE, Options()).motion
-    assert (told.following, told.of_loads, told.timed) == (Following.MOTOR, None, None)
-    assert told.of_needle is told.trajectory
+    options = plan_job(job, MACHINE, Options()).motion
+    assert (options.following, options.of_loads, options.timed) == (Following.MOTOR, None, None)
+    assert options.of_needle is options.trajectory
     shaped = plan_job(job, MACHINE, Options(shaper="zv:12Hz:0.02")).motion
     assert shaped.timed is not None
     assert shaped.of_loads is None
@@ -106,8 +106,8 @@ def test_the_contour_is_told_and_read_again() -> None:
     job = job_of(POINTS, ("X",), FEED)
     for contour_m in (None, 5e-5, np.inf):
         options = Options(interpolation="optimal", contour_m=contour_m)
-        told = describe(job, MACHINE, options)
-        assert options_from(told).timing == options.timing
+        described = describe(job, MACHINE, options)
+        assert options_from(described).timing == options.timing
     assert "contour" not in describe(job, MACHINE, Options())
 
 

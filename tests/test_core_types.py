@@ -40,12 +40,12 @@ def test_the_core_type_of_the_plain_run_is_not_run_again():
 @pytest.mark.parametrize("core", [core for core in CORE_TYPES[:2] if NEEDS[core] in HERE])
 def test_numpy_says_which_core_type_it_has_picked(core: str):
     asked = "from tools.core_types import own_core_type; print(own_core_type())"
-    told = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-c", asked],
         cwd=ROOT, capture_output=True, text=True, check=True,
         env=os.environ | {"OPENBLAS_CORETYPE": core},
     )  # fmt: skip
-    assert told.stdout.strip() == core
+    assert output.stdout.strip() == core
     assert own_core_type() is not None
 
 

@@ -122,7 +122,7 @@ def test_the_best_is_proved_in_one_call(tmp_path: Path) -> None:
     assert proof.plan.duration_s == found.of.best.duration_s
     slow = found.prove(feed="F 60")
     assert slow.plan.duration_s > 2.0 * proof.plan.duration_s
-    with pytest.raises(OptionError, match="there is no best to prove"):
+    with pytest.raises(OptionError, match="so there is no best plan to prove"):
         replace(found, best=None, best_options=None).prove()
 
 
@@ -398,10 +398,10 @@ def test_the_analysis_of_a_loop_is_that_of_the_command(capsys: pytest.CaptureFix
     """The same content for the axis that was asked for, and for every axis without one."""
     with pytest.raises(SystemExit):
         main(["analyse", "lathe-winder", "--json"])
-    told = json.loads(capsys.readouterr().out)["axes"]
+    printed = json.loads(capsys.readouterr().out)["axes"]
     found = tl.analyse("lathe-winder")
-    assert list(found) == list(told) and len(found) > 1
-    assert {k: json.loads(json.dumps(one.as_json())) for k, one in found.items()} == told
+    assert list(found) == list(printed) and len(found) > 1
+    assert {k: json.loads(json.dumps(one.as_json())) for k, one in found.items()} == printed
     assert list(tl.analyse("lathe-winder", "X")) == ["X"]
     with pytest.raises(OptionError, match=r"has no axis 'Q'"):
         tl.analyse("lathe-winder", "Q")

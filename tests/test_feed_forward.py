@@ -101,8 +101,8 @@ def test_loads_are_where_the_trajectory_says(proof, plan):
         wanted = plan.motion.trajectory(times)[:, column]
         # 60 um: whole counts are 3.8 um, a DAC level at rest 22 to 24 counts.
         assert np.abs(load - wanted).max() < 60e-6
-        told = proof.recording.samples(f"{axis}.commanded")[1]
-        assert np.abs(told - wanted).max() > 1e-3  # it leads by what the filter needs
+        commanded = proof.recording.samples(f"{axis}.commanded")[1]
+        assert np.abs(commanded - wanted).max() > 1e-3  # it leads by what the filter needs
 
 
 def test_the_needle_keeps_its_time(plan):

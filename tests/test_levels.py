@@ -123,15 +123,15 @@ def test_the_worst_machine_counts_in_twenty_runs_as_it_is_proved_alone() -> None
     plan, spec = plan_of("lathe-winder")
     repeated = prove_plan(plan, spec, trials=REPEATED).verdict
     proof = prove_plan(plan, spec, trials=Trials(repeats=20, machines=12))
-    over, told = proof.verdict, proof.verdict.tolerances
+    over, tolerances = proof.verdict, proof.verdict.tolerances
     assert (over.level, over.runs, over.machines) == ("over tolerances", 20, 12)
-    assert told is not None and proof.worst is not None
+    assert tolerances is not None and proof.worst is not None
     alone = prove_plan(
         plan, spec, trials=REPEATED, actual=variant(plan.machine, proof.worst.parts)
     ).verdict
     assert alone.tightest is not None and over.tightest is not None
-    assert told.share == alone.tightest.measured / alone.tightest.limit
-    assert told.criterion == alone.tightest.name == "contour_error"
+    assert tolerances.share == alone.tightest.measured / alone.tightest.limit
+    assert tolerances.criterion == alone.tightest.name == "contour_error"
     assert over.tightest.measured == alone.tightest.measured > repeated.tightest.measured
     spread = over.result("repeatability").measured
     assert spread == max(v.result("repeatability").measured for v in (repeated, alone))
@@ -140,9 +140,9 @@ def test_the_worst_machine_counts_in_twenty_runs_as_it_is_proved_alone() -> None
     assert worst.run is not None and worst.run > 20 and worst.note.endswith("machine searched")
     assert proof.run(worst.run).runs == 1
     assert closing(over) == (
-        f"OUT OF SPEC (over tolerances: 20 runs; the worst of {told.searched} machines searched "
-        "uses 124 % of contour_error; 10 of 12 drawn machines in spec, so at least 56.1 % of all, "
-        "with 95 % confidence)"
+        f"OUT OF SPEC (over tolerances: 20 runs; the worst of {tolerances.searched} machines "
+        "searched uses 124 % of contour_error; 10 of 12 drawn machines in spec, so "
+        "at least 56.1 % of all, with 95 % confidence)"
     )
     assert TOLERANCES.machines == 200
 
@@ -155,8 +155,8 @@ def test_the_worst_of_other_machines_has_the_line_of_its_own_proof() -> None:
     found = EachRun.joined([within.judged(parts[4:]), within.judged(parts[:4])])
     found = found.taken(np.array([4, 5, 6, 7, 0, 1, 2]))
     nominal = prove_plan(plan, spec).verdict
-    told = with_lines(with_other_machines(nominal, found).results, plan)
-    others = [r for r in told if r.note.endswith("a machine within the tolerances")]
+    results = with_lines(with_other_machines(nominal, found).results, plan)
+    others = [r for r in results if r.note.endswith("a machine within the tolerances")]
     assert {"contour_error", "progress_error", "tracking_error"} <= {r.name for r in others}
     alone = [prove_plan(plan, spec, actual=variant(plan.machine, one)).verdict for one in parts[:7]]
     for result in others:
@@ -172,10 +172,10 @@ def test_drawn_machines_that_all_pass_do_not_make_a_pass() -> None:
     """17.6777 % of the limits: 200 of 200 drawn pass, and machines of the same file reach 118 %."""
     words = {"limits": "17.6777 %", "feed": "1000 count/tick"}
     proof = tl.prove(EXAMPLES / "x-180.prg", "lathe-winder", level="over tolerances", **words)
-    told = proof.json()["tolerances"]
-    assert (told["drawn"], told["passed"], told["confidence"]) == (200, 200, 0.95)
-    assert told["at_least"] == pytest.approx(0.05 ** (1 / 200))
-    assert told["worst_share"] > 1.17 and not proof.passed
+    tolerances = proof.json()["tolerances"]
+    assert (tolerances["drawn"], tolerances["passed"], tolerances["confidence"]) == (200, 200, 0.95)
+    assert tolerances["at_least"] == pytest.approx(0.05 ** (1 / 200))
+    assert tolerances["worst_share"] > 1.17 and not proof.passed
 
 
 def test_a_search_tries_first_what_failed_before() -> None:

@@ -218,8 +218,8 @@ def test_a_recording_of_the_real_machine_is_judged_by_what_it_holds(tmp_path: Pa
 def test_the_time_of_the_motion_comes_first(tmp_path: Path) -> None:
     """The time by F alone, which no machine keeps, stands behind it."""
     text = "\n".join(feed_lines(proof_of(tmp_path, "G1 X20 F600\nG1 X0", Options()).plan))
-    told = re.search(r"^Time: +([\d.]+) s .* as planned; ([\d.]+) s by F alone", text, re.M)
-    assert told is not None and 4.0 == float(told[2]) < float(told[1])
+    match = re.search(r"^Time: +([\d.]+) s .* as planned; ([\d.]+) s by F alone", text, re.M)
+    assert match is not None and 4.0 == float(match[2]) < float(match[1])
 
 
 def test_a_plan_of_the_firmware_says_which_limits_it_does_not_keep(tmp_path: Path) -> None:

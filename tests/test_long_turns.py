@@ -18,8 +18,8 @@ def slice_ms(process: int | str) -> float:
 
 
 def test_a_turn_is_asked_for_and_given_back() -> None:
-    told = Path("/proc/self/sched")
-    if not told.exists() or "se.slice" not in told.read_text(encoding="ascii"):
+    sched = Path("/proc/self/sched")
+    if not sched.exists() or "se.slice" not in sched.read_text(encoding="ascii"):
         return  # another system
     if tuple(int(part) for part in platform.release().split(".")[:2]) < (6, 12):
         return  # a Linux that gives all the same turns

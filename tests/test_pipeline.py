@@ -100,9 +100,9 @@ def test_the_share_of_all_runs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watched, "LONG_S", -1.0)
     machine = load_machine("letter-placer")
     plan = plan_job(read_job(EXAMPLES / "letter-cycle.toml", machine), machine, Options())
-    told: list[float] = []
+    reports: list[float] = []
     trials = Trials(repeats=3)
-    prove_plan(plan, load_spec(None, machine), lambda _, share: told.append(share), trials)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
-    assert sum(1 for share in told if share < 0.34) > 1
+    prove_plan(plan, load_spec(None, machine), lambda _, share: reports.append(share), trials)
+    assert reports == sorted(reports)
+    assert reports[-1] == 1.0
+    assert sum(1 for share in reports if share < 0.34) > 1

@@ -56,10 +56,10 @@ def shop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def run(*words: str) -> tuple[object, str]:
     """Return exit status and what was told on standard error."""
-    told = io.StringIO()
-    with redirect_stdout(io.StringIO()), redirect_stderr(told), pytest.raises(SystemExit) as left:
+    stream = io.StringIO()
+    with redirect_stdout(io.StringIO()), redirect_stderr(stream), pytest.raises(SystemExit) as left:
         main([*words])
-    return left.value.code, told.getvalue().strip()
+    return left.value.code, stream.getvalue().strip()
 
 
 def proved(shop: Path, *more: str, job: str = "x-180.prg", machine: str = "mine.toml+slow") -> Path:
@@ -510,10 +510,10 @@ def test_a_proof_that_contradicts_itself_is_refused_by_verify_and_run(shop: Path
         change(content)
         write_again(content, file)
         for command in (("verify", str(file)), ("run", *how, "--proof", str(file))):
-            status, told = run(*command)
-            assert (status, told.count("\n")) == (2, 0), (name, told)
-            assert "[PROOF] x.proof.json: it contradicts itself: " in told, (name, told)
-            assert said in told, (name, told)
+            status, output = run(*command)
+            assert (status, output.count("\n")) == (2, 0), (name, output)
+            assert "[PROOF] x.proof.json: it contradicts itself: " in output, (name, output)
+            assert said in output, (name, output)
     assert not (shop / "runs").exists()
 
 
@@ -533,9 +533,9 @@ def test_an_entry_of_another_type_is_refused(
     content = json.loads(file.read_text())
     change(content)
     write_again(content, file)
-    status, told = run("verify", str(file))
-    assert (status, told.count("\n")) == (2, 0)
-    assert f"'{where}' is missing, or has the wrong type" in told
+    status, output = run("verify", str(file))
+    assert (status, output.count("\n")) == (2, 0)
+    assert f"'{where}' is missing, or has the wrong type" in output
 
 
 def test_an_entry_that_stands_in_it_twice_is_refused(shop: Path) -> None:
@@ -544,9 +544,9 @@ def test_an_entry_that_stands_in_it_twice_is_refused(shop: Path) -> None:
     text = file.read_text()
     assert text.count('  "passed": true') == 1
     file.write_text(text.replace('  "passed": true', '  "passed": false,\n  "passed": true'))
-    status, told = run("verify", str(file))
-    assert (status, told.count("\n")) == (2, 0)
-    assert "the entry 'passed' stands in it twice" in told
+    status, output = run("verify", str(file))
+    assert (status, output.count("\n")) == (2, 0)
+    assert "the entry 'passed' occurs twice" in output
 
 
 def test_a_step_that_is_left_out_of_a_proof_is_missed(shop: Path) -> None:
@@ -561,9 +561,11 @@ def test_a_step_that_is_left_out_of_a_proof_is_missed(shop: Path) -> None:
         assert len({one["step"] for one in mine}) > 1
         criteria.remove(mine[-1])
         write_again(content, file)
-        status, told = run("verify", str(file))
-        assert (status, told.count("\n")) == (2, 0), name
-        assert f"it lacks {name}" in told and f"of the step {mine[-1]['step']!r}" in told, told
+        status, output = run("verify", str(file))
+        assert (status, output.count("\n")) == (2, 0), name
+        assert f"it lacks {name}" in output and f"of the step {mine[-1]['step']!r}" in output, (
+            output
+        )
 
 
 def test_who_has_the_key_sees_who_signed(shop: Path) -> None:
@@ -621,5 +623,5 @@ def test_a_key_that_cannot_be_used_is_one_line(
 ) -> None:
     (shop / "ours.key").write_text("0123456789abcdef")
     (shop / "short.key").write_text("abc\n")
-    status, told = run(*words)
-    assert (status, told.count("\n"), said in told) == (2, 0, True), told
+    status, output = run(*words)
+    assert (status, output.count("\n"), said in output) == (2, 0, True), output

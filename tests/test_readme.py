@@ -72,9 +72,9 @@ def test_the_commands_of_both_pages_run_in_order_and_write_below_reports(
             continue
         with pytest.raises(SystemExit) as stopped:
             main(words)
-        told = capsys.readouterr()
-        assert (stopped.value.code or 0) == status, (words, told.err)
-        assert told.out
+        output = capsys.readouterr()
+        assert (stopped.value.code or 0) == status, (words, output.err)
+        assert output.out
         written |= set(outputs)
     assert written
     assert all((tmp_path / name).exists() for name in written)

@@ -38,8 +38,8 @@ def driven(plan: Plan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     table = tick_table(plan.commands)
     x = table.axes.index("X")
     counts = np.concatenate([np.asarray(block.counts)[:, x] for block in table])
-    told = table.start_counts[x] + np.concatenate([[0], np.cumsum(counts)])
-    told = np.concatenate([told, np.full(AFTER_TICKS, told[-1])])
+    commanded = table.start_counts[x] + np.concatenate([[0], np.cumsum(counts)])
+    commanded = np.concatenate([commanded, np.full(AFTER_TICKS, commanded[-1])])
     tick_s, per_m = 0.005, 55358.0
     torque, emf, ohms, inertia, gain, amperes = (
         0.082,
@@ -51,9 +51,9 @@ def driven(plan: Plan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
     level_v = 20.0 / 4096
     per_rad = 4000 / (2 * np.pi)
-    angle, speed, before, error_before = told[0] / per_rad, 0.0, 0.0, 0.0
+    angle, speed, before, error_before = commanded[0] / per_rad, 0.0, 0.0, 0.0
     places, levels = [], []
-    for wanted in told:
+    for wanted in commanded:
         error = wanted - np.floor(angle * per_rad + 0.5)
         level = float(np.rint(2 * error + 4 * (error - error_before))) * level_v
         error_before = error
@@ -70,7 +70,7 @@ def driven(plan: Plan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             gained = fine_s * torque * wound / inertia
             angle += fine_s * (speed + 0.5 * gained)
             speed += gained
-    return np.arange(len(told)) * tick_s, np.array(places), np.array(levels)
+    return np.arange(len(commanded)) * tick_s, np.array(places), np.array(levels)
 
 
 def off_m(plan: Plan) -> float:
@@ -137,9 +137,9 @@ def test_what_is_typed_is_written_down_and_read_again(examples: Path) -> None:
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)
     options = Options(interpolation="optimal", feed=FAST, feed_forward_s=0.01, contour_m=2e-4)
-    told = describe(job, machine, options)
-    assert options_from(told) == options
-    del told["contour"]
-    assert options_from(told).timing.ends_m is None
+    described = describe(job, machine, options)
+    assert options_from(described) == options
+    del described["contour"]
+    assert options_from(described).timing.ends_m is None
     assert replace(options, contour_m=None).timing.ends_m == 3e-4
     assert replace(options, interpolation="auto", contour_m=None).timing.ends_m is None

@@ -87,13 +87,13 @@ def test_a_usual_unit_of_another_kind_is_refused_as_by_the_registry(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for unit, target in (("deg", "m"), ("mm", ""), ("%", "m")):
-        with pytest.raises(UnitError) as told:
+        with pytest.raises(UnitError) as caught:
             unit_factor(unit, target)
         monkeypatch.setattr(units, "usual_factor", lambda *_: None)
         with pytest.raises(UnitError) as registrys:
             unit_factor.__wrapped__(unit, target)
         monkeypatch.undo()
-        assert str(told.value) == str(registrys.value)
+        assert str(caught.value) == str(registrys.value)
 
 
 @pytest.mark.parametrize(

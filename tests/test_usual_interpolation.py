@@ -62,8 +62,8 @@ def test_prove_compare_and_fastest_take_it(
     assert asked(capsys, "prove", *where)["interpolation"] == "firmware"
     assert asked(capsys, "prove", *where, "--interpolation", "auto")["interpolation"] == "auto"
     cases = asked(capsys, "compare", *where, "--no-fastest")
-    told = [one["interpolation"] for one in cases["proofs"]]
-    assert told == ["firmware", "auto"]
+    names = [one["interpolation"] for one in cases["proofs"]]
+    assert names == ["firmware", "auto"]
     assert tl.prove(job, machine, level="nominal").json()["interpolation"] == "firmware"
 
 

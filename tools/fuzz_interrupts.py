@@ -161,7 +161,7 @@ def run(
     if status in STATUS.values() or (status == 2 and most_bytes):
         if "cannot use standard output" in err and {*fresh, *changed} == {*wanted}:
             return status, ""  # its files are whole; what it says of them found no room
-        if "what it wrote is there, and whole" in err and {*wanted} <= {*fresh, *changed}:
+        if "its files are written completely" in err and {*wanted} <= {*fresh, *changed}:
             earlier = err.splitlines()[:-1]  # it may have begun to tell its warnings
             if all(line.startswith("warning: ") for line in earlier):
                 return status, ""

@@ -49,11 +49,11 @@ class ThreadlineError(Exception):
     Parameters
     ----------
     message
-        What is wrong: the subject, its value and the limit.
+        The fault: the subject, its value and the limit.
     place
         File and line that caused it, where there is one.
     remedy
-        What the user can do about it.
+        Advice to the user.
     """
 
     code = "THREADLINE"
@@ -152,7 +152,7 @@ class LimitError(PlanError):
     Attributes
     ----------
     axis, quantity
-        What was exceeded, for instance ``"X"`` and ``"velocity"``.
+        The exceeded limit, for instance ``"X"`` and ``"velocity"``.
     value_si, limit_si
         The peak and its limit, SI.
     """

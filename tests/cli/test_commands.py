@@ -300,5 +300,5 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 def test_help_and_face_name_every_target(capsys: pytest.CaptureFixture[str]) -> None:
     """Of every kind of machine: a target that nobody is told of is used by nobody."""
     _, out, _ = run(capsys, "compile", "--help")
-    for told in (out, str(compile_job.__doc__)):
-        assert set(target_names()) <= set(re.findall(r"\w+", told))
+    for message in (out, str(compile_job.__doc__)):
+        assert set(target_names()) <= set(re.findall(r"\w+", message))

@@ -35,10 +35,10 @@ def test_what_has_no_feed_is_told_its_own_search(
     name: str, machine: str, of: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [str(EXAMPLES / name), "-m", machine]
-    told = json.loads(_compared(capsys, *words, "--json"))
-    assert told["fastest"] == {}
-    assert told["fastest_left_out"].startswith(f"The fastest of {of} is not searched")
-    assert shlex.join(["threadline", "fastest", *words]) in told["fastest_left_out"]
+    answer = json.loads(_compared(capsys, *words, "--json"))
+    assert answer["fastest"] == {}
+    assert answer["fastest_left_out"].startswith(f"The fastest of {of} is not searched")
+    assert shlex.join(["threadline", "fastest", *words]) in answer["fastest_left_out"]
     assert "is not searched" in " ".join(_compared(capsys, *words).split())
     assert "is not searched" not in _compared(capsys, *words, "--no-fastest")
 
@@ -47,11 +47,11 @@ def test_limits_alone_and_a_job_with_feeds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     limits, job = limits_alone(tmp_path, "G1 X20 A90 F1000\nG1 X0")
-    told = json.loads(_compared(capsys, str(job), "-m", str(limits), "--json"))
-    assert "the machine file has no dynamics" in told["fastest_left_out"]
+    answer = json.loads(_compared(capsys, str(job), "-m", str(limits), "--json"))
+    assert "the machine file has no dynamics" in answer["fastest_left_out"]
     said = _compared(capsys, str(job), "-m", str(limits))
     assert "limits kept" in said and "in spec" not in said
     words = [str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--interpolation", "linear"]
-    told = json.loads(_compared(capsys, *words, "--json"))
-    assert told["fastest"]["linear"]["best"] > 0.0
-    assert told["fastest_left_out"] is None
+    answer = json.loads(_compared(capsys, *words, "--json"))
+    assert answer["fastest"]["linear"]["best"] > 0.0
+    assert answer["fastest_left_out"] is None

@@ -17,8 +17,8 @@ FASTEST = ["fastest", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder"]
 def run(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[object, str, str]:
     with pytest.raises(SystemExit) as caught:
         main(words)
-    told = capsys.readouterr()
-    return caught.value.code or 0, told.out, told.err
+    output = capsys.readouterr()
+    return caught.value.code or 0, output.out, output.err
 
 
 @pytest.mark.parametrize(
@@ -73,9 +73,9 @@ def test_modes_far_apart_are_shaped_in_seconds(
     code, out, _ = run(["shaper", *words, "--kind", kind, "--json"], capsys)
     assert time.process_time() - began < 30.0
     assert code == 0
-    told = json.loads(out)
-    assert told["vibration"] <= 0.05 + 1e-9
-    assert all(mode["low_hz"] < mode["frequency_hz"] < mode["high_hz"] for mode in told["modes"])
+    answer = json.loads(out)
+    assert answer["vibration"] <= 0.05 + 1e-9
+    assert all(mode["low_hz"] < mode["frequency_hz"] < mode["high_hz"] for mode in answer["modes"])
 
 
 @pytest.mark.parametrize("mode", ["0.05Hz", "0.01Hz", "0.001Hz", "1e-4Hz"])

@@ -31,7 +31,7 @@ def test_keys_are_told_once_where_there_are_any(
 
 
 @pytest.mark.parametrize(
-    ("keys", "percent", "asked", "told"),
+    ("keys", "percent", "asked", "message"),
     [
         ("-", 100, 90, ""),
         ("---", 100, 70, ""),
@@ -41,10 +41,10 @@ def test_keys_are_told_once_where_there_are_any(
     ],
 )
 def test_keys_override_the_feed_in_steps_and_never_stop(
-    keys: str, percent: int, asked: int | None, told: str, capfd: pytest.CaptureFixture[str]
+    keys: str, percent: int, asked: int | None, message: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     said = pressed(keys, percent, "", asked, capfd)
-    assert told in said
+    assert message in said
     assert (f"feed {percent} %" in said) is (percent != 100)  # what is in force
 
 

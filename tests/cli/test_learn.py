@@ -97,10 +97,10 @@ def test_run_learn_run_over_the_link(
     ]  # fmt: skip
     # The plan for the file's machine passes by its proof, or the machine would not move.
     code, out, _ = run(capsys, "run", *asked, *more)
-    told = json.loads(out)
+    answer = json.loads(out)
     assert code == 1
-    assert told["simulated"].endswith("soft.toml")
-    runs = [told["run"]]
+    assert answer["simulated"].endswith("soft.toml")
+    runs = [answer["run"]]
     for _ in range(2):
         named = [part for name in runs for part in ("--from", name)]
         learned = (*asked, *named, "--store", store, "-o", table)

@@ -32,8 +32,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def run(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[object, str, str]:
     with pytest.raises(SystemExit) as caught:
         main(words.split())
-    told = capsys.readouterr()
-    return caught.value.code or 0, told.out, told.err
+    output = capsys.readouterr()
+    return caught.value.code or 0, output.out, output.err
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
@@ -97,10 +97,10 @@ def test_standard_output_is_written_to(folder: Path, capfd: pytest.CaptureFixtur
     capfd.readouterr()
     with pytest.raises(SystemExit) as ended:
         main(f"{COMPILE} /dev/stdout".split())
-    told = capfd.readouterr()
+    output = capfd.readouterr()
     assert not ended.value.code
-    assert told.out == (folder / "table.csv").read_text("utf-8")
-    assert "  /dev/stdout\n" in told.err
+    assert output.out == (folder / "table.csv").read_text("utf-8")
+    assert "  /dev/stdout\n" in output.err
 
 
 @pytest.mark.long(shown_by="test_standard_output_is_written_to")

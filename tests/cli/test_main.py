@@ -222,9 +222,9 @@ def test_errors_are_text_on_stderr_with_json_too(capsys: pytest.CaptureFixture[s
     for words in (["prove", "none.prg", "-m", "lathe-winder"], ["analyse", "no-such-machine"]):
         with pytest.raises(SystemExit) as stopped:
             main([*words, "--json"])
-        told = capsys.readouterr()
-        assert (stopped.value.code, told.out, told.err.count("\n")) == (2, "", 1)
-        assert re.match(r"error: \[[A-Z-]+\] ", told.err)
+        output = capsys.readouterr()
+        assert (stopped.value.code, output.out, output.err.count("\n")) == (2, "", 1)
+        assert re.match(r"error: \[[A-Z-]+\] ", output.err)
     with pytest.raises(SystemExit):
         main(["--help"])
     assert "with --json too" in " ".join(capsys.readouterr().out.split())
@@ -240,8 +240,8 @@ def test_the_tab_key_completes_commands_and_options(words: str, offers: str) -> 
         "COMP_WORDS": words,
         "COMP_CWORD": str(words.count(" ")),
     }
-    told = CliRunner().invoke(app, [], prog_name="threadline", env=asked)
-    assert told.stdout.split() == [offers]
+    output = CliRunner().invoke(app, [], prog_name="threadline", env=asked)
+    assert output.stdout.split() == [offers]
 
 
 def test_a_shell_without_completion_is_wrong_input(

@@ -212,9 +212,9 @@ def test_what_was_read_is_shown_with_its_line(
     assert "dump.txt:9: $101=0.000: no axis Y" in out
     words[2] = tmp_path / "again"
     code, out, _ = run(capsys, *words, "--set", "radius=50 mm", "--json")
-    told = json.loads(out)
-    assert {"setting": "X travel", "value": "900 mm", "from": "$130, dump.txt:7"} in told["read"]
-    assert told["notes"] == ["dump.txt:9: $101=0.000: no axis Y"] and told["left_out"] == []
+    answer = json.loads(out)
+    assert {"setting": "X travel", "value": "900 mm", "from": "$130, dump.txt:7"} in answer["read"]
+    assert answer["notes"] == ["dump.txt:9: $101=0.000: no axis Y"] and answer["left_out"] == []
 
 
 def test_what_a_controller_does_besides_is_told_with_every_proof(

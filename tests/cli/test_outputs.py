@@ -73,15 +73,15 @@ def test_folders_on_the_way_to_a_file_are_made_and_told(
         words = ["compile", JOB, "-m", "lathe-winder", "--target", "csv", option, place]
         with pytest.raises(SystemExit) as caught:
             main([str(word) for word in words])
-        told = capsys.readouterr().err
+        errors = capsys.readouterr().err
         assert caught.value.code == 0 and (tmp_path / place).is_file()
-        assert [line for line in told.splitlines() if line.startswith("made")] == [
+        assert [line for line in errors.splitlines() if line.startswith("made")] == [
             f"made the folder {folder}" for folder in made
         ]
     with pytest.raises(SystemExit):
         main(["new", "winder", "way/to/mine"])
-    told = capsys.readouterr().err
-    assert "made the folder way/to\n" in told and "mine" not in told
+    errors = capsys.readouterr().err
+    assert "made the folder way/to\n" in errors and "mine" not in errors
     (file,) = tl.compile(JOB, "lathe-winder", "csv", tmp_path / "face" / "x.csv")
     assert file.path.is_file()
     assert capsys.readouterr().err == ""

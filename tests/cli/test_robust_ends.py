@@ -47,11 +47,11 @@ def test_one_plan_holds_on_every_machine_and_what_that_costs_is_said(
     code, out, _ = run(capsys, *asked, "--robust", "100 %", "--json")
     content = json.loads(out)
     assert code == 0
-    told = content["certainty"]
-    assert told["machines"] == 3  # no springs: loads as typed, lighter and heavier
-    assert told["unit"] == "s"
-    assert told["alone"] < told["best"] == content["duration_s"]
-    assert told["slower"] == pytest.approx(told["best"] / told["alone"] - 1.0)
+    answer = content["certainty"]
+    assert answer["machines"] == 3  # no springs: loads as typed, lighter and heavier
+    assert answer["unit"] == "s"
+    assert answer["alone"] < answer["best"] == content["duration_s"]
+    assert answer["slower"] == pytest.approx(answer["best"] / answer["alone"] - 1.0)
     machine = load_machine("lathe-winder")
     spec = load_spec(None, machine)
 
@@ -145,11 +145,11 @@ def test_ends_ask_of_a_plan_for_the_file_what_robust_asks(
 ) -> None:
     """Where nothing can be planned for other machines, both judge the plan of the file on them."""
     asked = ("fastest", X180, "-m", "lathe-winder", "--interpolation", "linear", *SPAN, "--json")
-    told = [
+    answer = [
         json.loads(run(capsys, *asked, option, "100 %")[1]) for option in ("--ends", "--robust")
     ]
-    assert told[0] == told[1]
-    assert told[0]["certainty"]["machines"] == 3
+    assert answer[0] == answer[1]
+    assert answer[0]["certainty"]["machines"] == 3
 
 
 def test_modes_all_over_a_band_are_judged_one_machine_at_a_time(

@@ -17,19 +17,21 @@ from threadline.motion.shaping.types import Shaper
 def test_a_train_that_the_controller_spoils_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     """Impulses 200 ms apart ring half as much again as none; on 10 ms no UM-EI keeps 5 %."""
 
-    def told(kind: str, *words: str, code: int = 0) -> str:
+    def error_text(kind: str, *words: str, code: int = 0) -> str:
         with pytest.raises(SystemExit) as ended:
             main(["shaper", "--mode", "3.04Hz", "--damping", "0.17", "--kind", kind, *words])
         assert ended.value.code == code
         out, err = capsys.readouterr()
         return out + err
 
-    wide = told("um-2ei", "--tick", "10 ms", "--dwell", "200 ms", code=2)
+    wide = error_text("um-2ei", "--tick", "10 ms", "--dwell", "200 ms", code=2)
     assert "leaves 154 % at 3.04 Hz itself, more than no shaper at all" in wide
-    assert "more than its tolerance of 5 % at 3.04 Hz itself" in told("um-ei", "--tick", "10 ms")
-    assert "on these ticks the shaper" not in told("um-2ei", "--tick", "1 ms")
+    assert "more than its tolerance of 5 % at 3.04 Hz itself" in error_text(
+        "um-ei", "--tick", "10 ms"
+    )
+    assert "on these ticks the shaper" not in error_text("um-2ei", "--tick", "1 ms")
     # 5.05 % at 3.04 Hz were the best by the worst alone, and kept no band of 5 % at all.
-    assert "on these ticks the shaper" not in told("um-ei", "--tick", "1 ms")
+    assert "on these ticks the shaper" not in error_text("um-ei", "--tick", "1 ms")
 
 
 def test_a_move_of_one_impulse_has_nothing_to_round(capsys: pytest.CaptureFixture[str]) -> None:

@@ -97,7 +97,7 @@ def test_an_interrupt_behind_the_files_says_that_they_are_there(tmp_path: Path) 
         "start.run()\n"
     )
     assert done.returncode == 130
-    assert done.stderr == "error: interrupted; what it wrote is there, and whole\n"
+    assert done.stderr == "error: interrupted; its files are written completely\n"
     assert (tmp_path / "mine" / "machine.toml").stat().st_size > 1000
 
 
@@ -304,13 +304,15 @@ def test_no_garbage_is_looked_for_among_what_is_imported() -> None:
     assert (done.stdout, done.stderr) == ("[]\nTrue True\n", "")
 
 
-@pytest.mark.parametrize(("told", "counted"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
-def test_matrices_are_multiplied_by_one_thread(told: dict[str, str], counted: str) -> None:
+@pytest.mark.parametrize(
+    ("environment", "counted"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")]
+)
+def test_matrices_are_multiplied_by_one_thread(environment: dict[str, str], counted: str) -> None:
     """Unless the shell says otherwise: results do not hang on the number of cores."""
     done = run(
         "import os, sys\n"
         "os.environ.pop('OPENBLAS_NUM_THREADS', None)\n"
-        f"os.environ.update({told!r})\n"
+        f"os.environ.update({environment!r})\n"
         "sys.argv = ['threadline', '--version']\n"
         "from threadline.cli.start import run\n"
         "try:\n    run()\nexcept SystemExit:\n    pass\n"

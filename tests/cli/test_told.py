@@ -17,8 +17,7 @@ import numba
 import pytest
 
 from threadline.base.progress import COMPILING
-from threadline.cli import messages as told
-from threadline.cli import output, prove
+from threadline.cli import messages, output, prove
 from threadline.cli.main import main
 from threadline.errors import PlanError
 from threadline.proof.kinds import kind as watched
@@ -107,10 +106,10 @@ def test_an_error_comes_without_the_warnings_before_it(
 
 def test_warnings_come_after_the_answer(capfd: pytest.CaptureFixture[str]) -> None:
     held = []
-    with told.telling() as telling:
-        told.warning("later")
+    with messages.telling() as telling:
+        messages.warning("later")
         held += telling.warnings
-    told.warning("now")
+    messages.warning("now")
     assert held == ["later"]
     assert capfd.readouterr().err == "warning: now\n"
 
@@ -119,10 +118,10 @@ def test_a_long_run_says_a_word_every_minute(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only where no bar is drawn; the minute is a moment here."""
-    monkeypatch.setattr(told, "EVERY_S", 0.01)
+    monkeypatch.setattr(messages, "EVERY_S", 0.01)
     heard = ""
-    with told.telling():
-        told.at_work("simulating", shown=False)
+    with messages.telling():
+        messages.at_work("simulating", shown=False)
         while ": simulating" not in heard:
             heard += capsys.readouterr().err
     assert re.search(r"still at work after \d+ s: simulating\n", heard)
@@ -143,9 +142,9 @@ def test_nothing_is_said_while_a_question_waits_for_its_answer(
             heard.append(capsys.readouterr())
             return "40 mm\n"
 
-    monkeypatch.setattr(told, "EVERY_S", 0.01)
+    monkeypatch.setattr(messages, "EVERY_S", 0.01)
     monkeypatch.setattr("sys.stdin", Slow())
-    with told.telling():
+    with messages.telling():
         assert output.ask("radius [40 mm]: ") == "40 mm\n"
     assert heard == [("", "")]
 
@@ -164,11 +163,11 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool, said: str
 ) -> None:
     """A function without a cache stands for those of a new computer; the seconds are none here."""
-    monkeypatch.setattr(told, "LOOK_S", 0.01)
-    monkeypatch.setattr(told, "COMPILING_S", 0.0)
+    monkeypatch.setattr(messages, "LOOK_S", 0.01)
+    monkeypatch.setattr(messages, "COMPILING_S", 0.0)
     monkeypatch.setattr(COMPILING, "kept", kept)
     before_s = COMPILING.lasted_s()
-    with told.telling():
+    with messages.telling():
         time.sleep(0.1)
         assert not capsys.readouterr().err  # nothing is compiled yet
 
@@ -189,7 +188,7 @@ def test_an_error_is_the_last_line_however_slowly_a_word_before_it_is_written(
 ) -> None:
     """A word of a long run that has begun is finished first: neither behind the error nor in it."""
     began = threading.Event()
-    write = told.note
+    write = messages.note
 
     def slowly(text: str) -> None:
         began.set()
@@ -201,8 +200,8 @@ def test_an_error_is_the_last_line_however_slowly_a_word_before_it_is_written(
         assert began.wait(60.0)
         raise PlanError("too fast")
 
-    monkeypatch.setattr(told, "EVERY_S", 0.01)
-    monkeypatch.setattr(told, "note", slowly)
+    monkeypatch.setattr(messages, "EVERY_S", 0.01)
+    monkeypatch.setattr(messages, "note", slowly)
     monkeypatch.setattr(ticks, "check_limits", refuses)
     words = ["compile", EXAMPLES / "stitcher-test-path.seam.toml", "-m", "stitcher"]
     words += ["--target", "csv", "--interpolation", "linear", "-o", tmp_path / "t.csv"]
@@ -220,21 +219,21 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
 ) -> None:
     """A quarter done in two hours: six are left. Before anything is known of it, no guess."""
     now_s = time.monotonic()
-    with told.telling() as telling:
-        told.at_work("simulating", shown=False)
+    with messages.telling() as telling:
+        messages.at_work("simulating", shown=False)
         assert telling.doing() == "simulating"
         monkeypatch.setattr(time, "monotonic", lambda: now_s + 7200.0)
-        told.at_work("simulating", 0.25, shown=False)
+        messages.at_work("simulating", 0.25, shown=False)
         assert telling.doing() == "simulating, 25 % done, about 6 h more"
-        told.at_work("simulating", 0.996, shown=False)
+        messages.at_work("simulating", 0.996, shown=False)
         assert telling.doing() == "simulating, nearly done"
     assert not capsys.readouterr().err
     # A first word that says already that something is done counts from the start of the command.
     monkeypatch.undo()
-    with told.telling() as telling:
+    with messages.telling() as telling:
         now_s = time.monotonic()
         monkeypatch.setattr(time, "monotonic", lambda: now_s + 60.0)
-        told.at_work("narrowing", 0.25, shown=False)
+        messages.at_work("narrowing", 0.25, shown=False)
         assert telling.doing() == "narrowing, 25 % done, about 3 min more"
 
 
@@ -242,7 +241,7 @@ def test_the_time_left_is_told_once_it_can_be_told(monkeypatch: pytest.MonkeyPat
     """A first percent and a share that stands too long tell nothing; the last half tells most."""
     clock = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
-    telling = told.Telling(since_s=0.0)
+    telling = messages.Telling(since_s=0.0)
 
     def at(time_s: float, share: float) -> str:
         clock[0], telling.stage, telling.fraction = time_s, "searching", share
@@ -258,17 +257,17 @@ def test_the_time_left_is_told_once_it_can_be_told(monkeypatch: pytest.MonkeyPat
 def test_a_stage_that_names_what_it_is_at_is_one_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half done in an hour: an hour is left, though the last part has only just begun."""
     now_s = time.monotonic()
-    with told.telling() as telling:
-        told.at_work("commands of 90 ticks", 0.0, shown=False)
+    with messages.telling() as telling:
+        messages.at_work("commands of 90 ticks", 0.0, shown=False)
         monkeypatch.setattr(time, "monotonic", lambda: now_s + 3600.0)
-        told.at_work("commands of 100 ticks", 0.5, shown=False)
+        messages.at_work("commands of 100 ticks", 0.5, shown=False)
         assert telling.doing() in {
             "commands of 100 ticks, 50 % done, about 60 min more",
             "commands of 100 ticks, 50 % done, about 1 h more",
         }
-        told.at_work("cycles side by side", 0.0, shown=False)
+        messages.at_work("cycles side by side", 0.0, shown=False)
         monkeypatch.setattr(time, "monotonic", lambda: now_s + 3610.0)
-        told.at_work("cycles side by side", 0.5, shown=False)
+        messages.at_work("cycles side by side", 0.5, shown=False)
         assert telling.doing() == "cycles side by side, 50 % done, about 10 s more"
 
 
@@ -276,7 +275,7 @@ def test_a_run_without_a_terminal_says_how_far_it_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No bar is drawn there. What is said comes from the run itself, in blocks of it."""
-    monkeypatch.setattr(told, "EVERY_S", 0.002)
+    monkeypatch.setattr(messages, "EVERY_S", 0.002)
     monkeypatch.setattr(watched, "LONG_S", 0.0)
     code, _, err = stopped(capsys, *PROVE, "--nominal", "--feed", "0.2 mm/s")
     assert code == 0
@@ -326,7 +325,7 @@ def test_text_of_the_user_neither_marks_up_nor_drives_the_terminal(
 ) -> None:
     output.print_table(text, [text, "note"], [[text, text]])
     output.say(text)
-    told.note(text)
+    messages.note(text)
     captured = capsys.readouterr()
     shown = text.replace("\x1b", "\\x1b").replace("\n", "\\n").replace("\x9b", "\\x9b")
     assert captured.out.count(shown) == 5
@@ -355,26 +354,26 @@ def test_a_terminal_sees_within_a_second_that_a_command_is_loaded(
     """The word is taken away before anything else is printed, and comes no more."""
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    assert told.STARTING_S < 1.0
-    monkeypatch.setattr(told, "STARTING_S", 0.0)
-    with told.telling(starting=True):
+    assert messages.STARTING_S < 1.0
+    monkeypatch.setattr(messages, "STARTING_S", 0.0)
+    with messages.telling(starting=True):
         waited = threading.Event()
         for _ in range(200):
             if terminal.getvalue():
                 break
             waited.wait(0.05)
         assert terminal.getvalue() == "starting ..."
-        told.note("first")
-        told.STARTING.show()
-        told.note("second")
+        messages.note("first")
+        messages.STARTING.show()
+        messages.note("second")
     assert terminal.getvalue() == f"starting ...\r{' ' * 12}\rfirst\nsecond\n"
 
 
 def test_nothing_is_shown_of_the_start_without_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(told, "STARTING_S", 0.0)
-    with told.telling(starting=True):
+    monkeypatch.setattr(messages, "STARTING_S", 0.0)
+    with messages.telling(starting=True):
         time.sleep(0.2)
     assert capsys.readouterr().err == ""
 

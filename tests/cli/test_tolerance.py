@@ -60,17 +60,17 @@ def test_what_leaves_the_tolerance_is_told(
     deviation = next(
         c["measured"] for c in json.loads(out)["criteria"] if c["name"] == "path_deviation"
     )
-    told = SAYS.search(err)
+    match = SAYS.search(err)
 
     assert code in (0, 1)
-    assert (told is not None) == (deviation > 1e-4 * (1 + 1e-6))
-    if told:
-        assert told[1] == interpolation
-        assert float(told[2]) == pytest.approx(deviation * 1e3, rel=5e-3)  # three digits
+    assert (match is not None) == (deviation > 1e-4 * (1 + 1e-6))
+    if match:
+        assert match[1] == interpolation
+        assert float(match[2]) == pytest.approx(deviation * 1e3, rel=5e-3)  # three digits
     if interpolation in KEEPING_TOLERANCE:
         assert deviation <= 1e-4
     if interpolation in {"b-spline", "quintic"}:
-        assert told is not None
+        assert match is not None
 
 
 def test_a_wider_tolerance_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,9 +105,9 @@ def test_fastest_says_it_of_the_plan_that_it_found(
     planning = ["-m", "lathe-winder", "--interpolation", "b-spline"]
     span = ["-s", str(anything), "--low", "1 mm/s", "--high", "5 mm/s", "--json"]
     _, out, err = run(capsys, "fastest", job, *planning, *span)
-    (told,) = SAYS.findall(err)
+    (matches,) = SAYS.findall(err)
     again = shlex.split(json.loads(out)["command"])[1:]
-    assert SAYS.findall(run(capsys, *again)[2]) == [told]
+    assert SAYS.findall(run(capsys, *again)[2]) == [matches]
     assert not SAYS.search(run(capsys, "fastest", job, *planning[:2], *span)[2])
 
 

@@ -40,7 +40,7 @@ def test_the_share_of_a_program_that_is_written_only_grows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The program is written and read back, once or twice: one share for all of it."""
-    told: list[str] = []
+    reports: list[str] = []
     shares: list[float] = []
     reach = WritingSoFar.reach
     telling = Telling(stage=WRITING_STAGE)
@@ -48,7 +48,7 @@ def test_the_share_of_a_program_that_is_written_only_grows(
     def noted(self: WritingSoFar, motion_s: float, whole_s: float) -> None:
         reach(self, motion_s, whole_s)
         shares.append(self.share)
-        told.append(telling.doing())
+        reports.append(telling.doing())
 
     monkeypatch.setattr(WritingSoFar, "reach", noted)
     out = ["--target", "linuxcnc", "-o", str(tmp_path / "out.ngc")]
@@ -57,8 +57,8 @@ def test_the_share_of_a_program_that_is_written_only_grows(
     assert ended.value.code == 0
     assert shares == sorted(shares) and shares[0] < 0.2 and shares[-1] >= 0.4
     said = r"writing and reading back, \d+ % done"
-    assert re.match(said, told[0])
-    assert any(re.fullmatch(f"{said}, about .* more", one) for one in told)
+    assert re.match(said, reports[0])
+    assert any(re.fullmatch(f"{said}, about .* more", one) for one in reports)
 
 
 def test_a_jerk_that_takes_ages_is_named(

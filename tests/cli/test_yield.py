@@ -26,11 +26,11 @@ def test_every_stage_of_a_yield_tells_how_far_it_is(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A share where the number of machines is known, else how many were tried."""
-    told: list[tuple[str, float]] = []
+    reports: list[tuple[str, float]] = []
 
     @contextmanager
     def heard(_: bool):
-        yield lambda stage, share: told.append((stage, share))
+        yield lambda stage, share: reports.append((stage, share))
 
     monkeypatch.setattr(yield_, "progress_bar", heard)
     monkeypatch.setattr(why, "_MACHINES", 8)
@@ -42,7 +42,7 @@ def test_every_stage_of_a_yield_tells_how_far_it_is(
     with pytest.raises(SystemExit):
         main([*words, "--at-least", "80 %"])
     assert "error" not in capsys.readouterr().err
-    stages = list(dict.fromkeys(stage.split(",")[0] for stage, _ in told))
+    stages = list(dict.fromkeys(stage.split(",")[0] for stage, _ in reports))
     assert stages == [
         "simulating and judging machines",
         "looking for the worst machine",
@@ -50,11 +50,11 @@ def test_every_stage_of_a_yield_tells_how_far_it_is(
         "looking for the cheapest set of tolerances",
     ]
     for stage in stages[0], stages[2]:
-        shares = [share for name, share in told if name == stage]
+        shares = [share for name, share in reports if name == stage]
         assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
         assert all(share < 1.0 for share in shares[:-1])
     for stage in stages[1], stages[3]:
-        counts = [int(name.split(",")[1].split()[0]) for name, _ in told if stage in name]
+        counts = [int(name.split(",")[1].split()[0]) for name, _ in reports if stage in name]
         assert len(counts) > 1 and counts == sorted(set(counts))
 
 
@@ -65,9 +65,9 @@ def test_a_wish_that_so_few_machines_cannot_prove_is_refused(
     words = ["yield", str(JOB), "-m", "lathe-winder", "--at-least", "99 %"]
     with pytest.raises(SystemExit) as ended:
         main([*words, "--variants", "366"])
-    told = capsys.readouterr()
-    assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
-    assert "366 machines" in told.err and "--variants 368" in told.err
+    output = capsys.readouterr()
+    assert (ended.value.code, output.out, output.err.count("\n")) == (2, "", 1)
+    assert "366 machines" in output.err and "--variants 368" in output.err
     assert 0.025 ** (1 / 368) >= 0.99 > 0.025 ** (1 / 367)
 
 
@@ -120,11 +120,11 @@ def test_a_yield_says_its_level_and_what_it_leaves_as_it_is(
     for more, level in ([], "drawn machines"), (["--at-least", "50 %"], "drawn machines"):
         with pytest.raises(SystemExit) as ended:
             main([*words, *more])
-        told = capsys.readouterr().out
+        printed = capsys.readouterr().out
         # 0.025 ** (1 / 8) is 0.630583
         line = f"8 of 8 machines in spec, at least 63.058 % of all ({level}: one run of each)"
-        plain = " ".join(told.split())
-        assert plain.count(line) == 2 and told.endswith(f"{line}\n")
+        plain = " ".join(printed.split())
+        assert plain.count(line) == 2 and printed.endswith(f"{line}\n")
         assert ended.value.code == 0
         assert "the same in every machine, excluded by the machine file: drives.x.torque" in plain
         assert "the same in every machine, it affects only plans: axes.A.acceleration," in plain
@@ -161,10 +161,10 @@ def test_what_is_not_measured_is_not_passed_over(
     job.write_text("G91\nG1 X25.714 F1000\nG1 X-25.714\nM30\n", encoding="utf-8")
     with pytest.raises(SystemExit) as ended:
         main(["yield", str(job), "-m", "lathe-winder", "-s", str(spec), "--variants", "4"])
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     assert ended.value.code == status
-    assert said in " ".join((told.out + told.err).split())
-    rows = [line.split() for line in told.out.splitlines() if line.split()[:1] == ["seam_error"]]
+    assert said in " ".join((output.out + output.err).split())
+    rows = [line.split() for line in output.out.splitlines() if line.split()[:1] == ["seam_error"]]
     assert rows == ([["seam_error", "-", "-", "-", "0.1", "mm", "4"]] if status == 1 else [])
 
 

@@ -26,10 +26,10 @@ def test_python_and_the_command_write_the_same_machine(tmp_path, capsys, monkeyp
     monkeypatch.chdir(tmp_path)
     words = ["--design", "preview", "--gain", "2", "--ahead", "3", "--json"]
     assert status("control", "lathe-winder", *words, "-o", "line.toml") == 0
-    told = json.loads(capsys.readouterr().out)
+    printed = json.loads(capsys.readouterr().out)
     found = tl.control("lathe-winder", "preview", "python.toml", gain=2.0, ahead=3)
     assert Path("python.toml").read_text() == Path("line.toml").read_text()
-    assert {**found.content(), "written": "line.toml"} == told
+    assert {**found.content(), "written": "line.toml"} == printed
     assert found.stable
     assert found.machine.controllers["x-designed"].kind == "state-space"
     assert found.axes["X"].stable
@@ -102,9 +102,9 @@ def _designed(tmp_path):
 
 def test_rules_for_one_error_refuse_a_designed_machine_in_words(designed, capsys):
     assert status("tune", str(designed), "--axis", "X") == 2
-    told = capsys.readouterr()
-    assert "controllers.x-designed or one beside it has the kind state-space" in told.err
-    assert told.out == ""
+    output = capsys.readouterr()
+    assert "controllers.x-designed or one beside it has the kind state-space" in output.err
+    assert output.out == ""
     with pytest.raises(MachineError, match="state-space"):
         tl.tune(designed)
 
@@ -155,14 +155,14 @@ def test_a_sweep_is_refused_where_volts_are_seen_at_some_ticks_only(tmp_path, ca
     coupled = tl.control(machine, "cross-coupled", tmp_path / "coupled.toml").file
     out = tmp_path / "sweep.npz"
     assert status("measure", str(coupled), "--axis", "X", "-o", str(out)) == 2
-    told = capsys.readouterr()
-    assert "its references come every 1 ms, so that a recording shows" in told.err
-    assert told.out == "" and not out.exists()
+    output = capsys.readouterr()
+    assert "its references come every 1 ms, so that a recording shows" in output.err
+    assert output.out == "" and not out.exists()
 
 
 def test_a_machine_with_other_axes_is_refused_before_anything_is_said(tmp_path, capsys):
     words = ["--axis", "X", "-o", str(tmp_path / "no.npz"), "--actual", "stitcher"]
     assert status("measure", "lathe-winder", *words) == 2
-    told = capsys.readouterr()
-    assert "stitcher has other axes than lathe-winder" in told.err
-    assert told.out == ""
+    output = capsys.readouterr()
+    assert "stitcher has other axes than lathe-winder" in output.err
+    assert output.out == ""

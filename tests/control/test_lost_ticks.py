@@ -77,9 +77,9 @@ def test_noise_of_a_sensor_does_not_decide_which_tick_is_lost(seed: int) -> None
     for _ in range(100):
         volts = wave(random)
         noise = 0.025 * random.uniform(-1.0, 1.0, len(volts))
-        told = levels_for(volts)
+        levels = levels_for(volts)
         plain += moved(put_out(volts + noise) - put_out(volts) - noise)
-        better += moved(put_out(told + noise) - put_out(told) - noise)
+        better += moved(put_out(levels + noise) - put_out(levels) - noise)
     assert better < 0.5 * plain
 
 
@@ -93,8 +93,8 @@ def test_runs_give_what_the_whole_gives(run: int) -> None:
 def test_other_dacs_are_told_the_volts() -> None:
     volts = wave(np.random.default_rng(4))
     rule = Levels(NUMERATOR, skips=False)
-    told = np.concatenate([rule.feed(volts[:100]), rule.feed(volts[100:])])
-    np.testing.assert_array_equal(told, volts[:-AHEAD])
+    levels = np.concatenate([rule.feed(volts[:100]), rule.feed(volts[100:])])
+    np.testing.assert_array_equal(levels, volts[:-AHEAD])
 
 
 @pytest.mark.long(but="lathe-winder-8.5")

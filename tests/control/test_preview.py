@@ -32,7 +32,7 @@ def test_runs_give_what_the_whole_gives(axis, run):
     assert timing.settle_s == pytest.approx(expected_s, rel=1e-6)
     count = int((motion.end_s + 0.1 - whole.start_s) / timing.tick_s)
     ticks = whole.start_s + timing.tick_s * np.arange(count)
-    told = []
+    reports = []
     for begin in range(0, count, run):
         t = ticks[begin : begin + run]
         ahead_s = preview.ahead * timing.tick_s
@@ -44,9 +44,9 @@ def test_runs_give_what_the_whole_gives(axis, run):
             np.stack([motion(at, order) for order in range(preview.orders)], axis=1)
             for at in (t, acts + timing.early_s)
         ]
-        told.append(preview.feed(t, *ladders))
+        reports.append(preview.feed(t, *ladders))
     due = whole.start_s + 1e-3 * np.arange(int(count * timing.tick_s / 1e-3) - 1)
-    reference = np.interp(due + timing.held_s, ticks, np.concatenate(told))
+    reference = np.interp(due + timing.held_s, ticks, np.concatenate(reports))
     # 1 nm: two ways to integrate the frame, of fourth and of sixth order.
     np.testing.assert_allclose(reference, whole.reference_si[: len(due)], atol=1e-9)
     demand = preview.demand
@@ -95,8 +95,8 @@ def test_damped_belts_are_followed_however_fast_their_zero_decays(tmp_path, damp
             whole.start_s + timing.tick_s * np.arange(count + preview.ahead) + timing.early_s,
         )
     )
-    told = preview.feed(t, now, early)
+    references = preview.feed(t, now, early)
     due = whole.start_s + 1e-3 * np.arange(int(count * timing.tick_s / 1e-3) - 1)
-    reference = np.interp(due + timing.held_s, t, told)
+    reference = np.interp(due + timing.held_s, t, references)
     assert load_error(machine, "X", reference, whole.start_s, motion) < 2.5e-6
     assert preview.demand.volts == pytest.approx(whole.peak_volts, rel=1e-3)

@@ -147,8 +147,8 @@ def test_a_quantised_run_of_the_winder_lags_by_that_delay_alone(tmp_path):
     counts = np.zeros((400, 3), dtype=np.int64)
     x = made.axis_names.index("X")
     counts[10:50, x], counts[50:150, x], counts[150:190, x] = ramp, 17, ramp[::-1]
-    told = run(made, counts)
-    behind = told["X.load"][late:] - told["X.commanded"][:-late]
+    output = run(made, counts)
+    behind = output["X.load"][late:] - output["X.commanded"][:-late]
     own = run(machine, counts)
     assert np.abs(behind).max() < 1e-4
     assert np.abs(own["X.load"][late:] - own["X.commanded"][:-late]).max() > 5e-4
@@ -231,9 +231,9 @@ def test_the_command_writes_a_machine_that_prove_takes(tmp_path, capsys, monkeyp
     with pytest.raises(SystemExit) as stopped:
         main(["control", "lathe-winder", "--design", "lqg", "-o", "made/lqg.toml", "--json"])
     assert stopped.value.code == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["stable"] is True
-    assert told["controllers"][0]["sensors"] == ["x"]
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["stable"] is True
+    assert printed["controllers"][0]["sensors"] == ["x"]
     machine = load_machine("made/lqg.toml")
     assert machine.controllers["x-designed"].kind == "state-space"
     (tmp_path / "line.prg").write_text("%\nO 1;\nN1 G01 F 2000;\nN2 G91;\nN3 X 20;\nN4 M30;\n%\n")

@@ -94,9 +94,9 @@ def test_a_lead_at_a_given_crossover_is_that_of_analyse(capsys):
     gains = design(machine, axis_loop(machine, "X"), "lead", 65.0, 13.5)
     with pytest.raises(SystemExit):
         main(["analyse", "stitcher-rigid", "--axis", "X", "--lead", "13.5 Hz, 65 deg", "--json"])
-    told = json.loads(capsys.readouterr().out)["axes"]["X"]["lead"]
-    assert gains["gain"] == pytest.approx(told["gain_dac_per_count"], rel=1e-9)
-    assert gains["zero"] == pytest.approx(told["zero"], rel=1e-9)
+    printed = json.loads(capsys.readouterr().out)["axes"]["X"]["lead"]
+    assert gains["gain"] == pytest.approx(printed["gain_dac_per_count"], rel=1e-9)
+    assert gains["zero"] == pytest.approx(printed["zero"], rel=1e-9)
 
 
 def test_the_worst_margins_are_those_of_the_worst_of_all_corners():
@@ -169,14 +169,14 @@ def test_a_table_of_controllers_on_a_job_and_a_machine_file(capsys, tmp_path):
     words = ("lathe-winder", "--axis", "X", "--job", job, "--controller", "pid", "-o", file)
     code, out, err = run(capsys, *words, "--json")
     assert (code, err) == (0, "")
-    told = json.loads(out)
-    loops = {(one["controller"], one["rule"]): one for one in told["axes"]["X"]["loops"]}
+    answer = json.loads(out)
+    loops = {(one["controller"], one["rule"]): one for one in answer["axes"]["X"]["loops"]}
     assert set(loops) == {
         ("pd", "file"), ("pd", "settling"),
         *((kind, "margin") for kind in CONTROLLERS),
         *((kind, rule) for kind in ("p", "pi", "pid") for rule in ("ultimate", "step")),
     }  # fmt: skip
-    jobs = {(one["controller"], one["rule"]): one for one in told["jobs"]}
+    jobs = {(one["controller"], one["rule"]): one for one in answer["jobs"]}
     assert set(jobs) == set(loops)
     assert jobs["pd", "margin"]["contour_error"] < 0.2 * jobs["pd", "file"]["contour_error"]
     fast = loops["pd", "settling"]

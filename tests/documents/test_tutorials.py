@@ -38,9 +38,9 @@ def answer(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) ->
     """Return what a command prints; it has to end with that exit status."""
     with pytest.raises(SystemExit) as stopped:
         main(words)
-    told = capsys.readouterr()
-    assert (stopped.value.code or 0) == status, (words, told.err)
-    return told.out + told.err
+    output = capsys.readouterr()
+    assert (stopped.value.code or 0) == status, (words, output.err)
+    return output.out + output.err
 
 
 def shows(page: str, said: str) -> bool:

@@ -41,9 +41,9 @@ def test_gains_that_are_off_are_found_within_half_a_percent(off, capsys, tmp_pat
     out_file = tmp_path / "as-found.toml"
     code, out, err = run(capsys, machine, "--trim", "--actual", actual, "-o", out_file, "--json")
     assert (code, err) == (0, "")
-    told = json.loads(out)["axes"]
-    assert set(told) == {"A", "X", "Y"}
-    for axis, one in told.items():
+    answer = json.loads(out)["axes"]
+    assert set(answer) == {"A", "X", "Y"}
+    for axis, one in answer.items():
         assert one["factor"] == pytest.approx(1 / OFF[axis.lower()], rel=5e-3)
         assert one["interval"] < 5e-3
         found = number_at(load_machine(str(out_file)), f"drives.{axis.lower()}.amplifier.gain")

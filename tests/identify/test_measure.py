@@ -52,11 +52,11 @@ def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path,
     sweep = ("--axis", "X", "--band", "1 Hz, 20 Hz", "--actual", "lathe-winder", "-o", "x.npz")
     code, out, err = run(capsys, "measure", "off.toml", *sweep, "--json")
     assert (code, err) == (0, "")
-    told = json.loads(out)
-    assert set(told["predicted"]) == {"duration_s", "lowest", "highest", "speed", "current_a"}
+    answer = json.loads(out)
+    assert set(answer["predicted"]) == {"duration_s", "lowest", "highest", "speed", "current_a"}
     found = response_of(read_recording("x.npz").origin)
     assert found is not None and found.coherence.min() > 0.99
-    assert told["response"]["frequency_hz"] == found.frequency_hz.tolist()
+    assert answer["response"]["frequency_hz"] == found.frequency_hz.tolist()
     plant = winder_plant(found.frequency_hz)
     slow = found.frequency_hz < 8.0  # above, what aliases at 200 Hz reaches a percent
     assert np.abs(found.value / plant - 1.0)[slow].max() < 0.015
@@ -220,15 +220,15 @@ def test_a_response_that_was_not_measured_is_refused(capsys, tmp_path):
     ],
 )
 def test_a_response_that_no_model_can_have_is_refused(key, value, message):
-    told = {"frequency_hz": [1.0, 2.0], "real": [3.0, 4.0], "imag": [0.0, 0.0]}
-    told |= {"coherence": [1.0, 0.9], "unit": "count/V", "axis": "X", "output": "sensors.x"}
+    content = {"frequency_hz": [1.0, 2.0], "real": [3.0, 4.0], "imag": [0.0, 0.0]}
+    content |= {"coherence": [1.0, 0.9], "unit": "count/V", "axis": "X", "output": "sensors.x"}
     if key == "all":
-        told |= dict.fromkeys(("frequency_hz", "real", "imag", "coherence"), value)
-    told[key] = value
+        content |= dict.fromkeys(("frequency_hz", "real", "imag", "coherence"), value)
+    content[key] = value
     if value is None:
-        del told[key]
+        del content[key]
     with pytest.raises(RecordingError, match=message) as raised:
-        response_of({"response": json.dumps(told)}, Place("x.npz"))
+        response_of({"response": json.dumps(content)}, Place("x.npz"))
     assert str(raised.value).startswith("[RECORDING] x.npz: ") and "\n" not in str(raised.value)
 
 

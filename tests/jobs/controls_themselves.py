@@ -107,9 +107,9 @@ def run(program: Path, programs: Sequence[Sequence[str]]) -> list[Told]:
     """Return what a control makes of each program, begun anew for each."""
     text = "".join(f"{_NEW}\n" + "\n".join(lines) + "\n" for lines in programs)
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    told = [_told(part) for part in done.stdout.split(f"{_NEW}\n")[1:]]
-    assert len(told) == len(programs)
-    return told
+    answers = [_told(part) for part in done.stdout.split(f"{_NEW}\n")[1:]]
+    assert len(answers) == len(programs)
+    return answers
 
 
 def interpreted(

@@ -45,7 +45,7 @@ FILES = [
     ("%\nO1\nG91 G1 F5 X1\nX", "a.nc:4: 'X': the letter X has no number"),
     ("%\nO1\nG91 G1 F5 X1\nX2\n", "a.nc:4: the % on line 1 opens the program and none closes it"),
     ("G91 G1 F5 X1\nX2\n", "a.nc:2: the program, begun on line 1, has no end: the file may be tr"),
-    ("G91 G1 F5 X1\nM30\n%\n", "a.nc:3: this % closes a program that none has opened"),
+    ("G91 G1 F5 X1\nM30\n%\n", "a.nc:3: this % closes a program that no % has opened"),
     ("%\nG91 G1 F5 X1\nM30\n%\nX5\n", "a.nc:5: a block after the % that ends the file is never r"),
     ("%\nG91 G1 F5 X1\nM30\n%\n%\n", "a.nc:5: this % closes"),
     ("G91 G1 F5 X1\nM30\nX5\n", "a.nc:3: a block after the end of a program is never run"),
@@ -89,10 +89,10 @@ def test_carriage_returns_before_a_line_feed_end_a_line(
 BLOCKS = [
     ("X1 (open", "a comment in parentheses is opened and not closed"),
     ("X1 close)", "a comment in parentheses is closed and not opened"),
-    ("X1; Y2", "what follows ';' reads as another block: 'Y2'"),
-    ("X1; Y2;", "what follows ';' reads as another block: 'Y2'"),
-    ("X1;; Y2 (in the printed dialect)", "what follows ';' reads as another block: 'Y2'"),
-    ("X1; and home; Y2 A3 ; M30", "what follows ';' reads as another block: 'Y2 A3'"),
+    ("X1; Y2", "the text after ';' reads as another block: 'Y2'"),
+    ("X1; Y2;", "the text after ';' reads as another block: 'Y2'"),
+    ("X1;; Y2 (in the printed dialect)", "the text after ';' reads as another block: 'Y2'"),
+    ("X1; and home; Y2 A3 ; M30", "the text after ';' reads as another block: 'Y2 A3'"),
     ("X1e400", "'X1e400' has an exponent"),
     ("X 1E5 Y2", "'X 1E5' has an exponent"),
     ("X nan", "'X nan': the letter X has no number"),
@@ -266,8 +266,8 @@ def test_other_files_and_options(tmp_path: Path) -> None:
         ("axes", of_both),
     ):
         typed = f"--{option.replace('_', '-')}"
-        told = refused(seam, **{option: "grbl"})
-        assert f"a.seam.toml is a seam, and {typed} is of {formats}. Leave {typed} out." in told
+        message = refused(seam, **{option: "grbl"})
+        assert f"a.seam.toml is a seam, and {typed} is for {formats}. Leave {typed} out." in message
     with pytest.raises(OptionError, match="F cannot be read as 'fast'"):
         read_job(good, MACHINE, feed_mode="fast")
     with pytest.raises(OptionError, match="base axes go with"):

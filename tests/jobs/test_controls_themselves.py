@@ -183,17 +183,17 @@ def end_of_rs274(output: str) -> Point:
         command = re.search(r"([A-Z]\w+)\((.*)\)", row)
         if command is None:
             continue
-        name, told = command[1], command[2]
+        name, operands = command[1], command[2]
         if name == "USE_LENGTH_UNITS":
-            scale = 25.4 if "INCHES" in told else 1.0
+            scale = 25.4 if "INCHES" in operands else 1.0
         elif name == "SELECT_PLANE":
-            plane = told[-2:]
+            plane = operands[-2:]
         elif name == "SET_G92_OFFSET":
-            shift = [float(number) * scale for number in told.split(",")[:3]]
+            shift = [float(number) * scale for number in operands.split(",")[:3]]
         elif name in {"STRAIGHT_TRAVERSE", "STRAIGHT_FEED"}:
-            last = [float(number) * scale for number in told.split(",")[:3]]
+            last = [float(number) * scale for number in operands.split(",")[:3]]
         elif name == "ARC_FEED":
-            v = [float(number) * scale for number in told.split(",")]
+            v = [float(number) * scale for number in operands.split(",")]
             ends = {"XY": (0, 1, 5), "YZ": (5, 0, 1), "XZ": (1, 5, 0)}[plane]
             last = [v[k] for k in ends]
     x, y, z = (a + b for a, b in zip(last, shift, strict=True))

@@ -46,7 +46,7 @@ def test_preambles_are_named_once(
     (said,) = [w for w in job.warnings if "without effect" in w]
     assert [w.split()[0] for w in said.partition("first seen: ")[2].split(", ")] == words.split()
     silent = dialect == "marlin"
-    assert ("compile leaves out what only shows or stores something: M117 M30." in said) == silent
+    assert ("compile leaves out words that only show or store: M117 M30." in said) == silent
     assert [p[0] for p in millimetres(job)] == [5.0, 7.0]
     with pytest.raises(InputError):  # the printed winder's program has none of them
         list(read(tmp_path, xyza, text, "winder"))
@@ -126,7 +126,7 @@ def test_marlin_goes_at_the_feed_in_g0_too(tmp_path: Path, xyza: Machine) -> Non
     with pytest.raises(JobError, match="before any feed") as caught:
         list(read(tmp_path, xyza, "G0 X5\n", "marlin"))
     assert "Marlin takes 1500 or 4000, by its version" in caught.value.remedy
-    with pytest.raises(JobError, match="the line does not begin with a command"):
+    with pytest.raises(JobError, match="because it does not begin with a command"):
         list(read(tmp_path, xyza, "G1 X5 F60\nX6\n", "marlin"))
 
 
@@ -180,7 +180,7 @@ def test_marlin_has_one_tool(tmp_path: Path, xyza: Machine) -> None:
     assert [p[0] for p in millimetres(job)] == [5.0]
     with pytest.raises(JobError, match="T1 is no word of a machine with one tool"):
         read(tmp_path, xyza, "G1 X5 F60\nT1\nG1 X7\n", "marlin")
-    with pytest.raises(JobError, match=r"first command of a line alone \(T0\), and not G1"):
+    with pytest.raises(JobError, match=r"first command of a line \(T0\), and not G1"):
         read(tmp_path, xyza, "T0 G1 X5 F60\n", "marlin")
 
 

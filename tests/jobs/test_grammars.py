@@ -48,8 +48,8 @@ def test_where_a_semicolon_ends_a_block_another_behind_it_is_refused(
 @pytest.mark.parametrize(
     ("dialect", "block", "said"),
     [
-        ("marlin", "M201 X4000 Y4000 Z200", "M201 is what sets the steps, limits or jerks"),
-        ("marlin", "M204 P4000 T4000", "M204 is what sets the steps, limits or jerks"),
+        ("marlin", "M201 X4000 Y4000 Z200", "M201 is a new setting of steps, limits or jerks"),
+        ("marlin", "M204 P4000 T4000", "M204 is a new setting of steps, limits or jerks"),
         ("marlin", "M220 S50", "M220 is a share of every feed"),
         ("linuxcnc", "M68 E0 Q50", "M68 is an analogue output"),
         ("fluidnc", "M67 E0 Q50", "M67 is an analogue output"),
@@ -68,7 +68,7 @@ def test_t_behind_an_m_word_of_marlin_is_no_command(tmp_path: Path, xyza: Machin
     job = read(tmp_path, xyza, text, "marlin")
     assert [p[0] for p in millimetres(job)] == [5]
     for line in ("G1 X6 T0", "M106 S255 G1 X6"):
-        with pytest.raises(JobError, match="runs the first command of a line alone"):
+        with pytest.raises(JobError, match="runs only the first command of a line"):
             list(read(tmp_path, xyza, f"G1 X5 F600\n{line}\n", "marlin"))
 
 
@@ -137,7 +137,7 @@ REFUSED = [
     ("linuxcnc", "M7 M8", "linuxcnc takes one of M7 and M8 in a block"),
     ("fluidnc", "M62 P1 M63", "fluidnc takes one of M62 and M63 in a block"),
     ("fluidnc", "M62", "M62 needs the number of its output as P"),
-    ("grbl", "G49 X7", "grbl takes the axis words beside G49 away from the motion"),
+    ("grbl", "G49 X7", "grbl uses the axis words beside G49 for G49, not for a motion"),
     ("grbl", "G80\nG92 X0", "axis words while G80 is in force, which grbl refuses"),
     ("linuxcnc", "G53", "G53 needs axis words, and G0 or G1"),
     # words without use
@@ -151,8 +151,8 @@ REFUSED = [
     ("grbl", "N10000001 X7", "N10000001 is beyond 10000000, the most that grbl takes"),
     ("grbl", "T256", "T256 is beyond 255, the most that grbl takes"),
     ("grbl", "M3 S-1", "S-1 must not be negative for grbl"),
-    ("linuxcnc", "G1 N7 X9", "linuxcnc takes N7 in front of the line alone"),
-    ("linuxcnc", "N3. X9", "linuxcnc takes N3. in front of the line alone, and without a point"),
+    ("linuxcnc", "G1 N7 X9", "linuxcnc takes N7 only at the beginning of a line"),
+    ("linuxcnc", "N3. X9", "takes N3. only at the beginning of a line, and without a point"),
     # words that the control does not know
     ("grbl", "G64", "G64 is no word of grbl"),
     ("grbl", "T1 M6 G1 X9", "grbl refuses M6 with its whole line, G1 too"),
@@ -230,12 +230,12 @@ def test_grbl_keeps_the_radius_of_the_start(
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("G21 G90 G1 X50", r"the first command of a line alone \(G21\), and not G90"),
-        ("M3 G1 X5", r"the first command of a line alone \(M3\), and not G1"),
+        ("G21 G90 G1 X50", r"only the first command of a line \(G21\), and not G90"),
+        ("M3 G1 X5", r"only the first command of a line \(M3\), and not G1"),
         ("G1 X10 F600 (see Y20)", "reads the capital letters in parentheses as words"),
         ("M3 (Penetrate)", "reads the capital letters in parentheses as words"),
         ("G1 X10) F600", "reads the capital letters in parentheses as words"),
-        ("g1 X5", "knows capital letters alone"),
+        ("g1 X5", "reads only capital letters"),
         ("X5 G1", "does not begin with a command"),
         ("\tG1 X5", "has a tab"),
         ("G1\tX5", "has a tab"),
@@ -244,7 +244,7 @@ def test_grbl_keeps_the_radius_of_the_start(
         ("G21 F50", "does not read F50 beside G21"),
         ("G90 X5", "axis words without a G word"),
         ("G2 X15 Y0 I5 J0 P2", "P of an arc is not a number of turns for marlin"),
-        ("M502", "M502 is what sets the steps, limits or jerks"),
+        ("M502", "M502 is a new setting of steps, limits or jerks"),
         ("M420 S1", "M420 is the compensation of the bed"),
         ("M810", "M810 is a macro"),
         ("G20", "INCH_MODE_SUPPORT; otherwise all numbers stay millimetres"),
@@ -306,7 +306,7 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
         ("G2 X15 R5", "klipper takes no arc with R"),
         ("G2 I0", "klipper takes no arc without a centre"),
         ("G91\nG2 X10 I5 J0", "klipper takes no arc while G91 is in force"),
-        ("G90 G1 X5", r"the first command of a line alone \(G90\), and not G1"),
+        ("G90 G1 X5", r"only the first command of a line \(G90\), and not G1"),
         ("G1 X9 (see Y20)", "for '\\(' in it"),
         ("(see) G1 Y20", "for '\\(' in it"),
         ("G1 XY9", "for 'XY' in it"),
@@ -386,7 +386,7 @@ def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(
         ("X9", "answers to 'X9' with an error"),
         ("N 5 G1 X9", "answers to '5 ' with an error"),
         ("PRINT_START", "answers to 'PRINT_START' with an error"),
-        ("G1 X9 T0", "passes over T behind G1"),
+        ("G1 X9 T0", "ignores T behind G1"),
         ("G90 X9", "axis words without a G word"),
         ("G90 F50 G1 X9", "does not read F50 beside G90"),
         ("N5 G1 X9*1", "the checksum of the line is 1 and must be 108"),
@@ -394,8 +394,8 @@ def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(
         ("G1 X9 M0 G1 X8", "a block after the end of a program is never run"),
         ("M2", "a block after the end of a program is never run"),
         ('M98 P"home.g"', "M98 is a macro file"),
-        ("M121", "takes back the feed and modes"),
-        ("M204 P500", "M204 is what sets the steps, limits"),
+        ("M121", "restores the feed and modes"),
+        ("M204 P500", "M204 is a new setting of steps, limits"),
         ("M220 S50", "M220 is a share of every feed"),
         ("G20", "scales the words of turning axes, too"),
         ("G1 H1 X9", "H1 is a move to an endstop"),

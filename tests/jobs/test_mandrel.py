@@ -121,12 +121,12 @@ def test_a_job_brings_its_profile_as_a_table(
     )
     common = [str(tmp_path / "there.nc"), "-m", str(machine.file), "-s", str(spec)]
     run("prove", *common, "--radius", f"A={table}", "--recording", str(trace), "--json")
-    told = json.loads(capsys.readouterr().out)
-    assert told["options"]["radius"] == "A=10 mm at X 0 mm; 30 mm at X 100 mm"
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["options"]["radius"] == "A=10 mm at X 0 mm; 30 mm at X 100 mm"
     table.unlink()
     run("judge", str(trace), "-s", str(spec), "--json")
     judged = json.loads(capsys.readouterr().out)
-    assert judged["criteria"][0] == told["criteria"][0]
+    assert judged["criteria"][0] == printed["criteria"][0]
     assert judged["criteria"][0]["name"] == "path_deviation"
 
 

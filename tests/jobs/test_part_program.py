@@ -127,9 +127,9 @@ def test_g64_alone_is_warned_of_and_a_thousand_of_them_at_most(tmp_path: Path) -
     """A program may have millions: what is told of them takes a bounded place."""
     modes = ["G21 G90 G94", "G91 G1 F600 X1"]
     assert read(tmp_path, *modes, "M30").suspicions(own_feed=False) == ()
-    told = read(tmp_path, *modes, *["G64 X1"] * 1500, "M30").suspicions(own_feed=False)
-    assert [w.split(":")[1] for w in told[:5]] == ["3", "4", "5", "6", "7"]
-    assert told[5] == "995 more warnings of these kinds."
+    warnings = read(tmp_path, *modes, *["G64 X1"] * 1500, "M30").suspicions(own_feed=False)
+    assert [w.split(":")[1] for w in warnings[:5]] == ["3", "4", "5", "6", "7"]
+    assert warnings[5] == "995 more warnings of these kinds."
 
 
 def test_a_feed_is_judged_in_the_unit_in_force_where_it_is_called(tmp_path: Path) -> None:

@@ -65,11 +65,11 @@ def test_the_command_line_takes_a_radius(
     spec.write_text('name = "any"\n[[criteria]]\nname = "path_deviation"\n')
     common = [str(tmp_path / "roll.nc"), "-m", str(tmp_path / "eye.toml"), "-s", str(spec)]
     run("prove", *common, "--radius", "A=25 mm", "--recording", str(trace), "--json")
-    told = json.loads(capsys.readouterr().out)
-    assert told["nominal_s"] == pytest.approx(math.pi / 2 * 0.025 / 0.1)
-    assert told["options"]["radius"] == "A=25 mm"
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["nominal_s"] == pytest.approx(math.pi / 2 * 0.025 / 0.1)
+    assert printed["options"]["radius"] == "A=25 mm"
     run("judge", str(trace), "-s", str(spec), "--json")
-    assert json.loads(capsys.readouterr().out)["nominal_s"] == told["nominal_s"]
+    assert json.loads(capsys.readouterr().out)["nominal_s"] == printed["nominal_s"]
 
 
 def run(*arguments: str) -> None:

@@ -84,7 +84,7 @@ def test_what_has_a_place_of_its_own_is_refused() -> None:
     seam = open_job(EXAMPLES / "strap.seam.toml", stitcher, Options())
     with pytest.raises(OptionError, match="is no part program"):
         shifted(seam, stitcher, "X=1 mm")
-    told = Options(offset="X=1 mm", radius="A=20 mm at X 0 mm; 50 mm at X 100 mm")
+    options = Options(offset="X=1 mm", radius="A=20 mm at X 0 mm; 50 mm at X 100 mm")
     with pytest.raises(OptionError, match="the mandrel has a radius for each place"):
-        open_job(FILE, WINDER, told)
-    assert open_job(FILE, WINDER, replace(told, offset=None)).start == (0.0, 0.0, 0.0)
+        open_job(FILE, WINDER, options)
+    assert open_job(FILE, WINDER, replace(options, offset=None)).start == (0.0, 0.0, 0.0)

@@ -37,7 +37,7 @@ POSTED = (
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+def with_lengths(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return made_machine(tmp_path_factory.mktemp("told"), "XYZ", "A", _MORE + _OFFSETS)
 
 
@@ -45,15 +45,15 @@ def heights_mm(folder: Path, machine: Machine, text: str) -> list[float]:
     return [point[2] for point in millimetres(read(folder, machine, text, "linuxcnc"))]
 
 
-def test_what_a_post_writes_for_two_tools(tmp_path: Path, told: Machine) -> None:
+def test_what_a_post_writes_for_two_tools(tmp_path: Path, with_lengths: Machine) -> None:
     """G53 Z0 is 30 mm above the zero of G54 with either tool and none; the tools go 7, 52.3 up."""
-    found = heights_mm(tmp_path, told, POSTED)
+    found = heights_mm(tmp_path, with_lengths, POSTED)
     assert found == pytest.approx([30.0, 30.0, 22.0, 6.0, 6.0, 30.0, 67.3, 50.3, 30.0])
 
 
-def test_the_motion_rests_where_a_length_is_taken(tmp_path: Path, told: Machine) -> None:
+def test_the_motion_rests_where_a_length_is_taken(tmp_path: Path, with_lengths: Machine) -> None:
     """LinuxCNC ends the motion there. The words have done their work: none is left to write."""
-    operations = list(read(tmp_path, told, "G43 H1\nG0 Z1\nG49\nZ2\nM2\n", "linuxcnc"))
+    operations = list(read(tmp_path, with_lengths, "G43 H1\nG0 Z1\nG49\nZ2\nM2\n", "linuxcnc"))
     assert [type(one) for one in operations[:4]] == [Dwell, Move, Dwell, Move]
     words = [act.words for one in operations if isinstance(one, Move) for act in one.acts]
     words += [one.words for one in operations if isinstance(one, ToolEvent)]
@@ -70,11 +70,11 @@ def test_the_motion_rests_where_a_length_is_taken(tmp_path: Path, told: Machine)
     ],
 )
 def test_a_length_that_the_file_lacks_is_asked_for(
-    tmp_path: Path, told: Machine, text: str, said: str
+    tmp_path: Path, with_lengths: Machine, text: str, said: str
 ) -> None:
     """A control would go to another place than the plan by the length of the tool."""
     with pytest.raises(JobError) as caught:
-        list(read(tmp_path, told, text, "linuxcnc"))
+        list(read(tmp_path, with_lengths, text, "linuxcnc"))
     assert said in str(caught.value) and "[programs.lengths] H1 = " in str(caught.value)
 
 
@@ -121,7 +121,7 @@ def _random_program(rng: random.Random) -> list[str]:
 
 
 @pytest.mark.linuxcnc
-def test_linuxcnc_goes_to_the_same_places(tmp_path: Path, told: Machine) -> None:
+def test_linuxcnc_goes_to_the_same_places(tmp_path: Path, with_lengths: Machine) -> None:
     rs274 = shutil.which("rs274")
     if rs274 is None:
         pytest.skip("rs274 (Debian's linuxcnc-uspace) is not installed")
@@ -129,7 +129,7 @@ def test_linuxcnc_goes_to_the_same_places(tmp_path: Path, told: Machine) -> None
     (tmp_path / "made.tbl").write_text("".join(rows))
     for seed in range(100):
         lines = _random_program(random.Random(seed))
-        job = read(tmp_path, told, "\n".join(lines) + "\n", "linuxcnc")
+        job = read(tmp_path, with_lengths, "\n".join(lines) + "\n", "linuxcnc")
         program = tmp_path / "a.ngc"
         program.write_text("\n".join(lines) + "\n")
         (tmp_path / "made.var").write_text(_variables())

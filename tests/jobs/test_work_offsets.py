@@ -29,7 +29,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+def with_offsets(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return made_machine(tmp_path_factory.mktemp("told"), "XYZ", "A", OFFSETS)
 
 
@@ -55,16 +55,18 @@ def test_a_program_in_one_system_has_its_zero_there(
     assert first == [(10.0, 2.0), (15.0, 2.0)]
 
 
-def test_systems_lie_as_far_apart_as_the_machine_file_says(tmp_path: Path, told: Machine) -> None:
+def test_systems_lie_as_far_apart_as_the_machine_file_says(
+    tmp_path: Path, with_offsets: Machine
+) -> None:
     """The zero of the first is where the job begins; G92 goes along, and G53 knows no shift."""
     text = (
         "G1 F600 X10 Y0\nG55 X10\nY1\nG91 X1\nG90 G54 X0\nG92 X100\nX101\nG55 X101\n"
         "G91 G53 X100 Y-5\nG90 X101\nM2\n"
     )
-    assert places(read(tmp_path, told, text)) == [
+    assert places(read(tmp_path, with_offsets, text)) == [
         (10, 0), (40, 0), (40, 6), (41, 6), (0, 6), (1, 6), (31, 6), (0, 0), (31, 0),
     ]  # fmt: skip
-    job = read(tmp_path, told, "G1 F600 X10\nG55 A0\nM2\n")
+    job = read(tmp_path, with_offsets, "G1 F600 X10\nG55 A0\nM2\n")
     assert [one.target[3] for one in job if isinstance(one, Move)][-1] == pytest.approx(
         1.5707963268
     )
@@ -73,15 +75,21 @@ def test_systems_lie_as_far_apart_as_the_machine_file_says(tmp_path: Path, told:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("G1 X1 F60\nG55 X2\nM2\n", "a.nc:2: the program moves by G54 and G55: how far G5"),
-        ("G55 G1 X1 F60\nG53 X2\nM2\n", "a.nc:2: the program moves by G55 and G53: how far G55"),
-        ("G1 X1 F60\nG56 X2\nM2\n", "by G54 and G56: how far G56"),
+        (
+            "G1 X1 F60\nG55 X2\nM2\n",
+            "a.nc:2: the program moves by G54 and G55: only the",
+        ),
+        (
+            "G55 G1 X1 F60\nG53 X2\nM2\n",
+            "a.nc:2: the program moves by G55 and G53: only the",
+        ),
+        ("G1 X1 F60\nG56 X2\nM2\n", "by G54 and G56: only the control knows"),
     ],
 )
 def test_what_the_control_alone_knows_is_asked_for(
-    tmp_path: Path, plain: Machine, told: Machine, text: str, said: str
+    tmp_path: Path, plain: Machine, with_offsets: Machine, text: str, said: str
 ) -> None:
-    machine = told if "G56" in text else plain
+    machine = with_offsets if "G56" in text else plain
     with pytest.raises(JobError) as caught:
         read(tmp_path, machine, text)
     assert said in str(caught.value) and "\n" not in str(caught.value)
@@ -101,7 +109,7 @@ def test_grbl_goes_on_behind_the_end_of_a_program(tmp_path: Path, plain: Machine
     operations = list(job)
     assert [type(one) for one in operations if not isinstance(one, Move)] == [Dwell, Stop]
     assert operations[3].source.line == 5 and operations[3].feed == operations[1].feed
-    (said,) = [warning for warning in job.warnings if "end nothing" in warning]
+    (said,) = [warning for warning in job.warnings if "do not end the program" in warning]
     assert "a.nc:4" in said and "lines 4)" in said
     open_end = read(tmp_path, plain, "G1 X1 F60\nM30\nX2\n")
     assert places(open_end) == [(1, 0), (2, 0)] and isinstance(list(open_end)[-1], Stop)
@@ -143,7 +151,7 @@ def test_a_tool_length_before_all_moves_is_where_the_zero_is(
     for lengths in ("G43 H1\n", "G43\nG43\n", "G49\nG43 H0\n", "N5 G43 H12 (long)\n"):
         job = read(tmp_path, plain, head + lengths + bare.format("G49\n"), "linuxcnc")
         assert places(job) == [(2.0, 1.0), (7.0, 1.0)]
-        assert sum("how long the tool of G43 is" in said for said in job.warnings) == 1
+        assert sum("knows the tool length of G43" in said for said in job.warnings) == 1
         taken, *_, left = [word for word in _words(job) if word[:2] == "G4"]
         assert taken in lengths and taken.startswith("G43") and left == "G49"
     in_move = read(tmp_path, plain, "G90\nG0 G43 Z5 H1 X1\n#1=3\nG0 X#1\nM2\n", "linuxcnc")

@@ -93,11 +93,11 @@ def test_linuxcnc_turns_a_wrapped_axis_likewise(tmp_path: Path, wrapped: Machine
         assert "PROGRAM_END" in said, (seed, said)
         theirs, shift = [], 0.0
         for row in said.splitlines():
-            told = re.search(r"(STRAIGHT_\w+|SET_G92_OFFSET)\((.*)\)", row)
-            if told is not None and told[1] == "SET_G92_OFFSET":
-                shift = float(told[2].split(",")[3])
-            elif told is not None:
-                theirs.append(float(told[2].split(",")[3]) + shift)
+            match = re.search(r"(STRAIGHT_\w+|SET_G92_OFFSET)\((.*)\)", row)
+            if match is not None and match[1] == "SET_G92_OFFSET":
+                shift = float(match[2].split(",")[3])
+            elif match is not None:
+                theirs.append(float(match[2].split(",")[3]) + shift)
         assert [point[-1] for point in millimetres(job)] == pytest.approx(theirs, abs=2e-3), seed
 
 

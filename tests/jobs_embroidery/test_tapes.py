@@ -26,7 +26,7 @@ MACHINE = load_machine("schiffli-frame")
 SAMPLES = SHARED_SAMPLES / "embroidery"
 
 
-def told(job: Job) -> list[object]:
+def items_of(job: Job) -> list[object]:
     """Return the moves (place, stitch, block), and the names of the events between them."""
     return [
         (tuple(round(v * 1e4) for v in item.target), item.tags["stitch"], item.tags["block"])
@@ -63,11 +63,11 @@ def test_a_compiled_dst_reads_back_as_the_job_that_it_was(
     if not file.is_file():
         pytest.skip(NO_SAMPLES)
     out = compiled(file, tmp_path / "a.dst")
-    assert told(read_job(out, MACHINE)) == told(read_job(file, MACHINE))
+    assert items_of(read_job(out, MACHINE)) == items_of(read_job(file, MACHINE))
     # Another library finds the same stitches, and the extents of the header.
     pattern = pystitch.read(str(out))
     needles = [(x, -y) for x, y, act in pattern.stitches if act & 0xFF == pystitch.STITCH]
-    moved = [item for item in told(read_job(file, MACHINE)) if not isinstance(item, str)]
+    moved = [item for item in items_of(read_job(file, MACHINE)) if not isinstance(item, str)]
     assert needles == [place for place, stitch, _ in moved if stitch]
     left, top, right, bottom = pattern.bounds()
     head = out.read_bytes()[:512]
@@ -96,13 +96,13 @@ def test_a_u01_has_its_marks_needles_and_stitches(tmp_path: Path) -> None:
     file.write_bytes(u01_bytes(units, sewn, events))
     places = np.cumsum(units, axis=0)
     job = read_job(file, MACHINE)
-    found = [(item[0], item[1]) for item in told(job) if not isinstance(item, str)]
+    found = [(item[0], item[1]) for item in items_of(job) if not isinstance(item, str)]
     kept = [tuple(at) for at, needle in zip(places.tolist(), sewn, strict=True) if needle]
     assert [at for at, stitch in found if stitch] == kept
-    assert [n for n in told(job) if isinstance(n, str)] == [
+    assert [n for n in items_of(job) if isinstance(n, str)] == [
         "colour", "slow", "fast", "trim", "colour", "stop",
     ]  # fmt: skip
-    items = told(job)
+    items = items_of(job)
     assert items[items.index("slow") - 1][0] == tuple(places[9].tolist())
     assert items[items.index("fast") - 1][0] == tuple(places[19].tolist())
 
@@ -121,7 +121,7 @@ def test_the_marks_of_a_design_follow_its_planned_speeds(
     assert facts[0] in said
     assert 0 < slow.sum() < len(slow)
     paces, now = [], False
-    for item in told(read_job(out, MACHINE)):
+    for item in items_of(read_job(out, MACHINE)):
         if isinstance(item, str):
             now = {"slow": True, "fast": False}.get(item, now)
         else:
@@ -152,7 +152,7 @@ def test_a_machine_with_y_before_x_writes_the_same_design(
     for suffix in ("dst", "t15"):
         a = compiled(short_and_long, tmp_path / f"a.{suffix}")
         b = compiled(short_and_long, tmp_path / f"b.{suffix}", turned)
-        sewn = [[m[:2] for m in told(read_job(f, MACHINE)) if m[1:] and m[1]] for f in (a, b)]
+        sewn = [[m[:2] for m in items_of(read_job(f, MACHINE)) if m[1:] and m[1]] for f in (a, b)]
         assert sewn[0] == sewn[1] and len(sewn[0]) >= 60
 
 

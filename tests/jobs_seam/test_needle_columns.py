@@ -113,8 +113,8 @@ def test_the_trajectory_array_says_the_same_line_by_line(rows, plan: Plan, tmp_p
     spans = np.array([int(row["ticks"]) for row in array])
     assert 2 * len(spans) < spans.sum()
     for name in ("needle_up", "trim"):
-        told = np.repeat([int(row[name]) for row in array], spans)
-        assert told.tolist() == [int(row[name]) for row in table if row[name]]
+        expected = np.repeat([int(row[name]) for row in array], spans)
+        assert expected.tolist() == [int(row[name]) for row in table if row[name]]
     begins_s = (np.cumsum(spans) - spans) * TICK_S
     found = [
         begin_s + float(cell)

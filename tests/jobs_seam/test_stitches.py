@@ -89,13 +89,13 @@ def test_slowed_needle_speeds_up_and_slows_down_as_told(
     up: float, down: float, sewer: Machine, tmp_path: Path
 ) -> None:
     """A leg from rest to rest takes L/v + v/2a + v/2d; corners are met at the speed that fits."""
-    told = {"needle": "slowed", "acceleration": f"{up} m/s^2", "deceleration": f"{down} m/s^2"}
-    job = sew(tmp_path, sewer, "points = [[0, 0], [80, 0]]", motion="discrete", **told)
+    slowed = {"needle": "slowed", "acceleration": f"{up} m/s^2", "deceleration": f"{down} m/s^2"}
+    job = sew(tmp_path, sewer, "points = [[0, 0], [80, 0]]", motion="discrete", **slowed)
     v = 0.125
     assert tag(job, "needle_s")[-1] == pytest.approx(0.08 / v + v / 2 / up + v / 2 / down)
 
     job = sew(
-        tmp_path, sewer, "points = [[0, 0], [40, 0], [40, 40]]", placement="0.3 mm", **told
+        tmp_path, sewer, "points = [[0, 0], [40, 0], [40, 40]]", placement="0.3 mm", **slowed
     )  # fmt: skip
     at_corner = int(np.flatnonzero(tag(job, "corner"))[0])
     # The first leg, from rest to the speed c of the corner: up to v and down to c.

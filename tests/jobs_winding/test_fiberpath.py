@@ -157,8 +157,8 @@ def test_what_the_format_cannot_hold_is_refused(
     (tmp_path / "made.wind.toml").write_text(text)
     file = tmp_path / "new" / "made.wind"
     assert run("wind", tmp_path / "made.wind.toml", "--wind", file) == 2
-    told = capsys.readouterr().err.strip()
-    assert said in told and "\n" not in told
+    errors = capsys.readouterr().err.strip()
+    assert said in errors and "\n" not in errors
     assert not file.parent.exists()
 
 
@@ -166,8 +166,8 @@ def test_what_has_no_place_is_said(tmp_path: Path, capsys: pytest.CaptureFixture
     text = (TUBE.format(left=50, right=50) + LAYERS).replace("-110 mm", "-100 mm")
     (tmp_path / "made.wind.toml").write_text(text.replace("value = 0.2", "value = 0.3"))
     assert run("wind", tmp_path / "made.wind.toml", "--wind", tmp_path / "a.wind") == 0
-    told = " ".join(capsys.readouterr().err.split())
-    assert "no place for: the machine place of its 0, 10 mm; the friction of 0.3; dwells" in told
+    errors = " ".join(capsys.readouterr().err.split())
+    assert "no place for: the machine place of its 0, 10 mm; the friction of 0.3; dwells" in errors
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,7 @@ def test_what_cannot_be_written_is_refused(
         ("marlin", "Marlin has no subprograms within a program"),
         ("klipper", "Klipper has no subprograms within a program"),
         ("reprapfirmware", "RepRapFirmware has no subprograms within a program"),
-        ("csv", "'csv' holds every tick"),
+        ("csv", "'csv' is no format of a part program"),
     ],
 )
 def test_a_firmware_without_subprograms_is_named(

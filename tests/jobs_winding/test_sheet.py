@@ -165,7 +165,7 @@ def test_thickness_and_tex_give_the_fibre_volume(tmp_path: Path) -> None:
         ('"60 %"', '"60 %"\nthickness = "0.2 mm"', "say the same twice", 23),
         ('fibre_volume = "60 %"', 'thickness = "0.1 mm"', "leave a fibre volume of 1.18", 21),
         ('material = "e-glass/epoxy"\n', "", "a fibre_volume needs the material", 22),
-        ('taper = "5 %"', 'taper = "150 %"', "a taper of 1.5", 28),
+        ('taper = "5 %"', 'taper = "150 %"', "taper is 1.5", 28),
         ('tension = "15 N"\n', "", "a taper needs the tension", 27),
         ('"9 N"', '"0 N"', "tension must be above 0", 37),
         ('"9 N"', '"9 kg"', "tension: ", 37),

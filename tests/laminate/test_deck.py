@@ -87,10 +87,10 @@ def test_calculix_finds_the_hoop_stress_of_the_cylinder(
     code, out, _ = run(capsys, file, "--deck", deck, "--pressure", "20 bar")
     assert code == 0 and "Shell model:" in out
     assert SOLVER is not None
-    told = subprocess.run(
+    output = subprocess.run(
         [SOLVER, deck.stem], cwd=tmp_path, capture_output=True, text=True, check=True
     )
-    assert "*ERROR" not in told.stdout
+    assert "*ERROR" not in output.stdout
     found = _stresses(tmp_path / "short.dat")
     laid = design(read_layers(file))
     rings, materials = rings_of(laid)

@@ -228,8 +228,8 @@ def test_the_law_and_its_spread(studies: list[CamStudy]) -> None:
         assert np.all(faired.spread < 0.1 * raw.spread)
     # The spread is that of the peaks from cam to cam, which have noise of their own each.
     between = np.std([study.law.velocity for study in studies], ddof=1)
-    told = np.mean([study.faired(Fairing.SPLINE).spread[0] for study in studies])
-    assert 0.3 < between / told < 6
+    stated = np.mean([study.faired(Fairing.SPLINE).spread[0] for study in studies])
+    assert 0.3 < between / stated < 6
 
 
 def test_an_outlier_is_shown_and_kept(tmp_path: Path) -> None:

@@ -143,11 +143,11 @@ class GrblModel(threading.Thread):
             place = ",".join(f"{value:.3f}" for value in shown)
             if not self.stuck:
                 free = f"{self.room - len(self.blocks)},{self.characters}"
-                told = ""
+                overrides = ""
                 if self.overrides != self.told_overrides:
                     self.told_overrides = self.overrides
-                    told = f"|Ov:{','.join(map(str, self.overrides))}"
-                self._say(f"<{state}|MPos:{place}|Bf:{free}|FS:0,0{told}>")
+                    overrides = f"|Ov:{','.join(map(str, self.overrides))}"
+                self._say(f"<{state}|MPos:{place}|Bf:{free}|FS:0,0{overrides}>")
         elif byte in (0x85, ord("!")) and self.state == "Jog":  # lines in the buffer stay there
             self.blocks.clear()
             self.state, self.target = "Idle", self.at.copy()

@@ -86,7 +86,7 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
 
     The position is that after the last sample, in the units of the machine's commands.
     """
-    told: dict[str, list[np.ndarray]] = {}
+    reports: dict[str, list[np.ndarray]] = {}
     seen: dict[str, Any] = {"heard": 0}
 
     class Boxed(simulated_of(which.machine)):  # type: ignore[misc, name-defined]
@@ -97,7 +97,7 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
         def _report(self, first: int, parts: Any, late_by: float) -> None:
             for part in parts:
                 for name, values in part.samples.items():
-                    told.setdefault(name, []).append(np.array(values, dtype=np.float64))
+                    reports.setdefault(name, []).append(np.array(values, dtype=np.float64))
             seen["standing"], seen["position"] = self.standing, self.position
             super()._report(first, parts, late_by)
 
@@ -106,15 +106,15 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
     sim_process.serve(end, which.machine, which.start, 0.0)
     np.savez(
         box, heard=seen["heard"], standing=seen["standing"], position=seen["position"],
-        **{f"c_{name}": np.concatenate(parts) for name, parts in told.items()},
+        **{f"c_{name}": np.concatenate(parts) for name, parts in reports.items()},
     )  # fmt: skip
 
 
 @contextmanager
-def forked_link(_program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
+def forked_link(_program: str, request: tuple[Any, ...]) -> Iterator[Connection]:
     """Stand in for ``process_link`` of a simulated machine, which is told the same bytes."""
     ours, theirs = socket.socketpair()
-    words = pickle.dumps(told)
+    words = pickle.dumps(request)
 
     def machine_only() -> None:
         ours.close()

@@ -108,13 +108,13 @@ def test_the_remedy_is_of_the_kind_of_work(tmp_path: Path) -> None:
     job = open_job(EXAMPLES / "letter-cycle.toml", placer, Options())
     found = prove_plan(plan_job(job, placer, Options()), load_spec(None, placer))
     write_proof(found, file)
-    told = {
+    remedies = {
         "switchings": r"Shape its moves \(--shaper\), or let it rest longer \(threadline fastest",
         "needle": "Lower the speed of the needle",
         "shaft": "Lower the speed of the shaft",
         "feed": "Lower the feed",
     }
-    for pace, remedy in told.items():
+    for pace, remedy in remedies.items():
         plan = replace(found.plan, job=replace(job, paced_by=pace))
         with pytest.raises(ProofError, match=f"residual_vibration Z. {remedy}"):
             check_runnable(file, plan, found.spec, None)
@@ -198,9 +198,9 @@ def test_the_command_runs_what_it_proves(
         with pytest.raises(SystemExit) as ended:
             main([*command, "--store", str(tmp_path / "runs"), "--json"])
         assert ended.value.code in (None, 0)
-        told = json.loads(capsys.readouterr().out)
-        told = told[0] if isinstance(told, list) else told
-        assert (told["run"], told["passed"]) == (folder.name, True)
+        answer = json.loads(capsys.readouterr().out)
+        answer = answer[0] if isinstance(answer, list) else answer
+        assert (answer["run"], answer["passed"]) == (folder.name, True)
     assert read_recording(csv).job_sha256 == content["job_sha256"]
     assert (folder / "report" / "report.html").stat().st_size > 1000
     first, second = read_once(read_recording(proved)), read_once(read_recording(ran))
@@ -211,7 +211,7 @@ def test_the_command_runs_what_it_proves(
     assert second.simulated
 
 
-def told(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[object, str, str]:
+def answer_of(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[object, str, str]:
     with pytest.raises(SystemExit) as ended:
         main([str(word) for word in words])
     captured = capsys.readouterr()
@@ -235,21 +235,21 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
     job.write_bytes((EXAMPLES / "x-180.prg").read_bytes())
     how = (job, "-m", "lathe-winder", "--interpolation", "linear")
     fast = (*how, "--feed", "60 count/tick", "--nominal", "--speed", "0", "--store", store)
-    code, out, err = told(capsys, "run", *fast, "-s", spec)
+    code, out, err = answer_of(capsys, "run", *fast, "-s", spec)
     assert (code, "IN SPEC" in out) == (0, True), (out, err)
     again = ("report", "last", "--store", store)
-    code, out, _ = told(capsys, *again)
+    code, out, _ = answer_of(capsys, *again)
     assert (code, "IN SPEC" in out) == (0, True), out
-    assert told(capsys, *again, "-s", LIBRARY / "lathe-winder.spec.toml")[0] == 1
+    assert answer_of(capsys, *again, "-s", LIBRARY / "lathe-winder.spec.toml")[0] == 1
     (folder,) = (path for path in store.iterdir() if path.is_dir())
     assert (folder / "inputs" / "coarse.toml").read_bytes() == spec.read_bytes()
     assert (folder / "inputs" / "x-180.prg").is_file()
-    assert told(capsys, "verify", folder / "proof.json")[0] == 0
+    assert answer_of(capsys, "verify", folder / "proof.json")[0] == 0
     spec.write_text(spec.read_text(encoding="utf-8").replace("6 mm", "2 mm"), encoding="utf-8")
-    code, out, err = told(capsys, *again)
+    code, out, err = answer_of(capsys, *again)
     assert (code, out, "'coarse', has changed since" in err) == (2, "", True)
     job.write_bytes(job.read_bytes() + b"\n")
-    code, out, err = told(capsys, *again)
+    code, out, err = answer_of(capsys, *again)
     assert (code, out, "from another version of x-180.prg" in err) == (2, "", True)
     assert f"{folder / 'inputs'} has a copy of each input" in err
 

@@ -164,15 +164,15 @@ def test_settings_come_from_the_controller_and_make_a_machine(
     with controller(answers, firmware="grbl" if "$I" in answers else "marlin") as (address, heard):
         done = ran("connect", address, "--json")
     assert done.exit_code == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["kind"] == kind
+    answer = json.loads(done.stdout)
+    assert answer["kind"] == kind
     assert {"setting": f"{axis} rate", "value": rate} in [
-        {key: row[key] for key in ("setting", "value")} for row in told["read"]
+        {key: row[key] for key in ("setting", "value")} for row in answer["read"]
     ]
     assert not [line for line in heard if line not in ("$I", "$$", "$CD", "M115", "M503", "?")]
     travels = [f"travel.{letter}=300 mm" for letter in "XYZ"] if kind in ("marlin", "rrf") else []
     answered = [word for one in ("rotary=none", *travels) for word in ("--set", one)]
-    made = ran(*told["new"].split()[1:], *answered)
+    made = ran(*answer["new"].split()[1:], *answered)
     assert made.exit_code == 0, made.stderr
     text = Path("my-machine/machine.toml").read_text(encoding="utf-8")
     assert ("corner_axes = true" in text) == (kind == "marlin")  # 2.1.2, as M115 says
@@ -259,7 +259,7 @@ def test_a_machine_that_moves_is_not_asked(ran: Callable[..., Done]) -> None:
         ({"M115": "FIRMWARE_NAME:Smoothieware\nok"}, "a firmware whose planner is not known", 2),
         ({"M115": "ok FIRMWARE_VERSION:v0.12 FIRMWARE_NAME:Klipper"}, "ask its Moonraker", 2),
         ({**GRBL, "$$": "error:8"}, "answered 'error:8' when it was asked $$", 3),
-        ({}, "tells neither $I nor M115 who it is", 3),
+        ({}, "does not name its firmware", 3),
     ],
 )
 def test_what_cannot_be_read_is_said_and_nothing_written(

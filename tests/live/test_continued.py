@@ -114,20 +114,22 @@ def test_axes_are_moved_there_and_do_the_rest_row_by_row(name: str) -> None:
     again, recording, wire = rest_of(name)
     rest = again.rest
     scale = machine.counts_per_unit
-    told = np.stack(
+    commanded = np.stack(
         [np.rint(recording.samples(f"{axis}.commanded")[1] * k)
          for axis, k in zip(machine.axes, scale, strict=True)], axis=1,
     )  # fmt: skip
     rows = np.concatenate([block.counts for block in table])
     whole = table.start_counts + np.concatenate([np.zeros((1, rows.shape[1])), rows.cumsum(axis=0)])
-    assert (told[0] == whole[rest.left_out]).all()
+    assert (commanded[0] == whole[rest.left_out]).all()
     assert (rest.begins == whole[rest.left_out]).all()
-    assert (told[-1] == whole[-1]).all()
+    assert (commanded[-1] == whole[-1]).all()
     # Behind the start from rest, every position of the table in its order, one a tick.
-    moving = [int(np.flatnonzero((way != whole[-1]).any(axis=1))[-1]) for way in (told, whole)]
+    moving = [int(np.flatnonzero((way != whole[-1]).any(axis=1))[-1]) for way in (commanded, whole)]
     count = moving[0] - 300  # a start takes 256 ticks at most
     assert count > 500
-    alike = [way[end - count : end + 2] for way, end in zip((told, whole), moving, strict=True)]
+    alike = [
+        way[end - count : end + 2] for way, end in zip((commanded, whole), moving, strict=True)
+    ]
     assert (alike[0] == alike[1]).all()
     first = next(iter(recording)).first_tick
     clock = recording.channels[0].clock
@@ -135,12 +137,12 @@ def test_axes_are_moved_there_and_do_the_rest_row_by_row(name: str) -> None:
     assert begins_s == pytest.approx(rest.left_out * float(table.clock.period_s), abs=1e-9)
     # From rest within the limit of acceleration; rounding to whole counts is 2 in a second step.
     tick_s = float(table.clock.period_s)
-    hardest = np.abs(np.diff(told[:200], 2, axis=0)).max(axis=0)
+    hardest = np.abs(np.diff(commanded[:200], 2, axis=0)).max(axis=0)
     own = np.abs(np.diff(whole, 2, axis=0)).max(axis=0)
     allowed = np.maximum(machine.acceleration_limit * scale * tick_s**2, own) + 2.0
     assert (hardest <= allowed).all()
     if rest.left_out:
-        assert np.abs(np.diff(told[:3], axis=0)).max() <= np.abs(rows).max()
+        assert np.abs(np.diff(commanded[:3], axis=0)).max() <= np.abs(rows).max()
         jogs = [message for message in wire.sent if message.kind == "begin"]
         assert len(jogs) == len(again.approach) + 1
 
@@ -370,7 +372,7 @@ def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_p
         pass
     with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
         check_continued(folder, "nosuch", None, confirmed=False)
-    with pytest.raises(OptionError, match="nobody is at the keys"):
+    with pytest.raises(OptionError, match="nobody is at the keyboard"):
         check_continued(folder, "last", None, confirmed=False)
     store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):

@@ -78,11 +78,11 @@ def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(
 
     model = GrblModel(settings(), faster=2.0)
     joined = tmp_path / "joined.npz"
-    status, told = run(
+    status, output = run(
         model, capsys, job, "--continue", "last", "--confirmed", "--recording", str(joined)
     )
-    assert (status, told["ended"]) == (1, "completed")  # it has no load: nothing is proven
-    assert told["judged_with"] == [first.parent.name]
+    assert (status, output["ended"]) == (1, "completed")  # it has no load: nothing is proven
+    assert output["judged_with"] == [first.parent.name]
     np.testing.assert_allclose(model.at[[3, 0]], POINTS[-1], atol=1e-3)
 
     sent = bytes(model.heard).replace(b"?", b"").split(b"\n")
@@ -94,10 +94,10 @@ def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(
     whole = [line for line in written(job) if line[:1] in "AXGM"]
     assert len(works) - 2 < len(whole) - 2, "and not done whole"
     assert [sent[k].decode() for k in works[2:]] == whole[2 - len(works) :]
-    kept = tmp_path / "runs" / told["run"] / "sent" / "program.nc"
+    kept = tmp_path / "runs" / output["run"] / "sent" / "program.nc"
     assert kept.read_bytes().splitlines() == [sent[k] for k in works]
     # Where the lines begin it was brought axis by axis, and stood.
-    begins = np.array(read_start(tmp_path, told["run"])) / UNITS
+    begins = np.array(read_start(tmp_path, output["run"])) / UNITS
     moved = np.array(model.moved_to)[:, [3, 0]]
     there = np.flatnonzero(np.abs(moved - begins).max(axis=1) < 0.02)
     assert len(there)
@@ -112,7 +112,7 @@ def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(
     assert (a[-1], x[-1]) == (pytest.approx(POINTS[-1][0]), pytest.approx(POINTS[-1][1]))
     # A never turns back, by more than it goes in a sample: nothing is there twice.
     assert (np.diff(a) >= -3000.0 / 60.0 * 0.01).all()
-    assert len(x) > len(read_recording(Path(told["trace"])).samples("X.commanded")[1])
+    assert len(x) > len(read_recording(Path(output["trace"])).samples("X.commanded")[1])
     operations = recording.samples("operation")[1]
     assert set(operations[np.isfinite(operations)].astype(int)) >= set(range(1, len(POINTS)))
 

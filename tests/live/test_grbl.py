@@ -368,17 +368,17 @@ def test_a_planner_of_more_blocks_is_said_to_run_out_longer(tmp_path: Path) -> N
     job.write_text(f"G21\nG90\nG1 F600\n{moves}M30\n", "utf-8")
     options = Options()
     plan = plan_job(open_job(job, MACHINE, options), MACHINE, options)
-    told = []
+    reports = []
     for blocks in (15, 100):
         model = GrblModel(settings(), blocks=blocks)
         model.start()
         link = link_of(f"grbl:{model.address}", MACHINE, 1.0, None)
-        told += [float(line.split()[-5]) for line in link.prepare(plan) if "up to" in line]
+        reports += [float(line.split()[-5]) for line in link.prepare(plan) if "up to" in line]
         link.close()
         model.close()
         assert b"G1" not in model.heard
     holds = plan.duration_s
-    assert told[0] < told[1] <= holds, (told, holds)
+    assert reports[0] < reports[1] <= holds, (reports, holds)
 
 
 def test_the_command_records_and_judges(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

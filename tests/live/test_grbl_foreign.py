@@ -103,9 +103,9 @@ def test_axes_that_are_none_are_refused(says: str) -> None:
     assert b"G1" not in model.heard
 
 
-@pytest.mark.parametrize("told", ["\xb2", "9" * 5000, "-3", "", "1e9"])
-def test_blocks_that_are_no_number_are_left_out(told: str) -> None:
-    with meeting(Saying("$I", f"[OPT:V,{told},128]", "[AXS:4:XYZA]")) as (one, _, _):
+@pytest.mark.parametrize("message", ["\xb2", "9" * 5000, "-3", "", "1e9"])
+def test_blocks_that_are_no_number_are_left_out(message: str) -> None:
+    with meeting(Saying("$I", f"[OPT:V,{message},128]", "[AXS:4:XYZA]")) as (one, _, _):
         one.controller.meet()
         assert one.controller.blocks == 15
 

@@ -211,8 +211,8 @@ def test_a_hold_that_nobody_can_end_is_stopped(
     assert desk.take() is (Cause.STOP if alone else None)
     said = capsys.readouterr().err
     assert "holding: its door is open; " in said
-    assert ("nobody is at the keys" in said) is alone
-    assert (run.stopped_by == "Threadline: nobody is at the keys to resume") is alone
+    assert ("nobody is at the keyboard" in said) is alone
+    assert (run.stopped_by == "Threadline: nobody is at the keyboard to resume") is alone
     desk.close()
 
 
@@ -274,8 +274,8 @@ def test_nothing_that_moves_is_sent_after_the_computer_slept(
     with meeting(model) as (one, _, _):
         ready(one, program())
         go_on(one, moving(model))
-        told = time.clock_gettime
-        monkeypatch.setattr(time, "clock_gettime", lambda clock: told(clock) + 3600.0)
+        real_clock = time.clock_gettime
+        monkeypatch.setattr(time, "clock_gettime", lambda clock: real_clock(clock) + 3600.0)
         assert b"G1" not in slept(one, model)
 
 

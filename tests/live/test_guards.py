@@ -32,7 +32,7 @@ AT = 200  # at 10 counts per tick, on the way out
     [
         # Twice the lag of 29 ms at 36 mm/s and 1 mm are 3.1 mm of following error, 2.1 mm more
         # than a sound machine has: 58 ms, and the report that says so.
-        ("stuck-encoder", "X", "the encoder of X stands still while the axis is told", 12 + 10),
+        ("stuck-encoder", "X", "the encoder of X stands still while the axis should move", 12 + 10),
         ("encoder-jump", "A", "the encoder of A jumps by 2", 5),
         ("unheeded-reversal", "Y", "the output of Y changed its sign", 5),
         ("switch-hit", "x_high", "the limit switch x_high is hit", 5),
@@ -61,9 +61,9 @@ def test_a_fault_brakes_on_the_path(kind: str, where: str, said: str, within_tic
     assert [state for _, state, _, _ in bench.kept.log].count(State.FAULT) == 1
 
 
-def report_of(told: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
+def report_of(commanded: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
     """Return a report of an X that is told and reads such positions, m, at ticks of 5 ms."""
-    return {"X.commanded": told, "X.measured": read, "X.voltage": np.zeros(len(told))}
+    return {"X.commanded": commanded, "X.measured": read, "X.voltage": np.zeros(len(commanded))}
 
 
 def test_an_axis_that_falls_behind_is_a_fault_at_twice_its_lag_and_1_mm() -> None:
@@ -212,9 +212,9 @@ def test_the_lag_is_the_models() -> None:
     rows = np.zeros((600, 3), np.int64)
     rows[:, 1] = 10
     recording = simulate(table_of_counts(rows), winder())
-    told, read = (recording.samples(f"X.{what}")[1] for what in ("commanded", "measured"))
+    commanded, read = (recording.samples(f"X.{what}")[1] for what in ("commanded", "measured"))
     speed = 10 / winder().counts_per_unit[1] / 0.005
-    lag = (told - read)[500] / speed
+    lag = (commanded - read)[500] / speed
     guards = Guards(winder())
     assert lag == pytest.approx(guards.lag_s["X"], rel=0.02)  # half a count of the encoder
 

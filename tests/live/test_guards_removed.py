@@ -53,7 +53,7 @@ BY_LATENESS = ("late-ticks", "", "3 ticks in a row came late", 15)
 BY_ONE_TICK = ("one-late-tick", "", "a tick came 6 periods late", 5)
 BY_REVERSAL = ("unheeded-reversal", "Y", "the output of Y changed its sign", 5)
 BY_JUMP = ("encoder-jump", "A", "the encoder of A jumps by 2", 5)
-BY_STUCK = ("stuck-encoder", "X", "the encoder of X stands still while the axis is told", 22)
+BY_STUCK = ("stuck-encoder", "X", "the encoder of X stands still while the axis should move", 22)
 BY_SWITCH = ("switch-hit", "x_high", "the limit switch x_high is hit", 5)
 
 

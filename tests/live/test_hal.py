@@ -96,11 +96,11 @@ def test_3000_ticks_of_three_axes_at_1_ms_and_none_is_lost(tmp_path: Path) -> No
     finally:
         hal.close()
     record = np.concatenate([part.record for part in found])
-    told = np.concatenate([part.commanded for part in found])
+    commanded = np.concatenate([part.commanded for part in found])
     fresh = np.diff(record, prepend=-1) == 1
     assert fresh[record < first + 3000].all()  # none twice, none left out
-    np.testing.assert_array_equal(told[fresh][first : first + 3000], rows)
-    assert (told[record >= first + 3000] == rows[-1]).all()
+    np.testing.assert_array_equal(commanded[fresh][first : first + 3000], rows)
+    assert (commanded[record >= first + 3000] == rows[-1]).all()
     print(f"{late} of 3000 ticks came more than half a period late")
 
 
@@ -131,14 +131,14 @@ def test_a_program_runs_and_is_labelled(tmp_path: Path, capsys: pytest.CaptureFi
 @awake
 def test_hold_resume_and_stop(tmp_path: Path) -> None:
     """A hold leaves no row out: the run ends where the table does, on its path all the way."""
-    told = []
+    reports = []
 
     def at_tick(executor: Executor, desk: Desk) -> None:
-        if executor.tick > 60 and not told:
-            told.append(Cause.HOLD)
+        if executor.tick > 60 and not reports:
+            reports.append(Cause.HOLD)
             desk.ask(Cause.HOLD)
-        if executor.tick > 120 and told[-1:] == [Cause.HOLD]:
-            told.append(Cause.RESUME)
+        if executor.tick > 120 and reports[-1:] == [Cause.HOLD]:
+            reports.append(Cause.RESUME)
             desk.ask(Cause.RESUME)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=True) as far:
@@ -173,8 +173,8 @@ def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def ends_at_rest(box: Path) -> bool:
     """Return whether the rows themselves come to rest, and not HAL that holds the last of them."""
-    told = told_in(box, 3)
-    fresh = told[np.diff(told[:, 0], prepend=-1.0) > 0, 1:]
+    commanded = told_in(box, 3)
+    fresh = commanded[np.diff(commanded[:, 0], prepend=-1.0) > 0, 1:]
     return bool((fresh[-3:] == fresh[-1]).all())
 
 
@@ -219,10 +219,10 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
         )
     refuse_slept(ended[:2])
     assert ended[:2] == (RunEnd.COMPLETED, "")
-    told = told_in(tmp_path / "rest", 3)[:, 1:]
-    assert (told[-1] == ROWS.sum(axis=0)).all()
-    there = int(np.flatnonzero((told == begins).all(axis=1))[0])
-    moved = np.diff(told[: there + 1], axis=0) != 0.0
+    references = told_in(tmp_path / "rest", 3)[:, 1:]
+    assert (references[-1] == ROWS.sum(axis=0)).all()
+    there = int(np.flatnonzero((references == begins).all(axis=1))[0])
+    moved = np.diff(references[: there + 1], axis=0) != 0.0
     assert (moved.sum(axis=1) <= 1).all()  # one axis after the other
     assert (moved.any(axis=0) == (np.array(begins) != 0)).all()
     # The trace begins with the work, at its instant of the whole table.
@@ -258,10 +258,10 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
             assert "nobody has renewed its lease" in executor.ended[1]  # type: ignore[index]
             executor.close()
     desk.close()
-    told = told_in(box, 3)[:, 2]
+    commanded = told_in(box, 3)[:, 2]
     assert renewed_at > 0.02 * X_M, "it was on its way"
-    assert (told[-5:] == told[-1]).all()
-    assert told[-1] - renewed_at <= (0.010 if gone else 0.026) * X_M
+    assert (commanded[-5:] == commanded[-1]).all()
+    assert commanded[-1] - renewed_at <= (0.010 if gone else 0.026) * X_M
 
 
 @pytest.mark.long(but=("279", "76", "18"))
@@ -367,16 +367,16 @@ def test_an_underrun_is_seen(tmp_path: Path) -> None:
 def test_a_sampler_that_runs_over_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """Samples that are lost are a fault, and nothing is recorded behind it."""
     monkeypatch.setattr(hal_session, "SAMPLED_S", -0.4)  # room for 20 records
-    told: list[Message] = []
+    reports: list[Message] = []
     hal = HalSession(winder(), ZERO, plant=False)
     try:
-        rows = HalRows(winder(), ZERO, told.append, hal, plant=False)
+        rows = HalRows(winder(), ZERO, reports.append, hal, plant=False)
         for kind in ("enable", "home", "begin"):
             rows.take(Message(kind))
         for _ in range(5):
             time.sleep(0.4)  # four times as long as there is room for, where HAL has a processor
             rows.go_on(0.4)
-            if events := told[-1].head.get("events", []):
+            if events := reports[-1].head.get("events", []):
                 break
     finally:
         hal.close()

@@ -52,18 +52,18 @@ class Played:
 
 def heard(hal: Played, reports: int, after: Callable[[], None] = lambda: None) -> list[Message]:
     """Begin a run on it, and return what is told in a number of reports."""
-    told: list[Message] = []
-    rows = HalRows(winder(), ZERO, told.append, cast(HalSession, hal), plant=False)
+    reported: list[Message] = []
+    rows = HalRows(winder(), ZERO, reported.append, cast(HalSession, hal), plant=False)
     for kind in ("enable", "home", "begin"):
         rows.take(Message(kind))
     rows.take(Ahead(table_of_counts(there_and_back()), winder()).extend(60))
     for _ in range(20):  # those before the run rest
         rows.go_on(0.06)
-        if len([one for one in told if one.kind == "report"]) >= reports:
+        if len([one for one in reported if one.kind == "report"]) >= reports:
             break
         if rows.tick:
             after()
-    return [one for one in told if one.kind == "report"]
+    return [one for one in reported if one.kind == "report"]
 
 
 def faults(reports: list[Message]) -> list[str]:

@@ -61,8 +61,8 @@ def verdict(plan: Plan, held: Recording) -> Verdict:
 
 def alike(ours: Verdict, other: Verdict) -> bool:
     """Say whether two verdicts have the same lines with the same answers."""
-    told = [[(r.name, r.axis, r.status) for r in one.results] for one in (ours, other)]
-    return told[0] == told[1] and ours.passed == other.passed
+    statuses = [[(r.name, r.axis, r.status) for r in one.results] for one in (ours, other)]
+    return statuses[0] == statuses[1] and ours.passed == other.passed
 
 
 def test_it_is_judged_as_the_run_that_nobody_held(plan: Plan, verdict: Verdict) -> None:

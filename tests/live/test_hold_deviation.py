@@ -118,9 +118,9 @@ def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> 
     meant, table = plan.motion.of_loads, tick_table(plan.commands)
     assert meant is not None
     rows = np.concatenate([block.counts for block in table])
-    told = np.cumsum(rows, axis=0) / plan.machine.counts_per_unit
+    commanded = np.cumsum(rows, axis=0) / plan.machine.counts_per_unit
     at = meant(TICK_S * np.arange(1, len(rows) + 1))
-    worst = np.linalg.norm((told - at) * plan.machine.radius_m, axis=1).max()
+    worst = np.linalg.norm((commanded - at) * plan.machine.radius_m, axis=1).max()
     assert hold_ahead_m(plan) == pytest.approx(worst)
     assert 36e-3 * 29.4e-3 < worst < 2e-3  # most of all where it turns
     spec = load_spec(None, plan.machine)

@@ -126,17 +126,17 @@ def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
         bench.desk.ask(Cause.RESUME)
         bench.go_on()
         assert bench.executor.ended == (RunEnd.COMPLETED, "")
-        told = bench.commanded()
-        assert np.array_equal(told[-1], ROWS.sum(axis=0))  # no row is left out
-        assert (told[100:110] == told[100]).all()
+        commanded = bench.commanded()
+        assert np.array_equal(commanded[-1], ROWS.sum(axis=0))  # no row is left out
+        assert (commanded[100:110] == commanded[100]).all()
     else:
         bench.go_on()
         assert bench.executor.ended == (RunEnd.STOPPED, "stopped by the operator")
-        told = bench.commanded()
-        still = np.flatnonzero((np.diff(told, axis=0) == 0).all(axis=1))
+        commanded = bench.commanded()
+        still = np.flatnonzero((np.diff(commanded, axis=0) == 0).all(axis=1))
         after = still[still > 60][0]
         assert after <= refused[0] + 20  # a tenth of a second, braking included
-        assert (told[after:] == told[after]).all()
+        assert (commanded[after:] == commanded[after]).all()
     assert refused
 
 

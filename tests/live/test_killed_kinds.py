@@ -64,12 +64,14 @@ def test_steppers_brake_along_their_path(k: int, tmp_path: Path) -> None:
     (block,) = table
     scale = which.machine.counts_per_unit
     rows = np.vstack([np.zeros((1, 2)), np.cumsum(block.counts, axis=0)]) + table.start_counts
-    told = np.stack([box[f"{name}.commanded"] for name in which.machine.axes], axis=1) * scale
-    moved = np.flatnonzero(np.diff(told, axis=0).any(axis=1))
+    commanded = np.stack([box[f"{name}.commanded"] for name in which.machine.axes], axis=1) * scale
+    moved = np.flatnonzero(np.diff(commanded, axis=0).any(axis=1))
     heard = int(box["heard"])
     assert not len(moved) or moved[-1] <= left_alone("steppers", heard) + 100
     # Rounding, one count on each of two axes, of the point and of the row.
-    assert beside(np.unique(told[heard:], axis=0), rows[max(heard - 200, 0) : heard + 500]) <= 2.0
+    assert (
+        beside(np.unique(commanded[heard:], axis=0), rows[max(heard - 200, 0) : heard + 500]) <= 2.0
+    )
 
 
 @pytest.mark.long(but=("0", "1", "2"))
@@ -92,18 +94,18 @@ def test_the_frame_rests_between_two_turns(k: int, tmp_path: Path) -> None:
     which = case("step-tables")
     box = kill_executor(which, some_ticks("step-tables")[k], tmp_path / "box.npz")
     assert box["standing"]
-    told = np.stack([box[f"{name}.commanded"] for name in which.machine.axes], axis=1)
+    commanded = np.stack([box[f"{name}.commanded"] for name in which.machine.axes], axis=1)
     whole, rests = kept_whole(), rests_of_whole()
     # Where it stands after the last sample: the last step of a turn can be due at that instant.
-    stands = box["position"] / played(which.commands).steps_per_unit + told[0]
+    stands = box["position"] / played(which.commands).steps_per_unit + commanded[0]
     assert tuple(np.round(stands, 9)) in rests
-    moved = np.flatnonzero(np.diff(told, axis=0).any(axis=1))
+    moved = np.flatnonzero(np.diff(commanded, axis=0).any(axis=1))
     slowest_window = 2000  # ms: a third of the slowest turn
     assert (
         not len(moved) or moved[-1] <= left_alone("step-tables", int(box["heard"])) + slowest_window
     )
     # No stitch is torn: what was commanded is what the whole design commands, up to there.
-    assert np.array_equal(told[: len(moved) and moved[-1]], whole[: len(moved) and moved[-1]])
+    assert np.array_equal(commanded[: len(moved) and moved[-1]], whole[: len(moved) and moved[-1]])
 
 
 @cache

@@ -20,13 +20,13 @@ def followed(chance: np.random.Generator) -> dict[str, np.ndarray]:
     """Return what X is told and reads: a filtered walk, whose encoder sticks somewhere."""
     scale = winder().counts_per_unit[1]
     speeds = np.repeat(chance.uniform(-0.036, 0.036, TICKS // 30), 30)
-    told = np.rint(np.cumsum(speeds) * 0.005 * scale) / scale
+    commanded = np.rint(np.cumsum(speeds) * 0.005 * scale) / scale
     read, lag = np.zeros(TICKS), chance.uniform(4.0, 16.0)
     for k in range(1, TICKS):
-        read[k] = read[k - 1] + (told[k - 1] - read[k - 1]) / lag
+        read[k] = read[k - 1] + (commanded[k - 1] - read[k - 1]) / lag
     stuck = int(chance.integers(100, TICKS))
     read[stuck:] = read[stuck]
-    return {"X.commanded": told, "X.measured": np.rint(read * scale) / scale}
+    return {"X.commanded": commanded, "X.measured": np.rint(read * scale) / scale}
 
 
 def tripped(samples: dict[str, np.ndarray], length: int) -> tuple[int, str]:
@@ -165,13 +165,13 @@ def played_one_by_one(
     executor, machine = bench.executor, bench.wire.machine
     executor.start(table_of_counts(rows))
     machine.report_ticks = 5
-    told: list[Message] = []
-    machine._tell = told.append
+    reports: list[Message] = []
+    machine._tell = reports.append
     for tick in range(len(rows) + 12):
         machine.play(1, lates.get(tick, 0.0))
         if machine.silenced:
             break
-    heads = [(one.head, one.arrays) for one in told]
+    heads = [(one.head, one.arrays) for one in reports]
     return [
         (
             head["tick"],

@@ -118,8 +118,10 @@ def zigzag(folder: Path) -> tuple[Plan, Spec]:
     job.write_text(f"G21\nG90\nG1 X0 F6000\n{ZIGZAG}M30\n", "utf-8")
     plan = plan_job(open_job(job, machine, Options()), machine, Options())
     spec = load_spec(None, machine)
-    told = tuple(replace(c, limit=8e-5) if c.name == "contour_error" else c for c in spec.criteria)
-    return plan, replace(spec, criteria=told)
+    criteria = tuple(
+        replace(c, limit=8e-5) if c.name == "contour_error" else c for c in spec.criteria
+    )
+    return plan, replace(spec, criteria=criteria)
 
 
 def test_a_rate_that_meets_a_mode_is_foreseen_and_named(tmp_path: Path) -> None:
@@ -184,8 +186,8 @@ def test_feed_forward_that_would_leave_its_path_slower_is_refused() -> None:
     leaves = 1e3 * hold_deviation_m(plan)
     assert may.hold_at_rest
     assert "make the loads follow the path at the full feed alone" in may.no_override
-    told = float(may.no_override.split("up to ")[1].split(" mm")[0])
-    assert told >= round(leaves, 2) > 0.0
+    stated = float(may.no_override.split("up to ")[1].split(" mm")[0])
+    assert stated >= round(leaves, 2) > 0.0
 
 
 @pytest.mark.parametrize(

@@ -47,8 +47,8 @@ def test_undisturbed_it_is_the_simulation_to_the_bit(name: str, tmp_path: Path) 
     expected = read_once(simulate(table, machine))
     for channel in expected.channels:
         assert np.array_equal(bench.channel(channel.name), expected.samples(channel.name)[1])
-    told = [event for block in bench.kept.blocks for event in block.events]
-    assert told == [event for block in expected for event in block.events]
+    events = [event for block in bench.kept.blocks for event in block.events]
+    assert events == [event for block in expected for event in block.events]
 
 
 def test_rows_in_pieces_of_any_length_give_the_same_bits() -> None:

@@ -82,10 +82,10 @@ for told in pickle.load(sys.stdin.buffer):
 def test_a_process_that_knows_nothing_else_serves_each_kind() -> None:
     """Each is told to it through a pipe, and greets."""
     machines = [load_machine(name) for name in ("lathe-winder", *JOBS, "stitcher")]
-    told = [(one, np.zeros(len(one.axes), np.int64), 0.0, None) for one in machines]
+    requests = [(one, np.zeros(len(one.axes), np.int64), 0.0, None) for one in machines]
     done = subprocess.run(
         [sys.executable, "-c", SERVES],
-        input=pickle.dumps(told), capture_output=True, check=False, timeout=600,
+        input=pickle.dumps(requests), capture_output=True, check=False, timeout=600,
     )  # fmt: skip
     assert done.stdout.decode().splitlines() == [one.sha256 for one in machines], done.stderr
 
@@ -93,8 +93,8 @@ def test_a_process_that_knows_nothing_else_serves_each_kind() -> None:
 @pytest.mark.long(shown_by="test_a_process_that_knows_nothing_else_serves_each_kind")
 def test_nothing_is_loaded_once_time_counts() -> None:
     """To load its machine code takes a third of a second, and a tick 10 ms at most."""
-    told = [f"{name}={EXAMPLES / job}" for name, job in JOBS.items()]
+    arguments = [f"{name}={EXAMPLES / job}" for name, job in JOBS.items()]
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *told], capture_output=True, check=False, timeout=600
+        [sys.executable, "-c", PROGRAM, *arguments], capture_output=True, check=False, timeout=600
     )
     assert done.stdout.decode().splitlines() == [f"{name} True []" for name in JOBS], done.stderr

@@ -71,8 +71,8 @@ def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
     assert made.executor.ended == (RunEnd.COMPLETED, "")
     for channel in simulated().channels:
         assert np.array_equal(made.channel(channel.name), simulated().samples(channel.name)[1])
-    told = [event for block in made.kept.blocks for event in block.events]
-    assert told == [event for block in simulated() for event in block.events]
+    events = [event for block in made.kept.blocks for event in block.events]
+    assert events == [event for block in simulated() for event in block.events]
 
 
 @pytest.mark.parametrize("scan", [3, 160, 250, ACROSS, 500, 700])
@@ -186,7 +186,7 @@ def test_a_wait_without_its_contact_is_a_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "said"),
+    ("message", "said"),
     [
         ("light-grid@3.7 s", "light_grid is off: a broken beam"),
         ("stuck-contact:z_is_up@0.5 s", "z_is_up and z_is_down are on together"),
@@ -197,8 +197,8 @@ def test_a_wait_without_its_contact_is_a_fault() -> None:
         ("power-loss@1 s", "the link is gone"),
     ],
 )
-def test_a_fault_switches_everything_off(told: str, said: str) -> None:
-    fault = parse_fault(told, placer())
+def test_a_fault_switches_everything_off(message: str, said: str) -> None:
+    fault = parse_fault(message, placer())
     made = bench(fault)
     made.go_on()
     ended, text = made.executor.ended or (None, "")
@@ -206,7 +206,7 @@ def test_a_fault_switches_everything_off(told: str, said: str) -> None:
     assert said in text
     tripped = next(tick for tick, state, _, _ in made.kept.log if state is State.FAULT)
     assert not outputs(made)[10 * tripped :].any()
-    if not told.startswith("stuck"):
+    if not message.startswith("stuck"):
         assert tripped <= fault.tick + 15  # three reports of five scans
 
 

@@ -20,5 +20,5 @@ def test_a_trace_that_ends_too_early_is_told(
 ) -> None:
     """A trace that may lose nothing, not even time that has yet to come, ends too early."""
     monkeypatch.setattr(soak, "LOST_S", -1e9)
-    (told,) = soak.kill(1, tmp_path)
-    assert "kill 0 of the executor of lathe-winder: the trace ends at" in told
+    (message,) = soak.kill(1, tmp_path)
+    assert "kill 0 of the executor of lathe-winder: the trace ends at" in message

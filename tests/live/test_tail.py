@@ -41,8 +41,8 @@ def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
     assert bench.executor.ended == (RunEnd.COMPLETED, "")
     for channel in expected.channels:
         assert np.array_equal(bench.channel(channel.name), expected.samples(channel.name)[1])
-    told = [event for block in bench.kept.blocks for event in block.events]
-    assert told == [event for block in expected for event in block.events]
+    events = [event for block in bench.kept.blocks for event in block.events]
+    assert events == [event for block in expected for event in block.events]
 
 
 def test_no_more_than_a_tenth_of_a_second_is_held() -> None:

@@ -81,8 +81,8 @@ def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
     for channel in simulated().channels:
         expected = simulated().samples(channel.name)[1]
         assert np.array_equal(made.channel(channel.name), expected), channel.name
-    told = [event for block in made.kept.blocks for event in block.events]
-    assert told == [event for block in simulated() for event in block.events]
+    events = [event for block in made.kept.blocks for event in block.events]
+    assert events == [event for block in simulated() for event in block.events]
 
 
 @pytest.mark.parametrize("tick", [1, 700, 2600, 3111])

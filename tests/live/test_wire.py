@@ -79,6 +79,6 @@ def test_a_length_out_of_range_is_refused(length: int) -> None:
 def test_events_are_checked() -> None:
     event = Event(tick=3, kind="tool", operation=2, name="trim", value=1.0)
     assert event_of(event_row(event)) == event
-    for told in (None, [], [1, "explode", 0, "", 0.0], ["x", "tool", 0, "", 0.0]):
+    for message in (None, [], [1, "explode", 0, "", 0.0], ["x", "tool", 0, "", 0.0]):
         with pytest.raises(LinkFaultError):
-            event_of(told)
+            event_of(message)

@@ -342,8 +342,8 @@ def test_answers_that_cannot_be_are_refused(tmp_path: Path, answers: list[str], 
 def test_what_is_not_heeded_is_told(text: str, said: str, tmp_path: Path) -> None:
     file = tmp_path / "settings.txt"
     file.write_text(text)
-    (told,) = read_settings(file).unheeded
-    assert said in told and f"settings.txt:{len(text.splitlines())}" in told
+    (unheeded,) = read_settings(file).unheeded
+    assert said in unheeded and f"settings.txt:{len(text.splitlines())}" in unheeded
 
 
 @pytest.mark.parametrize("off", ["echo:  M593 X F0.00 D0.1\n", 'M593 P"none"\n'])

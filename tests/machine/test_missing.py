@@ -45,8 +45,8 @@ def refused(tmp_path: Path, text: str) -> str:
 def test_all_that_is_missing_is_told_at_once_with_lines(tmp_path: Path) -> None:
     message = refused(tmp_path, BARE)
 
-    told = dict(re.findall(r"'([\w.]+)' \((?:line (\d+), )?like", message))
-    assert told == {
+    matches = dict(re.findall(r"'([\w.]+)' \((?:line (\d+), )?like", message))
+    assert matches == {
         "tick_budget": "",
         "clocks": "",
         "bodies.x.inertia": str(LINES["[bodies.x]"]),
@@ -59,7 +59,7 @@ def test_all_that_is_missing_is_told_at_once_with_lines(tmp_path: Path) -> None:
         "axes.X.velocity": str(LINES["[axes.X]"]),
         "axes.X.acceleration": str(LINES["[axes.X]"]),
     }
-    assert f"mine.toml: {len(told)} keys are missing" in message
+    assert f"mine.toml: {len(matches)} keys are missing" in message
     assert "\n" not in message
 
 

@@ -16,7 +16,7 @@ PLACER = (resources.files("threadline.machine") / "library" / "letter-placer.tom
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         (
             'watchdog = "25 ms exact',
@@ -35,7 +35,7 @@ PLACER = (resources.files("threadline.machine") / "library" / "letter-placer.tom
         ),
     ],
 )
-def test_what_does_not_fit_together(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_what_does_not_fit_together(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "mine.toml"
     text = PLACER.replace(old, new, 1)
     assert text != PLACER
@@ -43,11 +43,11 @@ def test_what_does_not_fit_together(tmp_path: Path, old: str, new: str, told: st
     with pytest.raises(MachineError) as caught:
         load_machine(path)
     line = next(n for n, row in enumerate(text.splitlines(), start=1) if new in row)
-    if "address" in told:
+    if "address" in message:
         line = next(
             n for n, row in enumerate(text.splitlines(), start=1) if "x_left_a1 = { kind" in row
         )
-    assert str(caught.value).startswith(f"[MACHINE] mine.toml:{line}: {told}")
+    assert str(caught.value).startswith(f"[MACHINE] mine.toml:{line}: {message}")
 
 
 @pytest.mark.parametrize("address", ["%IX00.3", "%IX0.03", "%IX0.8", "%IX1.9", "%IX0.", "%QX0.1"])
@@ -70,7 +70,7 @@ LEFT, RIGHT = "6 mm +- 2 mm, assumed", "194 mm +- 2 mm, assumed"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         (LEFT, "196 mm +- 2 mm, assumed", "on below 196 mm +- 2 mm, and x_is_right above 194 mm"),
         (LEFT, "191 mm +- 2 mm, assumed", "both end switches of X can be on at once"),
@@ -92,7 +92,7 @@ LEFT, RIGHT = "6 mm +- 2 mm, assumed", "194 mm +- 2 mm, assumed"
     ],
 )
 def test_end_switches_that_tolerances_make_useless_are_refused(
-    tmp_path: Path, old: str, new: str, told: str
+    tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     """Both on at once: the interlock of the knife would hold all along the stroke."""
     path = tmp_path / "mine.toml"
@@ -102,7 +102,7 @@ def test_end_switches_that_tolerances_make_useless_are_refused(
         load_machine(path)
     line = next(n for n, row in enumerate(text.splitlines(), start=1) if new in row)
     assert f"mine.toml:{line}: contacts.x_is_" in str(caught.value)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "ove " in caught.value.remedy
 
 

@@ -144,10 +144,10 @@ def test_the_last_whole_dump_of_a_log_counts(tmp_path: Path) -> None:
 def test_what_an_older_dump_did_besides_is_over(tmp_path: Path) -> None:
     older = FIRST.replace("M204 S3000", "M204 S2000") + "echo:  M852 I0.0100\n"
     newer = FIRST + "echo:  M852 I0.0200\n"
-    (told,) = read(tmp_path, older + newer).unheeded
-    assert "M852 I0.0200" in told
-    (told,) = read(tmp_path, newer + newer).unheeded
-    assert "M852 I0.0200" in told
+    (unheeded,) = read(tmp_path, older + newer).unheeded
+    assert "M852 I0.0200" in unheeded
+    (unheeded,) = read(tmp_path, newer + newer).unheeded
+    assert "M852 I0.0200" in unheeded
 
 
 @pytest.mark.parametrize("behind", [">>> $110=6000\nok\n", ">>> $$\n$11=0.020\n$100=111.000\n"])
@@ -251,19 +251,19 @@ def test_each_form_of_marlin_s_dump_is_read_as_its_own(
 
 
 @pytest.mark.parametrize(
-    ("told", "slower"),
+    ("message", "slower"),
     [
         ("FIRMWARE_NAME:Marlin 2.1.2.4 (Jan  1 2024)", True), ("echo:Marlin 1.1.9", True),
         ("Marlin 2.0", True), ("FIRMWARE_NAME:Marlin 2.1.3 (Jan  1 2026)", False), ("", False),
     ],
 )  # fmt: skip
 def test_the_version_of_marlin_says_what_bounds_a_corner(
-    told: str, slower: bool, tmp_path: Path
+    message: str, slower: bool, tmp_path: Path
 ) -> None:
     """Where the settings do not tell it, a note says so."""
     limits = "M92 X80 Y80\nM203 X200 Y200\nM201 X500 Y300\nM204 T800\nM205 J0.02\n"
-    settings = read(tmp_path, f"{told}\n{limits}")
-    assert any("corner_axes" in note for note in settings.notes) == (not told)
+    settings = read(tmp_path, f"{message}\n{limits}")
+    assert any("corner_axes" in note for note in settings.notes) == (not message)
     file = tmp_path / "machine.toml"
     answers = parse_answers(["travel=300 mm"])
     file.write_text(machine_text(settings, answers, "m", limits_only=True))
@@ -313,13 +313,13 @@ Acceleration: P=print, R=retract, T=travel
 )
 def test_what_marlin_does_besides_is_told_and_kept(line: str, said: str, tmp_path: Path) -> None:
     settings = read(tmp_path, f"{FIRST}{line}\n")
-    (told,) = settings.unheeded
-    assert said in told and f"settings.txt:{len(FIRST.splitlines()) + 1}" in told
+    (unheeded,) = settings.unheeded
+    assert said in unheeded and f"settings.txt:{len(FIRST.splitlines()) + 1}" in unheeded
     file = tmp_path / "machine.toml"
     answers = parse_answers(["travel=300 mm"])
     file.write_text(machine_text(settings, answers, "m", limits_only=True))
     planner = load_machine(file).planner
-    assert planner is not None and planner.left_out == [told]
+    assert planner is not None and planner.left_out == [unheeded]
 
 
 @pytest.mark.parametrize(
@@ -454,8 +454,8 @@ def test_commands_that_marlin_has_too_are_reprapfirmware_s_if_their_owner_says_s
     """M203 X6000 is 6000 mm/min there, and 6000 mm/s in Marlin."""
     text = "M92 X80\nM203 X6000\nM201 X500\n"
     assert numbers(read(tmp_path, text))["X rate"] == 360_000.0
-    told = read_settings(tmp_path / "settings.txt", "reprapfirmware")
-    assert told.firmware == "reprapfirmware" and numbers(told)["X rate"] == 6000.0
+    settings = read_settings(tmp_path / "settings.txt", "reprapfirmware")
+    assert settings.firmware == "reprapfirmware" and numbers(settings)["X rate"] == 6000.0
     assert read(tmp_path, "M350 X16 I1\n" + text).firmware == "reprapfirmware"
 
 
@@ -470,8 +470,8 @@ def test_the_queue_of_reprapfirmware_only_grows(tmp_path: Path) -> None:
     [("M556 S100 X0.5", "skew"), ("M425 X0.1 S10", "backlash"), ("G29 S1", "mesh of the bed")],
 )
 def test_what_reprapfirmware_does_besides_is_told(line: str, said: str, tmp_path: Path) -> None:
-    (told,) = read(tmp_path, f"{REPRAPFIRMWARE}{line}\n").unheeded
-    assert said in told
+    (unheeded,) = read(tmp_path, f"{REPRAPFIRMWARE}{line}\n").unheeded
+    assert said in unheeded
     assert not read(tmp_path, REPRAPFIRMWARE + "M556 S100 X0 Y0\nM425 X0\nM579 X1 Y1\n").unheeded
 
 

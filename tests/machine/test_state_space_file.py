@@ -102,7 +102,7 @@ def test_what_needs_one_error_and_one_drive_is_refused_in_words(tmp_path):
     machine = load(tmp_path)
     with pytest.raises(MachineError, match=r"controllers\.all has the kind state-space"):
         digital_filter(machine, "all")
-    with pytest.raises(MachineError, match=r"state-space, and what needs the\s+exact inverse"):
+    with pytest.raises(MachineError, match=r"state-space; options that need the\s+exact inverse"):
         inverse_of(machine, "X")
     with pytest.raises(MachineError, match="learning"):
         closed_responses(machine, "X", np.array([1.0]))

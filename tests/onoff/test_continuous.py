@@ -41,12 +41,12 @@ def listed(tmp_path: Path) -> Path:
 def proved(file: Path) -> dict[str, object]:
     code, out = run("prove", str(file), "-m", "letter-placer", "--shaper", "um-zv", "--json")
     assert code == 0
-    told: dict[str, object] = json.loads(out)
-    return told
+    answer: dict[str, object] = json.loads(out)
+    return answer
 
 
-def measured(told: dict[str, object], name: str) -> float:
-    rows = told["criteria"]
+def measured(answer: dict[str, object], name: str) -> float:
+    rows = answer["criteria"]
     assert isinstance(rows, list)
     return max(float(row["measured"]) for row in rows if row["name"] == name)
 
@@ -148,8 +148,8 @@ def test_the_fastest_steady_cycle_is_in_spec_with_what_each_cycle_leaves_for_the
     assert round(3600.0 / float(said[1])) == int(said[2])
     code, out = run("prove", str(best), "-m", "letter-placer", "--nominal", "--json")
     assert code == 0
-    told = json.loads(out)
-    assert told["continuous"]["cycle_s"] == pytest.approx(float(said[1]), abs=1e-3)
+    answer = json.loads(out)
+    assert answer["continuous"]["cycle_s"] == pytest.approx(float(said[1]), abs=1e-3)
 
 
 FIRST = '[[operation]]\nvalve = "main_air"\nfirst_cycle_only = true\n'
@@ -159,7 +159,7 @@ WAIT = '[[operation]]\nwait = "x_is_left"\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "told"),
+    ("text", "line", "message"),
     [
         (f"{WAIT}{FIRST}", 5, "stands behind an operation that every cycle has"),
         (f"{FIRST}{MOVE}{BACK}", 3, "there is no wait"),
@@ -169,28 +169,28 @@ WAIT = '[[operation]]\nwait = "x_is_left"\n'
     ],
 )
 def test_what_no_first_cycle_can_be_is_refused_with_its_line(
-    tmp_path: Path, text: str, line: int, told: str
+    tmp_path: Path, text: str, line: int, message: str
 ) -> None:
     file = tmp_path / "list.toml"
     file.write_text(text, "utf-8")
-    with pytest.raises(JobError, match=told) as refused:
+    with pytest.raises(JobError, match=message) as refused:
         read_job(file, load_machine("letter-placer"))
     assert refused.value.place is not None
     assert refused.value.place.line == line
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (f"{FIRST}{WAIT}{MOVE}", "X is at 200 mm at the end of the list, and at 0 mm where"),
         (f'{FIRST}{WAIT}{MOVE}{BACK}[[operation]]\nvacuum = "venturi"\n', "'venturi' is on at"),
     ],
 )
 def test_a_cycle_that_ends_otherwise_than_it_begins_is_refused(
-    tmp_path: Path, text: str, told: str
+    tmp_path: Path, text: str, message: str
 ) -> None:
     file = tmp_path / "list.toml"
     file.write_text(text, "utf-8")
     machine = load_machine("letter-placer")
-    with pytest.raises(PlanError, match=told):
+    with pytest.raises(PlanError, match=message):
         plan_job(read_job(file, machine), machine, Options())

@@ -131,13 +131,13 @@ def test_a_home_that_no_contact_tells_is_refused(
         main(["compile", str(job), "-m", str(machine), "--target", "st", "-o", str(out)])
     err = capsys.readouterr().err
     assert (ended.value.code, out.exists()) == (2, False)
-    assert "no contact tells that X is home" in err
+    assert "no contact shows that X is home" in err
     job.write_text(HOMING, encoding="utf-8")
     with pytest.raises(SystemExit) as ended:
         main(["prove", str(job), "-m", str(machine)])
     err = capsys.readouterr().err
     assert (ended.value.code, err.count("\n")) == (2, 1)
-    assert "list.toml:6: no contact tells that X is home" in err
+    assert "list.toml:6: no contact shows that X is home" in err
 
 
 HOMING = """
@@ -250,7 +250,7 @@ def test_a_list_that_moves_nothing_says_so(
     assert code == 0
     assert written
     assert "list.toml:3: this move moves nothing" in err
-    assert "the way home from elsewhere" in err
+    assert "its own homing from other places" in err
 
 
 def test_shared_addresses_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -336,13 +336,13 @@ def test_a_switch_at_the_edge_of_its_tolerance_is_told(
     """z_is_down switches at 94 +- 2 mm: with Z at 95 mm it may stay off, with Z at 97 mm not."""
     file = tmp_path / "edge.toml"
     steps = '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { Z = "95 mm" }\n'
-    for place, told in ((95, True), (97, False)):
+    for place, message in ((95, True), (97, False)):
         text = steps.replace("95", str(place)) + '[[operation]]\nwait = "z_is_down"\n'
         file.write_text(text, encoding="utf-8")
         main_or_exit(["prove", str(file), "-m", "letter-placer", "--nominal"])
         err = capsys.readouterr().err
-        assert ("may never come: Z stands at 95 mm then" in err) is told
-        assert ("edge.toml:5" in err) is told
+        assert ("may never come: Z stands at 95 mm then" in err) is message
+        assert ("edge.toml:5" in err) is message
 
 
 def main_or_exit(words: list[str]) -> None:

@@ -14,7 +14,7 @@ KNIFE = '[[operation]]\noutput = "knife"\n'
 LIBRARY = Path(__import__("threadline.machine").machine.__file__).parent / "library"
 
 
-def told(text: str, machine: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+def errors_of(text: str, machine: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
     """Return the one line with which ``prove`` refuses a list."""
     file = folder / "list.toml"
     file.write_text(text, encoding="utf-8")
@@ -49,7 +49,7 @@ def told(text: str, machine: str, folder: Path, capsys: pytest.CaptureFixture[st
 def test_steps_that_contradict_the_interlocks_are_refused_with_their_line(
     steps: str, line: int, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    err = told(steps, "letter-placer", tmp_path, capsys)
+    err = errors_of(steps, "letter-placer", tmp_path, capsys)
     assert f"list.toml:{line}: {words}" in err
 
 
@@ -70,12 +70,12 @@ def test_a_cylinder_moves_only_where_its_interlock_holds(
     machine = "letter-placer"
     out = '[[operation]]\nmove = { X = "200 mm" }\n'
     both = '[[operation]]\nmove = { X = "200 mm", Z = "100 mm" }\n'
-    err = told(AIR + DOWN + out, machine, tmp_path, capsys)
+    err = errors_of(AIR + DOWN + out, machine, tmp_path, capsys)
     assert "list.toml:5: X moves only with z_is_up on, and Z is at 100 mm then" in err
-    err = told(AIR + both, machine, tmp_path, capsys)
+    err = errors_of(AIR + both, machine, tmp_path, capsys)
     assert "X moves only with z_is_up on, and Z is at 0 to 100 mm then" in err
     up = '[[operation]]\nmove = { X = "200 mm", Z = "0 mm" }\n'
-    err = told(AIR + DOWN + up, machine, tmp_path, capsys)
+    err = errors_of(AIR + DOWN + up, machine, tmp_path, capsys)
     assert "list.toml:5: X moves only with z_is_up on, and Z is at 100 to 0 mm then" in err
     free = with_x_locked(tmp_path, "[]")
     with pytest.raises(SystemExit) as ended:
@@ -99,20 +99,20 @@ def test_interlocks_that_cannot_be_are_refused(
     needs: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     machine = with_x_locked(tmp_path, needs)
-    assert words in told(AIR + DOWN, machine, tmp_path, capsys)
+    assert words in errors_of(AIR + DOWN, machine, tmp_path, capsys)
 
 
 @pytest.mark.parametrize(
     ("levels", "words"),
     [
-        ("0 for 50 ms, 1 for 460 ms", "'0 for 50 ms' is the level that was there"),
-        ("1 for 100 ms, 1 for 360 ms", "'1 for 360 ms' is the level that was there"),
+        ("0 for 50 ms, 1 for 460 ms", "'0 for 50 ms' repeats the level before it"),
+        ("1 for 100 ms, 1 for 360 ms", "'1 for 360 ms' repeats the level before it"),
         ("1 for 460 ms, 0 for 50 ms", "they end with 0"),
-        ("1 for -30 ms, 0 for 20 ms, 1 for 490 ms", "-30 ms is no time that a level can last"),
-        ("1 for 0 s", "0 s is no time that a level can last"),
+        ("1 for -30 ms, 0 for 20 ms, 1 for 490 ms", "-30 ms is not a duration above 0"),
+        ("1 for 0 s", "0 s is not a duration above 0"),
         ("1 for 455 ms", "no whole number of scans of 10 ms"),
         ("2 for 230 ms", "passes through level 2.000, outside the unshaped 0 ... 1"),
-        ("1 for 400 ms", "move the piston by 172.00 mm of 200.00 mm"),
+        ("1 for 400 ms", "by 172.00 mm, and its move is 200.00 mm"),
         ("1 for 450 ms, 0.63 for 10 ms, 0.37 for 10 ms", "would switch again after 10 ms"),
     ],
 )
@@ -120,7 +120,7 @@ def test_levels_that_are_out_of_order_are_refused_with_their_line(
     levels: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     move = f'[[operation]]\nmove = {{ X = "200 mm" }}\nlevels = "{levels}"\n'
-    err = told(AIR + move, "letter-placer", tmp_path, capsys)
+    err = errors_of(AIR + move, "letter-placer", tmp_path, capsys)
     assert "list.toml:" in err and words in err
 
 
@@ -128,5 +128,7 @@ def test_a_dwell_longer_than_the_move_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """4.3 mm take one scan of 10 ms at 0.43 m/s; the valves need 20 ms between two switchings."""
-    err = told(AIR + '[[operation]]\nmove = { X = "4.3 mm" }\n', "letter-placer", tmp_path, capsys)
+    err = errors_of(
+        AIR + '[[operation]]\nmove = { X = "4.3 mm" }\n', "letter-placer", tmp_path, capsys
+    )
     assert "would switch again after 10 ms; it needs 20 ms" in err

@@ -93,11 +93,11 @@ def test_a_bare_shaper_says_for_which_mode_it_was_made(
     assert list(content) == ["X", "Z"]
     show_proof(shaped)
     printed = capsys.readouterr().out
-    for axis, told in content.items():
+    for axis, message in content.items():
         pole = step_ringing(shaped.plan.machine, axis).pole
         ratio = -pole.real / abs(pole)
-        (mode,) = told["modes"]
-        assert told["shaper"] == "zv"
+        (mode,) = message["modes"]
+        assert message["shaper"] == "zv"
         assert mode["frequency_hz"] == pytest.approx(abs(pole) / (2 * np.pi), rel=1e-12)
         assert mode["damping_ratio"] == pytest.approx(ratio, rel=1e-12)
         words = f"zv for {abs(pole) / (2 * np.pi):.4g} Hz, damping ratio {ratio:.4g}"

@@ -192,9 +192,9 @@ def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
     monkeypatch.setattr(WorstSearch, "go_on", lambda _: None)
     spec = load_spec(None, machine)
     verdict = prove_plan(plan, spec, trials=Trials(repeats=2, machines=3)).verdict
-    told = verdict.result("unanswered")
-    assert (told.measured, told.status) == (pytest.approx(1 / 3), Status.FAILED)
-    assert told.note == f"1 of 3 machines within the tolerances never end: {stuck[0]}"
+    result = verdict.result("unanswered")
+    assert (result.measured, result.status) == (pytest.approx(1 / 3), Status.FAILED)
+    assert result.note == f"1 of 3 machines within the tolerances never end: {stuck[0]}"
     assert verdict.machines == 3 and not verdict.passed
     assert verdict.tolerances is not None and verdict.tolerances.share is None
     # What the others come to is told all the same.

@@ -190,7 +190,7 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     assert "IN SPEC" in page
     hertz, ratio = flow_mode(machine, "X")
     assert page.count(f"shaped by zv for {hertz:.4g} Hz, damping ratio {ratio:.4g}") == 2
-    assert "count on from the last input" in page
+    assert "sums of these, from the last input" in page
     for words in ("Step by step, shaper zv", "Step by step, without a shaper"):
         assert words in page
     facts = re.findall(r"<tr><td class=\"left\">([^<]*)</td><td class=\"left fact\">", page)

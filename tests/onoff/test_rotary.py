@@ -113,10 +113,10 @@ def test_an_arm_swivels_as_newtons_law_has_it(tmp_path: Path) -> None:
 
 def test_the_cycle_is_proven_and_written_in_degrees(tmp_path: Path) -> None:
     cycle, machine = EXAMPLES / "swivel-cycle.toml", EXAMPLES / "swivel.toml"
-    code, told = run("prove", str(cycle), "-m", str(machine), "--shaper", "um-zv", "--nominal")
-    assert code == 0, told
-    assert "IN SPEC" in told
-    assert any("end_position_error" in row and " deg" in row for row in told.splitlines())
+    code, output = run("prove", str(cycle), "-m", str(machine), "--shaper", "um-zv", "--nominal")
+    assert code == 0, output
+    assert "IN SPEC" in output
+    assert any("end_position_error" in row and " deg" in row for row in output.splitlines())
     out = tmp_path / "c.st"
     words = ("compile", str(cycle), "-m", str(machine), "--shaper", "um-zv", "--target", "st")
     assert run(*words, "-o", str(out))[0] == 0
@@ -129,8 +129,8 @@ def test_the_cycle_is_proven_and_written_in_degrees(tmp_path: Path) -> None:
 def test_a_found_cycle_reads_back_with_its_angles(tmp_path: Path) -> None:
     best = tmp_path / "best.toml"
     cycle, machine = EXAMPLES / "swivel-cycle.toml", EXAMPLES / "swivel.toml"
-    code, told = run("fastest", str(cycle), "-m", str(machine), "-o", str(best))
-    assert code == 0, told
+    code, output = run("fastest", str(cycle), "-m", str(machine), "-o", str(best))
+    assert code == 0, output
     assert 'move = { C = "180 deg" }' in best.read_text("utf-8")
     assert run("prove", str(best), "-m", str(machine), "--nominal")[0] == 0
 
@@ -162,9 +162,9 @@ def test_a_torque_that_cannot_bring_the_load_to_speed_is_told(tmp_path: Path) ->
     """12 N m accelerate 0.3 kg m^2 by 40 rad/s2; 240 deg/s in 60 ms are 69.8 rad/s2."""
     assert plausibility_warnings(load_machine(EXAMPLES / "swivel.toml")) == []
     heavy = changed(tmp_path, ('inertia = "0.012 kg m^2', 'inertia = "0.3 kg m^2'))
-    (told,) = plausibility_warnings(load_machine(heavy))
-    assert "20.94 N m" in told
-    assert "12 N m" in told
+    (warnings,) = plausibility_warnings(load_machine(heavy))
+    assert "20.94 N m" in warnings
+    assert "12 N m" in warnings
 
 
 def test_a_move_beyond_the_angle_is_refused(

@@ -144,7 +144,7 @@ def test_wrong_move_lists_are_refused_with_their_line(
 
 
 @pytest.mark.parametrize(
-    ("wait", "told"),
+    ("wait", "message"),
     [
         (
             'wait = "z_is_down"',
@@ -154,7 +154,7 @@ def test_wrong_move_lists_are_refused_with_their_line(
         ('wait = "x_is_left"\nis = false', "'x_is_left' would never go: X stands at 0 mm"),
     ],
 )
-def test_waits_that_no_move_ends_are_refused(tmp_path: Path, wait: str, told: str) -> None:
+def test_waits_that_no_move_ends_are_refused(tmp_path: Path, wait: str, message: str) -> None:
     """A program for the PLC would stop at them with a fault in every cycle."""
     file = tmp_path / "m.toml"
     file.write_text(
@@ -164,7 +164,7 @@ def test_waits_that_no_move_ends_are_refused(tmp_path: Path, wait: str, told: st
     machine = load_machine("letter-placer")
     with pytest.raises(PlanError) as caught:
         compile_schedule(read_job(file, machine), machine)
-    assert f"m.toml:5: the input {told}" in str(caught.value)
+    assert f"m.toml:5: the input {message}" in str(caught.value)
 
 
 def test_an_input_that_nothing_moves_goes_when_its_end_is_waited_for(tmp_path: Path) -> None:

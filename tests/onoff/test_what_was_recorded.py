@@ -268,8 +268,10 @@ def test_what_rings_is_measured_though_the_cylinder_moves_again_at_once(
 def test_what_is_required_and_cannot_be_measured_is_not_proven(tmp_path: Path) -> None:
     """X goes back before it has come to rest: nobody knows what would ring there."""
     proof = of_pick(tmp_path, 10, 'rest = "100 ms"\n', "zv")
-    told = [r for r in proof.verdict.results if (r.name, r.axis, r.step) == (MEASURED, "X", "out")]
-    assert [r.status for r in told] == [Status.NOT_MEASURED]
-    assert told[0].note == "it moves again before it has come to rest"
-    assert told[0].required
+    results = [
+        r for r in proof.verdict.results if (r.name, r.axis, r.step) == (MEASURED, "X", "out")
+    ]
+    assert [r.status for r in results] == [Status.NOT_MEASURED]
+    assert results[0].note == "it moves again before it has come to rest"
+    assert results[0].required
     assert not proof.verdict.passed

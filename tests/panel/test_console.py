@@ -91,7 +91,7 @@ def test_settings_are_told_in_words_beside_the_values_of_the_machine_file() -> N
     assert marks[120] is Mark.REFUSED and marks[103] is Mark.REFUSED
     assert marks[113] is Mark.SAME and marks[13] is Mark.SAME
     assert marks[10] is Mark.REFUSED and marks[77] is Mark.NONE
-    assert rows[103].board == "not told"
+    assert rows[103].board == "not reported"
     assert (rows[RATE_X].name, rows[RATE_X].unit) == ("highest speed of X", "mm/min")
     assert (rows[113].name, rows[113].unit) == ("highest speed of A", "°/min")
     assert (rows[3].name, rows[3].words) == ("inverted directions", "X, A")

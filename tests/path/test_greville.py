@@ -271,7 +271,7 @@ def test_optimal_follows_the_quartic_and_auto_a_cubic():
     """Third derivatives at the joints of a corner, in units of length; and the points told."""
     corner = programmed(np.array([[0.0, 0.1], [0.1, 0.1], [0.1, 0.2]]))
     corner = replace(corner, axes=("X", "Y"))
-    steps, told = [], []
+    steps, added = [], []
     for name in ("optimal", "auto"):
         path = plan_path(corner, load_machine("lathe-winder"), name, 1e-4)
         c = np.concatenate([block.coefficients for block in path])
@@ -281,6 +281,6 @@ def test_optimal_follows_the_quartic_and_auto_a_cubic():
         last /= np.linalg.norm((c * powers[:, None]).sum(axis=1)[:-1], axis=1)[:, None] ** 3
         first = 6.0 * c[1:, 3] / np.linalg.norm(c[1:, 1], axis=1)[:, None] ** 3
         steps.append(np.abs(last - first).max() / np.abs(first).max())
-        told.append(path.summary["points_added"])
+        added.append(path.summary["points_added"])
     assert steps[0] < 1e-6 < 0.5 < steps[1]
-    assert told == [4, 2]
+    assert added == [4, 2]

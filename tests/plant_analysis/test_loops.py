@@ -333,6 +333,6 @@ def test_a_loop_whose_response_is_rounding_has_no_crossover_there():
     for found in (response, silent):
         grid = refined_grid(found, 0.1, 1e6)
         assert len(grid) < 20_000
-        told = margins_of(found, grid)
-        assert [c.omega_rad_s for c in told.gain_crossovers] == [pytest.approx(1.0, rel=1e-9)]
-        assert not told.phase_crossovers
+        margins = margins_of(found, grid)
+        assert [c.omega_rad_s for c in margins.gain_crossovers] == [pytest.approx(1.0, rel=1e-9)]
+        assert not margins.phase_crossovers

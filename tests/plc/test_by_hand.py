@@ -135,22 +135,22 @@ def test_by_hand_there_is_always_a_way_to_the_start() -> None:
 def test_a_panel_is_told_why_nothing_happens() -> None:
     bench = Bench(plc())
 
-    def told(**given: bool | int) -> str:
+    def hint(**given: bool | int) -> str:
         bench.scan(**given)
         hint: str = bench.block["hint_text"]
         return hint
 
-    assert told(start_button=True) == "home first"
-    assert told(home_button=True, light_grid=False) == "the light grid is broken"
-    assert told(home_button=True) == "home first", "it was held"
+    assert hint(start_button=True) == "home first"
+    assert hint(home_button=True, light_grid=False) == "the light grid is broken"
+    assert hint(home_button=True) == "home first", "it was held"
     bench.home()
-    assert told() == "ready to start"
-    assert told(manual=True) == "the air is coming up"
-    assert told(manual=True, enable=False) == "the enable is missing"
-    assert told(acknowledge=True, enable=False) == "the enable is missing"
-    assert told(home_button=True) == "acknowledge first"
+    assert hint() == "ready to start"
+    assert hint(manual=True) == "the air is coming up"
+    assert hint(manual=True, enable=False) == "the enable is missing"
+    assert hint(acknowledge=True, enable=False) == "the enable is missing"
+    assert hint(home_button=True) == "acknowledge first"
     assert bench.block["fault_step"] == "by hand"
-    assert told(acknowledge=True) == "home first"
+    assert hint(acknowledge=True) == "home first"
     assert bench.block["fault_step"] == ""
 
 

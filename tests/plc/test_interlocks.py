@@ -92,6 +92,6 @@ def test_a_letter_that_is_lost_on_the_way_is_found_where_the_list_asks_again(
                 bench.cell.stuck["letter_held"] = False
             bench.scan()
         assert bench.block["finished"] is not lost
-        told = [bench.block[name] for name in ("fault_text", "fault_step", "contact_text")]
+        outputs = [bench.block[name] for name in ("fault_text", "fault_step", "contact_text")]
         missing = ["an input did not come in time", "leave", "letter_held"]
-        assert told == (missing if lost else ["none", "", ""]), told
+        assert outputs == (missing if lost else ["none", "", ""]), outputs

@@ -79,7 +79,7 @@ def test_the_tables_for_a_panel_hold_every_alarm_and_every_variable_without_an_a
     codes = re.findall(r"^    f_\w+ : Int := (\d+);  // (.*)", text, re.MULTILINE)
     alarms = files["alarms.csv"].decode("ascii").splitlines()
     assert alarms[0] == "ID,Alarm text,Trigger variable"
-    assert alarms[1:] == [f"{c},{told},letter_cycle_data.fault_code" for c, told in codes]
+    assert alarms[1:] == [f"{c},{message},letter_cycle_data.fault_code" for c, message in codes]
     tagged = {line.split(",")[0] for line in files["tags.csv"].decode("ascii").splitlines()[1:]}
     wanted = []
     for block, access in (("VAR_INPUT", "write"), ("VAR_OUTPUT", "read")):

@@ -73,15 +73,15 @@ def test_a_fault_is_kept_until_it_is_acknowledged() -> None:
     bench = next(b for b in every_place() if b.block["step_text"] == "cut")
     bench.cell.stuck = {"z_is_down": False}
     watched(bench)
-    told = dict(bench.block)
-    assert told["fault_text"] == "an end switch is off where its piston stands"
-    assert told["contact_text"] == "z_is_down"
-    assert told["fault_place"] > 0
+    outputs = dict(bench.block)
+    assert outputs["fault_text"] == "an end switch is off where its piston stands"
+    assert outputs["contact_text"] == "z_is_down"
+    assert outputs["fault_place"] > 0
     bench.cell.stuck = {}
     for _ in range(50):
         bench.scan()
     for key in ("fault_code", "fault_place", "fault_contact", "fault_text"):
-        assert bench.block[key] == told[key]
+        assert bench.block[key] == outputs[key]
     bench.scan(acknowledge=True, light_grid=False)
     assert bench.block["fault"], "not while the beam is broken"
     bench.press("acknowledge")

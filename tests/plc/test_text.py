@@ -266,11 +266,11 @@ def test_the_comment_of_each_place_names_what_is_on_there(tmp_path: Path) -> Non
     machine = load_machine("letter-placer")
     made = compile_schedule(read_job(file, machine), machine, shaping_of(machine, "um-zv"))
     text = structured_text(made).units
-    told = re.findall(r"s_cycle_\d+ : INT := \d+; \(\* on: (.*) \*\)", text)
+    matches = re.findall(r"s_cycle_\d+ : INT := \d+; \(\* on: (.*) \*\)", text)
     outputs, levels = made.commands.outputs, made.commands.levels.tolist()
     scheduled = [{name for name, on in zip(outputs, row, strict=True) if on} for row in levels]
-    assert told[0] == "main_air"
-    assert [set(names.split(", ")) for names in told] == scheduled
+    assert matches[0] == "main_air"
+    assert [set(names.split(", ")) for names in matches] == scheduled
 
 
 def test_the_notes_say_when_a_circuit_is_under_pressure() -> None:

@@ -80,7 +80,7 @@ def test_the_tools_of_a_running_linuxcnc_are_left_alone(
 
 
 @pytest.mark.parametrize(
-    ("target", "pattern", "digit", "told"),
+    ("target", "pattern", "digit", "message"),
     [
         ("csv", r"\n30,(-?\d+),", r"\n30,99,", "count"),
         ("ticks", r"\n1,0,0,0,(\d+),", r"\n1,0,0,0,7\1,", "count"),
@@ -94,7 +94,7 @@ def test_the_tools_of_a_running_linuxcnc_are_left_alone(
     ],
 )  # fmt: skip
 def test_a_changed_digit_is_found(
-    job: Path, tmp_path: Path, target: str, pattern: str, digit: str, told: str
+    job: Path, tmp_path: Path, target: str, pattern: str, digit: str, message: str
 ) -> None:
     """In a count, an end, a wait or a feed: the file differs, and its line is named."""
     needs(target)
@@ -114,13 +114,13 @@ def test_a_changed_digit_is_found(
     assert one.verdict == "differs"
     assert f"line {line} is " in one.note
     assert one.place is not None and one.place_limit is not None
-    assert (one.place > one.place_limit) == (told in {"count", "place"})
-    if told == "count":
+    assert (one.place > one.place_limit) == (message in {"count", "place"})
+    if message == "count":
         assert one.at.startswith(f"from line {line},")
-    if target in {"grbl", "marlin"} and told == "place":
+    if target in {"grbl", "marlin"} and message == "place":
         # X turns back 0.1 mm further on; the written corner lies beside the planned one already.
         assert 80e-6 < one.place < 120e-6
-    if told == "time":
+    if message == "time":
         assert one.time_s == pytest.approx(0.1, abs=0.002)
 
 
@@ -212,12 +212,12 @@ def test_targets_of_other_machines_are_rows_beside_those_of_this_one(
     """The list of the command's help suits every machine; CI asks for no reader of theirs."""
     monkeypatch.setenv("CI", "true")
     assert status(["equal", str(job), "-m", MACHINE, "--targets", "st,csv,steps", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    verdicts = {one["target"]: one["verdict"] for one in told["targets"]}
+    printed = json.loads(capsys.readouterr().out)
+    verdicts = {one["target"]: one["verdict"] for one in printed["targets"]}
     assert verdicts == {"st": "skipped", "csv": "equal", "steps": "skipped"}
-    kinds = [one["note"] for one in told["targets"] if one["verdict"] == "skipped"]
+    kinds = [one["note"] for one in printed["targets"] if one["verdict"] == "skipped"]
     assert all("for another kind of machine than" in note for note in kinds)
-    assert told["missing"] == {} and told["equal"]
+    assert printed["missing"] == {} and printed["equal"]
     placed = tl.equal(examples / "letter-cycle.toml", "letter-placer", ["st", "klipper", "nc"])
     assert [one.verdict for one in placed.targets] == ["equal", "skipped", "skipped"]
     assert placed.missing == {}

@@ -72,7 +72,7 @@ def test_klippers_host_makes_each_step_of_the_plan(job: Path, tmp_path: Path) ->
     file = tmp_path / "c.gcode"
     tl.compile(job, machine, "klipper", file, interpolation="firmware")
     text = file.read_text()
-    for wrong, told in [
+    for wrong, message in [
         (text.replace("A490.961", "A491.961"), "place"),
         (text.replace("G4 P200", "G4 P300"), "time"),
         (text.replace("F2160.28", "F1160.28"), "time"),
@@ -82,7 +82,7 @@ def test_klippers_host_makes_each_step_of_the_plan(job: Path, tmp_path: Path) ->
         files = [f"klipper={file}"]
         (one,) = tl.equal(job, machine, files=files, interpolation="firmware").targets
         assert one.verdict == "differs" and one.place is not None and one.place > 1.0
-        if told == "time":
+        if message == "time":
             assert one.time_s is not None and one.time_limit_s is not None
             assert abs(one.time_s) > one.time_limit_s
 

@@ -54,9 +54,9 @@ def test_a_full_disk_is_told_by_the_folder_that_may_be_changed(
 
     monkeypatch.setattr("threadline.base.writing.os.replace", full)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with pytest.raises(InputError, match="do not fit on the disk of") as told:
+    with pytest.raises(InputError, match="do not fit on the disk of") as caught:
         tl.equal(folder / "a.prg", WINDER, [target])
-    assert str(tmp_path) in str(told.value) and "TMPDIR" in told.value.remedy
+    assert str(tmp_path) in str(caught.value) and "TMPDIR" in caught.value.remedy
     assert not [*tmp_path.iterdir()]
 
 

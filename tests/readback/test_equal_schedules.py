@@ -111,7 +111,7 @@ def test_foreign_programs_are_refused_in_one_line(folder: Path, tmp_path: Path) 
     """Another job, machine file, version or format; cut, empty, binary, a folder; no address."""
     bad = tmp_path / "bad.st"
     text = (folder / "cycle-st.st").read_text()
-    for content, told in [
+    for content, message in [
         (re.sub(r"(Job \S+, sha256 )\w{4}", r"\g<1>0000", text), "another job: it names 0000"),
         (re.sub(r"(Machine \S+, sha256 )\w{4}", r"\g<1>0000", text), "another machine file"),
         (text.replace("Threadline 0", "Threadline 9"), "another version of Threadline"),
@@ -122,7 +122,7 @@ def test_foreign_programs_are_refused_in_one_line(folder: Path, tmp_path: Path) 
         ("<project/>", "is no program of target st"),
     ]:
         bad.write_text(content)
-        with pytest.raises(InputError, match=re.escape(told)) as refused:
+        with pytest.raises(InputError, match=re.escape(message)) as refused:
             beside("st", bad)
         assert "\n" not in str(refused.value)
     bad.write_bytes(b"\xff\xfe\x00")
@@ -175,9 +175,9 @@ def test_the_language() -> None:
     read_body("c := a + b * 2 MOD 4; t := NOT t OR a < b AND b <> 3;")(values, 0)
     assert values["c"] == 2 + 3 * 2 % 4 and values["t"] is False
     assert time_us("T#1s500ms") == 1_500_000 and time_us("TIME#2m") == 120_000_000
-    for text, told in [("a := ;", "constant"), ("a = 1;", ":="), ("?", "no word"),
+    for text, message in [("a := ;", "constant"), ("a = 1;", ":="), ("?", "no word"),
                        ("a := " + "(" * 90 + "1;", "deep"), ("FOR i", ":=")]:  # fmt: skip
-        with pytest.raises(ScanError, match=told):
+        with pytest.raises(ScanError, match=message):
             read_body(text)
     with pytest.raises(ScanError) as refused:
         list(read_units("PROGRAM p\nVAR\n  x : BOOL;\n  x : BOOL;\nEND_VAR\nEND_PROGRAM"))

@@ -121,7 +121,7 @@ def test_foreign_files_are_refused_in_one_line(folder: Path, tmp_path: Path) -> 
     """Another job, machine, version; cut, empty, binary, missing beside it; another format."""
     manifest = copied(folder, tmp_path)
     text = manifest.read_text()
-    for content, told in [
+    for content, message in [
         (re.sub(r'(job_sha256": ")....', r"\g<1>0000", text), "another job"),
         (re.sub(r'(machine_sha256": ")....', r"\g<1>0000", text), "another machine file"),
         (re.sub(r'(threadline": ")\d', r"\g<1>9", text), "another version of Threadline"),
@@ -133,7 +133,7 @@ def test_foreign_files_are_refused_in_one_line(folder: Path, tmp_path: Path) -> 
         ("\x00\x01", "no set of step tables"),
     ]:
         manifest.write_text(content)
-        with pytest.raises(InputError, match=re.escape(told)) as refused:
+        with pytest.raises(InputError, match=re.escape(message)) as refused:
             beside(manifest)
         assert "\n" not in str(refused.value)
     manifest.write_text(text)

@@ -67,6 +67,6 @@ def test_a_change_that_moves_nothing_is_found(folder: Path, tmp_path: Path) -> N
     assert beside(file).verdict == "differs"
     for content in b"", b"no design at all":
         file.write_bytes(content)
-        with pytest.raises(InputError) as told:
+        with pytest.raises(InputError) as caught:
             beside(file)
-        assert "\n" not in str(told.value) and "r.dst" in str(told.value)
+        assert "\n" not in str(caught.value) and "r.dst" in str(caught.value)

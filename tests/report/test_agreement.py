@@ -124,15 +124,15 @@ def test_json_terminal_screen_and_paper_tell_the_same(
     """Names, axes, statuses, lines; figures to the four digits that people are shown."""
     blank_pictures(monkeypatch)
     proof = make(tmp_path)
-    told = verdict_json(proof.verdict, proof.plan)
+    answer = verdict_json(proof.verdict, proof.plan)
     page = write_report(report_data(proof), tmp_path / "report").read_text(encoding="utf-8")
     show_proof(proof)
     terminal = capsys.readouterr().out
     paper = [re.sub(r"\s+", " ", text) for text in texts_of(tmp_path / "report" / "report.pdf")]
 
     header, *rows = cells_of(page, "Criteria")
-    still = {c["axis"] for c in told["criteria"] if c["name"] == "velocity" and not c["measured"]}
-    assert {row[0] for row in rows} == {c["name"] for c in told["criteria"]}
+    still = {c["axis"] for c in answer["criteria"] if c["name"] == "velocity" and not c["measured"]}
+    assert {row[0] for row in rows} == {c["name"] for c in answer["criteria"]}
     for row in rows:
         shown = dict(zip(header, row, strict=True))
         assert shown["axis"] not in still or shown["status"] == "failed"
@@ -144,24 +144,24 @@ def test_json_terminal_screen_and_paper_tell_the_same(
             == (shown["criterion"], shown["axis"], status, line)
             and same(c, "measured", shown["measured"])
             and same(c, "limit", shown["limit"])
-            for c in told["criteria"]
+            for c in answer["criteria"]
         ), shown
         words = [cell for cell in row[:7] if cell]
         assert any(all(word in text for word in words) for text in terminal.splitlines())
         assert any(" ".join(words) in text for text in paper)
 
-    worst = {c["run"] for c in told["criteria"] if c["name"] == "contour_error"} - {None}
-    wanted = {(str(run), str(told["runs"])) for run in worst}
+    worst = {c["run"] for c in answer["criteria"] if c["name"] == "contour_error"} - {None}
+    wanted = {(str(run), str(answer["runs"])) for run in worst}
     assert set(re.findall(r"Drawn is run (\d+) of (\d+), in which contour_error", page)) == wanted
-    assert bool(wanted) == (told["runs"] > 1)
-    word = "IN SPEC" if told["passed"] else "OUT OF SPEC"
-    level = f"{told['level']}: {told['runs']} run"
+    assert bool(wanted) == (answer["runs"] > 1)
+    word = "IN SPEC" if answer["passed"] else "OUT OF SPEC"
+    level = f"{answer['level']}: {answer['runs']} run"
     (verdict,) = re.findall(r'<span class="verdict (?:passed|failed)">(.*?)</span>', page)
     assert verdict.startswith(f"{word} ({level}")
     assert html.unescape(verdict) == terminal.splitlines()[-1]
     assert all(html.unescape(verdict) in text for text in paper)
-    tightest = told["tightest"]
-    if tightest is not None and told["passed"] == (tightest["share_of_limit"] <= 1.0):
+    tightest = answer["tightest"]
+    if tightest is not None and answer["passed"] == (tightest["share_of_limit"] <= 1.0):
         share, name = re.search(r"(\d+) % of (\S+)", verdict).groups()  # type: ignore[union-attr]
         assert name == tightest["name"]
         if f"more than {share} %" in verdict:  # beyond ten times the limit
@@ -190,9 +190,9 @@ def test_the_report_has_the_warnings_that_the_terminal_has(
     with pytest.raises(SystemExit):
         main(["prove", str(job), "-m", "stitcher", "--report", str(tmp_path / "report")])
     lines = capsys.readouterr().err.splitlines()  # on a busy computer one says "still at work"
-    told = [line for line in lines if line.startswith("warning: ")]
+    warned = [line for line in lines if line.startswith("warning: ")]
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     listed = [html.unescape(line) for line in re.findall(r"<li>(.*?)</li>", page)]
-    assert [f"warning: {line}" for line in listed] == told
+    assert [f"warning: {line}" for line in listed] == warned
     assert any("drives.x" in line and "(likewise drives.y)" in line for line in listed)
     assert len(listed) == len(set(listed)) >= 3

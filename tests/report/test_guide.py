@@ -34,10 +34,10 @@ def test_every_machine_has_a_guide(name: str) -> None:
     """Every axis and cylinder, every signal that the file names, and a way to set each up."""
     machine = load_machine(name)
     axes, signals, *_, steps = guide_of(machine).tables
-    told = " ".join(cell for table in (axes, signals, steps) for row in table.rows for cell in row)
+    words = " ".join(cell for table in (axes, signals, steps) for row in table.rows for cell in row)
     for part in (*machine.axes, *machine.cylinders, *machine.inputs, *machine.outputs,
                  *machine.contacts):  # fmt: skip
-        assert part in told
+        assert part in words
     for moving in machine.moving:
         assert any(f"{moving} " in row[1] or f" {moving}" in row[1] for row in steps.rows)
     assert [row[0] for row in steps.rows] == [str(k + 1) for k in range(len(steps.rows))]

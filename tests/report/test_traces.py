@@ -121,9 +121,9 @@ def test_peaks_of_the_plan_stay_in_every_profile(proof: Proof) -> None:
     motion = proof.plan.motion.trajectory
     at_s = 0.005 * np.arange(len(whole(proof, "X")))
     for derivative in range(3):
-        told = motion(at_s, derivative)
+        expected = motion(at_s, derivative)
         for axis in ("X", "Y"):
-            drawn, every = traces.planned[axis][:, derivative], told[:, motion.axes.index(axis)]
+            drawn, every = traces.planned[axis][:, derivative], expected[:, motion.axes.index(axis)]
             assert drawn.max() == pytest.approx(every.max(), rel=1e-9, abs=1e-12)
             assert drawn.min() == pytest.approx(every.min(), rel=1e-9, abs=1e-12)
 

@@ -291,7 +291,7 @@ def test_a_worker_that_rounds_otherwise_is_refused(
     monkeypatch.setattr("threadline.proof.judge_runs.bits_of", lambda _: b"other")
     with (
         of_cluster.on_cluster(fleet.address, print),
-        pytest.raises(LinkFaultError, match=r"worker tcp://127.* comes to other bits"),
+        pytest.raises(LinkFaultError, match=r"worker tcp://127.* gets other bits"),
     ):
         judged(job).drawn(9, 5)
 

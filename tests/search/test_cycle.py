@@ -198,7 +198,7 @@ def test_a_move_list_reads_back_as_itself(tmp_path: Path) -> None:
     [
         ('levels = "1 for 490 ms"', "move the piston by 208.51 mm of 200.00 mm"),
         ('levels = "1 for 475 ms"', "475 ms is no whole number of scans of 10 ms"),
-        ('levels = "full for 470 ms"', "'full for 470 ms' is no level for a time"),
+        ('levels = "full for 470 ms"', "'full for 470 ms' is not a level with its time"),
         ('levels = "1 for 10 ms, 0 for 10 ms, 1 for 460 ms"', "would switch again after 10 ms"),
         ('levels = "0.8 for 200 ms, 1 for 310 ms"', "make the level 0.8000"),
         ('shaper = "zzv"', "unknown shaper 'zzv'"),

@@ -123,19 +123,19 @@ def test_ticks_keep_each_band(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("--mode", "3.04Hz", "--mode", "8Hz", "--kind", "um-si", "--tick", "10ms"), "were asked"),
         (("--mode", "3.04Hz:0:20%", "--kind", "um-si", "--tick", "20ms"), "within the band of"),
     ],
 )
 def test_a_band_that_ticks_do_not_keep_is_told(
-    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The largest of the printed band, over 5 %."""
     code, _, err = run(capsys, "shaper", *words)
     assert code == 0
-    assert any(told in line and "more than the 5 %" in line for line in err.splitlines())
+    assert any(message in line and "more than the 5 %" in line for line in err.splitlines())
 
 
 def test_a_train_that_rings_more_than_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,21 +49,21 @@ def test_what_was_checked_of_the_tables_is_printed(
     with pytest.raises(SystemExit) as left:
         main(["compile", *asked, "--feed", "120 stitch/min"])
     assert not left.value.code
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     tables = read_tables((tmp_path / "rosette.tables.bin").read_bytes())
     window = round(16e6 / 6)
     shortest = min(min(intervals) for _, intervals in tables)
     ends = [int(16e6 / 6) - sum(intervals) for _, intervals in tables]
-    assert "165 tables of 48 steps a unit, 48 to 7920, counted by time" in told
-    assert f"shortest interval {shortest} periods" in told
-    assert f"due {min(ends)} to {max(ends)} periods before the end" in told
+    assert "165 tables of 48 steps a unit, 48 to 7920, counted by time" in printed
+    assert f"shortest interval {shortest} periods" in printed
+    assert f"due {min(ends)} to {max(ends)} periods before the end" in printed
     assert abs(window - sum(tables[-1][1])) <= 1
     # What 7920 steps of 2.08 um leave of 12 Hz, summed here step by step.
     times = np.cumsum(tables[-1][1]) / 16e6
     omega = 2 * np.pi * 12.0
     pole = omega * (0.02 + 1j * np.sqrt(1 - 0.02**2))
     swung = np.exp(-pole * (window / 16e6 - times)).sum() / 480e3 / np.sqrt(1 - 0.02**2)
-    said = float(told.split("at most ")[1].split(" mm")[0])
+    said = float(printed.split("at most ")[1].split(" mm")[0])
     assert said == pytest.approx(abs(swung) * 1e3, rel=5e-3)
 
 

@@ -137,7 +137,7 @@ def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
 
 def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
     """Whatever the search finds on its way: every other hundredth passes here."""
-    told: list[float] = []
+    reports: list[float] = []
 
     def judged(feed: float) -> Verdict:
         return Verdict(results=(), simulated=True, incomplete="" if int(100 * feed) % 2 else "no")
@@ -147,11 +147,11 @@ def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
         0.1,
         1.0,
         Grid(points=24, near=3, edge=5e-3),
-        trials=TrialShares(lambda _, share: told.append(share), "searching", 0.0),
+        trials=TrialShares(lambda _, share: reports.append(share), "searching", 0.0),
     )
-    assert len(told) == found.tried
-    assert all(after >= before for before, after in pairwise(told))
-    assert told[-1] < 0.99
+    assert len(reports) == found.tried
+    assert all(after >= before for before, after in pairwise(reports))
+    assert reports[-1] < 0.99
 
 
 @pytest.mark.long(shown_by="test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within")

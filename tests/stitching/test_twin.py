@@ -77,7 +77,7 @@ def test_steps_are_placed_exactly_in_time(stretched: float) -> None:
     play = commands(library, [[0, 1], [1, 0]], [[1, -1], [-1, 1]], stretched=stretched)
     recording = simulate_stitching(play, MACHINE)
     times, load = recording.samples("X.load")
-    _, told = recording.samples("X.commanded")
+    _, commanded = recording.samples("X.commanded")
 
     scale = 1.0 if stretched == 1.0 else round(WINDOW * stretched) / WINDOW
     dues = []
@@ -108,7 +108,7 @@ def test_steps_are_placed_exactly_in_time(stretched: float) -> None:
         now, p = due, p + sign * step
     wanted = np.array([kept[float(t)] for t in times])
     assert np.abs(load - 1e-3 - wanted[:, 0]).max() < 1e-13
-    assert np.abs(told - 1e-3 - wanted[:, 1]).max() < 1e-15
+    assert np.abs(commanded - 1e-3 - wanted[:, 1]).max() < 1e-15
 
 
 @pytest.mark.parametrize("frequency", [8.0, 12.0, 25.0])

@@ -81,8 +81,8 @@ def test_a_run_has_all_that_it_was_made_from(
 ) -> None:
     store = RunStore(tmp_path / "runs")
     job = EXAMPLES / "x-180.prg"
-    told = {"link": "sim", "override": "a test"}
-    run = store.begin(proof.plan, known, told, 0.0, [job, job])
+    origin = {"link": "sim", "override": "a test"}
+    run = store.begin(proof.plan, known, origin, 0.0, [job, job])
     # Before anything moves.
     (record,) = store.index.runs()
     assert (record.ended, record.passed, record.override) == (RUNNING, None, "a test")
@@ -331,9 +331,9 @@ def test_a_run_without_samples_has_one_line_for_a_report(
         for more in ([], ["--json"], ["--csv", str(tmp_path / "out.csv")]):
             with pytest.raises(SystemExit) as left:
                 main(["report", name, "--store", str(tmp_path / "runs"), *more])
-            told = capsys.readouterr()
-            assert (left.value.code, told.out, told.err.count("\n")) == (2, "", 1), told.err
-            assert said in told.err
+            output = capsys.readouterr()
+            assert (left.value.code, output.out, output.err.count("\n")) == (2, "", 1), output.err
+            assert said in output.err
     assert not (tmp_path / "out.csv").exists()
 
 
@@ -353,6 +353,6 @@ def test_a_trace_that_was_lost_is_no_run_without_samples(
             run.trace.unlink()
         with pytest.raises(SystemExit):
             main(["report", run.path.name, "--store", str(tmp_path / "runs")])
-        told = capsys.readouterr().err
-        assert f"the trace of run {run.path.name} is {word}" in told
-        assert "before its first sample" not in told
+        errors = capsys.readouterr().err
+        assert f"the trace of run {run.path.name} is {word}" in errors
+        assert "before its first sample" not in errors

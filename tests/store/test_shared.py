@@ -84,11 +84,11 @@ def test_the_table_is_one_of_postgresql(tmp_path: Path) -> None:
     """
     RunStore(tmp_path)
     made = Table("runs", MetaData(), autoload_with=create_engine(f"sqlite:///{tmp_path / INDEX}"))
-    told = str(CreateTable(made).compile(dialect=postgresql.dialect()))
-    assert "CREATE TABLE runs" in told
-    assert "PRIMARY KEY (run)" in told
+    statement = str(CreateTable(made).compile(dialect=postgresql.dialect()))
+    assert "CREATE TABLE runs" in statement
+    assert "PRIMARY KEY (run)" in statement
     for column, kind in (("run", "VARCHAR"), ("passed", "BOOLEAN"), ("late_ticks", "INTEGER")):
-        assert f"{column} {kind}" in told
+        assert f"{column} {kind}" in statement
 
 
 def at_once(url: Any, **options: Any) -> Any:
@@ -168,10 +168,10 @@ def test_a_run_whose_index_is_locked_at_its_end_is_kept_and_entered_later(
     with pytest.raises(SystemExit) as ended:
         main(["run", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--nominal",
               "--speed", "0", "--store", "runs", "--json"])  # fmt: skip
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     assert ended.value.code in (0, None)
-    assert "are kept in runs/" in told.err and "is locked" in told.err
-    assert "threadline runs --store runs enters it into the index later" in told.err
+    assert "are kept in runs/" in output.err and "is locked" in output.err
+    assert "threadline runs --store runs enters it into the index later" in output.err
     locked[0].rollback()
     locked[0].close()
     (row,) = RunIndex(tmp_path / "runs" / INDEX).runs()

@@ -69,7 +69,7 @@ def test_a_number_that_the_firmware_cannot_keep_is_refused(
     tmp_path: Path, xa: Machine, target: str, rest: str, remedy: str
 ) -> None:
     path = tmp_path / "out.nc"
-    with pytest.raises(PlanError, match="keeps its place in 24 bits, which step by") as caught:
+    with pytest.raises(PlanError, match="stores positions in 24 bits, in steps of") as caught:
         write(planned(tmp_path, xa, 20, rest), target, path)
     assert remedy in str(caught.value)
     assert not path.exists()

@@ -89,9 +89,9 @@ def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str)
     assert [end for end, _ in long] == pytest.approx([30.0, 0.0], abs=0.1)
     assert [f for _, f in long] == pytest.approx([1200.0, 1200.0], rel=1e-3)
     assert len(found) == 2
-    (told,) = [fact for fact in file.facts if "corners are cut" in fact]
+    (facts,) = [fact for fact in file.facts if "corners are cut" in fact]
     cut_mm = 30.0 - found[0][0]["X"]
-    told_mm = float(told.split(" by up to ")[1].split(" mm")[0])
+    told_mm = float(facts.split(" by up to ")[1].split(" mm")[0])
     assert 0.0 < told_mm == pytest.approx(cut_mm, abs=0.006)
     assert max(map(len, out.read_text().splitlines())) < 80
     assert f"{len(found)} blocks, read back" in file.warnings[0]
@@ -148,9 +148,9 @@ def test_the_time_of_the_firmware_s_own_planner_is_told(tmp_path: Path, xya: Mac
     own = replace(xya, planner=GrblPlanner(kind="grbl", junction_deviation=deviation))
     made = plan(tmp_path, own, "G1 X20 F600\nM30\n")
     (file,) = write(made, "grbl", tmp_path / "out.gcode")
-    told = " ".join(file.warnings)
+    warnings = " ".join(file.warnings)
     acceleration = own.acceleration_limit[own.axis_names.index("X")]
-    found = re.search(r"([\d.]+) s as the planner of grbl runs it", told)
+    found = re.search(r"([\d.]+) s as the planner of grbl runs it", warnings)
     assert found is not None
     assert float(found[1]) == pytest.approx(2.0 + 0.01 / acceleration, rel=2e-3)
     (file,) = write(made, "marlin", tmp_path / "out2.gcode")
@@ -266,9 +266,9 @@ def test_marlin_gets_the_damped_frequency(tmp_path: Path) -> None:
     assert train.amplitudes == pytest.approx([1 / (1 + decay), decay / (1 + decay)], abs=1 / 128)
     assert train.times_s.tolist() == [0.0, 0.5 / said["F"]]
     assert left(train, hz, zeta) < 0.01
-    (told,) = (line for line in head if "Marlin's ZV leaves" in line)
+    (comment,) = (line for line in head if "Marlin's ZV leaves" in line)
     off = max(left(train, f, zeta) for f in hz * np.linspace(0.9, 1.1, 41))
-    assert f"{off:.0%} at most" in told
+    assert f"{off:.0%} at most" in comment
     assert any(line.startswith("A: Marlin shapes X, Y alone") for line in head)
 
 
@@ -353,8 +353,8 @@ def test_linuxcnc_s_own_time_is_that_of_its_blends(tmp_path: Path, xya: Machine)
     own = replace(xya, planner=LinuxCncPlanner(kind="linuxcnc", exact_stop=True))
     made = plan(tmp_path, own, "G1 X20 F600\nM30\n")
     (file,) = write(made, "linuxcnc", tmp_path / "out.ngc")
-    told = re.search(r"([0-9.]+) s as the planner of linuxcnc runs it", file.warnings[0])
-    assert told is not None and float(told[1]) == pytest.approx(2.0 + 0.01 / 5.0, rel=2e-3)
+    warnings = re.search(r"([0-9.]+) s as the planner of linuxcnc runs it", file.warnings[0])
+    assert warnings is not None and float(warnings[1]) == pytest.approx(2.0 + 0.01 / 5.0, rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -368,8 +368,8 @@ def test_an_axis_that_moves_before_the_job_names_it_is_told(
     text = f"G21 G90\n{first}\nG0 Z7\nG1 X40 F1000\nG0 X0 Y0\nM30\n"
     found = plan(tmp_path, machine, text, dialect="grbl", interpolation="auto")
     (written,) = write(found, "grbl", tmp_path / "out.nc")
-    told = [one for one in written.warnings if one.startswith("Z moves before line 3")]
-    assert bool(told) == early
+    warnings = [one for one in written.warnings if one.startswith("Z moves before line 3")]
+    assert bool(warnings) == early
 
 
 def test_a_plan_is_read_once_for_all_passes(

@@ -370,11 +370,11 @@ def test_linuxcnc_switches_where_the_program_did(
     def calls(name: str) -> list[tuple[str, float]]:
         said = interpreted(rs274, tmp_path / name, 300.0)
         found, x = [], 0.0
-        for call, told in re.findall(r"([A-Z_]+)\(([^)]*)\)", said):
+        for call, message in re.findall(r"([A-Z_]+)\(([^)]*)\)", said):
             if call in {"STRAIGHT_TRAVERSE", "STRAIGHT_FEED"}:
-                x = float(told.split(",")[0])
+                x = float(message.split(",")[0])
             elif re.search("SPINDLE|FLOOD|OUTPUT", call):
-                found.append((f"{call} {told}", x))
+                found.append((f"{call} {message}", x))
         return found
 
     ours, theirs = calls("out.nc"), calls("job.nc")
@@ -405,12 +405,12 @@ def test_a_program_is_not_slower_than_its_source_unless_told_to(
     with pytest.raises(SystemExit) as stopped:
         main([*wanted, "--limits", "10 %"])
     said = " ".join(capsys.readouterr().err.split())
-    told = re.search(r"takes ([\d.]+) s over it, and ([\d.]+) s over zigzag.gcode", said)
-    assert stopped.value.code == 2 and not out.exists() and told is not None
-    assert float(told[1]) > 1.2 * float(told[2]) and "--slower" in said
+    match = re.search(r"takes ([\d.]+) s over it, and ([\d.]+) s over zigzag.gcode", said)
+    assert stopped.value.code == 2 and not out.exists() and match is not None
+    assert float(match[1]) > 1.2 * float(match[2]) and "--slower" in said
     slow = times_of([*wanted, "--limits", "10 %", "--slower"], capsys)
     assert out.exists()
-    assert slow == pytest.approx((float(told[2]), float(told[1])), rel=1e-4)
+    assert slow == pytest.approx((float(match[2]), float(match[1])), rel=1e-4)
     with pytest.raises(SystemExit):
         main([*wanted, "--limits", "10 %", "--feed", "F 6000"])
     assert "s over zigzag.gcode at the same feed" in " ".join(capsys.readouterr().err.split())

@@ -109,17 +109,17 @@ def _steps(dump: str) -> dict[str, Steps]:
     found: dict[str, list[tuple[float, float]]] = {"X": [], "A": []}
     for line in dump.splitlines():
         name, *words = line.split()
-        told = dict(word.split("=", 1) for word in words if "=" in word)
-        oid = told.get("oid", "")
+        values = dict(word.split("=", 1) for word in words if "=" in word)
+        oid = values.get("oid", "")
         if name == "config_stepper":
-            axis[oid] = named.get(told["step_pin"], "")
+            axis[oid] = named.get(values["step_pin"], "")
         elif name == "set_next_step_dir":
-            sense[oid] = 1 if told["dir"] == "1" else -1
+            sense[oid] = 1 if values["dir"] == "1" else -1
         elif name == "queue_step" and axis[oid]:
-            interval = int(told["interval"])
-            for _ in range(int(told["count"])):
+            interval = int(values["interval"])
+            for _ in range(int(values["count"])):
                 clock[oid] = clock.get(oid, 0) + interval
-                interval += int(told["add"])
+                interval += int(values["add"])
                 before = place.get(oid, 0)
                 place[oid] = before + sense[oid]
                 found[axis[oid]].append((clock[oid] / _CLOCK_HZ, before + 0.5 * sense[oid]))

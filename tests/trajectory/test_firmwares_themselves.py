@@ -94,18 +94,18 @@ def with_limits() -> list[str]:
     """Moves of which each has other limits, below and above those of the configuration."""
     rng, lines, x, a = random.Random(7), ["G1 F9000"], 0.0, 0.0
     for k in range(30):
-        told = {
+        limits = {
             "VELOCITY": rng.choice([20, 60, 150]),
             "ACCEL": rng.choice([100, 250, 900]),
             "SQUARE_CORNER_VELOCITY": rng.choice([0, 2, 9]),
             "MINIMUM_CRUISE_RATIO": rng.choice([0, 0.3, 0.8]),
         }
-        some = rng.sample(sorted(told), rng.randint(1, 4))
-        lines.append("SET_VELOCITY_LIMIT " + " ".join(f"{name}={told[name]}" for name in some))
+        some = rng.sample(sorted(limits), rng.randint(1, 4))
+        lines.append("SET_VELOCITY_LIMIT " + " ".join(f"{name}={limits[name]}" for name in some))
         if k % 7 == 3:
-            lines[-1] = f"M204 S{told['ACCEL']}"
+            lines[-1] = f"M204 S{limits['ACCEL']}"
         elif k % 7 == 5:
-            lines[-1] = f"m204 P{told['ACCEL']} T800"
+            lines[-1] = f"m204 P{limits['ACCEL']} T800"
         for _ in range(rng.randint(1, 3)):
             x = max(0.0, min(200.0, x + rng.uniform(-9, 14)))
             a += rng.choice([0.0, 0.0, rng.uniform(1, 20)])

@@ -210,8 +210,8 @@ def test_a_verdict_lists_both_where_the_machine_has_them(examples):
     times = np.linspace(0.0, plan.duration_s, 40_001)
     column = plan.axes.index("X")
     v, a = plan(times, 1)[:, column], plan(times, 2)[:, column]
-    told = found["deceleration", "X"]
-    assert told.limit == 5.0 and told.measured == pytest.approx(
+    result = found["deceleration", "X"]
+    assert result.limit == 5.0 and result.measured == pytest.approx(
         np.abs(a[v * a < 0]).max(), rel=0.02
     )
     use = found["path_use", ""]

@@ -61,8 +61,8 @@ def test_a_limit_that_takes_longer_than_the_budget_is_told_at_once(tmp_path: Pat
     machine = load_machine(str(file))
     job = tmp_path / "slow.prg"
     job.write_text("%\nO 1;\nN 10 G91 G01 X 5 F 2160;\nN 20 M30;\n%\n")
-    told = r"more than 1e\+12 ticks of 5 ms at its feeds and velocity limits"
-    with pytest.raises(BudgetError, match=told):
+    message = r"more than 1e\+12 ticks of 5 ms at its feeds and velocity limits"
+    with pytest.raises(BudgetError, match=message):
         plan_job(read_job(job, machine), machine, Options())
     named = r"line 3 of the job alone takes 5e\+09 s by the velocity limit of axis X"
     with pytest.raises(BudgetError, match=named):
@@ -76,6 +76,6 @@ def test_the_block_that_is_too_long_is_named(words: str, tmp_path: Path) -> None
     job = tmp_path / "slow.prg"
     job.write_text(f"%\nO 1;\nN 10 G91 G01 X 1 F 2160;\nN 20 {words};\nN 30 M30;\n%\n")
     for interpolation in ("optimal", "auto"):
-        with pytest.raises(BudgetError, match="the job takes more than") as told:
+        with pytest.raises(BudgetError, match="the job takes more than") as caught:
             plan_job(read_job(job, machine), machine, Options(interpolation=interpolation))
-        assert "slow.prg:4" in str(told.value)
+        assert "slow.prg:4" in str(caught.value)

@@ -50,7 +50,7 @@ def ramped_s(distance: float, speed: float, acceleration: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("told", "speed", "acceleration"),
+    ("message", "speed", "acceleration"),
     [
         ("SET_VELOCITY_LIMIT ACCEL=250", 100, 250),
         ("set_velocity_limit velocity=50 accel=250 # slowly", 50, 250),
@@ -62,9 +62,9 @@ def ramped_s(distance: float, speed: float, acceleration: float) -> float:
     ],
 )
 def test_a_move_takes_its_time_at_the_limits_of_the_program(
-    tmp_path: Path, machine: Machine, told: str, speed: float, acceleration: float
+    tmp_path: Path, machine: Machine, message: str, speed: float, acceleration: float
 ) -> None:
-    found = time_s(tmp_path, machine, told, "G1 X100 F60000")
+    found = time_s(tmp_path, machine, message, "G1 X100 F60000")
     assert found == pytest.approx(ramped_s(100.0, speed, acceleration), rel=1e-9)
 
 
@@ -81,8 +81,8 @@ def test_a_corner_of_90_degrees_is_passed_at_the_lower_of_both_corner_speeds(
     tmp_path: Path, machine: Machine
 ) -> None:
     lines = ["SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY=8", "G1 X100 F60000"]
-    for told, speed in ((3, 3.0), (20, 8.0)):
-        turn = [f"SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY={told}", "G1 Y100"]
+    for message, speed in ((3, 3.0), (20, 8.0)):
+        turn = [f"SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY={message}", "G1 Y100"]
         found = time_s(tmp_path, machine, *lines, *turn)
         saved = speed / 500.0 - (speed**2 / 1000.0) / 100.0  # of a ramp, less its way at the top
         assert found == pytest.approx(2.0 * (ramped_s(100, 100, 500) - saved), rel=1e-9)

@@ -133,9 +133,9 @@ def test_what_is_known_by_its_shape_is_not_written_again(
 
 
 def test_the_kernel_of_a_machine_is_known_by_its_shape(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
+    reports: list[str] = []
     monkeypatch.setattr(
-        Compiler, "address", lambda _self, _write, _name, shape="": told.append(shape) or 1
+        Compiler, "address", lambda _self, _write, _name, shape="": reports.append(shape) or 1
     )
     shape = Shape(
         lanes=1, width=1, matrix=((0,),), drives=(), controllers=(), axes=(), guards=(), inputs=0,
@@ -144,7 +144,7 @@ def test_the_kernel_of_a_machine_is_known_by_its_shape(monkeypatch: pytest.Monke
     )  # fmt: skip
     for one in (shape, shape._replace(terms=2)):
         run._kernel.__wrapped__(one)
-    assert told == [repr(shape), repr(shape._replace(terms=2))]
+    assert reports == [repr(shape), repr(shape._replace(terms=2))]
 
 
 def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:

@@ -224,17 +224,17 @@ def test_a_pulse_servo_follows_with_its_bandwidth(machine: Machine) -> None:
     counts = stroke()
     recording = simulate(table(machine, counts), machine, settle_s=0.1)
     load, share = recording.samples("X.load")[1], recording.samples("X.torque_share")[1]
-    told = np.concatenate(([0], np.cumsum(counts), np.full(len(load), counts.sum()))) / PER_RAD
+    commanded = np.concatenate(([0], np.cumsum(counts), np.full(len(load), counts.sum()))) / PER_RAD
     w, state, found, asked = 2 * np.pi * 30.0, np.zeros(4), [], []
     for k in range(len(load)):
         found.append(state[0])
         belt = K * (RADIUS * state[2] - state[0]) + C * (RADIUS * state[3] - state[1])
-        turning = w * w * (told[k] - state[2]) - 2 * w * state[3]
+        turning = w * w * (commanded[k] - state[2]) - 2 * w * state[3]
         torque_now = ROTOR * turning + RADIUS * belt + MOTOR_DAMPING * state[3]
         asked.append(abs(torque_now + FRICTION * np.sign(state[3])) / 1.26)
 
         def slope(t: float, x: np.ndarray, k: int = k) -> list[float]:
-            command = told[k] + (told[k + 1] - told[k]) * t / TICK
+            command = commanded[k] + (commanded[k + 1] - commanded[k]) * t / TICK
             pull = K * (RADIUS * x[2] - x[0]) + C * (RADIUS * x[3] - x[1])
             return [
                 x[1],

@@ -248,9 +248,9 @@ def _least(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) 
         return float(np.abs(find(channels, ("current",), axis).values()).max())  # type: ignore[union-attr]
     if name == "tracking_error":
         actual = find(channels, ("tool", "load", "measured"), axis)
-        told = find(channels, ("commanded",), axis)
-        assert actual is not None and told is not None
-        ours, theirs = _by_tick(actual), _by_tick(told)
+        commanded = find(channels, ("commanded",), axis)
+        assert actual is not None and commanded is not None
+        ours, theirs = _by_tick(actual), _by_tick(commanded)
         return max((abs(ours[t] - theirs[t]) for t in ours.keys() & theirs.keys()), default=0.0)
     if name == "contour_error":
         return _off_path(channels, facts)
@@ -309,14 +309,14 @@ def _ahead(channels: Mapping[str, Channel], facts: Facts) -> float:
     It was nowhere nearer to where the command had been within the lag; of that, what it may have
     been off the path is taken away, which is at most its distance from the command about then.
     """
-    told = [find(channels, ("commanded",), axis) for axis in facts.axes]
-    if not all(one is not None and not lacking(one, facts) for one in told):
+    commanded = [find(channels, ("commanded",), axis) for axis in facts.axes]
+    if not all(one is not None and not lacking(one, facts) for one in commanded):
         return 0.0
     times, points = _tool(channels, facts)
-    columns = [_by_tick(one) for one in told if one is not None]
+    columns = [_by_tick(one) for one in commanded if one is not None]
     ticks = np.array(sorted(set.intersection(*(set(c) for c in columns))))
     way = np.array([[c[t] for c in columns] for t in ticks]) * facts.radius_m
-    period_s = told[0].period_s  # type: ignore[union-attr]
+    period_s = commanded[0].period_s  # type: ignore[union-attr]
     least = 0.0
     for time_s, point in list(zip(times, points, strict=True))[:: max(len(times) // 300, 1)]:
         since = (ticks * period_s >= time_s - facts.lag_s - 1e-9) & (

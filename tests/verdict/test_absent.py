@@ -75,8 +75,8 @@ def test_an_axis_without_the_channel_is_not_measured_and_the_other_is(name, kind
     assert "NOT PROVEN" in closing(verdict)
     # With the channel there is nothing to hold against it.
     assert judge([record(XY, columns(None, 0), operation)], plan, spec).passed
-    told = json.loads(json.dumps(verdict_json(verdict, plan), allow_nan=False))
-    assert told["passed"] is False
+    answer = json.loads(json.dumps(verdict_json(verdict, plan), allow_nan=False))
+    assert answer["passed"] is False
 
 
 def test_a_clamped_axis_cannot_be_hidden() -> None:

@@ -198,8 +198,8 @@ def test_a_needle_between_two_samples_finds_the_head_on_its_parabola() -> None:
     assert unseen.measured == pytest.approx(0.0, abs=1e-9)
     channels[ChannelKind.VELOCITY] = np.column_stack([speed, still])
     for per_block in (3, 13, 1000):
-        told = record(("X", "Y"), channels, operation, per_block=per_block)
-        seen = judge([told], plan, spec).results[0]
+        recording = record(("X", "Y"), channels, operation, per_block=per_block)
+        seen = judge([recording], plan, spec).results[0]
         assert seen.measured == pytest.approx(16.0 * TICK_S**2 / 8.0 / LENGTH_M, rel=1e-6)
 
 

@@ -38,8 +38,8 @@ def test_a_load_that_swings_between_its_samples_is_as_far_off_as_it_swings() -> 
     unseen = judge([record(XY, channels, operation)], plan, CONTOUR).result("contour_error")
     assert unseen.measured == pytest.approx(0.0, abs=1e-12)
 
-    told = record(XY, channels | {ChannelKind.VELOCITY: pace}, operation)
-    seen = judge([told], plan, CONTOUR).result("contour_error")
+    recording = record(XY, channels | {ChannelKind.VELOCITY: pace}, operation)
+    seen = judge([recording], plan, CONTOUR).result("contour_error")
     assert seen.measured == pytest.approx(200.0 * TICK_S**2 / 8, rel=1e-9)
     assert seen.status is Status.FAILED
 
@@ -55,13 +55,13 @@ def test_without_velocities_a_recording_from_outside_is_charged() -> None:
     assert result.status is Status.NOT_MEASURED
     assert "X.velocity, Y.velocity at each tick" in result.note
 
-    told = record(XY, channels | {ChannelKind.VELOCITY: pace}, operation, simulated=False)
-    result = judge([told], plan, CONTOUR).result("contour_error")
+    recorded = record(XY, channels | {ChannelKind.VELOCITY: pace}, operation, simulated=False)
+    result = judge([recorded], plan, CONTOUR).result("contour_error")
     assert result.status is Status.PASSED
     # Where the command stops at once the load bows past its end, too: 1.4 um more.
     assert result.measured == pytest.approx(4.7e-4 + 4.0 * TICK_S**2 / 8, abs=2e-6)
 
-    short = replace(told, blocks=Stream(_without_the_last, told.blocks))
+    short = replace(recorded, blocks=Stream(_without_the_last, recorded.blocks))
     result = judge([short], plan, CONTOUR).result("contour_error")
     assert result.status is Status.NOT_MEASURED
     assert "fewer samples" in result.note

@@ -257,7 +257,7 @@ def test_a_channel_that_goes_on_alone_is_not_judged_in_part() -> None:
 
     recording = changed(run(), alone)
     verdict = judge([recording], plan(), SPEC)
-    told = {f"{r.name} {r.axis}".strip(): r for r in verdict.results}
+    results = {f"{r.name} {r.axis}".strip(): r for r in verdict.results}
     assert not verdict.passed
-    assert told["current_peak X"].status is Status.NOT_MEASURED
-    assert "X.current goes on until" in told["current_peak X"].note
+    assert results["current_peak X"].status is Status.NOT_MEASURED
+    assert "X.current goes on until" in results["current_peak X"].note

@@ -76,8 +76,8 @@ def test_what_a_run_did_not_come_to_is_not_measured(kind, once) -> None:
 
 def test_a_share_is_told_in_per_cent() -> None:
     """A share has no unit of its own in SI, and a bare number says nothing."""
-    told = {"name": "over_level", "axis": "", "measured": 0.05, "limit": 0.1, "unit": ""}
-    used = Result(**told, status=Status.PASSED)
+    entry = {"name": "over_level", "axis": "", "measured": 0.05, "limit": 0.1, "unit": ""}
+    used = Result(**entry, status=Status.PASSED)
     assert not_beyond(used, "it ended").note == "it ended (5 % until then)"
 
 

@@ -54,8 +54,8 @@ def _wider(criterion, plan):
     return None if criterion.limit is None else 1.002 * criterion.limit
 
 
-def _in_millimetres(told, _, **mode):
-    return VALUE_OF(told, 10, **mode)
+def _in_millimetres(content, _, **mode):
+    return VALUE_OF(content, 10, **mode)
 
 
 def _first(recording, kind, axis=""):

@@ -88,7 +88,7 @@ def test_a_fault_hides_no_failure() -> None:
     assert verdict.result("contour_error").status is Status.FAILED
 
 
-def told(verdict: Verdict) -> list[tuple[str, float, int | None]]:
+def listed(verdict: Verdict) -> list[tuple[str, float, int | None]]:
     return [(h.change.value, round(h.time_s or 0.0, 9), h.job_line) for h in verdict.disturbances]
 
 
@@ -103,7 +103,7 @@ def test_holds_lateness_and_ends_are_told_with_time_and_line() -> None:
     plan = plan_of()
     verdict = judge([run_until(END, 10_000, events)], plan, SPEC)
 
-    assert told(verdict) == [
+    assert listed(verdict) == [
         ("hold", round(10 * TICK_S, 9), 10),
         ("late", round(30 * TICK_S, 9), 10),
         ("stopped", round(END * TICK_S, 9), 20),
@@ -134,7 +134,7 @@ def test_a_limit_switch_that_cut_a_motor_is_named() -> None:
     plan = plan_of()
     verdict = judge([run], plan, SPEC)
 
-    assert told(verdict) == [("limit-switch", 50 * TICK_S, 20)]
+    assert listed(verdict) == [("limit-switch", 50 * TICK_S, 20)]
     said = "the limit switch x_high of X cut the supply of drives.x at 0.250 s, line 20"
     assert said in closing(verdict)
     assert verdict_json(verdict, plan)["events"][0]["axis"] == "X"

@@ -30,7 +30,7 @@ def pace(ticks: int) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(rate[:-1])])
 
 
-def told(places: np.ndarray) -> list[Event]:
+def plan_events(places: np.ndarray) -> list[Event]:
     """Return what a machine tells of it: an event at each tick in a hold, to be simple."""
     held = np.flatnonzero(places != np.arange(len(places)))
     held = held[held <= BEGIN + TICKS]
@@ -50,7 +50,7 @@ def sewn_run(*, tells: bool = True, off: float = 0.0, held: bool = True) -> Reco
     operation = np.minimum(places * TICK_S / PERIOD_S + 1e-9, COUNT - 1).astype(np.int64)
     run = record(("X", "Y"), {ChannelKind.LOAD: at + off * stands[:, None] * [1.0, 0.0],
                               ChannelKind.COMMANDED: at}, operation)  # fmt: skip
-    return with_events(run, told(places)) if tells and held else run
+    return with_events(run, plan_events(places)) if tells and held else run
 
 
 def with_events(run: Recording, events: list[Event]) -> Recording:

@@ -139,8 +139,8 @@ def test_residual_vibration_is_told_at_the_instant_that_completes_the_swing(per_
         )
         after = np.flatnonzero((since >= 0) & (since <= 1.0))
         last = max(after[swing[after].argmax()], after[swing[after].argmin()])
-        told = verdict.result("residual_vibration", "X").time_s
-        assert told == pytest.approx(TICK_S * last, abs=1e-9)
+        result = verdict.result("residual_vibration", "X").time_s
+        assert result == pytest.approx(TICK_S * last, abs=1e-9)
 
 
 @pytest.mark.long(only="1")

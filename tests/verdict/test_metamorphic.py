@@ -36,8 +36,8 @@ def run(kind: str, folder: Path, count: int) -> Iterator[str]:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 check(path)
-        except AssertionError as told:
-            yield f"{index}: {told}"
+        except AssertionError as error:
+            yield f"{index}: {error}"
 
 
 @pytest.mark.long(but=("same-program-few", "same-winding-few", "same-machine-few"))
@@ -71,8 +71,8 @@ def _wider(criterion, plan):
     return None if criterion.limit is None else 1.002 * criterion.limit
 
 
-def _in_millimetres(told, _, **mode):
-    return VALUE_OF(told, 10, **mode)
+def _in_millimetres(content, _, **mode):
+    return VALUE_OF(content, 10, **mode)
 
 
 def _first(recording, kind, axis=""):
@@ -100,4 +100,4 @@ def test_a_careless_program_is_found_out(
     """Limits two thousandths wider, the first channel of a kind, an F in inches taken as mm."""
     pool()
     monkeypatch.setattr(owner, name, careless)
-    assert any(found in told for told in run(kind, tmp_path, CASES[kind]))
+    assert any(found in message for message in run(kind, tmp_path, CASES[kind]))

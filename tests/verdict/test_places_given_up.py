@@ -71,9 +71,9 @@ def test_each_run_has_the_error_that_it_has_alone(seed: int, scale_m: float) -> 
     singles = [judge([alone(way)], PLAN, SPEC).result("progress_error") for way in ways]
     np.testing.assert_allclose(found.values, [s.measured for s in singles], rtol=0, atol=1e-12)
     worst = int(np.argmax(found.values))
-    told = (together.measured, together.time_s, together.note, together.run)
+    worst_of_all = (together.measured, together.time_s, together.note, together.run)
     one = singles[worst]
-    assert told == (pytest.approx(one.measured, abs=1e-12), one.time_s, one.note, worst + 1)
+    assert worst_of_all == (pytest.approx(one.measured, abs=1e-12), one.time_s, one.note, worst + 1)
 
 
 def test_a_place_that_was_given_up_and_could_be_better_is_looked_at_again(

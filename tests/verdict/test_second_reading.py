@@ -72,9 +72,9 @@ def test_a_careless_judge_is_found_out(
             cases.check(kind, path)
         except (ThreadlineError, ValueError):
             continue
-        except AssertionError as told:
-            if not str(told):  # of the judge itself, which stumbles
+        except AssertionError as error:
+            if not str(error):  # of the judge itself, which stumbles
                 continue
-            assert found in str(told), (index, name)
+            assert found in str(error), (index, name)
             return
     pytest.fail(f"{kind} passes a judge without {name}")

@@ -174,5 +174,5 @@ def test_a_line_of_many_moves_is_one_chord_and_read_in_little_time() -> None:
     assert time.process_time() - begun_s < 10.0
     assert len(window) == 2
     for place in (0, 1, 1234, count - 1):
-        told = window.lines_at(np.array([1]), np.array([[1e-6 * (place + 0.5)]]))[0] // 10
-        assert 0 <= told - (place + 1) <= 8
+        line = window.lines_at(np.array([1]), np.array([[1e-6 * (place + 0.5)]]))[0] // 10
+        assert 0 <= line - (place + 1) <= 8

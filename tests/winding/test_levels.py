@@ -139,8 +139,8 @@ def test_a_fault_fails_at_its_line_at_every_level(
     verdict = _judged(tmp_path, case, LEVELS[level])
     assert not verdict.passed and verdict.level == level
     first, last = case.lines
-    told = {result.name for result in verdict.results}
-    assert {name, f"planned_{name}"} <= told
+    results = {result.name for result in verdict.results}
+    assert {name, f"planned_{name}"} <= results
     for result in verdict.results:
         if result.name in (name, f"planned_{name}"):
             assert result.status is Status.FAILED

@@ -67,12 +67,12 @@ def test_numbers_of_the_product_vary_beside_those_of_the_machine(
     ends = dict(zip(varying, (-1.0, 1.0, 1.0, 0.0), strict=True))
     parts = np.zeros((2, len(within.ends)))
     parts[1, len(within.numbers) :] = list(ends.values())
-    told: list[float] = []
+    reports: list[float] = []
     asking: ContextVar[str] = ContextVar("asking")
     asking.set("this command")
     # Threads tell it to the command that asked, or its minutes would pass in silence.
-    found = within.judged(parts, lambda count: told.append(count) if asking.get("") else None)
-    assert sum(told) == pytest.approx(2.0)
+    found = within.judged(parts, lambda count: reports.append(count) if asking.get("") else None)
+    assert sum(reports) == pytest.approx(2.0)
 
     text = VESSEL.read_text()
     for old, new in (

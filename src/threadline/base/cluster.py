@@ -6,11 +6,11 @@ client scattered. A worker keeps the work ready between tasks, so that
 it plans and compiles once.
 
 Sending a task and fetching its answer takes some 10 ms of the processors of command, scheduler and
-worker together, whatever the task is. A task therefore has as many items as take a worker about a
+worker together, for any task. A task therefore has as many items as take a worker about a
 second, which is measured; the last tasks have fewer, so that all workers end at about the same
 time.
 
-A worker is refused, by its name, if its versions differ, or if it comes to other bits for the same
+A worker is refused, by its name, if its versions differ, or if it gets other bits for the same
 machine. An answer is taken in the order of the items, so that it does not depend on which worker
 was quick.
 """
@@ -82,7 +82,7 @@ def parse_cluster(text: str) -> str:
     if way == "tcp" and not _on_this_computer(host):
         raise OptionError(
             f"--cluster {text[:80]!r} is another computer, without encryption: a scheduler runs "
-            "whatever it is sent",
+            "any code that it is sent",
             remedy=f'Start the scheduler with TLS, and write "tls://{rest}".',
         )
     return f"{way}://{rest}"
@@ -176,7 +176,7 @@ class Cluster:
         OptionError
             If a worker has other versions.
         LinkFaultError
-            If the cluster fails, or a worker comes to other bits.
+            If the cluster fails, or a worker gets other bits.
         """
         digest, content = self._sent(work)
         waiting: deque[tuple[Any, list[T]]] = deque()
@@ -256,8 +256,8 @@ class Cluster:
     def _check_bits(self, found: Answer, digest: str) -> None:
         if found.known != self._known[digest]:
             raise LinkFaultError(
-                f"worker {found.worker} of --cluster {self.address} comes to other bits than this "
-                "computer for the machine as its file says",
+                f"worker {found.worker} of --cluster {self.address} gets other bits than this "
+                "computer for the machine of the file",
                 remedy="Its processor has other instructions: give workers of one kind, or let "
                 "all of them use the same (NPY_DISABLE_CPU_FEATURES, OPENBLAS_CORETYPE). "
                 f"{_RESUME}",
@@ -387,7 +387,7 @@ def _connected(address: str) -> Any:
 
 
 def _result(future: Any) -> Answer | Refusal | None:
-    """Return what a task came to; None if it is still on its way after a moment."""
+    """Return the result of a task; None if it has not come after a moment."""
     try:
         with _quiet():
             return future.result(timeout=_LOOK_S)  # type: ignore[no-any-return]

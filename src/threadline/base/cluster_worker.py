@@ -1,4 +1,4 @@
-"""What a worker of a cluster runs: the items of a task, by work that it keeps ready.
+"""The code that a worker of a cluster runs: the items of a task, by work that it keeps ready.
 
 Every task names the work by a digest, and a worker plans and compiles once for each digest. It
 returns the bits of its result for a known item, and refuses to work if its versions differ from the
@@ -29,7 +29,7 @@ _ENGINES = ("numpy", "scipy", "numba", "llvmlite")
 
 
 def versions() -> dict[str, str]:
-    """Return what the bits of an answer depend on: versions, and a digest of Threadline's source.
+    """Return everything that may change the bits of an answer: versions, and a source digest.
 
     >>> versions()["numpy"] == version("numpy")
     True
@@ -69,7 +69,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Answers, the worker that gave them, its time for each, and the bits that it comes to."""
+    """Answers, the worker that gave them, its time for each, and its bits for a known machine."""
 
     worker: str
     known: bytes
@@ -121,7 +121,7 @@ def answer_on_worker(
         return Answer(worker=worker, known=ready.known, answers=found, item_s=item_s)
     except OSError as error:
         what = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
-        return Refusal(worker=worker, why=f"cannot read what the job needs: {what}")
+        return Refusal(worker=worker, why=f"cannot read a file of the job: {what}")
 
 
 def _prepared(content: bytes, digest: str) -> _Ready:

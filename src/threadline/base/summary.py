@@ -1,4 +1,4 @@
-"""What an answer prints: at most ten lines, and a table in a notebook."""
+"""The printed form of an answer: at most ten lines, and a table in a notebook."""
 
 from __future__ import annotations
 

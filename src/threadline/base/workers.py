@@ -27,7 +27,7 @@ Done = Callable[[float], None]
 class Work(Protocol[T_contra, R_co]):
     """Work on items that do not depend on each other.
 
-    Workers get a pickled copy: what it holds must not lie in a file of this computer.
+    Workers get a pickled copy, which must not refer to files of this computer.
     """
 
     def answer(self, item: T_contra, done: Done | None = None, /) -> R_co:

@@ -188,7 +188,7 @@ def staged_file(path: Path) -> Iterator[IO[bytes]]:
         pending = _pending()
         with naming(path, _real(path).parent):
             folder = Path(tempfile.gettempdir()) if is_stdout(path) else _made(_real(path).parent)
-        with naming(path, folder), uninterrupted():  # what is made is noted, to be removed
+        with naming(path, folder), uninterrupted():  # the file is noted, to be removed later
             handle, name = tempfile.mkstemp(dir=folder, prefix=f".{path.name[:_PREFIX]}.")
             made = Path(name)
             pending.stack.callback(made.unlink, missing_ok=True)

@@ -27,7 +27,7 @@ def animate(
     ],
     words: Words,
 ) -> None:
-    """Show JOB on the simulated machine: how it moves, what was planned, and where it is off.
+    """Show JOB on the simulated machine: its motion, the plan, and the places where they differ.
 
     A winder's mandrel turns with the fibre on it; a stitcher's head goes over the cloth, an
     embroidery frame under its needle; a placer and other machines are gantries. One run is shown.

@@ -29,7 +29,7 @@ from threadline.search.yield_parts import Part
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignRequest:
-    """Whose redesign is wanted: by the command line, or by the record of the parts.
+    """Job, machine and options of a redesign: from the command line, or from the parts.
 
     Parameters
     ----------

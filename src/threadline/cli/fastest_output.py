@@ -294,7 +294,7 @@ class FeedOutput(SearchOutput):
 
     @property
     def _beside_feed(self) -> str:
-        """What sets the time of the best plan where a higher feed does not shorten it."""
+        """The reason in words why a higher feed does not shorten the best plan."""
         share = dwells_s(self.question.job) / (self.of.best.duration_s or math.inf)
         dwells = f"dwells ({100.0 * share:.0f} % of the time)"
         if share >= _DWELLS_ALONE:

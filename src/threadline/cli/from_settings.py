@@ -197,7 +197,7 @@ def _assume_steps(settings: Settings, answers: Answers) -> None:
 
 
 def read_rows(settings: Settings) -> list[Row]:
-    """Return what the settings alone say of each axis and of the planner, with their lines."""
+    """Return the values of each axis and of the planner in the settings, with their lines."""
     return list(_rows(settings, parse_answers(())))
 
 

@@ -34,7 +34,7 @@ _line_written = threading.Lock()  # held once the line of an interrupt has been 
 _SAME_S = 1.0
 _AGAIN_S = 0.01
 _NOTHING = "nothing was left half-written"
-_WHOLE = "what it wrote is there, and whole"
+_WHOLE = "its files are written completely"
 _ENDS = {
     number: (128 + number, f"error: {said}; {_NOTHING}\n")
     for number, said in (

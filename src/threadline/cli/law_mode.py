@@ -34,7 +34,7 @@ from threadline.report.document import Table
 from threadline.units import parse_number
 
 COPIED = "modified-sine"
-"""The law that the made one is compared with: cams of embroidery machines use it."""
+"""Law that the new law is compared with: cams of embroidery machines use it."""
 _RATIOS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 _BAND = 0.1
 _DRAWN = 3

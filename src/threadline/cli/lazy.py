@@ -53,12 +53,12 @@ SECTIONS = {
         "compile": LazyCommand("compile_", "Plan a job and write it for a controller."),
         "equal": LazyCommand("equal_", "Say whether the files of controllers are the plan."),
     },
-    "Run, and judge what the machine did": {
+    "Run, and judge the motion of the machine": {
         "run": LazyCommand("run_", "Prove a job, run it on a machine, record and judge it."),
         "panel": LazyCommand("panel_", "Serve the operator's panel in a browser."),
         "runs": LazyCommand("runs_", "List the runs of a store, the latest first."),
         "report": LazyCommand("report_", "Judge the recording of a run again, and write a report."),
-        "judge": LazyCommand("judge_", "Judge what a machine did, from its recording."),
+        "judge": LazyCommand("judge_", "Judge the motion of a machine from its recording."),
     },
     "Understand and design a machine": {
         "analyse": LazyCommand("analyse", "Analyse the loops of a machine: margins, poles, modes."),
@@ -78,7 +78,7 @@ SECTIONS = {
         "shaper": LazyCommand("shaper", "Design a shaper: table, sensitivity, cost."),
         "law": LazyCommand("law", "Show a motion law, rank laws on a mode, make one for it."),
         "cam": LazyCommand("cam", "Turn a measured cam into a motion law."),
-        "size": LazyCommand("size", "Size a machine from what its product asks for."),
+        "size": LazyCommand("size", "Size a machine from the demands of its product."),
         "wind": LazyCommand("wind", "List the patterns, lengths and thickness of a winding."),
         "machines": LazyCommand("machines", "List the machines of the library, or print one."),
         "guide": LazyCommand("guide_", "Write the guide to a machine: axes, wiring, calibration."),

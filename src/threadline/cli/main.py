@@ -92,7 +92,7 @@ def _near(folder: Path) -> Path:
 
 
 def _of_arguments(error: TyperException) -> str:
-    """Return what is wrong with an argument, in Threadline's own words if it has some."""
+    """Return the fault of an argument, in Threadline's own words if it has some."""
     faults = getattr(error.__cause__, "errors", None)  # of pydantic, by which typer reads values
     if isinstance(error, typer.BadParameter) and error.param and faults is not None:
         fault, *_ = faults()

@@ -55,7 +55,7 @@ def measure_axis(
         str | None, typer.Option(help="With --link sim: a fault at a time: lost-link@1 s.")
     ] = None,
     dry: Annotated[
-        bool, typer.Option("--dry", help="Only say what would move; nothing runs.")
+        bool, typer.Option("--dry", help="Only predict the motion; nothing runs.")
     ] = False,
     json: JsonOption = False,
 ) -> None:
@@ -66,7 +66,7 @@ def measure_axis(
     response of the encoder in counts per volt of the controller, with its coherence.
 
     Exit status: 0 when the whole experiment ran, 2 wrong input, 3 when the machine or its link
-    failed; what was recorded until then is written.
+    failed; the recording until then is written.
 
     Example: threadline measure lathe-winder --axis X --experiment sweep -o sweep.npz
     """
@@ -98,7 +98,7 @@ def measure_axis(
     if found.ended is not RunEnd.COMPLETED:
         raise LinkFaultError(
             f"the measurement ended early: {found.why or found.ended.value}",
-            remedy=f"{output} has what was recorded until then.",
+            remedy=f"{output} has the recording until then.",
         )
     if json:
         print_json(_content(foreseen, found, output))

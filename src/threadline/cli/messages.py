@@ -230,7 +230,7 @@ def telling(*, starting: bool = False) -> Iterator[Telling]:
 
 
 ASKING = threading.Event()
-"""Set while a question waits for the answer of somebody at the keys."""
+"""Set while a question waits for the answer of a person at the keyboard."""
 
 
 def _beat(held: Telling, ended: threading.Event) -> None:

@@ -27,7 +27,7 @@ from threadline.live.supervised import Running
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 _OVERRIDES = {"-": -STEP_PERCENT, "+": STEP_PERCENT}
 """Any other key stops."""
-_ALONE = f"nobody is at the keys: the run stops after {UNATTENDED_S:g} s unless it is resumed"
+_ALONE = f"nobody is at the keyboard: the run stops after {UNATTENDED_S:g} s unless it is resumed"
 
 
 def somebody_at_the_keys() -> bool:
@@ -203,7 +203,7 @@ def check_continued(store: Path, run: str | None, at: str | None, *, confirmed: 
     unfinished_run(store, run)
     if not confirmed and not somebody_at_the_keys():
         raise OptionError(
-            "--continue: nobody is at the keys to confirm that it may go on",
+            "--continue: nobody is at the keyboard to confirm the run",
             remedy="Run it from a terminal, or with --confirmed.",
         )
 
@@ -211,7 +211,7 @@ def check_continued(store: Path, run: str | None, at: str | None, *, confirmed: 
 def continued_run(
     store: Path, run: str | None, at: str | None, plan: Plan, rest_of: RestOf, *, asks: bool
 ) -> tuple[Continued | None, dict[str, str]]:
-    """Return the rest of a broken-off run, and what its recording says about the first part.
+    """Return the rest of a broken-off run, and the entries of its recording on the first part.
 
     Both are empty if no run is continued. A message says which part will be run.
 
@@ -244,5 +244,5 @@ def continued_run(
     for line in again.notes:
         note(line)
     if asks:
-        note("when it is home: c lets it go on, any other key ends it")
+        note("after homing, c continues the run, any other key ends the command")
     return again, {"continues": folder.name, "from_operation": str(again.rest.operation)}

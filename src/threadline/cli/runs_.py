@@ -43,7 +43,7 @@ def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
 
 def listed(record: RunRecord, folder: Path) -> list[str]:
     """Return the row of a run: its verdict, and the verdict and level of its proof."""
-    ended = "not told" if record.ended == RUNNING else record.ended
+    ended = "unknown" if record.ended == RUNNING else record.ended
     note = f"override: {record.override}" if record.override else _why(record)
     verdict = verdict_of_run(record, folder)
     proof = f"{verdict_of_proof(record, folder)} ({record.level})"

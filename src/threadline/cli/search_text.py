@@ -147,7 +147,7 @@ def margin_words(margin: float) -> str:
 def until_words(ended: str) -> Iterator[str]:
     """Yield the line on why a search stopped early; nothing if it did not."""
     if ended:
-        yield f"{ended}: this is the best of what was tried so far"
+        yield f"{ended}: this is the best result so far"
 
 
 def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None]) -> str:

@@ -34,7 +34,7 @@ _MOST_DAMPED = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured:
-    """What a file says, and what Klipper would make of it.
+    """The mode measured in a file, and the shaper that Klipper would choose.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def read_measured(path: Path, axis: str | None, damping: Sequence[float] | None)
 
 
 def measured_warnings(measured: Measured, train: Shaper, *, chosen: bool) -> Iterator[str]:
-    """Yield what else the file shows: power along other axes, and other peaks.
+    """Yield the other findings in the file: power along other axes, and other peaks.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def _fit_content(measured: Measured, one: KlipperFit) -> dict[str, Any]:
 
 
 def measured_power(measured: Measured, train: Shaper) -> MeasuredPower:
-    """Return what the picture shows."""
+    """Return the contents of the picture."""
     found, choice = measured.found, measured.choice
     named = f"Klipper's {choice.shaper_type} at {choice.frequency_hz:.1f} Hz"
     return MeasuredPower(

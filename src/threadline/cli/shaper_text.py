@@ -127,7 +127,7 @@ def _within(word: str, what: str, text: str) -> float:
             f"--mode {text!r}: {what} must be between 0 and 100 %, got {word}",
             remedy='Write it like "20%": that much to either side of the frequency.'
             if what == "the band"
-            else 'Write it like "5%", of what one unit impulse leaves.',
+            else 'Write it like "5%", of the vibration of one unit impulse.',
         )
     return value
 

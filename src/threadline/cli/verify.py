@@ -15,7 +15,7 @@ from threadline.proof.proof_hash import read_key
 from threadline.verdict.types import Level
 
 _SIGNED = {
-    "none": "Not signed: the measured values are taken from the file, whoever wrote it.",
+    "none": "Not signed: anybody may have written the measured values of the file.",
     "not checked": "Signed; give --key KEY to check the signature.",
     "good": "Signed with this key, and unchanged since.",
 }

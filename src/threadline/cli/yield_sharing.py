@@ -28,7 +28,7 @@ _ENGINES = ("numpy", "scipy", "numba")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """Whose yield is wanted: from the command line, or from the record of the parts.
+    """Job, machine and options of a yield: from the command line, or from the parts.
 
     Parameters
     ----------
@@ -208,9 +208,9 @@ def check_part_options(
     Parameters
     ----------
     given
-        Options of the whole, by name; None or False for what was left out.
+        Options of the whole, by name; None or False for options that were left out.
     whole, some
-        What is in parts, and what a part has some of.
+        Names of the divided work, and of its items.
 
     Raises
     ------
@@ -220,14 +220,14 @@ def check_part_options(
     typed = [name for name, value in given.items() if value not in (None, False)]
     if typed:
         raise OptionError(
-            f"{typed[0]} is of the whole {whole}, and --part is of some of its {some}",
+            f"{typed[0]} needs the whole {whole}, and --part judges only some of its {some}",
             remedy=f"Give {typed[0]} to --merge.",
         )
     if output is None:
         raise OptionError("--part has no file for its results", remedy="Give -o FILE.")
     if is_stdout(output):
         raise OptionError(
-            f"-o {str(output)!r} is where the answer is printed", remedy="Name a file."
+            f"-o {str(output)!r} is the output of the answer itself", remedy="Name a file."
         )
 
 

@@ -67,10 +67,10 @@ class EndlessNumbers:
             lost_mm = self._lost_mm(index, now[index])
             if lost_mm > 1e3 * CHORD_TOLERANCE_M:
                 raise PlanError(
-                    f"{self._names[index]} turns on to {now[index]} deg: {self._target} keeps its "
-                    f"place in 24 bits, which step by {lost_mm:.2g} mm at the tool there",
+                    f"{self._names[index]} turns on to {now[index]} deg: {self._target} stores "
+                    f"positions in 24 bits, in steps of {lost_mm:.2g} mm at the tool there",
                     remedy="Let the job rest between its parts (M0, or G4): whole turns are then "
-                    "taken off."
+                    "subtracted."
                     if self._word
                     else "Cut the job into programs, and home or reset the controller before each, "
                     "or write it for klipper or linuxcnc.",

@@ -185,7 +185,8 @@ class _Lines:
         for _, line in self.timed():
             if len(line) > self._board.longest:
                 raise PlanError(
-                    f"a line of {len(line)} characters: {self._target} takes {self._board.longest}",
+                    f"a line has {len(line)} characters, and {self._target} takes "
+                    f"{self._board.longest}",
                     remedy="Use another target, or fewer axes.",
                 )
             yield line

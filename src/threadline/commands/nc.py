@@ -146,7 +146,7 @@ def part_program_lines(
     printed = style is NcStyle.WINDER
     if feed is not None and printed:
         raise PlanError(
-            "the feeds of a program for the winder are the job's own",
+            "a program for the winder keeps the feeds of its job",
             remedy="Give the feed when the program is run.",
         )
     wording = Wording(

@@ -76,7 +76,7 @@ def check_passes(control: str) -> NcStyle:
     if known is not None:
         return known
     if control not in set(NcStyle):
-        why = _NONE.get(control, f"{control[:40]!r} holds every tick, and no part program")
+        why = _NONE.get(control, f"{control[:40]!r} is no format of a part program")
         raise OptionError(
             f"{why}: programs of passes are written for winder, linuxcnc and fanuc",
             remedy="Write linuxcnc or fanuc, or every move with threadline compile.",

@@ -28,7 +28,7 @@ _TYPES = {
     "TON": "TON_TIME",
 }  # fmt: skip
 _BY_ITSELF = {"BOOL": "FALSE", "INT": "0", "TIME": "T#0ms", "STRING": "''"}
-"""Values that a data block has without being told."""
+"""Values that a data block has by default."""
 _ARRAY = re.compile(r"(?<![#\w.])[a-z]\w*(?=\[)")
 _NAME = re.compile(r"'[^']*'|\(\*.*?\*\)|(?<![#%\w.])[A-Za-z_]\w*")
 

@@ -186,7 +186,7 @@ def robust_averages(
 def _without_limit(
     program: _Program, ways: _Ways, turn_s: float | None, swing: float
 ) -> PlanError | None:
-    """Return an error that says what a limit on the swing costs; None if it costs nothing."""
+    """Return an error with the cost of a limit on the swing; None if it costs nothing."""
     if not np.isfinite(swing):
         return None
     free = [[[replace(one, swing=np.inf) for one in way] for way in alike] for alike in ways]

@@ -186,7 +186,7 @@ def creep_of(
 
 
 def _creep_warning(machine: Machine, move: ScheduledMove, creep: Creep) -> dict[str, float]:
-    """Return what an opening covers, when the next one comes, and how much one rings."""
+    """Return the distance of an opening, the time to the next one, and the ringing of one."""
     assert machine.plc is not None
     scan_s = float(machine.clock(machine.plc.clock).period_s)
     cylinder = machine.cylinders[move.axis]
@@ -278,7 +278,7 @@ class _Builder:
                 self._move(index, target, source, tags)
             case _:
                 raise PlanError(
-                    f"operation {index}: an on/off machine does no {type(operation).__name__}"
+                    f"operation {index}: an on/off machine has no {type(operation).__name__}"
                 )
 
     def _move(
@@ -295,8 +295,8 @@ class _Builder:
                 for axis, at in self.position.items()
             )
             self.warnings.append(
-                f"{source.place}: this move moves nothing: the list has {where} already; a list "
-                "begins at 0, and the way home from elsewhere is in the PLC program of its own"
+                f"{source.place}: this move moves nothing, because the list has {where} already; a "
+                "list begins at 0, and the PLC program has its own homing from other places"
             )
         for axis, to in zip(self.job.axes, target, strict=True):
             distance = to - self.position[axis]

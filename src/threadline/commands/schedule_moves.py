@@ -76,8 +76,8 @@ def home_stage(machine: Machine, axis: str, place: Place | None = None) -> HomeS
     speed = (level - off) * cylinder.speed.least
     if speed <= 0.0:
         raise PlanError(
-            f"{axis} may stand still on its way home: its speed and flow controls have tolerances "
-            "as large as they are",
+            f"{axis} may stand still on its way home: the tolerances of its speed and flow "
+            "controls are as large as their values",
             place=place,
             remedy="Measure its speed.",
         )
@@ -105,7 +105,7 @@ def home_switch(machine: Machine, axis: str, place: Place | None = None) -> str:
     }
     if not near:
         raise PlanError(
-            f"no contact tells that {axis} is home, so that nothing could bring it there",
+            f"no contact shows that {axis} is home, so homing would not know when to stop it",
             place=place,
             remedy=f'Add a contact with cylinder = "{axis}", beyond = "below" to the machine file.',
         )
@@ -275,7 +275,9 @@ def written_levels(
         match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s+for\s+(.+?)\s*", part)
         if match is None:
             raise PlanError(
-                f"levels: {part.strip()[:40]!r} is no level for a time", place=place, remedy=example
+                f"levels: {part.strip()[:40]!r} is not a level with its time",
+                place=place,
+                remedy=example,
             )
         try:
             span_s = parse_quantity(match[2], "s")
@@ -284,7 +286,7 @@ def written_levels(
         scans = round(span_s / tick_s)
         if span_s <= 0.0:
             raise PlanError(
-                f"levels: {match[2]} is no time that a level can last", place=place, remedy=example
+                f"levels: {match[2]} is not a duration above 0", place=place, remedy=example
             )
         if scans < 1 or abs(span_s - scans * tick_s) > 1e-6 * tick_s:
             raise PlanError(
@@ -295,7 +297,7 @@ def written_levels(
         level = float(match[1])
         if level == (levels[-1] if levels else 0.0):
             raise PlanError(
-                f"levels are out of order: {part.strip()[:40]!r} is the level that was there",
+                f"levels are out of order: {part.strip()[:40]!r} repeats the level before it",
                 place=place,
                 remedy="Begin above 0, change with each one, and leave out the last 0.",
             )
@@ -317,7 +319,7 @@ def written_levels(
     commanded_m = covered * tick_s * speed_m_s
     if abs(commanded_m - distance_m) >= speed_m_s * tick_s:
         raise PlanError(
-            f"the levels move the piston by {cylinder.place(commanded_m, '.2f')} of "
+            f"the levels move the piston by {cylinder.place(commanded_m, '.2f')}, and its move is "
             f"{cylinder.place(distance_m, '.2f')}",
             place=place,
             remedy="Level times duration must add up to distance over speed."

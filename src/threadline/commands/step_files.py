@@ -209,7 +209,7 @@ def two_speeds(turn_s: FloatArray) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
 
 
 def _check_design(stitched: Stitched, path: Path, suffix: str, most: int) -> tuple[str, ...]:
-    """Refuse what a format cannot hold; return a warning about a name without its ending."""
+    """Refuse a design that a format cannot hold; return a warning for a name without ending."""
     name, unit_m = _DESIGNS[suffix], stitched.pace.tables.unit.si
     if abs(unit_m / UNIT_M - 1.0) > 1e-9 or stitched.pace.tables.longest_units > most:
         raise PlanError(
@@ -221,8 +221,8 @@ def _check_design(stitched: Stitched, path: Path, suffix: str, most: int) -> tup
     ending = path.suffix.lower()
     if ending in SUFFIXES and ending != suffix:
         raise OptionError(
-            f"{name}, and the name of {str(path)!r} ends in {path.suffix}: whoever "
-            "reads it would take it for another format",
+            f"{name}, and the name of {str(path)!r} ends in {path.suffix}: a reader would take "
+            "it for another format",
             remedy=f"Name it {str(path.with_suffix(suffix))!r}.",
         )
     if ending == suffix or is_stdout(path):

@@ -354,7 +354,7 @@ class Pace:
         return Speeds.between(ends_s, _STEPS[banded], self.share, most)
 
     def _swings(self, speeds: Speeds) -> Swings:
-        """Return what each turn time does to the swing of every mode on every machine."""
+        """Return the effect of each turn time on the swing of every mode on every machine."""
         machines = self._over_band(_SEARCHED, DAMPING_OF_DAYS)
         nominal = len(machines)
         machines += [self.modes, *self.days]

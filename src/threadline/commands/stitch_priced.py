@@ -25,7 +25,7 @@ _TO_RANK = 1e9  # times of states are compared to 1 ns: not by the rounding of a
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PricedRequest:
-    """What a priced search asks for.
+    """The question of a priced search.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def _ahead(
 ) -> FloatArray:  # fmt: skip
     """Return (K, C) the least cost to the end of the stretch, and fill the followers of each time.
 
-    The swing before each pair of turns may be whatever suits the pair best.
+    It assumes the best swing before each pair of turns.
     """
     turns = len(counts)
     to_go = np.full(choice.shape, np.inf)
@@ -177,7 +177,7 @@ def _continued(
     most_over: float, cells: float,
     cost: FloatArray, rank: FloatArray, source: IntArray, speed: IntArray, cell_of: IntArray,
 ) -> int:  # fmt: skip
-    """Fill ``cost`` to ``cell_of`` with what may follow each state; return their number."""
+    """Fill ``cost`` to ``cell_of`` with the followers of each state; return their number."""
     columns = swing.shape[1]
     value = np.zeros(columns, np.complex128)
     most_m = tolerance_m * (1.0 + most_over)

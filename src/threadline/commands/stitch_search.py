@@ -1,12 +1,12 @@
 """The fastest turns of a shaft whose frame keeps ringing: a beam search over speed and swing.
 
 Turn by turn, the state is the speed of the shaft, on a grid, and the complex swing of every mode.
-The next speed decides how long the swing decays and turns before the next move ends, and what that
-move adds. The same swing is followed on several machines at once (damping, mode off by a share);
-each of them must be within the tolerance when a needle enters.
+The next speed decides how long the swing decays and turns before the next move ends, and how much
+that move adds. The same swing is followed on several machines at once (damping, mode off by a
+share); each of them must be within the tolerance when a needle enters.
 
-A dynamic program over pairs of speeds gives the shortest time to go. It lets the swing before each
-pair of turns be whatever is best within the tolerance, so it is a lower bound for every schedule on
+A dynamic program over pairs of speeds gives the shortest time to go. It assumes the best swing
+within the tolerance before each pair of turns, so it is a lower bound for every schedule on
 the grid. The beam ranks its states by the time so far plus this bound. At each speed it keeps the
 best of each cell of swings, because a long move later needs a slow turn before it, and a swing of
 the right phase. Of two states of one speed and one cell, the later one is given up.
@@ -31,7 +31,7 @@ _COLUMNS = 100  # with more, fewer states are kept
 _MISSING = 300  # states kept where none keeps the tolerance
 _CELLS, _OUTER = 3.0, 12.0  # cells of the swing per tolerance, and cells to each side
 _MOST_KEPT = 60_000_000  # states of all turns
-_BUCKETS = 4096  # of ranks: states in one of them are not told apart
+_BUCKETS = 4096  # of ranks: states in one of them count as equal
 _SLACK = 1.0 + 1e-12
 
 
@@ -102,7 +102,7 @@ class Speeds:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Swings:
-    """What each turn on the grid does to the swing; M columns: a mode of an axis of a machine.
+    """The effect of each turn on the swing; M columns: a mode of an axis of a machine.
 
     The modes of one axis of one machine follow each other; their amplitudes add up.
 
@@ -238,8 +238,8 @@ def _possible(
     """Return whether some swing before turn ``k`` lets this turn and the next keep the tolerance.
 
     The swing at the end of the window of ``k`` is in three disks: around 0 for its needle, around
-    the swing of its move for what came before, and around what the next move takes off. If two of
-    them do not meet, no swing is in all.
+    the swing of its move for earlier swings, and around the swing that the next move cancels. If
+    two of them do not meet, no swing is in all.
     """
     for c in range(len(axis)):
         z = kept[pair, c]
@@ -322,7 +322,7 @@ def _continued(
     to_go: FloatArray, first: IntArray, begin: IntArray, pair_s: FloatArray,
     time: FloatArray, speed: IntArray, source: IntArray,
 ) -> int:  # fmt: skip
-    """Fill ``time`` to ``source`` with what may follow each state; return their number."""
+    """Fill ``time`` to ``source`` with the followers of each state; return their number."""
     found = 0
     for h in range(states):
         low, high = 0, to_go.shape[1]

@@ -3,11 +3,11 @@
 A search on a grid of speeds leaves time between its speeds, and on machines all over a wide band it
 misses passages that are narrower than its grid. Here the turns of a window of the schedule change
 together, by a little: the swings are linear in that change, the limit of the spindle is linear in
-the square of the speed. What is over the tolerance costs a price, so a start that is over it is
-mended. Windows overlap, and are solved one after the other until none gains any more. Swings bend:
-if the exact sum of swings after a step exceeds the tolerance, the excess is taken off what the
-program may use, and the program is solved again. A step that does not gain is not taken; the next
-is smaller.
+the square of the speed. Swing over the tolerance costs a price, so a start that is over it is
+corrected. Windows overlap, and are solved one after the other until none gains any more. Swings are
+not quite linear: if the exact sum of swings after a step exceeds the tolerance, the program gets a
+tolerance that is lower by the excess, and is solved again. A step that does not gain is not taken;
+the next is smaller.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _AFTER = 12  # turns after a window that are watched
 _FIRST, _MOST, _LEAST = 0.05, 0.1, 1e-3  # relative change of the square of a speed per step
 _WIDER, _NARROWER = 1.6, 0.4
 _STEPS, _SWEEPS = 3, 12
-_CORRECTIONS = 2  # times that a program is solved again for what its step missed
+_CORRECTIONS = 2  # times that a program is solved again for the error of its step
 _ENOUGH = 2e-5  # of the time of a window: a smaller gain is none
 _PRICES = (17.0, 100.0, 1000.0)  # of 100 % over the tolerance at a needle, in turns at full speed
 _GRID = 0.01  # relative step of the turn times of a search of all turns
@@ -147,7 +147,7 @@ def _slope(turn_s: FloatArray, share: float) -> FloatArray:
 def _worth(
     turns: FloatArray, first: int, given: tuple[Limits, Swung], price: float
 ) -> tuple[float, Sums]:
-    """Return the time around a window with the price of what is over the tolerance, and swings."""
+    """Return the time around a window with the price of swings over the tolerance, and swings."""
     limits, swung = given
     count = len(turns)
     end, watched = min(count, first + _WINDOW), min(count, first + _WINDOW + _AFTER)
@@ -261,7 +261,7 @@ def _rows_of(
 ) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
     """Return (R, n) rows, (R,) room left and (R,) needle of each, in shares of the tolerance.
 
-    Of neighbours in frequency, only the mode with the largest swing has a row.
+    Among neighbours in frequency, only the mode with the largest swing has a row.
     """
     first, end, watched, before = span[0], span[1], span[2], span[3]
     groups = len(row)

@@ -20,7 +20,7 @@ BEFORE = 40  # turns before a stretch that still swing
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Swung:
-    """What swings; M columns, each a mode of an axis of a machine; G groups, A axes.
+    """The swinging modes; M columns, each a mode of an axis of a machine; G groups, A axes.
 
     The columns of a group are the modes of one axis of one machine; their amplitudes add up.
 
@@ -53,7 +53,7 @@ class Swung:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Limits:
-    """What a schedule keeps; n turns, A axes.
+    """The limits of a schedule; n turns, A axes.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ _PANEL_INPUTS = {
     "continuous": ("BOOL", "cycle after cycle; single cycles else"),
     "stop_at_end": ("BOOL", "ends continuous cycles at the end of this one"),
     "manual": ("BOOL", "by hand, where no cycle runs"),
-    "jog": ("INT", "what is done by hand; 0 for nothing"),
+    "jog": ("INT", "action by hand; 0 for none"),
 }
 _PANEL_OUTPUTS = {
     "busy": ("BOOL", "FALSE", "a cycle or the way home runs"),

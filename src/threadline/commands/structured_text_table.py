@@ -3,8 +3,8 @@
 Below a number of places the body names every place (``structured_text_body``). Beyond it a
 controller would compare the place with thousands of constants, and the text would have megabytes.
 Then ``row_of`` gives each place its row: the times of the place, and its look. A look is all that
-the program switches and expects in a place: its outputs, what it waits for, the state of the end
-switches, the interlocks. Equal rows and equal looks stand in the tables once.
+the program switches and expects in a place: its outputs, its waits, the state of the end switches,
+the interlocks. Equal rows and equal looks stand in the tables once.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def table_transitions(
     Parameters
     ----------
     ends
-        What the last place of the cycle does, and the last place of the way home.
+        Actions of the last place of the cycle, and of the last place of the way home.
     """
     creeps = sequence.creeps
     yield "(* The transitions: from place to place as long as one fires. *)"
@@ -304,7 +304,7 @@ def table_interlocks(sequence: PlcSequence, words: Words, tables: Tables) -> Ite
 
 
 def table_outputs(sequence: PlcSequence, words: Words, tables: Tables) -> Iterator[str]:
-    """Yield the outputs of the place, and what its end switches are expected to say."""
+    """Yield the outputs of the place, and the expected states of its end switches."""
     yield "(* The outputs, and the end switches, as the place has them. *)"
     yield from looked_up()
     for name, word in words.outputs.items():

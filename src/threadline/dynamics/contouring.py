@@ -40,7 +40,7 @@ def cross_coupled(
     direction_rad
         Direction of the line, from the first axis to the second.
     coupling
-        k: what the error across the line weighs more than the lag along it.
+        k: added weight of the error across the line over the lag along it.
 
     Raises
     ------

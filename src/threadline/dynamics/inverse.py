@@ -165,8 +165,9 @@ def _check_single(machine: Machine, loop: Loop) -> None:
     if not loop.single:
         raise MachineError(
             f"axis {loop.axis}: controllers.{machine.axes[loop.axis].controller} or one beside it "
-            "has the kind state-space, and what needs the exact inverse of a loop (feed-forward, "
-            "learning, a limit on the contour) is made for one error, one encoder and one drive",
+            "has the kind state-space; options that need the exact inverse of a loop "
+            "(feed-forward, learning, a limit on the contour) are for one error, one encoder and "
+            "one drive",
             place=machine.place,
             remedy="Leave that option out, or give the axis a controller of another kind.",
         )

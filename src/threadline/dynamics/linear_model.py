@@ -81,7 +81,7 @@ def linear_variants(
 ) -> tuple[ModelVariants, ...]:
     """Return the linear models of every connected piece of the network, all variants at once.
 
-    Inputs, outputs and what is omitted are the same as in ``linear_model``.
+    Inputs, outputs and omissions are the same as in ``linear_model``.
 
     Parameters
     ----------

@@ -241,7 +241,7 @@ def _dead_band(machine: Machine, name: str) -> list[str]:
     """Return a warning if a static error of several counts rounds to zero DAC levels."""
     controller = machine.axes[name].controller
     if isinstance(machine.controllers[controller], StateSpaceController):
-        return []  # it may integrate; what it does at rest depends on all of its readings
+        return []  # it may integrate; its output at rest depends on all of its readings
     b, a = difference_equation(machine, controller, Values.of(machine))
     rest = 1.0 + float(a[0].sum())
     if abs(rest) < _SPARE - 1.0:

@@ -293,8 +293,8 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
     ringing = np.flatnonzero(poles.imag > DOUBLE * size_of(matrix[np.ix_(fed, fed)]))
     if not len(ringing):
         raise MachineError(
-            f"cylinders.{axis}: rounding hides its frame's {wanted / (2.0 * math.pi):.3g} Hz "
-            "behind rates of the cylinder that are ten million times as fast",
+            f"cylinders.{axis}: the mode of its frame at {wanted / (2.0 * math.pi):.3g} Hz is lost "
+            "in rounding: rates of the cylinder are ten million times as fast",
             place=machine.place,
             remedy="Look for a mistyped number.",
         )

@@ -54,7 +54,7 @@ _SLOW = 0.999  # zeros beyond, or behind the imaginary axis of z, are not cancel
 _BOXES = 4  # moving averages
 _DRIFT_LEVELS = 0.05
 _NOISE_LEVELS = 1.0
-"""Deviations of the voltage, per tick: of the drift of d, and of what is neither known nor lasting,
+"""Deviations of the voltage, per tick: of the drift of d, and of unknown changes that do not last,
 at least the rounding of the DAC."""
 
 
@@ -391,7 +391,7 @@ def _joined(
 ) -> Designed:
     """Return feedback, observer and a filter of the references as one controller.
 
-    The filter gives what the references add to the outputs.
+    The filter gives the contribution of the references to the outputs.
     """
     Af, Bf, Cf, Df = filtered
     m, n, q = len(regulator.parts), len(regulator.F), len(regulator.H)

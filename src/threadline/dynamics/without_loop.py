@@ -267,5 +267,5 @@ def analyse_moving(machine: Machine, name: str) -> Analysis:
     OptionError
         If the machine file has no dynamics.
     """
-    check_dynamics(f"how axis {name} swings and what its drive can do", machine)
+    check_dynamics(f"the modes of axis {name} and the torque of its drive", machine)
     return ANALYSES[machine.moving[name]](machine, name)

@@ -103,8 +103,8 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
 def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> FastestResult:
     """Find the fastest way to do a job in spec.
 
-    Of a part program the feed is searched, of a seam the needle speed, of a move list the commands
-    and waits, of an embroidery design the speed of the shaft.
+    The search varies the feed of a part program, the needle speed of a seam, the commands and
+    waits of a move list, or the shaft speed of an embroidery design.
 
     Parameters
     ----------

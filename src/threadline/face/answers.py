@@ -45,12 +45,12 @@ class Answer:
 
     @property
     def plan(self) -> Plan:
-        """What was intended."""
+        """The plan of the job."""
         return self.of.plan
 
     @property
     def verdict(self) -> Verdict:
-        """Every criterion, with what was measured."""
+        """Every criterion, with its measured value."""
         return self.of.verdict
 
     @property
@@ -70,7 +70,7 @@ class Answer:
         return self.of.verdict.result(criterion, axis)
 
     def json(self) -> dict[str, Any]:
-        """Return what the command line prints with ``--json``."""
+        """Return the output of the command line with ``--json``."""
         return verdict_json(self.of.verdict, self.of.plan)
 
     def __repr__(self) -> str:
@@ -104,13 +104,13 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Proved(Answer):
-    """A proof: a plan, what the simulated machine made of it, and the verdict."""
+    """A proof: a plan, its recording on the simulated machine, and the verdict."""
 
     of: Proof
 
     @property
     def recording(self) -> Recording:
-        """What happened on the simulated machine."""
+        """The recording of the simulated machine."""
         return self.of.recording
 
     @checked
@@ -183,7 +183,7 @@ class FastestResult:
         The options of planning with which ``prove`` plans the best: ``tl.prove(job, machine,
         **best_options)``. None where nothing is in spec, or where only a move list can say it.
     certainty
-        What it costs to hold on the machines of ``ends``, ``band`` or ``robust``; None without.
+        Cost of passing on the machines of ``ends``, ``band`` or ``robust`` as well; None without.
     mismatch
         The fastest on machines at the ends of the tolerances, with ``mismatch``.
     """
@@ -213,10 +213,10 @@ class FastestResult:
         """
         if self._asked is None or self.best_options is None:
             raise OptionError(
-                "there is no best to prove: nothing was in spec"
+                "nothing was in spec, so there is no best plan to prove"
                 if self.best is None
-                else "the best is commands that only a move list can say",
-                remedy="Prove with a lower feed, or with less asked."
+                else "only a move list can describe the best plan",
+                remedy="Prove with a lower feed, or with wider limits."
                 if self.best is None
                 else "threadline fastest -o FILE writes the move list; prove that.",
             )

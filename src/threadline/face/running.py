@@ -35,7 +35,7 @@ class Ran(Answer):
     ended
         ``"completed"`` or ``"stopped"``; a fault is raised.
     notes
-        What the command line says beside the verdict: of the link, of holds, of the store.
+        The notes of the command line beside the verdict: on the link, on holds, on the store.
     """
 
     of: Judged
@@ -45,7 +45,7 @@ class Ran(Answer):
 
     @property
     def recording(self) -> Recording:
-        """What happened on the machine."""
+        """The recording of the machine."""
         return self.of.recordings[0]
 
 
@@ -90,7 +90,7 @@ def run(
     override
         Why the job runs although out of specification; kept with the run.
     approach
-        Of grbl: move the axes to where the program begins, one after the other.
+        With grbl: move the axes to the start of the program, one after the other.
     pass_stops
         Whether stops of the program (M0) are passed; nobody could answer them here.
     **words
@@ -101,7 +101,7 @@ def run(
     InputError
         As on the command line; nothing has moved.
     LinkFaultError
-        If the machine or the link failed; what was recorded is in the folder of the run.
+        If the machine or the link failed; the recording until then is in the folder of the run.
     """
     from threadline.base.reading import inputs_read
     from threadline.files import RunEnd

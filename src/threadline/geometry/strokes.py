@@ -35,7 +35,7 @@ def style_of(dashes: Sequence[float], dot: float = 0.0) -> LineStyle:
 def style_of_dasharray(dasharray: str, width: str) -> LineStyle:
     """Return the style of a line of an SVG by its ``stroke-dasharray`` and ``stroke-width``.
 
-    What is neither a number nor a length is taken for no pattern: nothing is sewn by it.
+    Text that is neither a number nor a length counts as no pattern: nothing is sewn by it.
 
     >>> style_of_dasharray("4 2", "0.3"), style_of_dasharray("6 2 0.5 2", "0.3")
     ('dashed', 'dashdot')

@@ -22,7 +22,7 @@ _LINETYPES = {
 PATTERNS = {"hatched": "ANSI31", "crossed": "ANSI37"}
 """Names of patterns of AutoCAD by names of fills."""
 FILL_LAYER, LEADER_LAYER = "FILL", "LEADER"
-"""Layers of what is not sewn."""
+"""Layers of shapes that are not sewn."""
 _LABEL_MM = 4.0
 _CHORDS = 32  # of a piece of a curve, where it bounds a fill
 _GREY = 8
@@ -30,7 +30,7 @@ _GREY = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnShape:
-    """A shape that is what its points say.
+    """A shape given by its points.
 
     Parameters
     ----------
@@ -43,12 +43,12 @@ class DrawnShape:
     style
         ``solid``, ``dashed``, ``dotted`` or ``dashdot``.
     fill
-        Fill of what it bounds; an open one is closed by a straight line for that.
+        Fill of the area inside; an open shape is closed by a straight line for that.
     label
         Text at the last point of a leader.
     group
         Number of what belongs together, 0 for nothing: shapes of a group that follow each other
-        with one fill are filled at once, and what lies in another of them is a hole.
+        with one fill are filled at once, and a shape inside another of them is a hole.
     """
 
     kind: ShapeKind
@@ -148,7 +148,7 @@ def _add_leader(space: Any, shape: DrawnShape) -> None:
 
 
 def _add_fill(space: Any, shapes: Sequence[DrawnShape]) -> None:
-    """Add what fills shapes; what lies in another of them is a hole (style 0)."""
+    """Add the fills of shapes; a shape inside another of them is a hole (style 0)."""
     fill = shapes[0].fill
     hatch = space.add_hatch(color=_GREY, dxfattribs={"layer": FILL_LAYER, "hatch_style": 0})
     if fill in PATTERNS:
@@ -158,7 +158,7 @@ def _add_fill(space: Any, shapes: Sequence[DrawnShape]) -> None:
 
 
 def ring_of(shape: DrawnShape) -> FloatArray:
-    """Return (n, 2) points in mm around what a shape bounds; curves by chords."""
+    """Return (n, 2) points in mm around the area of a shape; curves by chords."""
     points = 1e3 * shape.points
     if shape.kind == "circle":
         angle = np.linspace(0.0, 2.0 * np.pi, 4 * _CHORDS, endpoint=False)

@@ -4,7 +4,7 @@ The thesis on the winder set the potentiometers of its amplifiers by hand, with 
 the keyboard and an eye on the speed. Here each axis runs to and fro at four constant speeds in its
 loop. Friction and an offset of the amplifier need volts that do not depend on the speed; ``V = v/G
 + f sign(v) + c`` separates them from the gain G. The same commands on the simulated machine of the
-file give volts that are subtracted, so that what is not quite steady cancels.
+file give volts that are subtracted, so that the remaining transients cancel.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ def _stretches(machine: Machine, planned: Experiment, recording: Recording) -> _
 def _slope(ran: _Stretches, in_file: _Stretches) -> tuple[float, float]:
     """Return the difference of two slopes of volts over speed, and its deviation.
 
-    The stretches have the same commands, so what is not quite steady in one is not in the other.
+    The stretches have the same commands, so both have the same remaining transients.
     """
     v, weight = ran.speed, np.sqrt(ran.ticks)
     basis = np.stack([v, np.sign(v), np.ones(len(v))], axis=1) * weight[:, None]

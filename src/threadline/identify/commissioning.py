@@ -1,4 +1,4 @@
-"""``tl.measure``, ``tl.fit`` and ``tl.trim``: what the command line asks, from Python."""
+"""``tl.measure``, ``tl.fit`` and ``tl.trim``: the commands of that name as Python functions."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def measure(
     link: str = "sim",
     actual: str | Machine | None = None,
 ) -> Measurement:
-    """Predict an experiment on one axis, run it, and return what was recorded.
+    """Predict an experiment on one axis, run it, and return the recording.
 
     Parameters
     ----------

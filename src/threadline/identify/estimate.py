@@ -307,7 +307,7 @@ def _judged(problem: Problem, at: FloatArray) -> Estimate:
     inverse = np.linalg.pinv(J.T @ J, hermitian=True)
     covariance = inverse * max(wider, 1.0 / np.mean(inside))
     if not problem.robust:
-        # Residuals of a recording hang together: an axis that rests, or moves a whole number of
+        # Residuals of a recording are correlated: an axis that rests, or moves a whole number of
         # counts each tick, is rounded alike at every sample. The largest effect that residuals of
         # their size can have is added as if it were one more deviation.
         shift = np.abs(inverse @ J.T).sum(axis=1)

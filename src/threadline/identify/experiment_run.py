@@ -1,4 +1,4 @@
-"""Run an experiment on a machine at the end of a link, and evaluate what was recorded."""
+"""Run an experiment on a machine at the end of a link, and evaluate its recording."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LINKS = ("sim", *(f"hal:{what}" for what in WHAT))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prediction:
-    """What the machine file says of an experiment before it runs.
+    """The experiment as the machine file predicts it, before it runs.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def measure(
 ) -> Measurement:
     """Run an experiment. ``predict`` must have passed it.
 
-    What was recorded before a fault is kept; a response needs the whole run.
+    The recording before a fault is kept; a response needs the whole run.
 
     Parameters
     ----------
@@ -294,8 +294,8 @@ def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> Mea
     6.1). Volts that are held for a tick act as the continuous volts times
     ``(1 - exp(-j w T)) / (j w T)``, which is divided out; aliased components remain.
 
-    Of a controller that runs faster than its references (``stitcher``) the volts are seen at some
-    ticks only, the same ones after each new reference. Its volts are computed from the error
+    If a controller runs faster than its references (``stitcher``), its volts are recorded at some
+    ticks only, the same ones after each new reference. The volts are then computed from the error
     instead, by its own difference equation; its references are held as well. The rounding of its
     DAC is then noise.
     """

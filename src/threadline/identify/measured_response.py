@@ -44,7 +44,7 @@ class MeasuredResponse:
         SI unit of the response per volt, such as ``"rad/s"``; empty if the magnitude has any
         reference and only its shape is known.
     axis, output
-        The axis, and what was measured: ``"sensors.x_pot"``, ``"X.load"``, ``"motor"``; empty if
+        The axis, and the measured output: ``"sensors.x_pot"``, ``"X.load"``, ``"motor"``; empty if
         the file does not say.
     place
         The file, for messages.

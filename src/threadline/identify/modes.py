@@ -5,11 +5,11 @@ command, so this gives modes and no response. The power near a mode is ``C f^p |
 
     H = 1 / (1 - r^2 + 2 i zeta r),    r = f / f_n
 
-where ``p`` is of what drove it (Klipper's sweep: 2, a tap: 0), and ``c`` is what other modes and
-another drive add. Intervals hold for residuals of
-uneven size that hang together over neighbouring lines: White's covariance with Newey and West's
-weights (1987), "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent
-covariance matrix", Econometrica 55(3).
+where ``p`` depends on the excitation (Klipper's sweep: 2, a tap: 0), and ``c`` is the part of other
+modes and of another excitation. Intervals hold for residuals of uneven size that are correlated
+over neighbouring lines: White's covariance with Newey and West's weights (1987), "A simple,
+positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix",
+Econometrica 55(3).
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ _WIDE, _WIDTHS = (
 )  # of the lines fitted to either side, in halves of the mode's width
 _USUAL = 1e-20, 1e20
 """Range of the greatest power of a line, beyond which all powers are divided by it."""
-_REST = 0.4  # of the width of the window: a narrower mode cannot be told from the window
+_REST = 0.4  # of the width of the window: a narrower mode looks like the window itself
 _SEEN = 4.0  # power of a peak over the median around it
-_OTHERS = 1.0 / 20.0  # Klipper ignores what is below this share of the peak
+_OTHERS = 1.0 / 20.0  # Klipper ignores power below this share of the peak
 _UNKNOWN = 0.35  # half width of the damping over its value, beyond which it is refused
 _FINE = 24  # points of the model to a line of a spectrum
 _CLEAR, _FALL = 5, 1.5  # an end of the sweep: lines off the peak, and fall of log power over three
 _ENOUGH = 8  # samples of power in a line, below which a fall may be chance
 _LEAST = {Vibration: (5e-4, 0.01), Spectrum: (1e-3, 0.02)}
-"""Narrowest half widths, as shares: of the frequency (clocks, rounded files) and the damping (what
-drives is no pure sweep)."""
+"""Narrowest half widths, as shares: of the frequency (clocks, rounded files) and the damping (the
+excitation is not a pure sweep)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +87,7 @@ class MeasuredMode:
         (Hz, height over the mode's) of other peaks of the axis, the highest first; both of the
         power divided by the frequency.
     lines_hz, power, fitted
-        (k,) what was fitted and the fit, for pictures.
+        (k,) lines, their power and its fit, for pictures.
     """
 
     axis: str
@@ -381,7 +381,7 @@ def _least_squares(
 
 
 def _covariance(jacobian: FloatArray, left: FloatArray) -> FloatArray:
-    """Return the covariance of the parameters, for residuals that hang together over lines."""
+    """Return the covariance of the parameters, for residuals that are correlated over lines."""
     n, k = jacobian.shape
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     leverage = np.clip(np.einsum("ij,jk,ik->i", jacobian, bread, jacobian), 0.0, 0.8)

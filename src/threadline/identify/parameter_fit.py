@@ -285,7 +285,7 @@ def _refuse_unknown(
         raise OptionError(
             f"the data tells nothing of {', '.join(found.names)}",
             place=machine.place,
-            remedy="Name numbers that act on what was measured, or measure another axis or output.",
+            remedy="Name numbers that change the measured output, or measure another output.",
         )
     remedy = f"Leave out {len(found.names) - len(known)} of the {len(found.names)} numbers"
     if any(one.normalised for one in data):

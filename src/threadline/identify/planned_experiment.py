@@ -49,7 +49,7 @@ class Experiment:
     first
         Tick at which the first whole period begins.
     cut_at_si
-        Of a coast: position from which on the drive has no supply, m or rad.
+        For a coast: position from which on the drive has no supply, m or rad.
     """
 
     kind: str

@@ -73,7 +73,7 @@ def read_response(path: Path) -> MeasuredResponse:
     The columns are ``frequency_hz``, ``magnitude_db`` and ``phase_deg``, in any order; or
     ``frequency [rad/s]``, ``magnitude [rad/s/V]``, ``magnitude_db [count/V]``, ``phase [rad]`` with
     their units, and ``coherence``. A magnitude without a unit has any reference. Lines
-    ``# axis: X`` and ``# output: sensors.x_pot`` above the table say what was measured.
+    ``# axis: X`` and ``# output: sensors.x_pot`` above the table name the measured output.
 
     Raises
     ------

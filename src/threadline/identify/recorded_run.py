@@ -1,4 +1,4 @@
-"""What a recorded run says of a machine: commands, positions and volts, or why it says nothing."""
+"""Commands, positions and volts of a recorded run; or the reason for which it cannot be fitted."""
 
 from __future__ import annotations
 

@@ -279,7 +279,7 @@ def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
     """Return a machine whose commands are volts: one count is ``2 range / 2^20`` at the amplifier.
 
     The controller of each axis reads the encoder of a body that stands still, with a gain of 1, and
-    the load of the axis is what its own encoder reads, in m or rad.
+    the load of the axis is the reading of its own encoder, in m or rad.
 
     Parameters
     ----------

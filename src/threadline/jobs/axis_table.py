@@ -1,8 +1,8 @@
 """Tables of axis values as jobs: a row is the position of the axes, with its time or its feed.
 
 The first row names the columns, with their unit: ``time [s], A [deg], X [mm]``, or as planners of
-fibre paths write it, ``A_deg,X_mm,F_mm_min,tension_N``. ``time`` (or ``t``) is when the axes are at
-the row, ``F`` how fast they go there; a table has one of the two. Every other column that is no
+fibre paths write it, ``A_deg,X_mm,F_mm_min,tension_N``. ``time`` (or ``t``) is the time of the row,
+``F`` the feed of the move to it; a table has one of the two. Every other column that is no
 axis of the machine becomes a tag of its moves. The job begins at the first row. Separators are
 commas, semicolons or tabs; a row that begins with # is a comment.
 """

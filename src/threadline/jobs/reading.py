@@ -291,6 +291,7 @@ def _refused(path: Path, known: Format, name: str) -> OptionError:
         )
     typed = _TYPED.get(name, name)
     return OptionError(
-        f"{Place(str(path))} is {known.article} {known.name}, and {typed} is of {' and '.join(of)}",
+        f"{Place(str(path))} is {known.article} {known.name}, and {typed} is for "
+        f"{' and '.join(of)}",
         remedy=f"Leave {typed} out.",
     )

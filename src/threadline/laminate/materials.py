@@ -56,7 +56,7 @@ class Material:
     Parameters
     ----------
     kind, name, title
-        What it is.
+        Kind, name and title of the material.
     numbers
         In SI, with tolerance and source, by key of the file.
     price

@@ -167,7 +167,7 @@ def hoop_to_helical(angle: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Netting:
-    """What fibres alone carry on a cylinder, N/m for a fibre stress of 1 Pa: m.
+    """Load that fibres alone carry on a cylinder, N/m for a fibre stress of 1 Pa: m.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class Netting:
 
     @property
     def ratio(self) -> float:
-        """What is carried round over what is carried along; a closed cylinder needs 2."""
+        """Load carried round over load carried along; a closed cylinder needs 2."""
         return self.round / self.along if self.along > 0.0 else math.inf
 
     def stress(self, pressure: float, radius: float) -> float:
@@ -195,7 +195,7 @@ class Netting:
 
 
 def netting(layers: Sequence[tuple[float, float]]) -> Netting:
-    """Return what the fibres of layers carry, from their angle, rad, and fibre thickness, m."""
+    """Return the load that the fibres of layers carry, from their angle, rad, and thickness, m."""
     return Netting(
         along=sum(t * math.cos(angle) ** 2 for angle, t in layers),
         round=sum(t * math.sin(angle) ** 2 for angle, t in layers),

@@ -1,7 +1,7 @@
-"""Runs that do the rest of a job: where they begin, the approach, and their recording.
+"""Runs of the rest of a job: where they begin, the approach, and their recording.
 
-In the recording of a continued run, samples have the instants that they have in the whole job. A
-judge sees from that which part is missing: what comes before it was not measured.
+In the recording of a continued run, samples have their instants in the whole job. So the judge sees
+which part is missing: the part before the first sample was not measured.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ _NUMBER = re.compile(r"[0-9]{1,12}")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Continued:
-    """A run that does the rest of a job.
+    """A run of the rest of a job.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Continued:
     approach
         Moves, one after the other, to the starting place: the axis, and the position in counts.
     notes
-        What will happen, for the operator, who must confirm it.
+        Description of the run for the operator, who must confirm it.
     """
 
     rest: Rest
@@ -136,7 +136,7 @@ def last_executed(trace: Path) -> int:
             values = block.samples[channel.name]
             last = max(last, int(np.nanmax(values, initial=-1.0)))
     if last < 0:
-        raise CommandError("nothing of that run was executed", remedy="Run the job anew.")
+        raise CommandError("nothing of that run was executed", remedy="Run the job again.")
     return last
 
 

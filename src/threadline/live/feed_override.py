@@ -1,4 +1,4 @@
-"""The operator's override of the feed: how far it reaches, and what it is refused for."""
+"""The operator's override of the feed: its range, and the reasons for a refusal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAY_OVERRIDE = frozenset({State.RUNNING, State.HOLDING})
 
 
 def refuse_override(percent: int, state: State, forbidden: str) -> None:
-    """Refuse an override beyond what was proven, outside of a run, or of a run that allows none.
+    """Refuse an override beyond the proven range, outside of a run, or in a run that allows none.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a controller with grbl tells of itself for a panel: settings, buffer, lines said."""
+"""State of a controller with grbl for a panel: settings, buffer, lines sent and received."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class GrblBoard:
 
     @property
     def identity(self) -> str:
-        """Version of the firmware; empty if it told none."""
+        """Version of the firmware; empty if it is unknown."""
         return self._controller.identity
 
     @property

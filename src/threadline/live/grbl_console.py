@@ -1,4 +1,4 @@
-"""The console of a controller with grbl: which typed lines it may be sent, and what was said.
+"""The console of a controller with grbl: the typed lines that may be sent, and a log of all lines.
 
 A typed line never moves anything: a motion by it would have no lease that ends it. It cannot change
 how the numbers of a later program are read, and it is sent only while nothing moves.

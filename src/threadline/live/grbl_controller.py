@@ -258,7 +258,7 @@ class Controller:
                 )
 
     def _ask_letters(self) -> tuple[str, ...]:
-        """Read what it says of itself; return the letters of its axes, in the order of its reports.
+        """Read its description of itself; return its axis letters, in the order of its reports.
 
         The size of the receive buffer stands before the axes in grblHAL, and after them in
         grbl-Mega-5X.

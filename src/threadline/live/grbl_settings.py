@@ -156,7 +156,8 @@ def compared(
 ) -> list[BoardSetting]:
     """Return the settings of a board beside the values of a machine file, by their numbers.
 
-    What a run needs (steps, speed, acceleration) is listed even if the board does not tell it.
+    Settings that a run needs (steps, speed, acceleration) are listed even if the board does not
+    report them.
     """
     wanted = wanted_of(machine, letters)
     rows = []
@@ -170,7 +171,7 @@ def compared(
                 number,
                 name,
                 "" if unit in (_MASK, _ON) else unit,
-                board or "not told",
+                board or "not reported",
                 _words(number, unit, board, letters),
                 "" if right is None else f"{right:.6g}",
                 _mark(number, number_of(board), right),

@@ -209,7 +209,7 @@ class Overrides:
         self._reported = np.full(3, AS_IS)
 
     def forget_wanted(self) -> None:
-        """Forget what was asked, and that reports have changed."""
+        """Forget the request, and that reports have changed."""
         self._unnoted = False
         self._wanted: int | None = None  # override of the feed, %, until the controller has it
         self._sent_s = -np.inf  # time of the latest step to it

@@ -230,7 +230,7 @@ class Guards:
         unit, to_unit = ("mm", 1e3) if axis.room == FOLLOWING_M else ("deg", 180.0 / np.pi)
         if abs(float(commanded[at]) - axis.still[1]) > 0.5 * limit:
             return (
-                f"the encoder of {axis.name} stands still while the axis is told to move: encoder, "
+                f"the encoder of {axis.name} stands still while the axis should move: encoder, "
                 "cable or drive"
             )
         return (

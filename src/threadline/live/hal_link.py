@@ -101,7 +101,7 @@ def check_hal(machine: Machine) -> None:
     Raises
     ------
     OptionError
-        Names what is missing.
+        If a part is missing; names it.
     """
     if "ticks" not in kind_of(machine).targets or len(machine.axes) > AXES_AT_MOST:
         raise OptionError(
@@ -164,7 +164,7 @@ class HalLink(ExecutedLink):
         return "HAL has played the rows that it held, which end at rest."
 
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
-        """Return what is at the far end."""
+        """Return the name of the far end."""
         return [self.label]
 
     def _connected(self, machine: Machine, start: IntArray) -> AbstractContextManager[Connection]:

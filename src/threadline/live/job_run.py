@@ -27,7 +27,7 @@ from threadline.verdict import Spec, Verdict, judge, verdict_json
 
 _MOST_SPEED = 1e6
 UNATTENDED_S = 10.0
-"""Longest hold in s while nobody is at the keys to end it."""
+"""Longest hold in s while nobody is at the keyboard to end it."""
 
 
 def checked_speed(speed: float) -> float:
@@ -71,7 +71,7 @@ class Manner:
     Parameters
     ----------
     may
-        What holds and overrides of the feed do to its work.
+        Effects of holds and overrides of the feed on its work.
     recorded
         Entries of the recording's origin besides the options of the plan, such as ``link``.
     pass_stops
@@ -116,7 +116,7 @@ class JudgedRun:
     Parameters
     ----------
     recording
-        What happened, with the parts of the runs that it continues.
+        Its recording, with the parts of the runs that it continues.
     verdict
         None without anything to judge.
     text
@@ -274,7 +274,7 @@ class HoldAlone:
         now_s = clock_s()
         self._ends_s = now_s + UNATTENDED_S if self._ends_s is None else self._ends_s
         if now_s >= self._ends_s:
-            executor.stopped_by = "Threadline: nobody is at the keys to resume"
+            executor.stopped_by = "Threadline: nobody is at the keyboard to resume"
             self._desk.ask(Cause.STOP)
 
 

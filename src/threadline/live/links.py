@@ -46,7 +46,7 @@ class Link(Protocol):
     """Runs checked plans on the machine at its far end."""
 
     label: str
-    """What is at its far end if it is neither a machine nor its twin; else empty."""
+    """Name of the far end if it is neither a machine nor its twin; else empty."""
 
     @property
     def after_fault(self) -> str:
@@ -160,7 +160,7 @@ class GrblLink:
         self.sent: Mapping[str, bytes] = {}
 
     def prepare(self, plan: Plan) -> Sequence[str]:
-        """Write the program, and connect; return notes on what a lost link would do."""
+        """Write the program, and connect; return notes on the effect of a lost link."""
         machine = plan.machine
         self._program, self.sent = written_program(plan)
         self._controller = Controller(Port(self._address), machine)
@@ -170,7 +170,7 @@ class GrblLink:
     def run(
         self, plan: Plan, desk: Desk, sink: Sink, conduct: Conduct = UNATTENDED
     ) -> tuple[RunEnd, str]:
-        """Home, send the program, and record what the controller reports.
+        """Home, send the program, and record the reports of the controller.
 
         The controller holds on its path, whatever ``hold_at_rest`` says.
         """
@@ -240,7 +240,7 @@ def link_of(
             raise OptionError(
                 f"--actual is simulated, and --link is {text[:40]!r}", remedy="Leave it out."
             )
-        check_dynamics("what another machine makes of the plan", machine, actual)
+        check_dynamics("the motion of another machine", machine, actual)
     if text == "sim":
         return SimLink(speed, fault, actual)
     if text == SLOWER:
@@ -272,7 +272,7 @@ class AtLink:
     Parameters
     ----------
     label
-        What it is, if it is neither a machine nor its twin; else empty.
+        Name of the far end if it is neither a machine nor its twin; else empty.
     lacks
         Commands that are not available there, and why.
     notes

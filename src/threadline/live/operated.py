@@ -56,7 +56,7 @@ class Operated(Protocol):
     homed: bool
     """Whether the positions of the axes are known, or were known when a fault came."""
     stopped_by: str
-    """Who stopped the motion, if it was stopped."""
+    """Source of the stop, if the motion was stopped."""
     meanwhile: Callable[[], None]
     """Called repeatedly while the machine homes, if homing is waited for here."""
 

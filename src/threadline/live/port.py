@@ -114,7 +114,7 @@ def check_address(address: str) -> None:
 
 
 class PortLog(Protocol):
-    """Somebody who is told what passes a port."""
+    """A log of the bytes that pass a port."""
 
     def sent(self, content: bytes) -> None:
         """Take bytes that were sent."""

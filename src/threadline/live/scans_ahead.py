@@ -97,7 +97,7 @@ class ScansAhead:
 
     @property
     def rests(self) -> bool:
-        """False: a machine at a rest is told so repeatedly, or it switches off."""
+        """False: a machine at a rest needs repeated messages, or it switches off."""
         return False
 
     def met(self, now: Mapping[str, float]) -> bool:  # noqa: ARG002

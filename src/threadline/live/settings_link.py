@@ -111,7 +111,8 @@ def ask_controller(address: str, baud: int | None = None) -> ControllerSettings:
     banner = f", which says {shown[:60]!r}," if shown else ""
     speeds = "" if not serial or baud is not None else " Say its speed with --baud."
     raise LinkFaultError(
-        f"the controller at {address[:60]!r}{banner} tells neither $I nor M115 who it is",
+        f"the controller at {address[:60]!r}{banner} does not name its firmware in its answers to "
+        "$I and M115",
         remedy=f"Close other programs that talk to it, and look at its cable and power.{speeds}",
     )
 
@@ -123,7 +124,7 @@ def _asked(port: Port, heard: list[str]) -> ControllerSettings | None:
     for line in _lines_until(port, SILENCE_S, _STATUS):
         if (match := _MOVES.match(line)) is not None:
             raise LinkFaultError(
-                f"the controller is in the state {match[1]}: it lists its settings at rest alone",
+                f"the controller is in the state {match[1]}: it lists its settings only at rest",
                 remedy="Wait until it stands, and ask again.",
             )
     port.send(b"\n")  # ends what "?" began; grbl answers an empty line with ok, too

@@ -231,7 +231,7 @@ class SimScans(SimMachine):
         head, arrays = message.head, message.arrays
         if "after" in head:
             if int(head["after"]) != self._session.taken:
-                return f"it has {self._session.taken} rows, and is told those after {head['after']}"
+                return f"it has {self._session.taken} rows, and got rows after {head['after']}"
             self._session.take(
                 np.asarray(arrays["ticks"], dtype=np.int64),
                 np.asarray(arrays["levels"], dtype=np.int64),
@@ -319,7 +319,7 @@ class SimTurns(SimMachine):
             self._session = StitchingSession(self._machine, self._with_tables(message))
         session = self._session
         if session is None or int(head["after"]) != session.taken:
-            return f"it is told the turns after {head['after']}, and has others"
+            return f"it got the turns after {head['after']}, and has others"
         columns = {name: np.asarray(arrays[name], dtype=np.int64) for name in COLUMNS}
         events = tuple(event_of(listed) for listed in head["events"])
         turns = StitchBlock(first_stitch=session.taken, events=events, **columns)

@@ -267,7 +267,7 @@ class SimMachine(ABC):
         return {}
 
     def _urgent(self) -> tuple[object, ...]:
-        """Return what is reported at once when it changes."""
+        """Return the values whose changes are reported at once."""
         return self.standing, self.starved
 
     # --- common to all kinds ---------------------------------------------------------------

@@ -77,7 +77,7 @@ def check_runnable(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interventions:
-    """What an operator may do in a run without spoiling its work.
+    """The holds and overrides that an operator may use in a run without spoiling its work.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class Interventions:
 
 
 def interventions(plan: Plan, spec: Spec) -> Interventions:
-    """Return what holds and overrides of the feed do to the work of a plan."""
+    """Return the effects of holds and overrides of the feed on the work of a plan."""
     kind = run_kind_of(plan.machine)
     leaves_m = kind.hold_deviation_m(plan)
     at_rest = hold_waits(plan, spec, leaves_m)
@@ -141,7 +141,7 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
         raise PlanError(
             f"after this it waits for the input {event.name!r}, which {plan.machine.name} lacks"
             if lacking
-            else "the program stops after this, and nobody is at the keys to resume",
+            else "the program stops after this, and nobody is at the keyboard to resume",
             place=Place(plan.job.file, line),
             remedy="Take the wait out, or run it where there is such an input."
             if lacking
@@ -170,7 +170,7 @@ class Running(Protocol):
     why: str
     """Reason of its latest change of state; empty without one."""
     stopped_by: str
-    """Who stopped it, if it was stopped."""
+    """Source of its stop, if it was stopped."""
 
     @property
     def percent(self) -> int:

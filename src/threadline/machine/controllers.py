@@ -67,7 +67,7 @@ class Dac:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Loop:
-    """What every controller has: its clocks, its encoder and its motor."""
+    """Common keys of controllers: clocks, encoder and motor."""
 
     clock: str
     """The controller's own tick, a name of ``[clocks]``."""
@@ -220,7 +220,7 @@ MOST_STATES = 64
 
 @dataclass(frozen=True, slots=True)
 class AxisOfStateSpace:
-    """What a state-space controller has for one of its axes; see ``Loop``."""
+    """The part of a state-space controller for one of its axes; see ``Loop``."""
 
     kind: Literal["state-space"]
     clock: str

@@ -105,7 +105,7 @@ def missing_keys(
 
 
 def _missing_tables(content: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the tables that a machine needs because of what else it has or lacks."""
+    """Yield the tables that a machine needs because of its other tables."""
     if not {"axes", "cylinders"} & set(content):
         yield "axes"
     drives = content.get("drives")

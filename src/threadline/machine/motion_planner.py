@@ -25,7 +25,7 @@ Ring = Annotated[Quantity, Units(("",), positive=True, whole=True, most=4096)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Planner:
-    """What every planner of a firmware has."""
+    """Common keys of the planners of firmwares."""
 
     left_out: list[str] = Field(default_factory=list)
     """Functions of the controller that no plan includes (a mesh, skew, a shaper); every proof names

@@ -214,8 +214,8 @@ class Cylinder:
     """Stiffness of the air between flow and piston. A rotary cylinder may give ``torque`` instead.
     """
     torque: Torque | None = None
-    """What makes the torque of a rotary cylinder. Its air has the stiffness of the absolute
-    pressure in the middle of the stroke, ``5.6 p A r / stroke``."""
+    """Pressure, area and radius that give the torque of a rotary cylinder. Its air has the
+    stiffness of the absolute pressure in the middle of the stroke, ``5.6 p A r / stroke``."""
     air_damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)]
     """Damping of that air."""
     air_ramp: Length | None = None

@@ -137,9 +137,9 @@ class Tool:
     arm: Arm | None = None
     """The arm that holds the eye. Without it: none."""
     chuck: EndStop | None = None
-    """What turns the mandrel's shaft, on the left. Without it: none."""
+    """The chuck that turns the mandrel's shaft, on the left. Without it: none."""
     tailstock: EndStop | None = None
-    """What holds the shaft on the right. Without it: none."""
+    """The tailstock that holds the shaft on the right. Without it: none."""
 
     @model_validator(mode="after")
     def _of_its_kind(self) -> Tool:

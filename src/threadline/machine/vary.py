@@ -299,12 +299,12 @@ _BAND = 17  # machines
 
 
 def band_parts(share: float) -> list[float]:
-    """Return by how much the modes of each machine of ``band_of`` are off."""
+    """Return the relative deviation of the modes of each machine of ``band_of``."""
     return [float(part) for part in np.linspace(-share, share, _BAND)]
 
 
 def band_of(machine: Machine, share: float) -> Others:
-    """Return machines with modes all over a band, as ``mode_off`` has them.
+    """Return machines whose modes cover a band, each by ``mode_off``.
 
     Parameters
     ----------

@@ -180,7 +180,7 @@ def keep_freed_memory() -> None:
 AT_ONCE = 256
 """Variants per part: they share common calculations, and their samples fit the cache."""
 _LEAST_WOUND = 16
-"""Least variants with products per part, if there are as many: what they share costs as much."""
+"""Least variants with products per part, if there are as many: their common part costs as much."""
 _WOUND_BYTES = 256 << 20
 """Memory of the rasters of a part, each variant with a product having its own."""
 
@@ -440,7 +440,7 @@ def _in_order(found: list[EachRun], places: list[IntArray]) -> EachRun:
 
 
 class _SoFar:
-    """Tells how many variants of a part were judged since it last told: a share of its motion."""
+    """Reports the variants of a part judged since its last report, as a share of its motion."""
 
     def __init__(self, count: int, plan: Plan, done: Done | None) -> None:
         self._count, self._plan, self.done, self._share = count, plan, done, 0.0

@@ -210,8 +210,8 @@ TABLE: tuple[Option, ...] = (
         name="long-stitches", group=Group.PLAN, kinds=(STEPS,),
         verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
         help="How stitches of a design that are longer than the machine's longest move are sewn: "
-        "travel (needle up; the default), split (the needle enters on the way) or refuse. With "
-        "jumps before it or without, a stitch is the same.",
+        "travel (needle up; the default), split (the needle enters on the way) or refuse. Jumps "
+        "before a stitch make no difference.",
         helps={"judge": _AS_GIVEN},
         attribute="long_stitches", parse=parse_long_stitches, doors=(Door.LINE, Door.PYTHON),
         recorded=FileForm(key="long-stitches", write=_same, read=parse_long_stitches),
@@ -414,10 +414,10 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="band", group=Group.LEVEL, verbs=_PROVING,
-        help="Also judge machines whose modes lie all over this share of their frequencies, one "
+        help="Also judge machines whose modes vary by this share of their frequencies, one "
         'run each: "20 %".',
         helps={
-            "fastest": "Every plan must also pass on machines whose modes lie all over this share "
+            "fastest": "Every plan must also pass on machines whose modes vary by this share "
             'of their frequencies: "20 %". An on/off machine gets commands made for that band.',
         },
         doors=(Door.LINE, Door.PYTHON),

@@ -382,7 +382,7 @@ def prove_plan(
     if actual is not None and actual.spool is not None:
         actual = replace(actual, mounted=plan.machine.mounted)
     if actual is not None or trials.machines:
-        check_dynamics("what another machine makes of the plan", plan.machine, actual)
+        check_dynamics("the motion of another machine", plan.machine, actual)
     kind = kind_of_commands(plan.commands)
     random = np.random.default_rng(REPEAT_SEED)
     machine = plan.machine if actual is None else actual
@@ -441,7 +441,7 @@ def _runs_within_reach(plan: Plan, spec: Spec) -> int:
 
 
 def _beside_first(verdict: Verdict, first: Verdict) -> Verdict:
-    """Return the verdict of many runs, with notes of what the first of them came to."""
+    """Return the verdict of many runs, with notes on the result of the first of them."""
     results = []
     for one, other in zip(verdict.results, first.results, strict=True):
         note = one.note

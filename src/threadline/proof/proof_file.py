@@ -361,7 +361,7 @@ def _given(plan: Plan) -> dict[str, Any]:
 
 
 def _read_sha256(job_sha256: str, machine: Machine, actual: Machine | None) -> dict[str, str]:
-    """Return the hashes of what is read before a plan is made."""
+    """Return the hashes of the files that are read before a plan is made."""
     other = "" if actual is None else actual.sha256
     return {"job": job_sha256, "machine": machine.sha256, "actual": other}
 
@@ -421,7 +421,7 @@ def _entries(place: Place, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
         raise ProofError(
-            f"the entry {twice[:40]!r} stands in it twice", place=place, remedy="Give a proof."
+            f"the entry {twice[:40]!r} occurs twice", place=place, remedy="Give a proof."
         )
     return found
 

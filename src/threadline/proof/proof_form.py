@@ -162,7 +162,7 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _of_tolerances(content: Mapping[str, Any]) -> Iterator[str]:
-    """Yield how what a proof tells of other machines contradicts itself."""
+    """Yield the contradictions in the results of a proof for other machines."""
     row, over = content.get("tolerances"), content["level"] == Level.TOLERANCES
     if row is None or not over:
         if over or row is not None:

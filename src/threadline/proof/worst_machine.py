@@ -249,14 +249,14 @@ class Worst:
 
     @property
     def beyond_zero(self) -> bool:
-        """Whether its limit is 0: no share of it can be told."""
+        """Whether its limit is 0, which has no shares."""
         return self.row is not None and not (self.row.limit or 0.0) > 0.0
 
     @property
     def used(self) -> str:
         """The used share of the limit, as text."""
         if self.row is None:
-            return "it cannot be simulated, or never ends what it waits for"
+            return "it cannot be simulated, or waits without end"
         if self.row.missed.any():
             return f"{self.binding} is required, and was not measured"
         if np.isfinite(self.share) and not self.beyond_zero:
@@ -297,7 +297,7 @@ def _share(row: CriterionRow) -> FloatArray:
     assert row.limit is not None
     known = np.nan_to_num(row.values, nan=np.inf if row.required else 0.0, posinf=np.inf)
     if row.limit <= 0.0:
-        # No share of such a limit can be told: beyond it is beyond 1.
+        # Such a limit has no shares: every value beyond it counts as more than 1.
         return np.where(row.failed | row.missed, 1.0 + known, 0.0)
     return np.asarray(known / row.limit)
 

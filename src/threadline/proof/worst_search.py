@@ -62,14 +62,14 @@ class WorstSearch:
     Both ends of each number alone give the slopes of every criterion. Then come the corners of the
     numbers that matter: by the signs of the slopes, by the signs of a linear fit to all machines,
     and next to the worst ones. Where machines are simulated in batches, 400 corners are drawn, half
-    of them leaning to the slopes of the criteria that are worst at the ends: what a machine comes
-    to may jump from corner to corner, and a few machines in a thousand may be far worse than all
+    of them mostly by the slopes of the criteria that are worst at the ends: the result of a machine
+    may jump from corner to corner, and a few machines in a thousand may be far worse than all
     others. So many short climbs find more than one long one: up to 16 start from the worst machines
-    of these criteria that are apart. One number after the other goes to its other end, then all
-    that make it worse together, as long as that helps. Numbers that changed nothing are left out
-    until a climb ends, and are tried then. When all have ended, further climbs start from the worst
-    of their ends with four numbers changed at random. A fifth of the machines is kept for the last
-    steps: each number goes to the middle and half-way there. Each round is one batch.
+    of these criteria that differ clearly. One number after the other goes to its other end, then
+    all that make it worse together, as long as that helps. Numbers that changed nothing are left
+    out until a climb ends, and are tried then. When all have ended, further climbs start from the
+    worst of their ends with four numbers changed at random. A fifth of the machines is kept for the
+    last steps: each number goes to the middle and half-way there. Each round is one batch.
 
     No gain below a ten-millionth of a limit counts, so that rounding decides nothing.
 
@@ -175,9 +175,9 @@ class WorstSearch:
     def worst_of_days(self, days: Days) -> int:
         """Return the number of the machine that is worst over several days.
 
-        What encoders round may decide more than a number of the machine: an error that a coarse
-        controller leaves standing changes from day to day. So the worst machines that are apart are
-        judged on every day, where machines are simulated in batches.
+        The rounding of encoders may matter more than a number of the machine: the remaining error
+        of a coarse controller changes from day to day. So the worst machines that differ clearly
+        are judged on every day, where machines are simulated in batches.
         """
         order = self._in_order()
         if not self._within.together or self.ended:

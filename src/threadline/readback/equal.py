@@ -3,7 +3,7 @@
 A file is read by something that did not write it: tick tables by csv, json and numpy, programs for
 LinuxCNC by its own interpreter, step tables by a decoder of their documented format, programs of a
 PLC scan by scan, programs for other firmwares by the code of the firmware where it is at hand. A
-file on disk is besides compared, line by line, with the file that ``compile`` writes.
+file on disk is also compared, line by line, with the file that ``compile`` writes.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Equal:
 
     @property
     def remark(self) -> str:
-        """Note and missing reader, each told once; empty if there is nothing to tell."""
+        """Note and missing reader, each once; empty without either."""
         text = self.note if self.missing in self.note else f"{self.note}; {self.missing}"
         return text.removeprefix("; ")
 

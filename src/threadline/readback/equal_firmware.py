@@ -2,7 +2,7 @@
 
 Where the code of the firmware is at hand (``klipper_host``, ``grbl_steps``, ``marlin_steps``), it
 runs the program, and every step that it makes is compared. With ``--interpolation firmware`` the
-plan itself is what the firmware makes of the job: steps and plan are compared at the same instants.
+plan itself is the firmware's motion of the job: steps and plan are compared at the same instants.
 Every other plan has times of its own. Then the program must follow the path of the plan, and its
 steps are compared with Threadline's model of the firmware, whose time the plan of a workshop rests
 on.
@@ -57,7 +57,7 @@ class Oracle:
     slack_s
         Time by which a step may differ besides its share of the time, s.
     apart
-        Function of a machine that returns what this code does otherwise than its file says.
+        Function of a machine that returns differences of this code from the machine file.
     """
 
     name: str

@@ -25,7 +25,7 @@ _FAULTS = (
     ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError,
     TypeError, ValueError, csv.Error, struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-"""What the readers of the standard library and numpy raise at files that are changed or cut."""
+"""Errors that the readers of the standard library and numpy raise at changed or truncated files."""
 _TIME = re.compile(r"\d{1,30}(/\d{1,30}|(\.\d{1,30})?(e[-+]?\d{1,2})?)")
 UNITS = {
     "count": (1.0, "count"), "step": (1.0, "step"), "m": (1e6, "um"), "rad": (1e6, "urad"),
@@ -117,12 +117,12 @@ def no_file_of(
 
 @contextmanager
 def refusing(what: str, target: str, path: Path) -> Iterator[None]:
-    """Tell in one line whatever a reader of a file of ``target`` stumbles over.
+    """Raise every failure of a reader of a file of ``target`` as an error of one line.
 
     Raises
     ------
     RecordingError
-        If it is anything but an error that is already told in one line.
+        If the failure is not an error of one line already.
     """
     try:
         yield

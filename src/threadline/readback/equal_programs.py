@@ -33,7 +33,7 @@ _COARSE = 0.01
 
 
 def compare_interpreted(target: str, plan: Plan, path: Path) -> Found:
-    """Compare a program for LinuxCNC with ``plan`` by what its own ``rs274`` makes of it.
+    """Compare a program for LinuxCNC with ``plan`` by the moves of LinuxCNC's own ``rs274``.
 
     Raises
     ------

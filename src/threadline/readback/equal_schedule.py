@@ -3,7 +3,7 @@
 ``scan_language`` reads the program, and a controller of its own runs it: home, start, one cycle.
 Its end switches come from the simulated machine that plays the plan, and each input that nothing
 moves comes at the scan at which the plan waits for it. What the program then switches, scan after
-scan, is compared with what the plan switches.
+scan, is compared with the switchings of the plan.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _check_addresses(controller: Controller, machine: Machine) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Played:
-    """What the plan does on the simulated machine: n scans of outputs and contacts."""
+    """The plan on the simulated machine: n scans of outputs and contacts."""
 
     outputs: IntArray
     contacts: Mapping[str, IntArray]
@@ -138,7 +138,7 @@ def _free(waits: list[tuple[int, int]], vacuums: IntArray) -> IntArray:
 
 
 def _run(controller: Controller, one: Scheduled, played: _Played, scan_us: int) -> IntArray:
-    """Bring the program home, start a cycle, and return (n, outputs) what it switches.
+    """Bring the program home, start a cycle, and return its (n, outputs) switchings.
 
     The first row is of the scan in which the start button is down.
     """

@@ -39,7 +39,7 @@ def missing() -> str:
     """Return why grbl cannot be compiled here, and how to get it; empty if it can."""
     named = os.environ.get(FOLDER)
     if not named:
-        return f"grbl's own code is not at hand: {FOLDER} names its folder grbl (docs/equal.md)"
+        return f"grbl's own code is missing: {FOLDER} names its folder grbl (docs/equal.md)"
     for part in _PARTS:
         if not (Path(named) / f"{part}.c").is_file():
             return f"{FOLDER} is {named[:120]}, which has no {part}.c (docs/equal.md)"

@@ -94,7 +94,7 @@ def steps_on_klipper(
         if refused is not None:
             reason = next((one for one in refused.groups() if one), refused[0])
             raise RecordingError(
-                f"Klipper's host does not take the program: {' '.join(reason.split())[:120]}",
+                f"Klipper's host refuses the program: {' '.join(reason.split())[:120]}",
                 place=Place(str(program)),
                 remedy="Compile it again for klipper.",
             )
@@ -106,7 +106,7 @@ def steps_on_klipper(
 
 
 def _run(words: list[str], folder: Path, into: Path | None) -> str:
-    """Run a script of Klipper's; return what it says, without what it writes into a file."""
+    """Run a script of Klipper's; return its messages, without the output that goes into a file."""
     try:
         if into is None:
             done = subprocess.run(  # noqa: S603
@@ -127,7 +127,7 @@ def _run(words: list[str], folder: Path, into: Path | None) -> str:
             remedy=f"{PYTHON} names a Python with Klipper's packages (docs/equal.md).",
         ) from error
     if done.returncode:
-        last = (output.strip().splitlines() or ["nothing is said"])[-1]
+        last = (output.strip().splitlines() or ["without a message"])[-1]
         raise OptionError(
             f"Klipper's host ends with status {done.returncode}: {last[:160]}",
             remedy=f"{PYTHON} names a Python with Klipper's packages (docs/equal.md).",

@@ -70,7 +70,7 @@ def missing() -> str:
     """Return why Marlin's planner cannot be compiled here, and how; empty if it can."""
     named = os.environ.get(FOLDER)
     if not named:
-        return f"Marlin's own planner is not at hand: {FOLDER} names its folder (docs/equal.md)"
+        return f"Marlin's own planner is missing: {FOLDER} names its folder (docs/equal.md)"
     for part in _NEEDS:
         if not (Path(named) / part).is_file():
             return f"{FOLDER} is {named[:120]}, which has no {part} (docs/equal.md)"
@@ -89,7 +89,7 @@ def bounds_axes_in_corners(marlin: Path) -> bool:
 
 
 def apart(machine: Machine) -> str:
-    """Return what this Marlin does otherwise than the machine file says; empty for nothing."""
+    """Return the differences of this Marlin from the machine file in words; empty for none."""
     planner = machine.planner
     if not isinstance(planner, MarlinPlanner) or planner.jump:
         return ""
@@ -255,7 +255,7 @@ def _settings(
 
 
 _FILLED = {"steps": 80.0, "rate": 1000.0, "most": 1000.0}
-"""What an axis without a job has."""
+"""Settings of an axis that the job does not have."""
 
 
 def _moves(

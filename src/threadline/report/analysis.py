@@ -219,7 +219,7 @@ def axis_figures(
         "plant": (
             _plant(a, measured),
             "Speed at the sensor per volt relative to zero frequency, with its dead time"
-            + (", and what was measured." if measured is not None else "."),
+            + (", and the measured response." if measured is not None else "."),
         ),
         "nyquist": (_nyquist(a), "Open loop, sampled, near the critical point."),
         "nichols": (_nichols(a), "Open loop, sampled; crosses are the critical points."),

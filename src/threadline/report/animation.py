@@ -62,7 +62,7 @@ def needs_of(file: Path) -> None:
 
 
 def write_animation(proof: Proof, file: Path, progress: Progress | None = None) -> Scene:
-    """Write the animation of a proof; return what it shows.
+    """Write the animation of a proof; return its scene.
 
     Raises
     ------
@@ -297,7 +297,7 @@ def _write_html(scene: Scene, file: Path, progress: Progress | None) -> None:
 
 
 def page_data(scene: Scene) -> Mapping[str, Any]:
-    """Return what the script of a page draws, in mm to 0.01 mm, as JSON content."""
+    """Return the data that the script of a page draws, in mm to 0.01 mm, as JSON content."""
 
     def listed(points: FloatArray, digits: int = 2) -> list[Any]:
         rounded = np.round(points, digits)

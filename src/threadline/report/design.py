@@ -130,7 +130,7 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
             header=header,
             rows=rows,
             note="Factors on the machine's numbers. Cost is the sum of weight x |ln factor|; of "
-            "the limit: the worst measured over its limit, 100 % or less is in spec; what is out "
+            "the limit: the worst measured over its limit, 100 % or less is in spec; a design out "
             "of spec in its first run was not tried in others.",
         )
     )

@@ -79,7 +79,7 @@ def _panel(
 
 
 def _without_curve(panel: Axes, largest: str, limit: str) -> None:
-    """Say in a panel what was compared: the whole job by its largest difference, or nothing."""
+    """Write into a panel that only the largest difference of the job is known, or nothing."""
     text = "not compared"
     if largest != "-":
         text = f"largest difference {largest}, limit {limit}\n(of the whole job: no curve)"

@@ -171,7 +171,7 @@ def guide_of(machine: Machine) -> Document:
             title="Calibration, step by step",
             header=("step", "do", "see"),
             rows=[(str(k), step[0], step[1]) for k, step in enumerate(steps, start=1)],
-            note="If you do not see what the last column says, do not go on.",
+            note="If you do not see the effect in the last column, do not go on.",
             words=("do", "see"),
         )
     )

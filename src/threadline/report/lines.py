@@ -194,8 +194,8 @@ def _instead_lines(proof: Proof) -> Iterator[str]:
     failed = {one.name for one in proof.verdict.results if one.status is Status.FAILED}
     if "contour_error" in failed:
         yield (
-            f"Out of the path:      {AUTO} asks for the limits of the axes alone; what the loops "
-            f"follow, too, is planned by --interpolation {OPTIMAL}"
+            f"Out of the path:      {AUTO} plans with the limits of the axes alone; "
+            f"--interpolation {OPTIMAL} plans a motion that the loops follow, too"
         )
 
 
@@ -266,7 +266,7 @@ def motion_lines(plan: Plan) -> list[str]:
     return [
         f"Motion:               {end_s - begin_s:.4g} s, from {begin_s:.3f} s to {end_s:.3f} s of "
         f"a table of {plan.duration_s:.4g} s: feed-forward begins before it and goes "
-        "on until what it set swinging has decayed"
+        "on until the swing that it excites has decayed"
     ]
 
 
@@ -290,7 +290,7 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
         [
             "Thread",
             f"{sum(one.thread_m for one in stitched.sewn):.4g} m on the upper side, from hole to "
-            "hole with the jumps between; what the stitches draw in comes on top",
+            "hole with the jumps between; the take-up of the stitches is extra",
         ],
         *([["Threads", _threads_words(stitched.sewn)]] if len(stitched.sewn) > 1 else []),
     ]
@@ -310,13 +310,13 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
         *bound,
         [
             "Slowest stitch",
-            f"alone it is still enough in every window at {slowest:.4g} stitches a minute and "
-            f"below; all at that speed would take {stitched.slowest_s:.4g} s",
+            f"alone it is within tolerance at {slowest:.4g} stitches a minute and at every lower "
+            f"speed; all stitches at that speed would take {stitched.slowest_s:.4g} s",
         ],
         [
             "Each stitch alone",
-            f"{stitched.alone_s:.4g} s, were each as fast as that allows on a spindle without "
-            "inertia, and did earlier ones leave nothing swinging; no plan",
+            f"{stitched.alone_s:.4g} s, if the spindle had no inertia and earlier stitches left no "
+            "swing; this is not a plan",
         ],
     ]
 

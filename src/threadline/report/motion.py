@@ -154,15 +154,15 @@ def _caption(name: str, *, known: bool) -> str:
         )
     if name == "criteria":
         return (
-            "Each figure as a share of its limit. Where the driven mass is, is not known: the "
+            "Each figure as a share of its limit. The place of the driven mass is not known: the "
             "machine file has no dynamics."
         )
     if name == "limits":
         return (
             "How much of each limit the planned motion uses, of the axis that uses most of its "
-            f"own; black where it is {BINDS:.0%} or more. The lag is what the loops make of the "
-            "motion, as a share of the contour that is allowed; volts and current are of what the "
-            "reserve leaves."
+            f"own; black where it is {BINDS:.0%} or more. The lag is the deviation of the loops, "
+            "as a share of the allowed contour; volts and current are shares of their limits less "
+            "the reserve."
         )
     return (
         "Contour and tracking error along the job with the worst place and its program line, and "

@@ -1,4 +1,4 @@
-"""The scene of an animation: what of a machine is drawn, and where it is at each instant.
+"""The scene of an animation: the drawn parts of a machine, and their places at each instant.
 
 A scene is made of lines in a few groups; each moves as a whole: a mandrel turns, a
 carriage goes along, a frame carries its cloth. The path that the tool has made lies in one of the
@@ -45,7 +45,7 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """What moves as a whole: (frames, 3) shifts in mm, and (frames,) angles about x in rad."""
+    """Rigid motion of a group: (frames, 3) shifts in mm, and (frames,) angles about x in rad."""
 
     shift: FloatArray
     angle: FloatArray
@@ -68,7 +68,7 @@ class Scene:
     towards
         (3,) direction from the scene to the eye.
     lines
-        What is drawn.
+        The drawn lines.
     groups
         Motion of every group but ``FIXED``.
     group
@@ -79,7 +79,7 @@ class Scene:
     error, limit, unit
         (samples,) error, its limit or None, and its unit; empty for a machine without dynamics.
     error_words
-        What the error is.
+        Name of the error.
     per_frame
         Samples of the path between two frames.
     labels
@@ -116,7 +116,7 @@ class Scene:
 
 
 _Error = tuple[FloatArray, float | None, str]
-"""Error at each sample in mm, its limit in mm, and what it is."""
+"""Error at each sample in mm, its limit in mm, and its name."""
 _NONE: _Error = (np.empty(0), None, "")
 
 

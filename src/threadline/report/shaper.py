@@ -88,10 +88,10 @@ def write_shaper(
             figures=figures,
             captions={
                 "measured": "Above: the measured power around the mode, and the mode fitted to it. "
-                "Below: what each shaper leaves, over the power of all axes as Klipper weighs it, "
-                "as a share of its peak.",
-                "sensitivity": "Residual vibration over frequency, 1 being what one unit impulse "
-                "leaves; the damping ratio is held. Dashed upright: the modes.",
+                "Below: the vibration that each shaper leaves, weighted by the power of all axes "
+                "as in Klipper, as a share of its peak.",
+                "sensitivity": "Residual vibration over frequency, 1 being the vibration of one "
+                "unit impulse; the damping ratio is held. Dashed upright: the modes.",
                 "step": "The impulses, and the levels that a unit step passes through.",
             },
             facts=[

@@ -1,8 +1,8 @@
 """The wound mandrel in space, as a binary glTF 2.0 file (GLB) that viewers and browsers open.
 
 The mandrel is one node. The bands are nodes of equal laid length, in the order in which they were
-laid, so that hiding the later ones shows what is wound so far. Bands that need more friction than
-there is at its lower end are red. Lengths are m, as glTF demands.
+laid, so that hiding the later ones shows an earlier state of the winding. Bands that need more
+friction than there is at its lower end are red. Lengths are m, as glTF demands.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def _thinned(surface: Surface, fibre: FloatArray, width_m: float) -> IntArray:
     apart = max(apart, float(length[-1]) / _MOST_PLACES)
     step = np.floor(length / apart)
     kept = np.concatenate([[True], np.diff(step) > 0.0]) & known
-    # The ends of what is known, and one row of what is not: no band leads across it.
+    # The ends of each known stretch, and one unknown row after it: no band leads across.
     last = known & np.concatenate([~known[1:], [True]])
     gap = ~known & np.concatenate([[False], known[:-1]])
     return np.asarray(np.flatnonzero(kept | jump | last | gap))

@@ -122,7 +122,7 @@ def threads_figure(plan: Plan) -> Figure:
                 list(pieces[own]),
                 colors=grey if one.thread is None else one.thread.rgb,
                 linewidths=1.2,
-                # An edge, so that white thread on a light cloth, and any in print, can be told.
+                # An edge makes white thread visible on a light cloth, and every thread in print.
                 path_effects=[withStroke(linewidth=1.7, foreground="0.3")],
                 label=f"{one.block}  {one.thread or 'colour unknown'}: {one.stitches} stitches, "
                 f"{one.thread_m:.4g} m, {one.duration_s:.4g} s",

@@ -114,7 +114,7 @@ def headed(figure: Figure, lines: Sequence[str]) -> Iterator[Bbox]:
     text = figure.text(
         0.08 / width, 1.0 + strip / height, "\n".join(broken), va="top", ha="left",
         fontsize=_HEAD_SIZE, linespacing=1.25, color="0.2", parse_math=False, gid=HEAD,
-        zorder=1e3,  # drawn last: nothing else refers to what is defined in it
+        zorder=1e3,  # drawn last: nothing else refers to its definitions
     )  # fmt: skip
     text.set_in_layout(False)
     try:

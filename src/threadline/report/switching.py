@@ -103,7 +103,7 @@ class _Bar:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The outputs that are on, and what is opened beside them by creeping."""
+        """The outputs that are on, and those that creeping opens as well."""
         if self.opened is None:
             return self.place.on
         beside = [name for name in self.opened.on if name not in self.place.on]
@@ -235,12 +235,12 @@ def _arc(panel: Axes, points: Sequence[tuple[float, float]], arrow: bool = False
 
 _DRAWN = ("residual_vibration",)
 _CAPTIONS = {
-    "residual": "What rings in the frame once each step has brought its cylinder to rest"
+    "residual": "Ringing of the frame once each step has brought its cylinder to rest"
     "{beside}; dotted: the limit.",
-    "cycle": "Pistons, and what was switched on, over the cycle; dotted lines part the steps.",
+    "cycle": "Pistons, and outputs that are on, over the cycle; dotted lines part the steps.",
     "frame": "The frame over the cycle{beside}.",
     "broken-beam": "A beam of the light grid is broken at each instant of the longest move and all "
-    "valves shut: what rings then. First the move as it is scheduled, with the twin's own runs as "
+    "valves shut: the ringing after that. First the move as scheduled, with simulated runs as "
     "circles at the scans that shut the valves; then every kind of shaper, made for "
     "the machine's own mode.",
     "petri-net": "The sequence that the PLC program runs, a Petri net with one token: places "
@@ -248,10 +248,10 @@ _CAPTIONS = {
     "the time of its own place, or when its input comes; grey places wait for an input, and one "
     "that does not come in time is a fault. The places of homing bring every cylinder back from "
     "wherever it stands. Below a place that waits for an end switch stands the place to which the "
-    "token goes and from which it returns while a cylinder creeps, with what it opens. "
-    "The program's own times count on from the last input "
-    "that was waited for, and add these up. The dashed line is what every place has: a broken "
-    "beam, a missing enable, a late scan or a contact that cannot be believed return the token to "
+    "token goes and from which it returns while a cylinder creeps, with the outputs that it opens. "
+    "The program's own times are sums of these, from the last input "
+    "that was waited for. The dashed line holds for every place: a broken "
+    "beam, a missing enable, a late scan or an implausible contact return the token to "
     "place 0, everything off.",
 }
 

@@ -108,7 +108,7 @@ def winding_caption(name: str) -> str:
     if name == "winding-causes":
         return (
             "Above: the gaps between neighbouring bands at the widest place, in their order round "
-            "the mandrel; negative is overlap. Below: what one factor at a time does to the "
+            "the mandrel; negative is overlap. Below: the effect of one factor at a time on the "
             "winding. The same change of all gaps points to the band, the radius or the number of "
             "circuits; one gap that grows from circuit to circuit to the steps per degree or to "
             "slip; ends that move to one side to the zero."
@@ -118,7 +118,7 @@ def winding_caption(name: str) -> str:
             "The unrolled mandrel: the darker, the more bands lie on each other; white is bare. "
             "The line is the middle of the last fibre, the marks are the worst places with their "
             "program lines. Fibre whose place is not known is not drawn. report-winding-map.glb "
-            "shows the same in space: each node is a twentieth of what is wound."
+            "shows the same in space: each node is a twentieth of the winding."
         )
     return (
         "Along the mandrel: the largest steering of the fibre, mean of a block, against the lower "
@@ -161,7 +161,7 @@ def _thinned(raster: Raster) -> NDArray[np.uint16]:
 
 
 def _shade(panel: Axes, job: WoundJob, raster: Raster, count: NDArray[np.uint16]) -> QuadMesh:
-    """Draw a map: the shades are for what lies on most of the mandrel, not for its poles."""
+    """Draw a map: its shades fit the layers on most of the mandrel, not at its poles."""
     x = 1e3 * job.surface.at(raster.places)[0][:, 0]
     most = max(2.0 * float(np.quantile(count, _MOST_OF_IT)), 4.0)
     panel.set_ylim(0.0, 360.0)

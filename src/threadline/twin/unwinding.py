@@ -113,7 +113,7 @@ class Unwinding:
             self.pulls[:, axis] = -self.tension_n * factor * self._leads[:, k]
 
     def _set_brake(self, operation: int) -> None:
-        """Set the brake to the tension that an operation of the job asks for."""
+        """Set the brake to the tension of an operation of the job."""
         if len(self._set_to):
             row = int(np.searchsorted(self._set_from, operation, side="right")) - 1
             self._numbers[:, TORQUE] = self._torque * self._set_to[max(row, 0)]

@@ -397,9 +397,9 @@ turning_places = njit(nogil=True)(_turning_places)
 def _charge(points: FloatArray, low: int, between: Between, charge: FloatArray) -> None:
     """Raise ``charge``, (runs,), to a bound of how far a way leaves the line between its samples.
 
-    ``points``, (n, axes, runs), are samples, the first of them ``low`` of the block. A way that
-    moves on along its line, at whatever speeds, leaves it only across; one that turns back also by
-    how far it runs beyond an end.
+    ``points``, (n, axes, runs), are samples, the first of them ``low`` of the block. A path that
+    moves on along its line, at any speed, leaves it only across; a path that turns back also
+    leaves it by its distance beyond an end.
     """
     speed, reach, before, pace, begun = between
     samples, axes, runs = points.shape

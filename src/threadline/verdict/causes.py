@@ -57,7 +57,7 @@ class Laid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
-    """What one factor does to a winding.
+    """The effect of one factor on a winding.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Cause:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Causes:
-    """A winding, and what each factor does to it.
+    """A winding, and the effect of each factor on it.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class Causes:
         )
 
     def rows(self) -> list[list[str]]:
-        """Return a row for each factor: its change, what that does, and what explains the gap."""
+        """Return a row for each factor: its change, the effect, and an explanation of the gap."""
         return [
             [
                 cause.name,
@@ -181,7 +181,7 @@ def _counted(count: int, what: str) -> str:
 
 
 def causes_of(plan: Plan) -> Causes | None:
-    """Return what each factor does to the programmed winding; None without a known pattern."""
+    """Return the effect of each factor on the programmed winding; None without a known pattern."""
     job = wound_job(plan)
     if job is None:
         return None

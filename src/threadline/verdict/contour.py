@@ -67,7 +67,7 @@ def _raise(
 ) -> None:
     """Raise the worst to the (n, runs) squared distances of samples, the first of them ``low``.
 
-    Of equal values the first stays. ``only`` is the nearest chord of all runs of a sample, or -1
+    The first of equal values stays. ``only`` is the nearest chord of all runs of a sample, or -1
     if ``chord`` has one for each run.
     """
     samples, runs = squared.shape

@@ -28,7 +28,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """What is missing of a channel.
+    """The missing samples of a channel.
 
     ``why`` says it in words. ``early``: only the end is missing, without a gap before it.
     """
@@ -84,7 +84,7 @@ class Coverage:
         seen.end = end
 
     def lack(self, channels: Iterable[Channel], begin_s: float, end_s: float) -> Lack | None:
-        """Return what is missing of the channels between two instants; None if nothing is.
+        """Return the missing samples of the channels between two instants; None if there are none.
 
         A gap anywhere counts. So does a whole sample missing at the start or end, even if only
         compared with a longer channel. If several channels lack samples, the lack that leaves least

@@ -278,7 +278,7 @@ class Near:
         return self._runs[run].feed(samples.eyes, samples.fibre)
 
     def words(self, run: int, at: int) -> str:
-        """Say what is too near at a sample of the latest block."""
+        """Return in words which bodies are too near at a sample of the latest block."""
         one = self._runs[run]
         return one.words(int(one.pair[at])) if one.too_near else ""
 
@@ -373,9 +373,9 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
 def criteria_of(
     product: Product, spool: Spool | None = None, tensions_n: Sequence[float] = ()
 ) -> tuple[Criterion, ...]:
-    """Return the criteria that a product asks for, beside the criteria of the specification.
+    """Return the criteria of a product, beside the criteria of the specification.
 
-    With a spool its arm limits the slack, unless the product says what is taken up, and the
+    With a spool its arm limits the slack, unless the product has a ``take_up``, and the
     tension may vary by ``MOST_VARIATION``. A brake that can be set follows the tensions of the
     layers; the least that the arm takes up at one of them counts.
     """

@@ -22,7 +22,7 @@ Statuses = Callable[[float | None, float | None], Status]
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """What a recording does not show between two of its samples.
+    """The possible error that a recording does not show between two of its samples.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Hidden:
         By how much the finding may be larger between samples, in its unit; it grows with the square
         of the interval. Infinite if samples so far apart say nothing of the finding.
     why
-        What limits it, in words.
+        Its bound, in words.
     enough_s
         Longest interval at which the samples say something of it; for an infinite ``most``.
     instead
@@ -106,14 +106,14 @@ class Finding:
         return replace(larger, unseen=self.unseen or other.unseen, hidden=coarsest, over=over)
 
     def under(self, limit: float | None, status: Statuses) -> Finding:
-        """Return the finding as it counts under a limit: one partly unseen can only fail it.
+        """Return the finding as it counts under a limit: if partly unseen, it can only fail.
 
-        So does one that would exceed the limit with what may be hidden between samples. One that
-        fails only with what may be too much of it is not measured.
+        The same holds if it would exceed the limit with the error that may be hidden between
+        samples. If it fails only by the part that may be exaggerated, it is not measured.
         """
         if self._may_be_too_large(limit, status):
             every = "" if self.hidden is None else self.hidden.every
-            note = f"{every}what is above the limit may come of straight lines between them"
+            note = f"{every}the excess over the limit may come from straight lines between them"
             note += "; record at each tick"
             return Finding(value=None, axis=self.axis, step=self.step, note=note)
         if not self.unseen:
@@ -124,7 +124,7 @@ class Finding:
         return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
 
     def _may_be_too_large(self, limit: float | None, status: Statuses) -> bool:
-        """Return whether the value fails its limit, and would not without what may be too much."""
+        """Return whether the value fails its limit only by the part that may be exaggerated."""
         if not self.over or self.value is None or status(self.value, limit) is not Status.FAILED:
             return False
         return status(self.value - self.over, limit) is not Status.FAILED
@@ -216,7 +216,7 @@ class RunFindings:
 
 
 def sure_of(found: RunFindings, sure: FloatArray, *, unless: str) -> RunFindings:
-    """Return findings of straight lines between samples, of which samples alone show less.
+    """Return findings of straight lines between samples, which are larger than at the samples.
 
     Parameters
     ----------

@@ -128,7 +128,7 @@ class Run(Protocol):
         """Return the findings of each measure, as far as seen, after the last block."""
 
     def unseen(self, reading: RunReading) -> str:
-        """Return, after reading, what a measure of many runs did not see of the recording."""
+        """Return, after reading, the samples that a measure of many runs missed."""
 
     def release(self) -> None:
         """Discard the samples of this run, once the measures that read one run have finished.

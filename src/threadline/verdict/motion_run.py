@@ -85,7 +85,7 @@ class Branch(Generic[T]):
 
 
 _ROUNDING = 1e-9
-NO_DYNAMICS = "the machine file has no dynamics: nothing is known of what its drives move"
+NO_DYNAMICS = "the machine file has no dynamics: the masses that its drives move are unknown"
 _NO_TENSION = (
     'no tension channel: a column "tension" gives it, see docs/files.md; a simulated machine has '
     "one with the [spool] of its machine file and a --product"
@@ -234,9 +234,9 @@ class MotionRun(Setting):
         return found
 
     def _hidden(self, one: Running, axis: str) -> Hidden | None:
-        """Return what the samples do not show of a measure; None of samples at each tick.
+        """Return the error that the samples may hide from a measure; None for samples at each tick.
 
-        Of samples at each tick a measure that follows the loads between them has it, in a
+        With samples at each tick a measure that follows the loads between them has it, in a
         recording from outside without velocities.
         Between samples T apart a position leaves the straight line by at most a T^2 / 8 at an
         acceleration of a. A speed is measured as a mean, over samples that are no further apart.
@@ -341,12 +341,12 @@ def _most(axis: Axis) -> float:
 
 
 def _with_hidden(hidden: Hidden, finding: Finding) -> Finding:
-    """Return a finding with what its samples do not show: it may be too large by no more."""
+    """Return a finding with the part that its samples do not show: the most by which it is off."""
     return replace(finding, hidden=hidden, over=min(finding.over, hidden.most))
 
 
 def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:
-    """Return a finding reduced to what it proves where samples are missing.
+    """Return a finding reduced to the part that it proves where samples are missing.
 
     A maximum over samples from before an early end still fails a limit that it exceeds; any other
     finding counts as not measured.

@@ -118,7 +118,7 @@ class Pass:
 
     @property
     def run(self) -> Run:
-        """The run; after reading, the one whose operations count."""
+        """The run; after reading, the run whose operations count."""
         return self._begun.run
 
     def found(self) -> Findings:

@@ -139,7 +139,7 @@ class WoundJob:
 
     @property
     def rings(self) -> tuple[Ring, ...]:
-        """What else turns about the axis, from the mandrel's left end."""
+        """The other parts that turn about the axis, from the mandrel's left end."""
         found, tool = list(self.product.rings), self.tool
         for name, stop, sign in (("chuck", tool.chuck, -1.0), ("tailstock", tool.tailstock, 1.0)):
             if stop is not None:
@@ -440,5 +440,5 @@ def _divided(count: IntArray) -> tuple[IntArray, FloatArray]:
 
 
 def _timeless(samples: Wound) -> Wound:
-    """Return samples of a plan, whose places are told by their lines."""
+    """Return samples of a plan without times: messages name their lines instead."""
     return replace(samples, time_s=np.full(len(samples.time_s), np.nan))

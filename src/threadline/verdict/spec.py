@@ -52,19 +52,19 @@ _ASSUMED_OF = {"ticks": _ASSUMED, "switches": _ITS_LIMITS, "steps": _ITS_LIMITS}
 
 
 def is_assumed(spec: Spec) -> bool:
-    """Return whether a specification stands in for a missing file, with criteria that are said."""
+    """Return whether a specification stands in for a missing file; the verdict then says so."""
     return spec.name in (_LIMITS_NAME, _ASSUMED_NAME)
 
 
 def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     """Read a specification, or the default one of ``machine``.
 
-    The criteria of ``always_of`` are added for every axis for which the file does not mention
-    them. For an axis with a path they are travel, velocity, acceleration and jerk with the
-    machine's limits, path deviation, tracking error, and DAC saturation or (driven by pulses) lost
-    steps; for an on/off machine what its frame does at each step, the time of the cycle, and the
-    limits of its valves; for an embroidery machine the residual of the stitches and the limits of
-    its step tables and servos. A wider limit in the file does not replace the machine's own.
+    The criteria of ``always_of`` are added for every axis for which the file does not mention them.
+    For an axis with a path they are travel, velocity, acceleration and jerk with the machine's
+    limits, path deviation, tracking error, and DAC saturation or (driven by pulses) lost steps; for
+    an on/off machine the vibration of its frame at each step, the time of the cycle, and the limits
+    of its valves; for an embroidery machine the residual of the stitches and the limits of its step
+    tables and servos. A wider limit in the file does not replace the machine's own.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
 
 
 def _default(machine: Machine) -> tuple[str, str]:
-    """Return the default specification; a machine based on another has the other's."""
+    """Return the default specification; a machine based on another uses that of its base."""
     name = machine.name.split("+")[0]
     reference, _ = split_reference(machine.reference)
     own = Path(reference)
@@ -176,8 +176,8 @@ class _Reader:
     def _unnamed(self, named: Mapping[tuple[str, str, str], Criterion]) -> list[Criterion]:
         """Return the criteria that hold without being in the file, axis by axis.
 
-        These are the ones that every verdict lists, and the machine's own limits, which a file may
-        narrow but not widen.
+        These are the criteria that every verdict lists, and the machine's own limits, which a file
+        may narrow but not widen.
         """
         found = []
         for name in self._always.listed:

@@ -267,7 +267,7 @@ def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
 def cycle_time(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
     """Time from the start to the end of the last step, s: with waits for inputs, without holds.
 
-    Of a first and a further cycle, the further one counts.
+    If there are a first and a further cycle, the further one counts.
     """
     if not run.steps:
         return _unknown(run)

@@ -253,7 +253,7 @@ class SwitchRun:
         ]
 
     def unseen(self, reading: RunReading) -> str:  # noqa: ARG002
-        """Return nothing: each of its measures reports itself what it did not see."""
+        """Return nothing: each measure reports its own missing samples."""
         return ""
 
     def find(self, kind: ChannelKind, axis: str) -> tuple[FloatArray, FloatArray] | None:
@@ -264,13 +264,13 @@ class SwitchRun:
         return self._samples(channel.name)
 
     def why(self, kind: ChannelKind, axis: str) -> str:
-        """Return what is missing if ``find`` returns None."""
+        """Return the reason for which ``find`` returns None."""
         channel = self.recording.find(kind, axis)
         lack = None if channel is None else self._lack_of(channel)
         return f"no {kind.value} channel of {axis}" if lack is None else lack.why
 
     def _lack_of(self, channel: Channel) -> Lack | None:
-        """Return what is missing of a channel since the first switching, except its end."""
+        """Return the missing part of a channel since the first switching, except its end."""
         begin_s = float(self.row_s[0]) if len(self.row_s) else 0.0
         return self._coverage.lack([channel], begin_s, 0.0)
 

@@ -261,7 +261,7 @@ class Disturbance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OverTolerances:
-    """What is known of the machines within the tolerances of a machine file.
+    """Results for the machines within the tolerances of a machine file.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ class Verdict:
     machines
         Number of other machines within its tolerances, drawn at random.
     tolerances
-        What a search for the worst machine and the drawn machines tell of all machines within the
+        Results of the search for the worst machine and of the drawn machines within the
         tolerances; None if neither was wanted.
     wanted_yield
         Share of these machines that must be in specification; None: every one.
@@ -367,7 +367,7 @@ class Verdict:
     def near(self) -> bool:
         """Whether other runs of the machine may well exceed a limit that these runs keep.
 
-        What is left of the limit is then less than three times what the worst run is beyond the
+        The remaining margin is then less than three times the distance of the worst run from the
         median of the runs.
         """
         return any(

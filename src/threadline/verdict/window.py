@@ -131,7 +131,7 @@ class PathWindow:
             start = self.vertices[chord[row] - 1]
             way = self.vertices[chord[row]] - start
             along_m = (points[row] - start) @ way / np.linalg.norm(way)
-            those = slice(begin[row], end[row] - 1)  # what is farther is of the last
+            those = slice(begin[row], end[row] - 1)  # farther places belong to the last
             part = begin[row] + np.searchsorted(self._part_m[those], along_m)
             found[row] = self._part_line[part]
         return found

@@ -24,7 +24,7 @@ _TWICE = "Leave one of tex, thickness and fibre_volume out: it follows from the 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Cross-section of a band; what the file does not tell is None.
+    """Cross-section of a band; numbers that the file does not give are None.
 
     Parameters
     ----------
@@ -144,14 +144,14 @@ def own_band(
 
 
 def completed(reader: KeyReader, band: Band) -> Band:
-    """Return a band with what follows from its other numbers.
+    """Return a band with the numbers that follow from its other numbers.
 
     The fibres fill ``tex / density`` of the width times thickness; that share is the fibre volume.
 
     Raises
     ------
     JobError
-        If more is told than fits; names the line.
+        If the keys contradict each other; names the line.
     """
     composite = band.composite
     if composite is None:

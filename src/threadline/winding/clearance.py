@@ -61,7 +61,7 @@ def _grown(
     bare, normal
         (n, 2) vertices of the mandrel, m, and the normals there.
     u, piece
-        (n,) their places, and the cell before each; -1 and the last one for what is beyond.
+        (n,) their places, and the cell before each; -1 and the last one for vertices beyond them.
     middle, layers
         (m,) middles of the cells, and the thickness of the layers there, m.
     line, boxes
@@ -101,7 +101,7 @@ class Clearance:
     surface
         The mandrel.
     rings
-        What else turns about its axis.
+        The other parts that turn about its axis.
     tool
         The eye with its sizes.
     wanted_m

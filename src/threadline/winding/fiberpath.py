@@ -25,7 +25,7 @@ SUFFIX = ".wind"
 FRICTION = 0.2
 """Default slip limit of FiberPath's machine profile; no planner writes a friction."""
 NAMED = f"friction {FRICTION:g} assumed"
-"""What the name of a product says, so that nobody takes the friction for the planner's."""
+"""Words in the name of a product: the friction is assumed, and not from the planner's file."""
 _MAX_BYTES = 20_000_000
 _BANDS = 2.0  # widths of the band by which a mandrel is longer than FiberPath's winding length
 ANGLES = 1.0, 89.0
@@ -160,7 +160,7 @@ def layered(path: Path, margin: float) -> Content:
     """Return the content of a product file with layers, of a ``.wind``.
 
     FiberPath turns the fibre within ``windLength`` by friction that it does not name; here the
-    mandrel is longer at its open ends by what such a turn takes.
+    mandrel is longer at its open ends by the length of such a turn.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ _TURNED = 1e-3  # rad; less is no turn
 
 
 class Witness:
-    """What a program does about its mandrel, for the reason why its fibre is never known.
+    """The motion of a program about its mandrel, to explain why its fibre is never known.
 
     Parameters
     ----------

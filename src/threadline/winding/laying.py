@@ -23,7 +23,7 @@ LAID, LIFTED, BRIDGED, OFF, WAITING, SUNK = range(6)
 """States of a block: laid, unwound, over a hollow, off the end of the mandrel, nothing laid yet, no
 straight fibre from the eye to the mandrel: the eye is inside."""
 KNOWN_AFTER = 5.0
-"""Free lengths after which a wrong start is forgotten: what is left of it is exp(-5), below 1 %."""
+"""Free lengths after which a wrong start is forgotten: exp(-5) of it is left, below 1 %."""
 _ROTATION = 0.08  # rad of a step
 _SHARE = 0.12  # of the free length, of a step
 _BENT = 0.15  # rad that the fibre turns in a step
@@ -66,7 +66,7 @@ class Tables(NamedTuple):
 
 
 class Laid(NamedTuple):
-    """What was laid in each of n blocks; see ``replay.Fibre`` for the meaning.
+    """The fibre laid in each of n blocks; see ``replay.Fibre`` for the meaning.
 
     ``state`` is (n,), the others are (n, columns).
     """
@@ -240,7 +240,7 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
         length, least and largest steering since the last mean; 1 if the fibre was known when it
         began to be unwound.
     laid
-        What was laid in each block; rows from ``first`` on are written.
+        The fibre laid in each block; rows from ``first`` on are written.
     first
         Block to begin with.
 

@@ -103,7 +103,7 @@ def read_section(path: Path, layer: str | None = None) -> list[list[list[float]]
     Returns
     -------
     list
-        Of each stretch the rows of its nodes: length, place with two derivatives, radius with two
+        For each stretch the rows of its nodes: length, place with two derivatives, radius with two
         derivatives, m; ``stretches_of`` reads them.
 
     Raises

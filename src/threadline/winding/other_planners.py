@@ -45,7 +45,7 @@ def foreign_product(path: Path) -> Content:
     Raises
     ------
     JobError
-        If the file cannot be read, is damaged, or describes what is no body of revolution here.
+        If the file cannot be read, is damaged, or does not describe a body of revolution.
     """
     ending = path.suffix.lower()
     if ending == SUFFIX:

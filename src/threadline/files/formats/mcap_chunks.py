@@ -139,6 +139,6 @@ class ChunkedMessages:
 
 
 def _taken(records: RecordBuilder) -> bytes:
-    """Return what was written, and begin anew."""
+    """Return the written bytes, and begin again."""
     found: bytes = records.end()  # type: ignore[no-untyped-call]  # the library leaves out "-> bytes"
     return found

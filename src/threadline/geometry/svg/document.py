@@ -74,7 +74,7 @@ _NAMED = dict(entry.split("=") for entry in _COLOURS.split())
 _CHANNELS = re.compile(r"(rgb|hsl)a?\(\s*([^()]*?)\s*\)")
 
 
-class ValueRefused(ValueError):  # noqa: N818 - it names what was refused
+class ValueRefused(ValueError):  # noqa: N818 - it names the refused value
     """A value that is not understood; ``remedy`` says what to write instead."""
 
     def __init__(self, message: str, remedy: str = "") -> None:

@@ -85,7 +85,7 @@ def path_subpaths(data: str) -> list[Subpath]:
     Raises
     ------
     ValueRefused
-        With the character, if the data is not what the grammar allows; browsers would draw a part.
+        With the character, if the grammar does not allow the data; browsers would draw a part.
     """
     reader = _Reader(data)
     if data.strip() not in ("", "none"):
@@ -147,7 +147,7 @@ class _Reader:
         return found
 
     def _after_letter(self) -> bool:
-        before = self.at  # not the whole of what was read, at each of a million numbers
+        before = self.at  # a copy of the place alone, because a path may have a million numbers
         while before and self.data[before - 1].isspace():
             before -= 1
         return self.data[before - 1 : before].isalpha()
@@ -163,7 +163,7 @@ class _Reader:
         raise ValueRefused(f"the data of a path is wrong: {said}", _REMEDY)
 
     def add(self, *segment: object) -> None:
-        if self.closed:  # what follows a closed subpath begins another one at its start
+        if self.closed:  # a segment after a closed subpath begins another one at its start
             self.found.append(Subpath())
             self.closed = False
         self.found[-1].segments.append(segment)  # type: ignore[arg-type]

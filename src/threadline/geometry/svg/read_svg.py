@@ -218,7 +218,7 @@ def read_svg(
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """What an element inherits: its axes, property values, layer and clipping."""
+    """Inherited values of an element: its axes, property values, layer and clipping."""
 
     matrix: FloatArray
     inherited: Mapping[str, str]
@@ -263,7 +263,7 @@ class _Walk:
             ) from error
 
     def _enter(self, element: Element, outside: _Here, depth: int) -> _Here | None:
-        """Return what the children of an element inherit; None where it is not drawn."""
+        """Return the values that children of an element inherit; None where it is not drawn."""
         if id(element) not in self.cached:
             self.cached[id(element)] = self.styles.declared(element)
         declared = self.cached[id(element)]

@@ -13,7 +13,7 @@ READ = (
     "display", "visibility", "stroke", "fill", "color", "transform", "transform-origin",
     "clip-path", "mask", "stroke-dasharray", "stroke-width",
 )  # fmt: skip
-"""Properties that determine what is sewn, and where; and how its line is drawn."""
+"""Properties that decide which shapes are sewn, and where; and how their lines are drawn."""
 _LOOKS = ("stroke-dasharray", "stroke-width")
 INHERITED = {
     "visibility": "visible", "stroke": "none", "fill": "black", "color": "black",
@@ -28,7 +28,7 @@ _MOVES = (
     "d", "x", "y", "cx", "cy", "r", "rx", "ry", "width", "height", "translate", "rotate",
     "scale", "zoom", "offset", "offset-path", "transform-box", "all", "clip",
 )  # fmt: skip
-"""Properties that would change what is sewn, and are not read from styles."""
+"""Properties that would change the sewn shapes, and are not read from styles."""
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _RULE = re.compile(r"([^{}]*)\{([^{}]*)\}")
 _COMPOUND = re.compile(r"(?:\*|[a-zA-Z][\w-]*)?(?:[.#][^\s.#>+~:\[\]()*,]+)*")

@@ -98,10 +98,10 @@ def read_design(path: str | Path, *, machine: Machine, long_stitches: str | None
         )
     if not found.led:
         raise JobError(
-            f"no stitch leads anywhere: the needle enters {found.stitches} times, all in one "
-            "place, and the frame has nothing to do",
+            f"no stitch moves the frame: the needle enters {found.stitches} times, all in one "
+            "place",
             place=Place(str(path)),
-            remedy="Is it the right file? A design has two places at least.",
+            remedy="Is it the right file? A design has at least two places.",
         )
     return Job(
         name=path.stem,

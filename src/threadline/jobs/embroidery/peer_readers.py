@@ -90,9 +90,9 @@ def read_with_peer(
     except Exception as error:
         # pystitch raises TypeError for missing bytes, IndexError for a bad palette, and others.
         at, size = stream.tell(), len(content)
-        why = f"it ends at byte {size}, in the middle of what is read there"
+        why = f"it ends at byte {size}, in the middle of a record"
         if at < size or not stream.short:
-            why = f"what stands before byte {at} of {size} makes no sense there"
+            why = f"the bytes before byte {at} of {size} make no sense there"
         raise SenselessError(why) from error
     stitches: list[list[float]] = pattern.stitches
     return stitches, threads_of_peer(pattern.threadlist), stream.tell()

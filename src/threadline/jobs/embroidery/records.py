@@ -110,7 +110,7 @@ def read_records(path: Path) -> Records:
     if len(foreign):
         first = int(foreign[0])
         raise JobError(
-            f"record {first + 1} asks for something that no frame of ours does (code "
+            f"record {first + 1} has a command that no machine here executes (code "
             f"{int(act[first])})",
             place=Place(str(path), first + 1),
             remedy="Export the design without sequins and other attachments.",

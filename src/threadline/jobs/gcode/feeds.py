@@ -162,7 +162,7 @@ def as_f_words(value_m_s: float, rule: str) -> Feed:
     name, _, base = rule.partition(":")
     if name not in RULES:
         raise OptionError(
-            f"feed 'F {60_000.0 * value_m_s:.6g}': F of this job is no speed of its moves",
+            f"feed 'F {60_000.0 * value_m_s:.6g}': F of this job is not the speed of its moves",
             remedy='Give the speed of the fastest axis, like "36 mm/s".',
         )
     return Feed(RULES[name][0], value_m_s, tuple(base.split(",")) if base else ())

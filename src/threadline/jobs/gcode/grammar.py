@@ -195,8 +195,7 @@ def check_line(text: str, grammar: Grammar, name: str, place: Place) -> None:
     """
     if grammar.split_comments and _SPLIT_COMMENT.search(text):
         raise JobError(
-            f"a semicolon in parentheses ends the line for {name}, and what stands behind it is "
-            "not run",
+            f"a semicolon in parentheses ends the line for {name}, and words behind it are not run",
             place=place,
             remedy="Take the semicolon out of the comment.",
         )
@@ -241,7 +240,7 @@ def check_first_alone(words: Sequence[tuple[str, str]], name: str, place: Place)
         commands = [command for command in commands if command[0] != "T"]
     if len(commands) > 1:
         raise JobError(
-            f"{name} runs the first command of a line alone ({commands[0]}), and not {commands[1]}",
+            f"{name} runs only the first command of a line ({commands[0]}), and not {commands[1]}",
             place=place,
             remedy="Write each command on a line of its own.",
         )
@@ -279,7 +278,7 @@ def check_words(
             continue  # ``block_of`` refuses it
         if letter == "N" and (place or "." in number) and grammar.numbers_first:
             raise JobError(
-                f"{name} takes N{number} in front of the line alone, and without a point",
+                f"{name} takes N{number} only at the beginning of a line, and without a point",
                 place=at,
                 remedy="Write it there.",
             )
@@ -306,7 +305,7 @@ def check_words(
                 takers.append(word)
             if code in grammar.loses_axes and has_axes:
                 raise JobError(
-                    f"{name} takes the axis words beside {word} away from the motion",
+                    f"{name} uses the axis words beside {word} for {word}, not for a motion",
                     place=at,
                     remedy=f"Write {word} in a block of its own.",
                 )
@@ -320,8 +319,8 @@ def check_words(
                 raise JobError(
                     f"{name} refuses {word} with its whole line, {beside[0]} too",
                     place=at,
-                    remedy=f"Write {word} in a line of its own, where what sends the program "
-                    "takes it out and stops.",
+                    remedy=f"Write {word} in a line of its own, where the sender program "
+                    "removes it and stops.",
                 )
         if (
             letter == "M"

@@ -18,7 +18,7 @@ _NAMED = re.compile(r" *(?:N *[0-9]+ *)?([A-Z_][A-Z_]+[0-9]*(?:_[A-Z0-9_]*)?)(?!
 _M204 = re.compile(r" *(?:N *[0-9]+ *)?M *0*204(?![0-9.])(.*)", re.I)
 _LETTERED = re.compile(r"([A-Z]) *([-+0-9.]*)")
 _DOES = {
-    "SET_INPUT_SHAPER": "sets the input shaper anew",
+    "SET_INPUT_SHAPER": "changes the input shaper",
     "SET_GCODE_OFFSET": "moves the zero",
     "SAVE_GCODE_STATE": "keeps the zero and the feed for later",
     "RESTORE_GCODE_STATE": "takes back the zero and the feed of before",
@@ -33,7 +33,7 @@ _DOES = {
     **dict.fromkeys(("PAUSE", "RESUME", "CANCEL_PRINT"), "stops the program or goes on with it"),
     **dict.fromkeys(("BED_MESH_PROFILE", "BED_MESH_CLEAR"), "changes the mesh that bends the path"),
 }
-"""What commands of klipper with a name do that changes time or motion."""
+"""Effects on time or motion of klipper's commands with names."""
 _IDLE = frozenset(
     {
         "EXCLUDE_OBJECT_DEFINE", "EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END",

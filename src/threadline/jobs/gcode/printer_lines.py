@@ -1,7 +1,7 @@
 """The lines of printers' firmwares: their numbers, checksums, texts and commands.
 
 Marlin and Klipper run one command of a line, RepRapFirmware every command. These functions return
-the commands as words with numbers; what the firmware would run otherwise is refused.
+the commands as words with numbers; lines that the firmware would run otherwise are refused.
 
 Sources: Marlin 2.1 (``parser.cpp``, ``queue.cpp``), Klipper (``gcode.py``), RepRapFirmware 3.5
 (``StringParser.cpp``, ``GCodes2.cpp``).
@@ -106,13 +106,13 @@ def one_command(text: str, name: str, place: Place) -> str:
     code = _without_parentheses(code, place)
     if not code.isascii() or code != code.upper():
         raise JobError(
-            "marlin knows capital letters alone, unless it is built with GCODE_CASE_INSENSITIVE",
+            "marlin reads only capital letters, unless it is built with GCODE_CASE_INSENSITIVE",
             place=place,
             remedy="Write the line in capital letters, and a comment behind a semicolon.",
         )
     if "\t" in code:
         raise JobError(
-            "the line has a tab, where marlin looks for a blank alone",
+            "the line has a tab, and marlin reads only blanks",
             place=place,
             remedy="Write a blank.",
         )
@@ -124,8 +124,8 @@ def one_command(text: str, name: str, place: Place) -> str:
         )
     if code.strip(" \t%") and _COMMAND.match(code) is None:
         raise JobError(
-            "the line does not begin with a command (G, M or T and a number), which marlin passes "
-            "over",
+            "marlin ignores the line, because it does not begin with a command (G, M or T and a "
+            "number)",
             place=place,
             remedy="Write the command in front, like G1 X5 F600.",
         )
@@ -269,8 +269,8 @@ def _for_reprapfirmware(text: str, place: Place, *, cnc: bool = False) -> list[s
             )
         if word[0] == "G" and "T" in rest:
             raise JobError(
-                f"reprapfirmware passes over T behind {word}: it is a command in front of a line "
-                "alone",
+                f"reprapfirmware ignores T behind {word}: T is a command only at the beginning of "
+                "a line",
                 place=place,
                 remedy="Write T on a line of its own, or take it out.",
             )

@@ -1,4 +1,4 @@
-"""Warnings of a part program: what its words do otherwise elsewhere, or do not do here."""
+"""Warnings of a part program: words without effect here, or with another meaning elsewhere."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def capped_feeds(
 
 
 def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[str, ...]:
-    """Return warnings of what the scan found, each with file and line."""
+    """Return warnings about findings of the scan, each with file and line."""
     warnings = list(_long_dwells(findings, file, dialect))
     blends = (
         "this G64 does not count: the interpolation decides how corners are rounded, and with "
@@ -65,30 +65,30 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
         )
     if findings.changes and CHANGE in dialect.grammar.of_sender:
         warnings.append(
-            f"{file.place(findings.changes)}: {dialect.name} itself refuses M6; what sends the "
-            "program must take it out and stop there, as it is read here."
+            f"{file.place(findings.changes)}: {dialect.name} itself refuses M6; the sender program "
+            "must remove it and stop there, as the plan does."
         )
     if findings.length:
         warnings.append(
-            f"{file.place(findings.length)}: how long the tool of G43 is the control alone knows; "
+            f"{file.place(findings.length)}: only the control knows the tool length of G43; "
             "it holds for every move of Z, and the program's zero is at the start position."
         )
     if findings.macros:
         named = ", ".join(f"{name} (line {line})" for name, line in findings.macros.items())
         warnings.append(
-            f"{file.place()}: macros, first seen: {named}: the motion rests there, and their moves "
-            "and their time are no part of any plan here."
+            f"{file.place()}: macros, first seen: {named}: the plan rests there, and does not "
+            "include their moves and their time."
         )
     if findings.limits:
         warnings.append(
-            f"{file.place(findings.limits)}: limits that the program sets hold with "
-            "--interpolation firmware, as klipper plans; other interpolations keep to the machine "
-            "file's."
+            f"{file.place(findings.limits)}: limits that the program sets apply with "
+            "--interpolation firmware, as in klipper; other interpolations use the limits of the "
+            "machine file."
         )
     if findings.decel:
         warnings.append(
             f"{file.place(findings.decel)}: ACCEL_TO_DECEL is read as a minimum cruise ratio of "
-            "1 - ACCEL_TO_DECEL / ACCEL; klipper passes over it from August 2025 on."
+            "1 - ACCEL_TO_DECEL / ACCEL; klipper ignores it from August 2025 on."
         )
     if findings.tape:
         warnings.append(
@@ -101,8 +101,8 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
         more = " ..." if len(findings.anew) > _MAX_WARNINGS else ""
         warnings.append(
             f"{file.place(findings.anew[0])}: M2 and M30 (lines {lines}{more}) set G1 G17 G54 G90 "
-            "G94 and end nothing: grbl goes on with what its sender sends. One that takes them out "
-            "leaves the modes as they are."
+            "G94 and do not end the program: grbl runs the lines after them. A sender that removes "
+            "them leaves the modes as they are."
         )
     if findings.unset:
         first = next(iter(findings.unset.items()))
@@ -114,19 +114,19 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
         )
     if findings.doubtful:
         warnings.append(
-            f"{file.place(findings.doubtful)}: the numbers compared differ by rounding: LinuxCNC "
-            "2.9 finds LE and GE untrue of them, and EQ true up to 0.0001; later versions find all "
-            "three true, up to 0.000001. Here it is done as in 2.9."
+            f"{file.place(findings.doubtful)}: the compared numbers differ only by rounding: in "
+            "LinuxCNC 2.9 EQ is true up to a difference of 0.0001, LE and GE are not; in later "
+            "versions all three are true up to 0.000001. Threadline compares as 2.9 does."
         )
     if findings.waits:
         warnings.append(
-            f"{file.place(findings.waits)}: the program waits for a temperature; how long is not "
-            "known, and no part of any time here."
+            f"{file.place(findings.waits)}: the program waits for a temperature; this time is not "
+            "known, and no time here includes it."
         )
     if findings.idle:
         words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
         silent = " ".join(w for w in findings.idle if w[1:].isdigit() and int(w[1:]) in SILENT)
-        left = f" compile leaves out what only shows or stores something: {silent}." * bool(silent)
+        left = f" compile leaves out words that only show or store: {silent}." * bool(silent)
         dropped = " ".join(w for w in findings.idle if w in LETTERS + FILAMENT)
         left += f" compile writes no {dropped}: --axes leaves it out." * bool(dropped)
         warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.{left}")

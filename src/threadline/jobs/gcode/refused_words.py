@@ -16,7 +16,7 @@ _ANALOGUE = "an analogue output, which no machine here has"
 _BUILT = "what marlin knows only where it is built with"
 _PEN = "files for Marlin lift the pen of a plotter by it"
 WHY: Mapping[int, str] = {
-    410: _RADIUS, 420: _RADIUS, 100: "setting what the control keeps (offsets, tool tables)",
+    410: _RADIUS, 420: _RADIUS, 100: "a setting of data in the control (offsets, tool tables)",
     430: "compensation of the tool's length", 431: "compensation of the tool's length",
     **dict.fromkeys((382, 383, 384, 385), "probing, whose end nobody knows before"),
     **dict.fromkeys((730, 810, 820, 830, 850, 890), _CYCLE),
@@ -36,7 +36,7 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
     "linuxcnc": dict.fromkeys(("M67", "M68"), _ANALOGUE),
     "klipper": {
         "G20": "the inch, which klipper refuses",
-        "G92.1": "no word of klipper, which passes it over",
+        "G92.1": "no word of klipper, which ignores it",
         "M220": "a share of every feed behind it",
         "S": "no word of klipper's G4, whose time is P in ms",
     },
@@ -51,11 +51,11 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         **dict.fromkeys(("G29", "G30", "G32"), "probing, whose end nobody knows before"),
         **dict.fromkeys(
             ("M92", "M201", "M203", "M204", "M205", "M501", "M502", "M566", "M593", "M669"),
-            "what sets the steps, limits, jerks or shaper of the firmware anew",
+            "a new setting of steps, limits, jerks or shaper of the firmware",
         ),
         "M98": "a macro file, whose moves are not in the program",
-        "M120": "what keeps feed and modes for M121 to take back",
-        "M121": "what takes back the feed and modes that M120 kept",
+        "M120": "the command that saves feed and modes for M121",
+        "M121": "the command that restores the feed and modes that M120 saved",
         "M220": "a share of every feed behind it",
         "M290": "a shift of the zero (baby steps)",
         "M453": "a CNC machine from there on: use --dialect reprapfirmware-cnc, and take it out",
@@ -65,10 +65,8 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "T": "no word of a machine with one tool, which is T0 on a line of its own",
     },
     "marlin": {
-        "G5": f"{_BUILT} BEZIER_CURVE_SUPPORT, and passes over otherwise",
-        **dict.fromkeys(
-            ("G18", "G19"), f"{_BUILT} CNC_WORKSPACE_PLANES, and passes over otherwise"
-        ),
+        "G5": f"{_BUILT} BEZIER_CURVE_SUPPORT, and ignores otherwise",
+        **dict.fromkeys(("G18", "G19"), f"{_BUILT} CNC_WORKSPACE_PLANES, and ignores otherwise"),
         "G20": f"{_BUILT} INCH_MODE_SUPPORT; otherwise all numbers stay millimetres",
         "G92.1": f"{_BUILT} CNC_COORDINATE_SYSTEMS, and reads as G92 otherwise",
         "G91.1": "read as G91 by marlin",
@@ -77,7 +75,7 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "M420": "the compensation of the bed by a mesh, which changes the path",
         **dict.fromkeys(
             ("M92", "M201", "M203", "M204", "M205", "M501", "M502"),
-            "what sets the steps, limits or jerks of the firmware anew",
+            "a new setting of steps, limits or jerks of the firmware",
         ),
         "M220": "a share of every feed behind it",
         "M810": "a macro, whose moves only the firmware knows",

@@ -86,9 +86,9 @@ def without_comments(
     """Return ``text`` without its comments, and the comment after the semicolon.
 
     In the printed winder program, and in prints of Fanuc programs, ``;`` ends a block. Text after
-    ``;`` that reads as a block is refused there. For all other controls ``;`` begins a comment,
-    whatever it says (``one_block``): ``M0 ;T102``. With ``inner`` a comment ends at its first ), or
-    with its line, whatever ( stand in it.
+    ``;`` that reads as a block is refused there. For all other controls ``;`` begins a comment
+    with any content (``one_block``): ``M0 ;T102``. With ``inner`` a comment ends at its first ), or
+    with its line, even if it contains a (.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def without_comments(
         for part in _PARENTHESES.sub(" ", comment).split(";"):
             if _WORD.match(part) and _BLOCK.fullmatch(part):
                 raise JobError(
-                    f"what follows ';' reads as another block: {_shown(part.strip())}",
+                    f"the text after ';' reads as another block: {_shown(part.strip())}",
                     place=Place(file, line),
                     remedy="Put it on a line of its own, or in parentheses if it is a comment.",
                 )
@@ -288,7 +288,7 @@ class Tapes:
         self._lines.append(line)
         if len(self._lines) > 2 or (len(self._lines) == 1 and begun):
             raise JobError(
-                "this % closes a program that none has opened",
+                "this % closes a program that no % has opened",
                 place=self._file.place(line),
                 remedy="Write % on the first line and on the last, or on none.",
             )

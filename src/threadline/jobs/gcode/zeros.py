@@ -176,8 +176,8 @@ def zeros_of(
             line = max(used.lines.values())
             names = " and ".join(f"G{one // 10}" for one in used.lines)
             raise JobError(
-                f"the program moves by {names}: how far {name} is from the machine's zero, the "
-                "control alone knows",
+                f"the program moves by {names}: only the control knows how far {name} is from the "
+                "machine's zero",
                 place=file.place(line),
                 remedy=_OTHERS,
             )

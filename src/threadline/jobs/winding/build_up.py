@@ -40,7 +40,7 @@ class Laid:
 
     @property
     def layer(self) -> Layer:
-        """The layer as the file asks for it."""
+        """The layer of the file."""
         return self.wrap.layer
 
     @property

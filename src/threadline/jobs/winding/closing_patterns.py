@@ -47,7 +47,7 @@ class Pattern:
     turns
         Turns of the mandrel in the layer.
     off
-        What a circuit of the geodesic lacks, rad; negative: it goes too far.
+        Angle by which a circuit of the geodesic falls short, rad; negative: it goes too far.
     ratio
         Friction ratio on the domes that closes it; NaN if none does.
     constant_m
@@ -70,7 +70,7 @@ class Pattern:
 
     @property
     def ways(self) -> tuple[Closing, ...]:
-        """What can close it."""
+        """The ways to close it."""
         found: list[Closing] = []
         for name, value in (
             ("friction", self.ratio), ("angle", self.constant_m), ("dwell", self.dwell)
@@ -122,7 +122,7 @@ def patterns(wrap: Wrap) -> list[Pattern]:
 
 
 class _Ways:
-    """What can close the patterns of a layer."""
+    """The ways to close the patterns of a layer."""
 
     def __init__(self, wrap: Wrap) -> None:
         self.wrap = wrap
@@ -180,7 +180,7 @@ def _asked(layer: Layer) -> str:
 
 
 def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
-    """Say what would close: the nearest pattern, or how much friction."""
+    """Say how to close the pattern: by the nearest other one, or by how much friction."""
     wrap, remedies = closing.wrap, []
     if wrap.layer.close == "dwell":
         slips = max(wrap.slip_at(wrap.base, site) for site in wrap.sites)
@@ -230,7 +230,7 @@ def _none(_off: float) -> float:
 
 
 def _by_friction(wrap: Wrap) -> Callable[[float], float]:
-    """Return the friction ratio on the domes by what a circuit lacks."""
+    """Return the friction ratio on the domes for the angle that a circuit lacks."""
     if not wrap.domes:
         return _none
 
@@ -270,7 +270,7 @@ def _inside(wrap: Wrap, circuit: Circuit) -> bool:
 
 
 def _by_angle(wrap: Wrap) -> Callable[[float], float]:
-    """Return the Clairaut radius by what a circuit lacks, over 3 degrees of the angle."""
+    """Return the Clairaut radius for the angle that a circuit lacks, over 3 degrees."""
     if wrap.layer.angle is not None and not wrap.domes:
         spread = math.radians(1.0)
     else:

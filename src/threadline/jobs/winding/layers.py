@@ -58,9 +58,9 @@ class Layer:
     angle
         Winding angle at the largest radius, rad; None: it follows from the turn.
     circuits, shift
-        Of the pattern: each circuit is ``shift / circuits`` turns further on; None: chosen.
+        Shift of the pattern: each circuit is ``shift / circuits`` turns further on; None: chosen.
     close
-        What closes the pattern; None: chosen.
+        Way to close the pattern; None: chosen.
     cover
         Least coverage at the largest radius, as a share; 0 where only circuits are given.
     begin_m, end_m
@@ -84,7 +84,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class HourlyRate:
-    """What an hour of the machine costs, and in which currency (three letters)."""
+    """Cost of an hour of the machine, and its currency (three letters)."""
 
     per_hour: float
     currency: str
@@ -111,7 +111,7 @@ class Winding:
     tolerance_m
         Largest distance between the laid and the designed fibre.
     hour
-        What an hour of the machine costs; None: unknown.
+        Cost of an hour of the machine; None: unknown.
     """
 
     path: Path
@@ -204,7 +204,7 @@ class _LayerReader(ProductReader):
         if not 0 < len(rows) <= _MOST_LAYERS:
             self.refuse(
                 "layer",
-                f"{len(rows)} layers: 1 to {_MOST_LAYERS}",
+                f"there are {len(rows)} layers; there must be 1 to {_MOST_LAYERS}",
                 "Write one [[layer]] table for each layer, and wind more as a second job.",
             )
         fibre = content.get("fibre", {})
@@ -225,7 +225,8 @@ class _LayerReader(ProductReader):
         if envelope is not None and not _ENVELOPES_M[0] <= envelope <= _ENVELOPES_M[1]:
             low, high = (1e3 * one for one in _ENVELOPES_M)
             self.refuse(
-                "envelope", f"an envelope of {1e3 * envelope:.4g} mm: {low:g} to {high:g} mm",
+                "envelope",
+                f"envelope is {1e3 * envelope:.4g} mm; it must be from {low:g} to {high:g} mm",
                 "It is the distance between eye and mandrel: leave it out, and the fastest that "
                 "keeps clear is taken.",
             )  # fmt: skip
@@ -236,7 +237,7 @@ class _LayerReader(ProductReader):
         )  # fmt: skip
 
     def _hour(self, content: Mapping[str, Any], layers: Sequence[Layer]) -> HourlyRate | None:
-        """Return what an hour of the machine costs, in the currency of the materials."""
+        """Return the cost of an hour of the machine, in the currency of the materials."""
         cost = self.table_of(content, "cost")
         text, rate = cost.get("hour"), None
         if text is not None:
@@ -276,8 +277,9 @@ class _LayerReader(ProductReader):
             self.refuse("tension", "tension must be above 0", 'Like tension = "8 N".')
         if not 0.0 <= taper < 1.0:
             self.refuse(
-                "taper", f"a taper of {taper:g}: from 0 to below 1 of the layer below",
-                'Like taper = "3 %".',
+                "taper",
+                f"taper is {taper:g}; it must be a share from 0 to below 1 of the layer below",
+                'Write it like taper = "3 %".',
             )  # fmt: skip
         if "taper" in fibre and first is None:
             self.refuse("taper", "a taper needs the tension of the first layer", 'tension = "8 N"')
@@ -338,13 +340,13 @@ class _LayerReader(ProductReader):
             if not isinstance(value, int) or isinstance(value, bool):
                 self.refuse(
                     key,
-                    f"{key} = {str(value)[:40]!r} is no whole number",
+                    f"{key} = {str(value)[:40]!r} is not a whole number",
                     f"Write it like {key} = 44.",
                 )
             if not least <= value <= MOST_CIRCUITS:
                 self.refuse(
                     key,
-                    f"{str(value)[:40]} {key}: {least} to {MOST_CIRCUITS}",
+                    f"{key} is {str(value)[:40]}; it must be from {least} to {MOST_CIRCUITS}",
                     "Leave circuits and shift out: threadline wind lists the patterns that close.",
                 )
         circuits, shift = counts["circuits"], counts["shift"]
@@ -354,7 +356,7 @@ class _LayerReader(ProductReader):
         if close is not None and close not in CLOSINGS:
             self.refuse(
                 "close",
-                f"close = {str(close)[:40]!r}",
+                f"close = {str(close)[:40]!r} is unknown",
                 'Write close = "friction", "angle" or "dwell", or leave it out.',
             )
         # Circuits that the file names may leave gaps, unless it asks for a coverage as well.

@@ -177,7 +177,7 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
             )
         place = joint if dome else float(surface.place_of(np.array([at]))[0])
         sites.append(Site(side, place, dome))
-    # On a cone the widest place lies beyond what is covered.
+    # On a cone the widest place lies beyond the covered length.
     if sites[0].dome and not sites[1].dome:
         sites[0] = replace(sites[0], joint=min(sites[0].joint, sites[1].joint))
     if sites[1].dome and not sites[0].dome:
@@ -204,7 +204,7 @@ def gentle_ratio(
     """Return the friction ratio with which a fibre turns: 0 on a dome.
 
     At an open end it is less than the friction allows, if the whole band then stays on the mandrel:
-    what the machine adds to the steering has room, too.
+    the rest is a reserve for the steering that the machine adds.
     """
     if site.dome:
         return 0.0

@@ -28,7 +28,7 @@ LEAST_VOLUME, MOST_VOLUME = 0.2, 0.75
 
 @dataclass(frozen=True, slots=True)
 class SheetRow:
-    """A layer, or all of them; what the product file does not tell is None.
+    """A layer, or all of them; numbers that the product file does not give are None.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class SheetRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet:
-    """What a shop needs to wind a product.
+    """The quantities that a shop needs to wind a product.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Sheet:
     timed
         How the times were found.
     costed
-        What the cost includes.
+        The items that the cost includes.
     """
 
     title: str
@@ -106,7 +106,7 @@ class Sheet:
         ]  # fmt: skip
 
     def note(self) -> str:
-        """Return what the numbers include."""
+        """Return in words the items that the numbers include."""
         percent = "" if all(row.share is None for row in self.rows) else (
             " The percentage is the stress of the fibres over their strength."
         )  # fmt: skip
@@ -231,7 +231,7 @@ class WoundLaminate:
     laminate
         Its stiffness; axis 1 along the mandrel.
     net
-        What its fibres alone carry.
+        The load that its fibres alone carry.
     radius_m
         Of the mandrel there.
     strength

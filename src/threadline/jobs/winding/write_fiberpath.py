@@ -1,4 +1,4 @@
-"""Layers as a definition of FiberPath (``.wind``): what the format can hold, and no more."""
+"""Layers as a definition of FiberPath (``.wind``), as far as the format can hold them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SAMPLES = 513
 
 @dataclass(frozen=True, slots=True)
 class _Mandrel:
-    """What the format holds of a mandrel, m: where it is covered, and the radii there."""
+    """The part of a mandrel that the format holds, m: its covered length, and the radii there."""
 
     begin: float
     end: float
@@ -51,12 +51,12 @@ def check_wind(winding: Winding) -> None:
 
 
 def write_wind(file: Path, laid: Sequence[Laid]) -> list[str]:
-    """Write the layers of a winding as a ``.wind``; return what the format has no place for.
+    """Write the layers of a winding as a ``.wind``; return the parts that the format cannot hold.
 
     Raises
     ------
     JobError
-        If the mandrel or a layer cannot be told in the format; names it.
+        If the format cannot hold the mandrel or a layer; names it.
     OptionError, OSError
         If the file cannot be written.
     """
@@ -216,7 +216,7 @@ def _turn(count: int, shift: int) -> tuple[int, int]:
 
 
 def _left_out(winding: Winding, laid: Sequence[Laid], shape: _Mandrel) -> list[str]:
-    """Return what the product says and the format has no place for, for people."""
+    """Return in words the parts of the product that the format cannot hold."""
     product, said = winding.product, []
     zero = product.at.si + shape.begin
     if abs(zero) > _STRAIGHT_M:

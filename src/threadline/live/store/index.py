@@ -152,7 +152,7 @@ class RunIndex:
             raise StoreError(
                 f"the index of runs {self._shown!r} is damaged: {wrong[0]} of a run is "
                 f"{str(row[wrong[0]])[:40]!r}",
-                remedy="Give another folder with --store, or mend the file.",
+                remedy="Give another folder with --store, or repair the file.",
             )
         return RunRecord(**row)
 
@@ -172,7 +172,7 @@ class RunIndex:
                 remedy="Another program writes into it: try again, or give another folder with "
                 "--store."
                 if "is locked" in why
-                else "Give another folder with --store, or mend the file.",
+                else "Give another folder with --store, or repair the file.",
             ) from error
 
 

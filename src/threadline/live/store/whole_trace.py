@@ -67,7 +67,7 @@ def refuse_other_rows(record: RunRecord, plan: Plan) -> None:
 
 
 def trace_of(folder: Path, record: RunRecord) -> Path:
-    """Return the trace of a run, which shows what was executed.
+    """Return the trace of a run, which shows the executed part.
 
     Raises
     ------

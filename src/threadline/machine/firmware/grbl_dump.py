@@ -33,7 +33,7 @@ _FLUIDNC = {
     "acceleration_mm_per_sec2": "acceleration", "max_travel_mm": "travel",
 }  # fmt: skip
 _FLUIDNC_TAKES = {"steps": "80", "rate": "1000", "acceleration": "25", "travel": "1000"}
-"""What FluidNC takes for an axis whose keys its file leaves out (``Axis.h``)."""
+"""FluidNC's defaults for keys that an axis leaves out (``Axis.h``)."""
 _OF_TERMINAL = re.compile(r"(?:\[|<|>|\$|ok\b|\.\.\.$|---)")
 
 

@@ -87,7 +87,7 @@ def pasted(lines: Sequence[str]) -> Pasted:
 
 
 def file_lines(lines: Sequence[str]) -> list[str]:
-    """Return as many lines: a file that was pasted, without what a page or a mail puts around it.
+    """Return as many lines: a pasted file, without the marks that a page or a mail adds.
 
     A quote, line numbers or time stamps before nearly every line, the fences of Markdown, tags of
     HTML and of forums, and an indentation of the whole file are removed. Text outside of the fences

@@ -123,7 +123,7 @@ SHARES = np.array([0.3, 0.4, 0.5, 0.6])
 """Shares of the tolerance that vertices may deviate from a chord, tried in this order.
 
 Chords of a curve with their ends on it, at the share e, turn so much that the spline cuts twice as
-much; the increment from share to share is a quarter of what the share leaves for that.
+much; the increment from share to share is a quarter of the rest for that.
 """
 MOST = 512  # legs of a chord
 AHEAD = 3 * MOST  # legs after its start that decide its length

@@ -72,7 +72,7 @@ def moved_outside(
     cut_m
         Largest distance of the path from the program on the inside of a corner, at the tool.
     corners
-        What single corners may do.
+        Allowances of single corners.
     """
     before: Vertices | None = None  # the programmed vertex before the held one
     held: Vertices | None = None  # the last vertex, whose next one is not yet known

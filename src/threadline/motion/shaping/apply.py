@@ -64,8 +64,8 @@ def shape_trajectory(
         shaper for all, the centroid is a common delay and nothing has to be shifted.
     tick_s
         Put the impulses on whole ticks with :func:`on_tick_grid`, so that a controller that holds
-        its reference for a tick still plays the exact convolution of what it holds; None keeps
-        the exact times.
+        its reference for a tick still plays the exact convolution of the held reference; None
+        keeps the exact times.
 
     Returns
     -------
@@ -248,7 +248,7 @@ def _pieces_until(
 def _edges(
     held: Pieces, delay_s: FloatArray, done: _Done, until_s: float, *, final: bool
 ) -> FloatArray:
-    """Return the breakpoints after what is done, that with which it ended first.
+    """Return the breakpoints after the finished part, its last breakpoint first.
 
     Of breakpoints that fall together the first counts. All up to ``until_s`` are known, so it
     makes no difference how the trajectory is cut into blocks.

@@ -274,7 +274,7 @@ def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) ->
     about = {
         k: np.array([_width_on_samples(trains[k], band, nearest) for band in bands]) for k in shares
     }
-    # On samples a width is right to the distance of two; the exact ones decide below.
+    # A width from samples is exact to one sample distance; exact widths decide below.
     likely = [k for k in shares if wide_enough(np.minimum(about[k], floor), shares[k], 0.1)]
     if not likely:
         return nearest

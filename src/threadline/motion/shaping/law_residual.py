@@ -198,7 +198,7 @@ def _grid(
     residual: float,
     longest_s: float = np.inf,
 ) -> FloatArray:
-    """Return the windows to try, from ``window_s`` to the one whose bound is ``residual``."""
+    """Return the windows to try, from ``window_s`` to the window whose bound is ``residual``."""
     bound = min(_bound_s(law, mode, move_m, residual), longest_s)
     end = max(bound, window_s + 1.0 / mode.frequency_hz)
     periods = (end - window_s) * mode.frequency_hz

@@ -94,7 +94,7 @@ def _checked_times(time_s: FloatArray | float) -> FloatArray:
     if times.ndim != 1:
         raise PlanError(
             f"the times have shape {times.shape}; they must be one number, or a row of them",
-            remedy="Give times.ravel(), and shape what is returned.",
+            remedy="Give times.ravel(), and reshape the result.",
         )
     wrong = np.flatnonzero(~np.isfinite(times))
     if len(wrong):

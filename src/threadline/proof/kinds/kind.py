@@ -1,4 +1,4 @@
-"""What every kind of work defines, so that no other code asks for the kind."""
+"""The functions that every kind of work defines, so that no other code depends on the kind."""
 
 from __future__ import annotations
 

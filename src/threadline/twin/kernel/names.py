@@ -63,7 +63,7 @@ class Field(IntEnum):
     # Of a state-space controller: rows over its states, references and readings.
     NEXT = auto()  # of a state at the next tick
     OUT = auto()  # of an output
-    BACK = auto()  # of a state, over what the ends of the DAC took from the outputs
+    BACK = auto()  # of a state, per level that the ends of the DAC cut off the outputs
     # Of an observing sensor.
     SEES = auto()  # row: reading
     FEELS = auto()  # row: reading, over the rates of the states

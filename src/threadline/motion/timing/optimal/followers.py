@@ -161,7 +161,7 @@ class Past:
         self._blocks: list[TrajectoryBlock] = []
 
     def add(self, block: TrajectoryBlock) -> None:
-        """Add the next block, and discard what is too old."""
+        """Add the next block, and discard blocks that are too old."""
         since = block.end_s - 2.0 * self._memory_s
         self._blocks = [kept for kept in self._blocks if kept.end_s > since]
         self._blocks.append(block)
