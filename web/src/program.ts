@@ -300,7 +300,9 @@ export class Program {
     const run = state.progress;
     const share = state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0);
     put(by<HTMLProgressElement>("progress"), "value", Math.round(share * SHARES) / SHARES);
-    tell("progress-text", this.progressText(state));
+    const text = this.progressText(state);
+    tell("progress-text", text);
+    put(by("progress-text"), "title", run?.ended ? text : ""); // a narrow bar cuts the end of a run off
     const judged = run?.ended && state.calculating === null && run.verdict;
     put(by("progress-text"), "className", judged && !run.verdict.startsWith("IN SPEC") ? "wrong" : "");
   }
