@@ -147,3 +147,12 @@ def test_positions_from_before_homing_are_forgotten() -> None:
     bench.executor.home()
     assert bench.executor.state is State.IDLE
     assert bench.executor.latest == {"door.input": 1.0}
+
+
+def test_what_a_machine_tells_with_its_answer_to_homing_is_known() -> None:
+    """The positions from before are forgotten all the same."""
+    bench = Bench().ready()
+    bench.wire.machine._at_home_samples = lambda: {"X.load": np.zeros(1), "door.input": np.ones(1)}
+    bench.executor.latest = {"X.commanded": 0.06, "X.load": 0.06, "door.input": 0.0}
+    bench.executor.home()
+    assert bench.executor.latest == {"X.load": 0.0, "door.input": 1.0}

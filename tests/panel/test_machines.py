@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.panel.bench import Operator, operator, proven, served
@@ -61,6 +62,25 @@ def test_a_client_is_told_what_cylinders_there_are(project: Path) -> None:
     }
     assert welcome["axes"] == [] and "knife" in welcome["outputs"]
     assert "light_grid" in welcome["inputs"]
+
+
+def test_a_homed_placer_tells_pistons_contacts_and_outputs_before_any_run(project: Path) -> None:
+    """Homing brings the cylinders to their starts: what is so is known, and shown, from then on."""
+    with served(project, machine=machine("letter-placer")) as client, operator(client) as anna:
+        before = anna.see("disabled")
+        assert {at["load"] for at in before["axes"].values()} == {None} and not before["signals"]
+        seen = anna.ready().state
+        assert {name: at["load"] for name, at in seen["axes"].items()} == {"X": 0.0, "Z": 0.0}
+        assert set(seen["signals"]) >= {*machine("letter-placer").outputs}
+        assert seen["signals"]["x_is_left"] == 1.0 and seen["signals"]["x_is_right"] == 0.0
+        assert seen["signals"]["x_right"] == 0.0
+
+
+def test_a_state_in_which_nothing_changes_is_sent_half_as_often(project: Path) -> None:
+    with served(project, machine=machine("letter-placer")) as client, operator(client) as anna:
+        anna.see("disabled")
+        seqs = [anna.until("state")["seq"] for _ in range(12)]
+        assert sorted(np.diff(seqs[2:]))[len(seqs) // 2] == 2
 
 
 def verdict(anna: Operator) -> dict[str, str]:

@@ -78,7 +78,7 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     shot(page, "2-calculated")
-    assert {"age"} == written_at_rest(page)  # else the page is laid out and drawn all the time
+    assert written_at_rest(page) <= {"age"}  # else the page is laid out and drawn all the time
     press(page, "Start")
     state(page, "running")
     moved_on(page, 0.0)

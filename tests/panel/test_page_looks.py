@@ -90,6 +90,31 @@ def bar_leaves_room_on_all(page: Page) -> None:
     page.set_viewport_size({"width": SIZES[0][0], "height": SIZES[0][1]})
 
 
+def test_a_desk_at_twice_its_size_has_room_for_the_work(browser: Browser, plant: Plant) -> None:
+    """Zoom 200 %: the bar takes less than a third of the screen, and nothing in it overlaps."""
+    page = opened(browser, plant)
+    ready(page)
+    calculate(page)
+    press_until(page, "Start", "running")
+    page.set_viewport_size({"width": 640, "height": 400})
+    header = page.locator("header").bounding_box()
+    assert header is not None and header["height"] <= 400 / 3
+    names = ("#state", "#now", "#going", "#left-row", "#feed-row", "#run", "#stop")
+    boxes = [page.locator(name).bounding_box() for name in names]
+    for k, one in enumerate(boxes):
+        for name, other in zip(names[k + 1 :], boxes[k + 1 :], strict=True):
+            assert one is not None and other is not None
+            across = (
+                one["x"] + one["width"] <= other["x"] or other["x"] + other["width"] <= one["x"]
+            )
+            down = (
+                one["y"] + one["height"] <= other["y"] or other["y"] + other["height"] <= one["y"]
+            )
+            assert across or down, (names[k], name)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 640
+    page.close()
+
+
 def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
     browser: Browser, plant: Plant
 ) -> None:

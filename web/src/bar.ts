@@ -1,7 +1,7 @@
 /** The bar that is always in sight: state, program, line under way, time left, feed, next step. */
 
 import { pace } from "./cloth";
-import { by, made, put, tell } from "./dom";
+import { by, made, put, tell, value } from "./dom";
 import { whyInWords } from "./facts";
 import type { Figures, State } from "./messages";
 import type { Step } from "./next_step";
@@ -23,7 +23,7 @@ const PREPARES: Record<string, string> = {
   connecting: "the machine is being prepared; the first time on a computer this takes up to a minute",
 };
 /** What somebody is to know whose page hears nothing. */
-const ALONE = "trying again; a run goes on without this page";
+const ALONE = "trying again; a run goes on, unless the panel has ended: then the machine stops";
 const FEED_MS = 250;
 export const STEP_PERCENT = 10;
 
@@ -76,7 +76,7 @@ export class Bar {
   tellRun(state: State, figures: Figures | null): number {
     const run = state.progress;
     const runs = !!run && run.ended === null;
-    const program = runs ? run.program : (state.proven?.program ?? "");
+    const program = runs ? run.program : (state.proven?.program ?? value("program"));
     tell("now-program", program || "no program yet");
     const own = figures && (!runs || isOf(figures.program, run.program));
     const at = runs && own ? before(figures.lines.times_s, run.time_s) : -1;
@@ -91,7 +91,7 @@ export class Bar {
         ? figures.duration_s
         : null;
     tell("time-left", left === null ? "–" : clock(left));
-    tell("left-told", runs ? "time left" : "duration");
+    tell("left-told", runs ? "time left" : program && left === null ? "not calculated" : "duration");
     const sewn = runs && own ? stitchesAMinute(figures, run.time_s, state.feed_percent) : null;
     this.tellFeed(state, sewn);
     this.tellOverride(state, runs);

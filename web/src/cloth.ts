@@ -16,7 +16,6 @@ const BANDS: [number, string, string][] = [
   [Number.POSITIVE_INFINITY, "--trouble", "beyond it"],
 ];
 const GREYS = ["#4a4a4a", "#7a7a7a", "#262626", "#949494"];
-const ON_CLOTH = "#101418"; // of the needle's cross: the cloth is light in a dark page, too, as threads may be dark
 const MARGIN = 18;
 const EMPTY = "The stitches of a program are shown here: load one in Prepare.";
 
@@ -58,7 +57,14 @@ export class Cloth implements Picture {
   private sewing = false; // whether a run or a simulation is under way
   private head: Mark | null = null;
   private stands: Mark | null = null; // where the next hold stands
-  private dirty = true;
+  private dirty = true; // the stitches are drawn anew; else only those that were sewn since
+  private drawn = 0; // number of holes that are drawn as sewn
+  private inks: string[] = []; // of the bands, or of the threads; read once, because it costs much
+  private scale = 1; // pixels in a metre, where the whole work is seen
+  private low: Mark = { x: 0, y: 0 }; // corners of the work
+  private high: Mark = { x: 0, y: 0 };
+  private readonly needle = made("i"); // marks above the stitches: they move, and nothing is drawn again
+  private readonly ring = made("i");
   private percent = 100; // feed override of the run
   private readonly seen: () => boolean;
   private readonly part: Zoom; // that is seen
@@ -68,7 +74,11 @@ export class Cloth implements Picture {
     this.told.className = "hint";
     this.canvas.setAttribute("role", "img");
     this.canvas.setAttribute("aria-label", "the cloth from above");
-    this.element.append(this.told, this.canvas);
+    const sheet = made("div");
+    sheet.className = "sheet";
+    [this.needle.className, this.ring.className] = ["needle", "ring"];
+    sheet.append(this.canvas, this.ring, this.needle);
+    this.element.append(this.told, sheet);
     this.seen = onScreen(this.element);
     this.part = new Zoom(this.canvas, () => {
       this.dirty = true;
@@ -88,6 +98,8 @@ export class Cloth implements Picture {
     if (job?.program !== this.job?.program) this.part.by(0);
     this.job = job;
     this.dirty = true;
+    const { x, y } = job?.stitches ?? { x: [0], y: [0] };
+    [this.low, this.high] = [smallest, largest].map((of) => ({ x: of(x), y: of(y) })) as [Mark, Mark];
     this.put(null, null);
     this.tell();
     put(by("seen-as"), "hidden", !this.choosable());
@@ -119,7 +131,7 @@ export class Cloth implements Picture {
   private stand(time_s: number | null): void {
     const at = time_s === null ? null : this.planned(time_s);
     if (at?.x === this.stands?.x && at?.y === this.stands?.y) return;
-    [this.stands, this.dirty] = [at, true];
+    this.stands = at;
   }
 
   private planned(time_s: number): Mark | null {
@@ -141,7 +153,8 @@ export class Cloth implements Picture {
     const same =
       sewing === this.sewing && done === this.done && head?.x === this.head?.x && head?.y === this.head?.y;
     if (same) return;
-    [this.done, this.head, this.dirty, this.sewing] = [done, head, true, sewing];
+    if (done < this.drawn) this.dirty = true;
+    [this.done, this.head, this.sewing] = [done, head, sewing];
     this.tell();
   }
 
@@ -174,7 +187,7 @@ export class Cloth implements Picture {
   private colourOf(k: number): string {
     const { block, threads, use } = this.job!.stitches!;
     if (this.inThreads()) return threads[block[k]! - 1] ?? GREYS[(block[k]! - 1) % GREYS.length]!;
-    return use.length ? colour(BANDS[bandOf(use[k]!)]![1]) : colour("--done");
+    return this.inks[use.length ? bandOf(use[k]!) : BANDS.length]!;
   }
 
   legend(): [string, string][] {
@@ -202,50 +215,89 @@ export class Cloth implements Picture {
   }
 
   draw(): void {
-    if (!this.dirty || !this.seen()) return;
+    if (!this.seen()) return;
+    const stitches = this.job?.stitches;
+    const has = !!stitches?.x.length;
+    if (this.dirty) this.anew(has);
+    else if (has && this.done > this.drawn) this.sew(this.drawn, this.done);
+    this.drawn = this.done;
+    this.mark(this.ring, has ? this.stands : null);
+    this.mark(this.needle, has ? this.head : null);
+  }
+
+  /** Draw the cloth and all stitches. */
+  private anew(has: boolean): void {
     this.dirty = false;
     const pen = this.canvas.getContext("2d")!;
-    const stitches = this.job?.stitches;
-    pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    if (!stitches?.x.length) {
+    const { width, height } = this.canvas;
+    pen.clearRect(0, 0, width, height);
+    if (!has) {
       this.nothing(pen);
       return;
     }
-    if (this.inThreads()) {
+    const threads = this.inThreads();
+    if (threads) {
       pen.fillStyle = colour("--cloth");
-      pen.fillRect(0, 0, this.canvas.width, this.canvas.height);
+      pen.fillRect(0, 0, width, height);
     }
-    const sharp = window.devicePixelRatio || 1;
-    const [low, high] = [
-      [Math.min(...stitches.x), Math.min(...stitches.y)],
-      [Math.max(...stitches.x), Math.max(...stitches.y)],
-    ];
-    const [wide, tall] = [Math.max(high[0]! - low[0]!, 1e-4), Math.max(high[1]! - low[1]!, 1e-4)];
-    const space = MARGIN * sharp;
-    const scale = Math.min((this.canvas.width - 2 * space) / wide, (this.canvas.height - 2 * space) / tall);
-    const { width, height } = this.canvas;
-    const x = (at: number) => this.part.seen((width - wide * scale) / 2 + (at - low[0]!) * scale, width, "x");
-    const y = (at: number) =>
-      this.part.seen((height + tall * scale) / 2 - (at - low[1]!) * scale, height, "y");
-    const size = Math.max(1.5, Math.min(4, scale * this.part.factor * 4e-4)) * sharp;
-    for (let k = 0; k < stitches.x.length; k++) {
+    put(this.needle, "className", threads ? "needle on-cloth" : "needle");
+    this.inks = [...BANDS.map(([, name]) => colour(name)), colour("--done")];
+    const [wide, tall] = [this.high.x - this.low.x, this.high.y - this.low.y].map((one) =>
+      Math.max(one, 1e-4),
+    );
+    const space = MARGIN * this.sharp;
+    this.scale = Math.min((width - 2 * space) / wide!, (height - 2 * space) / tall!);
+    this.sew(0, this.job!.stitches!.x.length);
+  }
+
+  private get sharp(): number {
+    return window.devicePixelRatio || 1;
+  }
+
+  /** Where a place of the cloth is in the picture, pixels. */
+  private x(at: number): number {
+    const { width } = this.canvas;
+    const middle = (this.low.x + this.high.x) / 2;
+    return this.part.seen(width / 2 + (at - middle) * this.scale, width, "x");
+  }
+
+  private y(at: number): number {
+    const { height } = this.canvas;
+    const middle = (this.low.y + this.high.y) / 2;
+    return this.part.seen(height / 2 - (at - middle) * this.scale, height, "y");
+  }
+
+  /** Draw the stitches from one hole up to another. */
+  private sew(from: number, to: number): void {
+    const pen = this.canvas.getContext("2d")!;
+    const { x, y, joined } = this.job!.stitches!;
+    const { sharp } = this;
+    const threads = this.inThreads();
+    const size = Math.max(1.5, Math.min(4, this.scale * this.part.factor * 4e-4)) * sharp;
+    for (let k = from; k < to; k++) {
       const sewn = k < this.done;
       pen.globalAlpha = sewn ? 1 : 0.35;
       pen.strokeStyle = pen.fillStyle = this.colourOf(k);
-      pen.lineWidth = (sewn && this.inThreads() ? 2.2 : sewn ? 1.6 : 1) * sharp;
-      if (k && stitches.joined[k]) {
+      pen.lineWidth = (sewn && threads ? 2.2 : sewn ? 1.6 : 1) * sharp;
+      if (k && joined[k]) {
         pen.beginPath();
-        pen.moveTo(x(stitches.x[k - 1]!), y(stitches.y[k - 1]!));
-        pen.lineTo(x(stitches.x[k]!), y(stitches.y[k]!));
+        pen.moveTo(this.x(x[k - 1]!), this.y(y[k - 1]!));
+        pen.lineTo(this.x(x[k]!), this.y(y[k]!));
         pen.stroke();
       }
       pen.beginPath();
-      pen.arc(x(stitches.x[k]!), y(stitches.y[k]!), size, 0, 2 * Math.PI);
+      pen.arc(this.x(x[k]!), this.y(y[k]!), size, 0, 2 * Math.PI);
       pen.fill();
     }
     pen.globalAlpha = 1;
-    if (this.stands) this.ring(pen, x(this.stands.x), y(this.stands.y), 8 * sharp);
-    if (this.head) this.cross(pen, x(this.head.x), y(this.head.y), 9 * sharp);
+  }
+
+  /** Put a mark on a place of the cloth; hide it without one. */
+  private mark(one: HTMLElement, at: Mark | null): void {
+    put(one, "hidden", at === null);
+    if (at === null) return;
+    const moved = `translate(${Math.round(this.x(at.x) / this.sharp)}px, ${Math.round(this.y(at.y) / this.sharp)}px)`;
+    if (one.style.transform !== moved) one.style.transform = moved;
   }
 
   /** Say why nothing is drawn, and what to do. */
@@ -256,28 +308,12 @@ export class Cloth implements Picture {
     pen.textAlign = "center";
     pen.fillText(EMPTY, this.canvas.width / 2, this.canvas.height / 2);
   }
+}
 
-  /** A ring where the next hold stands. */
-  private ring(pen: CanvasRenderingContext2D, x: number, y: number, size: number): void {
-    pen.strokeStyle = colour("--accent");
-    pen.lineWidth = 3;
-    pen.beginPath();
-    pen.arc(x, y, size, 0, 2 * Math.PI);
-    pen.stroke();
-  }
+function smallest(all: number[]): number {
+  return all.reduce((least, one) => Math.min(least, one), all[0] ?? 0);
+}
 
-  /** A cross where the needle is. */
-  private cross(pen: CanvasRenderingContext2D, x: number, y: number, size: number): void {
-    pen.strokeStyle = this.inThreads() ? ON_CLOTH : colour("--ink");
-    pen.lineWidth = 2;
-    pen.beginPath();
-    for (const [dx, dy] of [
-      [size, 0],
-      [0, size],
-    ] as [number, number][]) {
-      pen.moveTo(x - dx, y - dy);
-      pen.lineTo(x + dx, y + dy);
-    }
-    pen.stroke();
-  }
+function largest(all: number[]): number {
+  return all.reduce((most, one) => Math.max(most, one), all[0] ?? 0);
 }

@@ -151,7 +151,7 @@ export class Continuing {
     return run === null
       ? "no run is stored"
       : WHOLE.has(run.ended)
-        ? `the run was ${run.ended}: there is no rest of it`
+        ? `the run was ${run.ended}: nothing of it is left to do`
         : "";
   }
 

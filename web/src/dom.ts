@@ -15,6 +15,11 @@ export function put<T, K extends keyof T>(at: T, name: K, value: T[K]): void {
   if (at[name] !== value) at[name] = value;
 }
 
+/** Set an attribute only if it changes, as ``put`` does with a property. */
+export function change(at: Element, name: string, value: string): void {
+  if (at.getAttribute(name) !== value) at.setAttribute(name, value);
+}
+
 /** Set the text of an element, if it changes. */
 export function tell(id: string, text: string): void {
   put(by(id), "textContent", text);

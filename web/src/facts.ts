@@ -22,12 +22,25 @@ export function nextTurn(figures: Figures, time_s: number): { in_s: number; at: 
 
 const AT_REST_S = 0.02;
 
-/** Why the machine is in its state; a hold that waits for a rest says when it has come to one. */
-export function whyInWords(state: State): string {
+const STILL_MS = 400; // after which a held run that has not gone on stands
+let still: { key: string; sinceMs: number } = { key: "", sinceMs: 0 };
+
+/** Whether a held run has not gone on for a while, as it is told by its states. */
+export function standsStill(state: State, nowMs: number): boolean {
   const run = state.progress;
-  const waited = state.state === "holding" && run?.ended === null && run.hold === "at a rest";
-  if (!waited || run.hold_at_s === null) return state.why;
-  return run.hold_at_s - run.time_s < AT_REST_S ? "it stands at a rest of the program" : state.why;
+  const key = state.state === "holding" && run ? `${run.run} ${run.time_s}` : "";
+  if (key !== still.key) still = { key, sinceMs: nowMs };
+  return key !== "" && nowMs - still.sinceMs >= STILL_MS;
+}
+
+/** Why the machine is in its state; a hold that waits for a rest says when it has come to one. */
+export function whyInWords(state: State, nowMs = performance.now()): string {
+  const run = state.progress;
+  const stands = standsStill(state, nowMs);
+  const waited = state.state === "holding" && run?.ended === null && run.hold !== "at once";
+  if (!waited) return state.why;
+  const there = run.hold_at_s !== null && run.hold_at_s - run.time_s < AT_REST_S;
+  return there || stands ? "it stands at a rest of the program" : state.why;
 }
 
 /** Where a hold stands that is asked for now, or stands that was asked for. */

@@ -5,15 +5,22 @@ import type { FromPanel, State } from "./messages";
 const PROTOCOL = 1;
 const ALIVE_MS = 1000;
 const AGAIN_MS = 500;
+/** What changes in every state, also where nothing moves. */
+const PASSING = /"(?:seq|age_s|left_s)":[^,}]*/g;
 const REFUSED = 4401; // code with which the panel closes the connection
 
 export class Link {
   lease = "";
   state: State | null = null;
+  /** The state from which on nothing has changed but its number, its age and the time left of control. */
+  changedState: State | null = null;
   /** Called at each stop that this page asks for. */
   stopped = (): void => {};
+  /** Whether a state has come over the connection that is open now. */
+  hears = false;
   /** Time of arrival of the latest state, by the page's clock, ms. */
   heardMs = 0;
+  private lasting = ""; // the latest state, without what changes in every state
   private socket: WebSocket | null = null;
   private number = 0;
   private client = 0;
@@ -40,10 +47,14 @@ export class Link {
     this.socket = socket;
     socket.onopen = () => this.say({ type: "hello", protocol: PROTOCOL, name: this.name, token: this.token });
     socket.onmessage = (event) => {
-      const message = JSON.parse(String(event.data)) as FromPanel;
+      const text = String(event.data);
+      const message = JSON.parse(text) as FromPanel;
       if (message.type === "state") {
         this.state = message;
+        this.hears = true;
         this.heardMs = performance.now();
+        const lasting = text.replace(PASSING, "");
+        if (lasting !== this.lasting) [this.lasting, this.changedState] = [lasting, message];
       }
       if (message.type === "welcome") [this.number, this.client] = [0, message.client];
       if (message.type === "leased") this.lease = message.lease;
@@ -51,6 +62,7 @@ export class Link {
     };
     socket.onclose = (event) => {
       this.lease = "";
+      this.hears = false;
       this.refused = event.code === REFUSED ? event.reason : "";
       this.lost();
       if (!this.refused) setTimeout(() => this.connect(), AGAIN_MS);

@@ -1,11 +1,12 @@
 /** The measured error of a run against its limit band: what was seen so far at each place of the plan. */
 
 import { by, made, put, tell } from "./dom";
-import type { Figures, State } from "./messages";
+import type { Figures, LiveContour, State } from "./messages";
 import { colour, onTheme } from "./theme";
 import { onScreen } from "./visibility";
 import { amount, before, isOf } from "./wording";
 
+const TELLS_MS = 250;
 const BINS = 400;
 const HEIGHT = 96;
 const PAD = 14; // pixels above the limit line, for what lies beyond it
@@ -21,10 +22,12 @@ export class Stretches {
     this.largest = new Float64Array(count).fill(-1);
   }
 
-  /** Take a value that was the largest between two instants. */
-  add(from_s: number, to_s: number, value: number): void {
+  /** Take a value that was the largest between two instants; return whether it is the largest anywhere. */
+  add(from_s: number, to_s: number, value: number): boolean {
+    let larger = false;
     for (let k = this.of(from_s); k <= this.of(to_s); k++)
-      if (value > this.largest[k]!) this.largest[k] = value;
+      if (value > this.largest[k]!) [this.largest[k], larger] = [value, true];
+    return larger;
   }
 
   of(time_s: number): number {
@@ -50,6 +53,8 @@ export class LiveError {
   private worst_s = 0;
   private now_s = 0;
   private dirty = true;
+  private told = ""; // what the words say, but for the error of now
+  private toldMs = Number.NEGATIVE_INFINITY; // and when they were written
 
   constructor(private readonly toLine: (line: number) => void) {
     this.canvas.setAttribute("role", "img");
@@ -89,11 +94,14 @@ export class LiveError {
     if (run.run !== this.run) {
       [this.run, this.duration_s, this.now_s] = [run.run, run.duration_s, run.time_s];
       this.stretches = new Stretches(run.duration_s);
+      this.dirty = true;
     }
     const going = run.ended === null;
-    if (going) this.stretches.add(this.now_s, run.time_s, told.now_m);
-    this.stretches.add(told.worst_s, told.worst_s, told.worst_m);
-    [this.now_s, this.limit, this.worst_s, this.dirty] = [run.time_s, told.limit_m, told.worst_s, true];
+    const more = going && this.stretches.add(this.now_s, run.time_s, told.now_m);
+    const worse = this.stretches.add(told.worst_s, told.worst_s, told.worst_m);
+    if (more || worse || told.limit_m !== this.limit || told.worst_s !== this.worst_s) this.dirty = true;
+    [this.now_s, this.limit, this.worst_s] = [run.time_s, told.limit_m, told.worst_s];
+    if (!this.due(told, going)) return;
     const beyond = told.worst_m > told.limit_m;
     const where = told.at === "load" ? "measured at the load" : "measured at the encoders";
     const now = going ? `now ${amount(told.now_m, "m")}, ` : "";
@@ -106,6 +114,15 @@ export class LiveError {
     const line = own ? lineAt(this.figures, told.worst_s) : 0;
     put(by("error-line"), "hidden", line === 0);
     if (line) tell("error-line", `worst at line ${line}`);
+  }
+
+  /** Whether the words about the error are due: four times a second in a run, else at each change. */
+  private due(told: LiveContour, going: boolean): boolean {
+    const key = `${going} ${told.worst_m} ${told.limit_m} ${told.at}`;
+    const now = performance.now();
+    if (key === this.told && now - this.toldMs < TELLS_MS) return false;
+    [this.told, this.toldMs] = [key, now];
+    return true;
   }
 
   draw(): void {

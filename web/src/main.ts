@@ -27,7 +27,8 @@ import { View } from "./view";
 
 const STALE_S = 0.5;
 const USUAL_S = 0.2;
-const TELLS_MS = 250;
+const TELLS_MS = 1000;
+const AGE_STEP_MS = 50;
 const UNDER_WAY = new Set(["running", "holding", "stopping"]);
 const AT_START = 2e-4; // m or rad within which an axis stands where the program begins
 /** Parts that share the page of the program and the machine. */
@@ -75,6 +76,7 @@ function heard(message: FromPanel): void {
   else if (message.type === "state") {
     offer(Object.keys(message.axes));
     if (session.machineMoves()) curves.add(message, shown(), unitOf(session, shown())[0]);
+    if (performance.now() - tickedMs > 0.5 * TICK_MS) tick();
   } else if (message.type === "figures") {
     session.figures = message;
     session.figuresAt = session.state?.seq ?? 0;
@@ -223,7 +225,7 @@ by("axis").onchange = () => replan();
 by("now-line").onclick = () => toLine(lineNow);
 
 /**
- * Show the age of the data: a few times a second, since each new text draws the page again; at once
+ * Show the age of the data, rounded up: once a second, since each new text draws the page again; at once
  * when it becomes unusual or usual again.
  */
 function tellAge(age: number, stale: boolean): void {
@@ -231,7 +233,12 @@ function tellAge(age: number, stale: boolean): void {
   const usual = age <= USUAL_S;
   if (usual && toldUsual && now - toldMs < TELLS_MS) return;
   [toldUsual, toldMs] = [usual, now];
-  tell("age", stale ? `no data for ${age.toFixed(1)} s` : `data ${Math.round(age * 1000)} ms old`);
+  tell(
+    "age",
+    stale
+      ? `no data for ${age.toFixed(1)} s`
+      : `data ${AGE_STEP_MS * Math.max(Math.ceil((age * 1000) / AGE_STEP_MS), 1)} ms old`,
+  );
 }
 
 /** Add to the list of events how a run ended, and why the machine is in fault. */
@@ -318,6 +325,13 @@ function tellWork(state: State): void {
   restHere.show(state, !!session.figures?.stitches, atStart);
 }
 
+/** Show what changes all the time while the machine moves. */
+function showNumbers(state: State): void {
+  positions.show(state, bar.toGo(state, session.figures));
+  liveError.live(state);
+  view.live(state);
+}
+
 function show(state: State | null): void {
   const silent = (performance.now() - session.link.heardMs) / 1000;
   const age = state ? state.age_s + silent : silent;
@@ -341,16 +355,14 @@ function show(state: State | null): void {
   tellEnds(state);
   tellWork(state);
   tellMeasured(state);
-  positions.show(state, bar.toGo(state, session.figures));
+  showNumbers(state);
   jogging.show();
   program.show(state);
   margins.live(state);
-  liveError.live(state);
   board.show(state);
   own.show(state);
   traces.show(state);
   continuing.show(state, traces.chosen);
-  view.live(state);
   // A state sent before the figures does not know of them yet.
   const late = state.seq > session.figuresAt + 1;
   if (!state.proven && session.figures && state.calculating === null && late) {
@@ -361,14 +373,60 @@ function show(state: State | null): void {
   }
 }
 
-/** Everything is drawn by one clock, so that the browser draws all changes in one frame. */
+/**
+ * Everything is drawn by one clock, so that the browser draws all changes in one frame: by the states that
+ * come. Numbers follow each; what is no number is looked at four times a second, or at once where the state
+ * or the operator changes something. Where nothing has changed, nothing is done.
+ */
 const TICK_MS = 50;
-const CURVE_TICKS = 2;
+const CURVE_TICKS = 4;
+const REST_MS = 240; // between two looks at everything where nothing but numbers changes
+const ALONE_MS = 100; // of the clock where no state comes
 let ticks = 0;
-setInterval(() => {
-  show(session.state && performance.now() - session.link.heardMs < 3000 ? session.state : null);
-  if (ticks % view.ticks === 0) view.draw();
-  if (ticks % CURVE_TICKS === 0) liveError.draw();
-  if (ticks % CURVE_TICKS === 0) curves.draw(["running", "holding"].includes(session.state?.state ?? ""));
+let [tickedMs, allMs, drawnMs] = [0, 0, 0]; // when the page was last shown, all of it, and the view drawn
+let shownState: State | null = null; // which the page shows
+let shownWords = ""; // and what in it is no number
+let touched = true; // the operator has done something since
+for (const kind of ["input", "change", "click", "keydown", "keyup", "pointerdown", "pointerup", "focusin"])
+  window.addEventListener(
+    kind,
+    () => {
+      touched = true;
+    },
+    true,
+  );
+
+/** Show what there is; the clock goes on with each state, and by itself where none comes. */
+function tick(): void {
   ticks++;
-}, TICK_MS);
+  tickedMs = performance.now();
+  const silentMs = tickedMs - session.link.heardMs;
+  const heard = session.link.hears && silentMs < 3000 ? session.state : null;
+  const late = silentMs > STALE_S * 1000;
+  const words = heard ? wordsOf(heard) : "";
+  const all = touched || late || heard === null || words !== shownWords || tickedMs - allMs > REST_MS;
+  if (all) {
+    allMs = tickedMs;
+    show(heard);
+  } else if (session.link.changedState !== shownState) showNumbers(heard);
+  [shownState, shownWords, touched] = [session.link.changedState, words, false];
+  if (tickedMs - drawnMs > TICK_MS * (view.ticks - 0.5)) {
+    drawnMs = tickedMs;
+    view.draw();
+  }
+  if (ticks % CURVE_TICKS === 0) {
+    liveError.draw();
+    curves.draw(["running", "holding"].includes(session.state?.state ?? ""));
+  }
+}
+setInterval(() => {
+  if (performance.now() - tickedMs > 0.8 * ALONE_MS || touched) tick();
+}, ALONE_MS);
+
+/** What the page does not have to follow at each tick is compared by this. */
+function wordsOf(state: State): string {
+  const { state: name, why, allowed, control, progress, rest, proven, busy, calculating } = state;
+  const { client, asks } = control;
+  const ended = progress && [progress.run, progress.ended, progress.verdict, progress.hold];
+  return JSON.stringify([name, why, allowed, client, asks, ended, rest, proven, busy, calculating === null]);
+}

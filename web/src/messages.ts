@@ -212,7 +212,7 @@ export interface Said {
   text: string;
   wrong: boolean;
 }
-/** All data that a client needs in order to act; sent 25 times a second. */
+/** All data that a client needs in order to act; sent 20 times a second, or 10 if unchanged. */
 export interface State {
   type: "state";
   seq: number;

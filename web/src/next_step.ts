@@ -38,12 +38,10 @@ export function nextStep(state: State, known: Known): Step | null {
   if (state.state === "idle" && state.busy) return { what: "", text: `wait, ${state.busy}`, part: "" };
   if (state.state !== "idle" || state.calculating !== null) return null;
   if (!known.chosen) return { what: "load", text: "load a program", part: "prepare" };
-  if (!state.proven || known.changed)
-    return { what: "calculate", text: "calculate the program", part: "prepare" };
+  if (!state.proven || known.changed) return { what: "calculate", text: "calculate it", part: "prepare" };
   if (known.wantsReason)
     return { what: "reason", text: "out of spec: change it, or give a reason", part: "prepare" };
-  if (!known.atStart && may("approach"))
-    return { what: "approach", text: "Approach (hold it down)", part: "" };
+  if (!known.atStart && may("approach")) return { what: "approach", text: "hold Approach down", part: "" };
   if (!known.atStart && may("home"))
     return { what: "home", text: "home the machine: the program begins there", part: "run" };
   return may("start") ? { what: "start", text: "start", part: "" } : null;

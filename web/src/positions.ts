@@ -4,9 +4,13 @@ import { by, made, put, tell } from "./dom";
 import type { State } from "./messages";
 import type { Session } from "./session";
 import { unitOf } from "./session";
+import { isHomed, unknownPlace } from "./wording";
+
+const MORE_MS = 190; // between two looks at command, distance and travel while an axis moves
 
 export class Positions {
   private told = ""; // the shown signals, as JSON
+  private moreMs = Number.NEGATIVE_INFINITY; // when command, distance and travel were last shown
 
   constructor(private readonly session: Session) {}
 
@@ -39,25 +43,29 @@ export class Positions {
   }
 
   show(state: State, toGo: Record<string, number>): void {
+    const now = performance.now();
+    const more = now - this.moreMs >= MORE_MS || !["running", "jogging"].includes(state.state);
+    if (more) this.moreMs = now;
     for (const [name, at] of Object.entries(state.axes)) {
       if (!document.getElementById(`at-${name}`)) by("axes").append(this.row(name));
       const [scale, unit] = unitOf(this.session, name);
       const where = at.measured ?? at.load ?? at.commanded;
       const own = this.session.axes.find((axis) => axis.name === name);
-      const unknown = own ? "not homed" : "not known";
+      const unknown = unknownPlace(own === undefined && isHomed(state.state));
       tell(`at-${name}`, where === null ? unknown : `${shown(where * scale)} ${unit}`);
       put(by(`at-${name}`), "className", where === null ? "number unknown" : "number");
+      if (!more) continue;
       const commanded = at.commanded === null || where === null ? null : at.commanded * scale;
       const left = toGo[name];
       const parts = [
         commanded === null ? "" : `command ${shown(commanded)}`,
         left === undefined ? "" : `to go ${shown(left * scale)}`,
       ];
-      tell(`more-${name}`, parts.filter(Boolean).join("\n"));
+      tell(`more-${name}`, parts.filter(Boolean).join(",\n"));
       const mark = document.getElementById(`travel-${name}`);
       if (mark && own) {
         const share = where === null ? 0 : (where - own.low!) / (own.high! - own.low!);
-        const left_ = `${(100 * Math.min(Math.max(share, 0), 1)).toFixed(1)}%`;
+        const left_ = `${Math.round(200 * Math.min(Math.max(share, 0), 1)) / 2}%`; // half a per cent is a pixel
         if (mark.style.left !== left_) mark.style.left = left_;
         put(mark, "hidden", where === null);
       }

@@ -15,6 +15,7 @@ const OF_PROGRAM = 'Replaces every feed of the program: "36 mm/s", "2000 mm/min"
 const OF_STITCHES = 'One speed for all stitches: "100 stitch/min".';
 const NO_PROGRAM =
   "It is no program of this machine: it is a drawing, a table or a product, or work for another.";
+const SHARES = 400; // steps of the progress: a new value draws it again
 const LONG_S = 60; // from here on the time of day of the end is of use
 const EXISTS = 412; // status of an upload that would overwrite a file
 /** Fields of the options, generated from the table of options; an option has the name of its field. */
@@ -298,8 +299,10 @@ export class Program {
     tell("busy", waits ? `Start and Calculate wait: ${state.busy}.` : "");
     const run = state.progress;
     const share = state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0);
-    put(by<HTMLProgressElement>("progress"), "value", share);
-    tell("progress-text", this.progressText(state));
+    put(by<HTMLProgressElement>("progress"), "value", Math.round(share * SHARES) / SHARES);
+    const text = this.progressText(state);
+    tell("progress-text", text);
+    put(by("progress-text"), "title", run?.ended ? text : ""); // a narrow bar cuts the end of a run off
     const judged = run?.ended && state.calculating === null && run.verdict;
     put(by("progress-text"), "className", judged && !run.verdict.startsWith("IN SPEC") ? "wrong" : "");
   }

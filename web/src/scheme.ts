@@ -1,9 +1,10 @@
 /** A schematic of a machine with cylinders: pistons, end switches and valves, and lamps for what else it has. */
 
-import { made } from "./dom";
+import { change, made, put } from "./dom";
 import type { Cylinder, State } from "./messages";
 import { shown } from "./positions";
 import { sizeOf } from "./visibility";
+import { isHomed, unknownPlace, whyUnknown } from "./wording";
 
 const SVG = "http://www.w3.org/2000/svg";
 const LEFT = 110; // as in the timing diagram below it
@@ -48,6 +49,8 @@ export function others(cylinders: Cylinder[], names: string[]): string[] {
 export interface Told {
   at: Record<string, number>;
   on: Record<string, boolean>;
+  /** Whether the machine is homed; a plan always is. */
+  homed: boolean;
 }
 
 /** What a state tells. */
@@ -57,7 +60,8 @@ export function toldBy(state: State): Told {
     const where = place.load ?? place.measured ?? place.commanded;
     if (where !== null) at[name] = where;
   }
-  return { at, on: Object.fromEntries(Object.entries(state.signals).map(([name, on]) => [name, on !== 0])) };
+  const on = Object.entries(state.signals).map(([name, one]): [string, boolean] => [name, one !== 0]);
+  return { at, on: Object.fromEntries(on), homed: isHomed(state.state) };
 }
 
 /** The cylinders and signals of a machine. */
@@ -74,11 +78,16 @@ export class Scheme {
     "aria-label": "cylinders with their contacts and valves",
   });
   private readonly lamps = new Map<string, [HTMLLIElement, HTMLSpanElement]>();
+  private readonly marks = new Map<string, SVGElement[]>(); // lamps in the drawing
+  private readonly pistons = new Map<string, [SVGElement, SVGElement, SVGElement]>(); // place, rod, piston
+  private readonly hint = made("p");
   private drawn = "";
+  private wide = 0; // pixels; not known yet
 
   constructor(private readonly parts: Parts) {
     this.element.className = "scheme";
-    this.element.append(this.drawing);
+    this.hint.className = "hint";
+    this.element.append(this.drawing, this.hint);
     for (const [title, names] of [
       ["Inputs", others(parts.cylinders, parts.inputs)],
       ["Outputs", others(parts.cylinders, parts.outputs)],
@@ -103,8 +112,17 @@ export class Scheme {
     return row;
   }
 
-  draw(told: Told, wide = sizeOf(this.element)[0]): void {
-    const key = JSON.stringify([told, wide]);
+  /** Draw it as wide as there is room. */
+  resize(wide: number): void {
+    if (wide === this.wide) return;
+    this.wide = wide;
+    this.lay();
+    this.drawn = "";
+  }
+
+  draw(told: Told): void {
+    if (this.wide === 0) this.resize(sizeOf(this.element)[0]);
+    const key = JSON.stringify(told);
     if (key === this.drawn) return;
     this.drawn = key;
     for (const [name, [row, word]] of this.lamps) {
@@ -112,78 +130,107 @@ export class Scheme {
       const look = on === undefined ? "unknown" : on ? "on" : "";
       if (row.className === look && word.textContent) continue;
       row.className = look;
-      word.textContent = on === undefined ? ", not told" : on ? ", on" : ", off";
+      word.textContent = on === undefined ? ", not known" : on ? ", on" : ", off";
     }
+    for (const [name, lamps] of this.marks) {
+      const on = told.on[name];
+      for (const lamp of lamps)
+        change(lamp, "class", on === undefined ? "lamp unknown" : on ? "lamp on" : "lamp");
+    }
+    for (const one of this.parts.cylinders) this.stand(one, told);
+    const known = this.parts.cylinders.every((one) => told.at[one.name] !== undefined);
+    put(this.hint, "hidden", known);
+    put(this.hint, "textContent", known ? "" : whyUnknown(told.homed));
+  }
+
+  /** Show where a piston is. */
+  private stand(one: Cylinder, told: Told): void {
+    const [text, rod, piston] = this.pistons.get(one.name)!;
+    const [scale, unit] = one.unit === "rad" ? [180 / Math.PI, "°"] : [1000, "mm"];
+    const at = told.at[one.name];
+    put(text, "textContent", at === undefined ? unknownPlace(told.homed) : `${shown(at * scale)} ${unit}`);
+    for (const drawn of [rod, piston]) change(drawn, "visibility", at === undefined ? "hidden" : "visible");
+    if (at === undefined) return;
+    const x = this.x(one, at);
+    change(rod, "x", x.toFixed(1));
+    change(rod, "width", (this.left + this.long + this.beyond - x).toFixed(1));
+    change(piston, "x", x.toFixed(1));
+  }
+
+  private get left(): number {
+    return this.wide < NARROW ? LEFT_NARROW : LEFT;
+  }
+
+  /** How far a rod is seen beyond its barrel. */
+  private get beyond(): number {
+    return this.wide < NARROW ? 30 : 60;
+  }
+
+  private get long(): number {
+    return this.wide - this.left - RIGHT - this.beyond;
+  }
+
+  private x(one: Cylinder, at: number): number {
+    return this.left + (Math.min(Math.max(at / one.stroke, 0), 1) || 0) * (this.long - 10);
+  }
+
+  /** Make the parts of all cylinders, in the present width. */
+  private lay(): void {
+    this.marks.clear();
+    const { wide } = this;
     const each = TALL + (wide < NARROW ? 18 : 0);
     this.drawing.setAttribute("width", String(wide));
     this.drawing.setAttribute("height", String(each * this.parts.cylinders.length + 4));
     this.drawing.replaceChildren(
-      ...this.parts.cylinders.flatMap((one, k) => this.cylinder(one, told, k * each + 4, wide)),
+      ...this.parts.cylinders.flatMap((one, k) => this.cylinder(one, k * each + 4)),
     );
   }
 
-  private cylinder(one: Cylinder, told: Told, y: number, wide: number): SVGElement[] {
-    const [scale, unit] = one.unit === "rad" ? [180 / Math.PI, "°"] : [1000, "mm"];
-    const [left, beyond] = wide < NARROW ? [LEFT_NARROW, 30] : [LEFT, 60];
-    const long = wide - left - RIGHT - beyond; // the rod is seen beyond the barrel
-    const x = (at: number) => left + (Math.min(Math.max(at / one.stroke, 0), 1) || 0) * (long - 10);
-    const at = told.at[one.name];
+  private mark(name: string, cx: number, cy: number): SVGElement {
+    const found = part("circle", { cx, cy, r: 5, class: "lamp", "data-signal": name });
+    this.marks.set(name, [...(this.marks.get(name) ?? []), found]);
+    return found;
+  }
+
+  private cylinder(one: Cylinder, y: number): SVGElement[] {
+    const { wide, left, long } = this;
+    const text = part("text", { x: 4, y: y + 26 });
+    const rod = part("rect", { x: 0, y: y + 9, width: 0, height: 4, class: "rod" });
+    const piston = part("rect", { x: 0, y, width: 10, height: BARREL, class: "piston" });
+    this.pistons.set(one.name, [text, rod, piston]);
     const found = [
       part("text", { x: 4, y: y + 11, class: "name" }, one.name),
-      part("text", { x: 4, y: y + 26 }, at === undefined ? "not known" : `${shown(at * scale)} ${unit}`),
+      text,
       part("rect", { x: left, y, width: long, height: BARREL, class: "cylinder" }),
+      rod,
+      piston,
     ];
-    if (at !== undefined)
-      found.push(
-        part("rect", { x: x(at), y: y + 9, width: left + long + beyond - x(at), height: 4, class: "rod" }),
-        part("rect", { x: x(at), y, width: 10, height: BARREL, class: "piston" }),
-      );
     for (const end of one.contacts) {
       const near = end.beyond === "below";
-      const [cx, text] = [x(end.at) + 5, spoken(end.name)];
-      const on = told.on[end.name];
+      const cx = this.x(one, end.at) + 5;
       found.push(
         part("line", { x1: cx, x2: cx, y1: y + BARREL, y2: y + BARREL + 6, class: "lead" }),
-        part("circle", {
-          cx,
-          cy: y + BARREL + 11,
-          r: 5,
-          class: on ? "lamp on" : "lamp",
-          "data-signal": end.name,
-        }),
+        this.mark(end.name, cx, y + BARREL + 11),
         part(
           "text",
           { x: near ? cx + 10 : cx - 10, y: y + BARREL + 15, "text-anchor": near ? "start" : "end" },
-          text,
+          spoken(end.name),
         ),
       );
     }
     const below = y + BARREL + 31;
     const middle = wide < NARROW ? left : left + long / 2;
     const second = wide < NARROW ? below + 18 : below;
-    return [
-      ...found,
-      ...this.way("→", one.forward, told, left, below),
-      ...this.way("←", one.back, told, middle, second),
-    ];
+    return [...found, ...this.way("→", one.forward, left, below), ...this.way("←", one.back, middle, second)];
   }
 
   /** The valve and the flow controls of one way, with a lamp each. */
-  private way(arrow: string, names: string[], told: Told, left: number, y: number): SVGElement[] {
+  private way(arrow: string, names: string[], left: number, y: number): SVGElement[] {
     const found = [part("text", { x: left, y: y + 4 }, arrow)];
     let x = left + 18;
     for (const [k, text] of ofWay(names).entries()) {
       const name = names[k]!;
-      found.push(
-        part("circle", {
-          cx: x + 5,
-          cy: y,
-          r: 5,
-          class: told.on[name] ? "lamp on" : "lamp",
-          "data-signal": name,
-        }),
-        part("text", { x: x + 14, y: y + 4 }, text),
-      );
+      found.push(this.mark(name, x + 5, y), part("text", { x: x + 14, y: y + 4 }, text));
       x += 26 + LETTER * text.length;
     }
     return found;

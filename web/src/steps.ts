@@ -1,10 +1,10 @@
 /** A cycle of cylinders: its steps, a schematic of cylinders and contacts, and a timing diagram. */
 
-import { made } from "./dom";
+import { change, made } from "./dom";
 import type { Lane, State } from "./messages";
 import type { Picture, Shown } from "./picture";
 import { type Parts, part, Scheme, spoken, type Told, toldBy } from "./scheme";
-import { sizeOf } from "./visibility";
+import { onScreen, sizeOf } from "./visibility";
 import { before } from "./wording";
 
 const ROW = 18;
@@ -54,7 +54,7 @@ export function plannedAt(job: Shown, time_s: number): Told {
   const k = Math.max(before(job.times_s, time_s), 0);
   const at = Object.entries(job.planned).map(([name, places]): [string, number] => [name, places[k] ?? 0]);
   const on = job.lanes.map((lane): [string, boolean] => [lane.name, isOn(lane, time_s)]);
-  return { at: Object.fromEntries(at), on: Object.fromEntries(on) };
+  return { at: Object.fromEntries(at), on: Object.fromEntries(on), homed: true };
 }
 
 export class Steps implements Picture {
@@ -68,16 +68,20 @@ export class Steps implements Picture {
   private actual: Record<string, [number, number][]> = {}; // time and position, of the run under way
   private run = "";
   private switched: Record<string, [number, number][]> = {}; // spans in which each lane was on
-  private told: Told = { at: {}, on: {} }; // what the schematic shows
+  private told: Told = { at: {}, on: {}, homed: false }; // what the schematic shows
+  private ranges: Record<string, [number, number]> = {}; // of the planned positions of each axis
   private head = 0; // height of the names of the steps, pixels
   private until_s = 0; // how far the run has come
   private dirty = true;
+  private wide = 0; // of the diagram, pixels; asked for once, because each question lays the page out
+  private readonly seen: () => boolean;
 
   constructor(parts: Parts) {
     this.scheme = new Scheme(parts);
     this.element.className = "steps";
     this.list.setAttribute("aria-label", "Steps of the cycle");
     this.element.append(this.list, this.scheme.element, this.diagram);
+    this.seen = onScreen(this.element);
   }
 
   show(job: Shown | null): void {
@@ -91,14 +95,17 @@ export class Steps implements Picture {
   }
 
   live(state: State): void {
-    this.told = toldBy(state);
+    const told = toldBy(state);
     const run = state.progress;
+    if (JSON.stringify(told) !== JSON.stringify(this.told)) this.dirty = true;
+    this.told = told;
     if (run && run.run !== this.run) {
       [this.run, this.actual, this.switched] = [run.run, {}, {}];
       this.lay();
     }
     const runs = run && run.ended === null;
-    this.time_s = runs ? run.time_s : null;
+    const time_s = runs ? run.time_s : null;
+    if (time_s !== this.time_s) [this.time_s, this.dirty] = [time_s, true];
     if (runs) this.until_s = run.time_s;
     if (runs)
       for (const [name, at] of Object.entries(state.axes)) {
@@ -111,7 +118,6 @@ export class Steps implements Picture {
     if (runs)
       for (const [name, on] of Object.entries(state.signals))
         extend(this.spansOf(name), run.time_s, on !== 0);
-    this.dirty = true;
   }
 
   private spansOf(name: string): [number, number][] {
@@ -140,7 +146,7 @@ export class Steps implements Picture {
   }
 
   draw(): void {
-    if (!this.dirty) return;
+    if (!this.dirty || !this.seen()) return;
     this.dirty = false;
     this.scheme.draw(this.told);
     const job = this.job;
@@ -155,6 +161,7 @@ export class Steps implements Picture {
     [...this.list.children].forEach((one, k) => {
       const look = k === now ? "here" : k < now ? "past" : "";
       if (one.className !== look) one.className = look;
+      if ((k === now) === one.hasAttribute("aria-current")) return;
       if (k === now) one.setAttribute("aria-current", "step");
       else one.removeAttribute("aria-current");
     });
@@ -163,10 +170,6 @@ export class Steps implements Picture {
 
   // --- the diagram ----------------------------------------------------------------------------
 
-  private get wide(): number {
-    return sizeOf(this.element)[0];
-  }
-
   private x(time_s: number): number {
     return LEFT + ((this.wide - LEFT - 12) * time_s) / Math.max(this.job?.duration_s ?? 1, 1e-3);
   }
@@ -174,12 +177,17 @@ export class Steps implements Picture {
   /** Lay out what does not change in a run: the steps, planned positions and lanes. */
   private lay(): void {
     const job = this.job;
+    this.wide = sizeOf(this.element)[0];
+    this.scheme.resize(this.wide);
     this.diagram.replaceChildren();
     if (!job || job.duration_s === 0) {
       this.diagram.setAttribute("height", "0");
       return;
     }
     const axes = Object.entries(job.planned);
+    this.ranges = Object.fromEntries(
+      axes.map(([name, places]) => [name, [Math.min(...places), Math.max(...places)]]),
+    );
     const lanes = job.lanes.filter((one) => one.changes_s.length);
     const begins = job.steps.map((one) => this.x(one.begin_s));
     const rows = rowsOf(
@@ -208,7 +216,7 @@ export class Steps implements Picture {
         .join(" ");
       this.diagram.append(part("text", { x: 4, y: this.head + k * CURVE + CURVE / 2 }, `${name}, mm`));
       this.diagram.append(part("polyline", { points: line, class: "planned" }));
-      this.diagram.append(part("polyline", { points: "", class: "actual", "data-axis": name }));
+      this.diagram.append(part("g", { "data-axis": name }));
     });
     lanes.forEach((lane, k) => {
       const y = this.head + axes.length * CURVE + k * ROW;
@@ -231,8 +239,7 @@ export class Steps implements Picture {
   }
 
   private y(name: string, at: number, k: number): string {
-    const places = this.job!.planned[name]!;
-    const [low, high] = [Math.min(...places), Math.max(...places)];
+    const [low, high] = this.ranges[name] ?? [0, 1];
     return (
       this.head +
       (k + 1) * CURVE -
@@ -244,15 +251,16 @@ export class Steps implements Picture {
   private drawNow(): void {
     const line = this.diagram.querySelector(".now");
     if (!line) return;
-    const x = String(this.time_s === null ? -1 : this.x(this.time_s));
-    line.setAttribute("x1", x);
-    line.setAttribute("x2", x);
+    const x = (this.time_s === null ? -1 : this.x(this.time_s)).toFixed(1);
+    change(line, "x1", x);
+    change(line, "x2", x);
     Object.keys(this.job!.planned).forEach((name, k) => {
       const drawn = this.diagram.querySelector(`[data-axis="${name}"]`);
-      const points = (this.actual[name] ?? []).map(
-        ([t, at]) => `${this.x(t).toFixed(1)},${this.y(name, at, k)}`,
-      );
-      drawn?.setAttribute("points", points.join(" "));
+      const points = (this.actual[name] ?? []).map((one): [number, number] => [
+        this.x(one[0]),
+        Number(this.y(name, one[1], k)),
+      ]);
+      if (drawn) drawPieces(drawn, pieces(thinned(points)));
     });
     for (const drawn of this.diagram.querySelectorAll("[data-lane]")) {
       const y = drawn.getAttribute("data-y");
@@ -260,9 +268,42 @@ export class Steps implements Picture {
       const now = this.until_s; // what is on goes on up to here
       const ways = found.map(([from, to]) => {
         const until = Math.max(this.x(Math.min(to, now)), this.x(from) + 1);
-        return `M${this.x(from).toFixed(1)} ${y}H${until.toFixed(1)}`;
+        return `M${this.x(from).toFixed(1)} ${y}H${until.toFixed(0)}`;
       });
-      drawn.setAttribute("d", ways.join(""));
+      change(drawn, "d", ways.join(""));
     }
   }
+}
+
+const PIECE = 24; // points
+
+/** Points without those that lie on the pixel of the point before them. */
+export function thinned(points: [number, number][]): [number, number][] {
+  const found: [number, number][] = [];
+  for (const one of points) {
+    const last = found[found.length - 1];
+    if (!last || Math.abs(one[0] - last[0]) >= 1 || Math.abs(one[1] - last[1]) >= 1) found.push(one);
+  }
+  return found;
+}
+
+/** A curve in pieces that meet, so that a new point draws only the last one again. */
+export function pieces(points: [number, number][], most = PIECE): string[] {
+  const found: string[] = [];
+  for (let k = 0; k < Math.max(points.length - 1, 0); k += most)
+    found.push(
+      points
+        .slice(k, k + most + 1)
+        .map(([x, y]) => `${x.toFixed(1)},${y.toFixed(1)}`)
+        .join(" "),
+    );
+  return found;
+}
+
+function drawPieces(at: Element, lines: string[]): void {
+  while (at.children.length > lines.length) at.lastElementChild!.remove();
+  lines.forEach((points, k) => {
+    const line = at.children[k] ?? at.appendChild(part("polyline", { points: "", class: "actual" }));
+    change(line, "points", points);
+  });
 }

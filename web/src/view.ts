@@ -45,7 +45,7 @@ export class View {
 
   /** Ticks of the page's clock between two pictures. */
   get ticks(): number {
-    return this.picture instanceof View3d && this.picture.slow ? 4 : 2;
+    return this.picture instanceof View3d && this.picture.slow ? 7 : 2;
   }
 
   /** Show a calculated job; else the preview of one; else the bare machine. */

@@ -67,7 +67,7 @@ export class View3d implements Picture {
       this.show(this.job, this.bare);
       told();
     });
-    this.renderer = new three.WebGLRenderer({ antialias: !this.slow, alpha: true });
+    this.renderer = new three.WebGLRenderer({ antialias: !this.slow, alpha: !this.slow });
     [this.path, this.done] = [1.5, 4].map((wide) => new Path3d(this.slow ? 0 : wide)) as [Path3d, Path3d];
     this.element.append(this.renderer.domElement);
     this.camera.up.set(0, 0, 1);
@@ -100,6 +100,8 @@ export class View3d implements Picture {
     this.wound.recolour();
     this.mandrel = this.wound.mandrel ?? mandrel;
     this.head.material.color.set(colour("--ink"));
+    // What is seen through is drawn twice: without a graphics card the picture has a ground of its own.
+    if (this.slow) this.renderer.setClearColor(colour("--card"));
     this.shown = "";
     this.product.clear();
     const count = Object.values(job?.planned ?? {})[0]?.length ?? 0;
@@ -258,8 +260,8 @@ export class View3d implements Picture {
 
   /** Turn the product, place the head, and mark the first points of the path as done. */
   private put(at: At, points: number): void {
-    const shown = JSON.stringify([at, points]);
-    if (shown === this.shown) return; // nothing is drawn again at rest
+    const shown = this.inPixels(at, points);
+    if (shown === this.shown) return; // nothing is drawn again where no pixel would change
     this.shown = shown;
     if (this.mandrel) {
       const along = at[this.mandrel.along] ?? 0;
@@ -270,6 +272,19 @@ export class View3d implements Picture {
     this.head.rotation.x = -Math.PI / 2;
     this.done.upTo(points);
     this.dirty = true;
+  }
+
+  /** What is drawn, in steps of half a pixel: an encoder at rest changes its last digits. */
+  private inPixels(at: At, points: number): string {
+    const far = this.camera.position.distanceTo(this.controls.target);
+    const tall = 2 * far * Math.tan((this.camera.fov * Math.PI) / 360);
+    const pixel = tall / Math.max(this.renderer.domElement.height, 1);
+    const steps = Object.entries(at).map(([name, place]) => {
+      const turns = this.mandrel?.axis === name;
+      const radius = turns ? Math.max(...this.mandrel!.radius) : 1;
+      return Math.round((2 * place * radius) / pixel);
+    });
+    return JSON.stringify([steps, points]);
   }
 
   resize(): void {

@@ -147,10 +147,12 @@ export function counted(number: number, one: string, many = `${one}s`): string {
   return `${number} ${number === 1 ? one : many}`;
 }
 
+const TIME_OF_DAY = new Intl.DateTimeFormat([], { hour: "numeric", minute: "2-digit" }); // to make one costs much
+
 /** The time of day after some seconds: "13:07", or "1:07 PM" where people write it so. */
 export function timeOfDay(after_s: number, now = new Date()): string {
   const then = new Date(now.getTime() + 1000 * after_s);
-  return then.toLocaleTimeString([], { hour: "numeric", minute: "2-digit" });
+  return TIME_OF_DAY.format(then);
 }
 
 /** Index of the last time that is not later than a time; -1 before the first. */
@@ -162,4 +164,23 @@ export function before(times: ArrayLike<number>, time: number): number {
     else high = middle;
   }
   return low - 1;
+}
+
+const NOT_HOMED = new Set(["connecting", "disabled", "enabled", "homing", "fault", "gone"]);
+
+/** Whether a machine in a state is homed. */
+export function isHomed(state: string): boolean {
+  return !NOT_HOMED.has(state);
+}
+
+/** What stands in the place of a position that is not known. */
+export function unknownPlace(homed: boolean): string {
+  return homed ? "told in a run" : "not homed";
+}
+
+/** Why a position is not known, and what to do. */
+export function whyUnknown(homed: boolean): string {
+  return homed
+    ? "This machine tells positions, contacts and outputs only while a program runs."
+    : "Not homed: press Enable, then Home all. Positions, contacts and outputs are known then.";
 }

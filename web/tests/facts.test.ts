@@ -80,6 +80,16 @@ describe("where a hold stands", () => {
     expect(facts(stands, figures(sewn))).toEqual([]);
     expect(whyInWords(state(null, { state: "fault", why: "the link is gone" }))).toBe("the link is gone");
   });
+  it("stands where its run has not gone on for a while, wherever the next rest is", () => {
+    const why = "it goes on to the next rest and stands there";
+    const held = (time_s: number) =>
+      state(run({ run: "held", time_s, hold: "at a rest", hold_at_s: 6 }), { state: "holding", why });
+    expect(whyInWords(held(4.1), 1000)).toBe(why);
+    expect(whyInWords(held(4.2), 1300)).toBe(why);
+    expect(whyInWords(held(4.2), 1600)).toBe(why);
+    expect(whyInWords(held(4.2), 1700)).toBe("it stands at a rest of the program");
+    expect(whyInWords(held(4.3), 1800)).toBe(why);
+  });
   it("is at a rest where it leaves the path elsewhere, told with its stitch", () => {
     const waits = run({ hold: "at a rest", hold_at_s: 4.5 });
     expect(facts(state(waits), figures(sewn))).toEqual([

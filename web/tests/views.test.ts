@@ -4,11 +4,12 @@ import { watched } from "../src/margins";
 import type { Criterion, Cylinder, Figures, Progress } from "../src/messages";
 import type { Shown } from "../src/picture";
 import { pictured } from "../src/run_picture";
-import { ofWay, others } from "../src/scheme";
-import { isOn, plannedAt, rowsOf, spans } from "../src/steps";
+import { ofWay, others, toldBy } from "../src/scheme";
+import { isOn, pieces, plannedAt, rowsOf, spans, thinned } from "../src/steps";
 import { type Kept, matches } from "../src/traces";
 import { counts } from "../src/verdict";
 import { roundly } from "../src/view3d";
+import { unknownPlace, whyUnknown } from "../src/wording";
 
 describe("spans of an output", () => {
   it("begin and end where it changes, the last at the end of the plan", () => {
@@ -125,7 +126,26 @@ describe("a machine with cylinders", () => {
     expect([0.9, 1, 1.9, 2].map((time) => isOn(lane, time))).toEqual([false, true, true, false]);
     expect(isOn({ ...lane, on: true }, 1.5)).toBe(false);
     const job = { planned: { X: [0, 0.1, 0.2] }, times_s: [0, 1, 2], lanes: [lane] } as unknown as Shown;
-    expect(plannedAt(job, 1.5)).toEqual({ at: { X: 0.1 }, on: { knife: true } });
+    expect(plannedAt(job, 1.5)).toEqual({ at: { X: 0.1 }, on: { knife: true }, homed: true });
+  });
+  it("has curves in pieces that meet, without points that no pixel tells apart", () => {
+    const points = [0, 0.4, 0.9, 1.2, 2.4, 3.6, 5].map((x): [number, number] => [x, 0]);
+    expect(thinned(points).map(([x]) => x)).toEqual([0, 1.2, 2.4, 3.6, 5]);
+    expect(
+      thinned([
+        [0, 0],
+        [0.1, 2],
+      ]),
+    ).toHaveLength(2);
+    expect(pieces(thinned(points), 2)).toEqual(["0.0,0.0 1.2,0.0 2.4,0.0", "2.4,0.0 3.6,0.0 5.0,0.0"]);
+    expect(pieces([[0, 0]])).toEqual([]);
+  });
+  it("says in words why a place is not known", () => {
+    const told = (state: string) => toldBy({ state, axes: { X: { load: null } }, signals: {} } as never);
+    expect(told("disabled")).toEqual({ at: {}, on: {}, homed: false });
+    expect(told("idle").homed).toBe(true);
+    expect([unknownPlace(false), unknownPlace(true)]).toEqual(["not homed", "told in a run"]);
+    expect(whyUnknown(false)).toContain("press Enable, then Home all");
   });
   it("has steps in its verdict, a seam stitches, a part program circuits and points", () => {
     const found = { stitches: null, steps: [], circuits: null, points: 6 } as unknown as Figures;

@@ -132,7 +132,8 @@ class AtRest:
     def home(self) -> None:
         """Home the machine; a stop ends homing and leaves it enabled, not homed.
 
-        Positions that were reported before are forgotten: the machine stands elsewhere now.
+        Positions that were reported before are forgotten, because the machine stands elsewhere now;
+        what it tells with its answer is known.
 
         Raises
         ------
@@ -150,9 +151,10 @@ class AtRest:
         if found is None:
             self._go(Cause.AT_REST_UNHOMED)
             return
-        self._stands = found
+        self._stands, told = found
         places = {channel.name for channel in self.far_end.channels if channel.axis}
-        self.latest = {name: at for name, at in self.latest.items() if name not in places}
+        kept = {name: at for name, at in self.latest.items() if name not in places}
+        self.latest = {**kept, **told}
         self._go(Cause.HOMED)
 
     def _stopped(self) -> bool:

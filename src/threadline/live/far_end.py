@@ -119,8 +119,13 @@ class FarEnd:
         """Switch the drives off; there is no answer."""
         self._link.send(Message("disable"))
 
-    def home(self, wakes: int, stopped: Callable[[], bool]) -> IntArray | None:
+    def home(
+        self, wakes: int, stopped: Callable[[], bool]
+    ) -> tuple[IntArray, dict[str, float]] | None:
         """Home the machine; return its (axes,) position in counts, or None if it was stopped.
+
+        Beside the position it returns the values of the channels that the machine tells with its
+        answer, by their names: a machine with cylinders tells its pistons, contacts and outputs.
 
         Parameters
         ----------
@@ -144,7 +149,9 @@ class FarEnd:
                 continue
             if stop_sent:  # homed or not: the result is no longer needed
                 return None
-            return np.array(self._as(message, "homed").head["position"], dtype=np.int64)
+            homed = self._as(message, "homed")
+            told = {name: float(a[-1]) for name, a in homed.arrays.items() if len(a)}
+            return np.array(homed.head["position"], dtype=np.int64), told
         raise _silent("homed")
 
     def leave(self) -> None:

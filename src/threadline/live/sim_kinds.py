@@ -245,6 +245,11 @@ class SimScans(SimMachine):
         self._session.switch_off_at(int(head["off"]))
         return ""
 
+    def _at_home_samples(self) -> dict[str, FloatArray]:
+        """Return the places of the pistons at home, the contacts they close, and the outputs."""
+        samples = self._at_home().advance(1).samples
+        return {name: values[:1].astype(np.float64) for name, values in samples.items()}
+
     def _tell_end(self, ended: RunEnd, text: str) -> None:
         self._session.finish(ended, text)
 

@@ -266,6 +266,10 @@ class SimMachine(ABC):
         """Return entries of a report beyond the common ones."""
         return {}
 
+    def _at_home_samples(self) -> dict[str, FloatArray]:
+        """Return (1,) samples of the channels whose value at home only the machine knows."""
+        return {}
+
     def _urgent(self) -> tuple[object, ...]:
         """Return the values whose changes are reported at once."""
         return self.standing, self.starved
@@ -381,7 +385,8 @@ class SimMachine(ABC):
         # It is switched on at its home: there is nothing to search for.
         if self._enabled:
             self._homed, self.starved = True, False
-            self._say("homed", position=(self._start + self.position).tolist())
+            stands = {"position": (self._start + self.position).tolist()}
+            self._tell(Message("homed", stands, self._at_home_samples()))
         else:
             self._say("refused", what="home", why="the drives are off")
 

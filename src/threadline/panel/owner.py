@@ -87,7 +87,7 @@ class MoveSequence:
 
 SILENT_S = 1.0
 """Silence of the server in s after which the machine is stopped."""
-TELL_S = 0.04
+TELL_S = 0.05
 """Period of the reports to the server, s."""
 _PATIENCE_S = 0.02
 _OLD_S = 3.0

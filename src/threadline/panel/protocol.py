@@ -356,7 +356,7 @@ class Proven(BaseModel):
 
 
 class State(BaseModel):
-    """All data that a client needs in order to act; sent 25 times a second."""
+    """All data that a client needs in order to act; sent 20 times a second, or 10 if unchanged."""
 
     type: Literal["state"] = "state"
     seq: int
