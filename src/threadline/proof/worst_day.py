@@ -38,10 +38,10 @@ ROUNDS_OF_MACHINES, CLIMBS = 16, 2
 """Rounds of a search that changes machine and day together, and searches from different seeds."""
 LEFT_FREE = 0.005
 """Share of every limit that the worst machine of this search must leave free: from seed to seed its
-worst differed by up to 0.2 % of a limit, and the search of another hand found 0.3 % more."""
+worst differed by up to 0.2 % of a limit, and the search of another hand found 0.2 % more."""
 _FIRST, _SHRINK = 0.2, 0.6  # of each range: the first step, and the next of each
 _SHRINK_OF_MACHINES = 0.77
-_MOST_SAMPLES = 5e7  # ticks times runs: half a minute
+_MOST_SAMPLES, _MOST_OF_MACHINES = 5e7, 2e8  # ticks times runs: half a minute, and two
 _REPLAYED = 10  # times as long, where the fibre of every run is replayed
 _MOVED = 3.0  # numbers of a machine that a change moves, on average
 _TO_AN_END = 0.5  # of these
@@ -139,7 +139,7 @@ def with_worst_machine(
     """
     machine = plan.machine
     count = CLIMBS * ROUNDS_OF_MACHINES * CHANGED + (1 + len(known)) * REPEATED_RUNS
-    if not machine.motors or product_of(plan) is not None or _long(plan, count):
+    if not machine.motors or product_of(plan) is not None or _long(plan, count, _MOST_OF_MACHINES):
         return verdict
     numbers = uncertain(machine)
     ends = np.array([one.farthest for one in numbers])
@@ -262,9 +262,9 @@ def _drawn(plan: Plan, count: int) -> Days:
     return drawn_days(count, len(plan.axes), np.random.default_rng(REPEAT_SEED))
 
 
-def _long(plan: Plan, runs: int) -> bool:
+def _long(plan: Plan, runs: int, most: float = _MOST_SAMPLES) -> bool:
     ticks = (plan.commands.tick_count() or 0) * runs
-    return ticks * (1 if product_of(plan) is None else _REPLAYED) > _MOST_SAMPLES
+    return ticks * (1 if product_of(plan) is None else _REPLAYED) > most
 
 
 def _worst(found: EachRun, count: int) -> IntArray:
