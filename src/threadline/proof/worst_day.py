@@ -45,6 +45,7 @@ _MOST_SAMPLES, _MOST_OF_MACHINES = 5e7, 2e8  # ticks times runs: half a minute, 
 _REPLAYED = 10  # times as long, where the fibre of every run is replayed
 _MOVED = 3.0  # numbers of a machine that a change moves, on average
 _TO_AN_END = 0.5  # of these
+_DEAD = (-1.0, 0.0, 1.0)  # dead times that it begins with, besides the dead times of the machines
 _BY_SEARCH = "the worst day of a search"
 _MACHINE_BY_SEARCH = (
     f"the worst machine and day of a search, which must leave {100.0 * LEFT_FREE:g} % free"
@@ -123,8 +124,9 @@ def with_worst_machine(
     """Return a verdict with the worst of machines within the tolerances, each on a day of its own.
 
     The search changes numbers of the machine and of the day together. It shares no step with the
-    search of ``over_tolerances``, which goes from corner to corner. Dead times stay, because
-    machines of equal ones run side by side. The worst must leave ``LEFT_FREE`` of every limit free.
+    search of ``over_tolerances``, which goes from corner to corner. Machines of equal dead times
+    run side by side, so it begins with few dead times and changes none. The worst machine must
+    leave ``LEFT_FREE`` of every limit free.
 
     Parameters
     ----------
@@ -138,13 +140,13 @@ def with_worst_machine(
         jobs.
     """
     machine = plan.machine
-    count = CLIMBS * ROUNDS_OF_MACHINES * CHANGED + (1 + len(known)) * REPEATED_RUNS
+    count = CLIMBS * ROUNDS_OF_MACHINES * CHANGED + 4 * (1 + len(known)) * REPEATED_RUNS
     if not machine.motors or product_of(plan) is not None or _long(plan, count, _MOST_OF_MACHINES):
         return verdict
     numbers = uncertain(machine)
     ends = np.array([one.farthest for one in numbers])
-    held = [any(path.endswith(".delay") for path in one.numbers) for one in numbers]
-    free = np.flatnonzero(~np.array(held, dtype=np.bool_))
+    delays = [any(path.endswith(".delay") for path in one.numbers) for one in numbers]
+    held, free = np.flatnonzero(delays), np.flatnonzero(np.logical_not(delays))
     size, judge = len(numbers), RunsJudge(plan, spec.with_margin(LEFT_FREE))
 
     def judged(places: FloatArray) -> EachRun:
@@ -163,7 +165,8 @@ def with_worst_machine(
         own[:, free] = np.where(chosen, other, part)
         return np.concatenate([own, moved[:, size:]], axis=1)
 
-    machines = np.stack([np.zeros(size), *(parts[:size] / ends for parts in known)])
+    own = np.stack([np.zeros(size), *(parts[:size] / ends for parts in known)])
+    machines = np.unique(np.concatenate([own, *(_held_at(own, held, at) for at in _DEAD)]), axis=0)
     days = places_of_days(_drawn(plan, REPEATED_RUNS))
     first = np.concatenate(
         [np.repeat(machines, len(days), axis=0), np.tile(days, (len(machines), 1))], axis=1
@@ -177,6 +180,13 @@ def with_worst_machine(
         climbs=CLIMBS,
     )
     return _with_found(plan, verdict, search, machines=True)
+
+
+def _held_at(places: FloatArray, held: IntArray, at: float) -> FloatArray:
+    """Return places of machines with their dead times at ``at``."""
+    moved = places.copy()
+    moved[:, held] = at
+    return moved
 
 
 def _days_together(plan: Plan, spec: Spec) -> _Search | None:

@@ -280,7 +280,8 @@ def _about_worst(worst: str, found: OverTolerances | SearchedDays) -> str:
         return f"{worst} is in spec"
     if found.share is None:
         return f"{worst} fails {found.criterion}"
-    return f"{worst} uses {percent_used(found.share)} of {found.criterion}"
+    digits = isinstance(found, SearchedDays)  # one: such a run is often within 1 % of the limit
+    return f"{worst} uses {percent_used(found.share, digits)} of {found.criterion}"
 
 
 def _used_beside(result: Result, verdict: Verdict) -> list[str]:
