@@ -10,7 +10,7 @@ import pytest
 
 from threadline.commands.plan import Plan
 from threadline.proof.option_form import Door
-from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES
+from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, plan_job
 from threadline.proof.request import Words
 from threadline.search import paced, shaft
 from threadline.search.by_pace import answered
@@ -19,9 +19,12 @@ from threadline.search.paced import Question
 from threadline.search.question import question_of
 from threadline.search.searched_edges import with_searched_edges
 from threadline.verdict import Result, Spec, Status, Verdict
-from threadline.verdict.types import SearchedDays
+from threadline.verdict.types import OverTolerances, SearchedDays
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+TESTED = OverTolerances(
+    searched=9, criterion="contour_error", share=0.99, drawn=2, passed=2, least=0.2
+)
 DAYS = SearchedDays(searched=3, criterion="contour_error", share=0.5, machines=False)
 
 
@@ -85,6 +88,28 @@ def test_a_search_that_no_pace_passes_has_no_answer_and_names_its_criterion() ->
     assert found.forbidden[0].name == "repeatability"
 
 
+@pytest.mark.parametrize(("share", "asked"), [(0.5, 0), (0.9, 1), (None, 1)])
+def test_a_bad_machine_is_looked_for_where_the_worst_one_known_is_close_to_a_limit(
+    monkeypatch: pytest.MonkeyPatch, share: float | None, asked: int
+) -> None:
+    """A slow pace takes longest to simulate, and is far from every limit."""
+    calls: list[Verdict] = []
+
+    def worst(_plan: Plan, _spec: Spec, before: Verdict, _known: object) -> Verdict:
+        calls.append(before)
+        return replace(before, days=DAYS)
+
+    monkeypatch.setattr(paced, "with_worst_machine", worst)
+    given = Words.of("fastest", Door.PYTHON, LINEAR)
+    question = replace(
+        question_of(given, EXAMPLES / "x-180.prg", "lathe-winder"), trials=TOLERANCES
+    )
+    plan = plan_job(question.job, question.machine, question.options)
+    far = replace(verdict(0.5), tolerances=replace(TESTED, share=share))
+    assert question.searched(plan, far).days == (DAYS if asked else None)
+    assert len(calls) == asked
+
+
 def test_a_job_judged_by_parts_has_its_best_pace_searched_alone() -> None:
     asked: list[float] = []
 
@@ -121,11 +146,12 @@ def test_every_search_by_pace_names_only_ends_that_pass_the_search_for_a_bad_run
     trials = {"repeated": REPEATED, "nominal": NOMINAL, "over tolerances": TOLERANCES}[level]
     question = replace(question_of(given, EXAMPLES / job, machine), trials=trials)
     runs = trials.repeats
+    over = TESTED if level == "over tolerances" else None
     durations: list[float] = []
 
     def judged(_question: Question, plan: Plan, _progress: object = None) -> Verdict:
         durations.append(plan.duration_s)
-        return replace(verdict(0.99), runs=runs)
+        return replace(verdict(0.99), runs=runs, tolerances=over)
 
     def worst(plan: Plan, _spec: Spec, before: Verdict, *_known: object) -> Verdict:
         short = plan.duration_s < 1.2 * min(durations)
@@ -134,7 +160,6 @@ def test_every_search_by_pace_names_only_ends_that_pass_the_search_for_a_bad_run
     def none(_plan: Plan, _spec: Spec, before: Verdict, *_known: object) -> Verdict:
         raise AssertionError("the other search")
 
-    over = level == "over tolerances"
     monkeypatch.setattr(Question, "judged", judged)
     monkeypatch.setattr(paced, "with_worst_machine", worst if over else none)
     monkeypatch.setattr(paced, "with_worst_day", none if over else worst)
