@@ -280,7 +280,7 @@ def _about_worst(worst: str, found: OverTolerances | SearchedDays) -> str:
         return f"{worst} is in spec"
     if found.share is None:
         return f"{worst} fails {found.criterion}"
-    digits = isinstance(found, SearchedDays)  # one: such a run is often within 1 % of the limit
+    digits = 1 if isinstance(found, SearchedDays) else 0  # often within 1 % of the limit
     return f"{worst} uses {percent_used(found.share, digits)} of {found.criterion}"
 
 
