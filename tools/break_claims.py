@@ -1,4 +1,4 @@
-"""Search a machine within the tolerances, or a day, that breaks a claim: a search of another hand.
+"""Search a machine within the tolerances, or a day, that breaks a claim: an independent search.
 
     python -m tools.break_claims 600 days 'threadline prove examples/x-180.prg -m lathe-winder'
     python -m tools.break_claims 3600 machines seed=2 'threadline prove ... --needle "24 stitch/s"'

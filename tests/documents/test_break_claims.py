@@ -1,4 +1,4 @@
-"""The search of another hand judges by every criterion that a claim rests on."""
+"""The independent search judges by every criterion that a claim rests on."""
 
 from __future__ import annotations
 

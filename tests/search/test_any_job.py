@@ -154,6 +154,7 @@ def test_the_command_takes_them_for_a_design(
     words = ["fastest", str(examples / "rosette.dst"), "-m", "schiffli-frame", "--mismatch"]
     monkeypatch.setattr(shaft, "plan_job", lambda *_: SimpleNamespace(duration_s=1.0))
     monkeypatch.setattr(shaft, "_schedule", lambda *_: None)
+    monkeypatch.setattr(shaft, "_searched_edges", lambda _, found: found)  # days: simulated
     out = io.StringIO()
     with redirect_stdout(out), redirect_stderr(io.StringIO()), pytest.raises(SystemExit) as left:
         main([*words, "--low", "0.01 stitch/s"])

@@ -358,6 +358,7 @@ def test_coverage_and_tie_are_judged_on_the_whole_winding(
 
     monkeypatch.setattr(least_limits, "fastest_feed", searched)
     monkeypatch.setattr(whole_jobs, "_of_whole", whole)
+    monkeypatch.setattr(least_limits, "with_searched_best", lambda best, *_: best)
     monkeypatch.setattr(
         least_limits, "planned_at", lambda *_: SimpleNamespace(duration_s=10.0, tick_s=1e-3)
     )

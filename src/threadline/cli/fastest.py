@@ -55,14 +55,15 @@ def fastest(
     constant and stitch by stitch. For an on/off machine the shortest cycle is searched: each move
     gets its own shaper or switching times, and each wait its length.
 
-    Every trial is proved by twenty runs, like threadline prove, or by one with --nominal. With
-    --margin "20 %" a fifth of every limit is kept free. With --robust "100 %" one plan must pass on
-    every machine at the ends of the tolerances. With --learned 5 a plan is judged by what five
-    repeats make of it. With --band "20 %" the commands of an on/off
-    machine must pass for all modes within 20 % of their frequency. With --interpolation optimal no
-    feed is searched, but all other choices of a plan that are not given: tolerance, distance
-    outside corners, reserve, smoothing, contour, feed-forward. The
-    fastest in spec is compared with the least times within the limits of axes and drives alone.
+    Every trial is proved by twenty runs, like threadline prove, or by one with --nominal. What is
+    named has also passed a search for a bad day near a limit, and with --tolerances a search for a
+    bad machine. With --margin "20 %" a fifth of every limit is kept free. With --robust "100 %" one
+    plan must pass on every machine at the ends of the tolerances. With --learned 5 a plan is judged
+    by what five repeats make of it. With --band "20 %" the commands of an on/off machine must pass
+    for all modes within 20 % of their frequency. With --interpolation optimal no feed is searched,
+    but all other choices of a plan that are not given: tolerance, distance outside corners,
+    reserve, smoothing, contour, feed-forward. The fastest in spec is compared with the least times
+    within the limits of axes and drives alone.
 
     Exit status: 0 if a feed passes, 1 if none does, 2 for wrong input.
 

@@ -42,6 +42,7 @@ from threadline.search.feed_ranges import joined
 from threadline.search.report_data import report_data
 from threadline.search.shaft import FastestShaft
 from threadline.verdict import Verdict, closing, criteria_json, verdict_rows
+from threadline.verdict.rendering import tolerances_json
 
 
 class SearchOutput(ABC):
@@ -197,6 +198,7 @@ def verdict_content(verdict: Verdict) -> dict[str, Any]:
     return {
         "passed": verdict.passed,
         "level": verdict.level.value,
+        **tolerances_json(verdict),
         "criteria": criteria_json(verdict),
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.machine.model import Drive, Machine
-from threadline.machine.numbers import number_at
 from threadline.machine.parts import Axis, DcMotor
 from threadline.machine.pneumatics import Cylinder
 from threadline.machine.quantity import Provenance, Quantity
@@ -178,26 +177,6 @@ def varied_numbers(machine: Machine, days: Days) -> dict[str, FloatArray]:
         ):
             if quantity is not None:
                 found[f"drives.{name}.amplifier.{key}"] = quantity.si * supply
-    return found
-
-
-def on_days(
-    machine: Machine, numbers: Mapping[str, FloatArray], days: Days
-) -> dict[str, FloatArray]:
-    """Return the numbers of k machines on every day: (k days,) SI values, machine by machine.
-
-    Parameters
-    ----------
-    numbers
-        Dotted names and (k,) SI values of the numbers that differ from ``machine``.
-    """
-    count = len(next(iter(numbers.values())))
-    found = {path: np.repeat(values, len(days)) for path, values in numbers.items()}
-    for path, values in varied_numbers(machine, days).items():
-        if path in found:
-            found[path] = found[path] * np.tile(values / number_at(machine, path).si, count)
-        else:
-            found[path] = np.tile(values, count)
     return found
 
 

@@ -1,88 +1,283 @@
-"""The worst day of a machine that a search finds within what runs are drawn from.
+"""The worst day of a machine that a search finds, and the worst machine on its worst day.
 
-``repeated`` draws days and says for what share of all days their worst holds. A search of plans
-keeps the plan that passes by the least, so its answer needs more: a day that is looked for. The
-days begin as drawn ones. Then the worst of all so far are changed a little, by steps that shrink
-from round to round.
+``repeated`` draws days and says for what share of all days their worst holds, and ``over
+tolerances`` searches machines on few days. A search of plans keeps the plan that passes by the
+least, so its answer needs more: a day that is looked for, and over tolerances a machine together
+with its day. The runs begin as drawn ones, or as the worst machines known. Then the worst of all so
+far are changed a little, by steps that shrink from round to round.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.option_defaults import MOST_RUNS
 from threadline.commands.plan import Plan
-from threadline.machine.vary import (
-    FRICTION_OF_DAYS,
-    REPEAT_SEED,
-    SUPPLY_OF_DAYS,
-    TENSION_OF_DAYS,
-    Days,
-    drawn_days,
-    varied_numbers,
-)
+from threadline.errors import MachineError, RecordingError
+from threadline.machine.days import days_at, on_own_days, places_of_days
+from threadline.machine.variants import numbers_at, uncertain
+from threadline.machine.vary import REPEAT_SEED, Days, drawn_days, varied_numbers
 from threadline.proof.judge_runs import RunsJudge
 from threadline.proof.kinds import kind_of
-from threadline.proof.worst_machine import shares_of
-from threadline.verdict import EachRun, Spec, Verdict, with_lines
+from threadline.proof.kinds.variants import unanswered
+from threadline.proof.worst_machine import shares_of, unanswered_in
+from threadline.verdict import EachRun, Judge, Spec, Verdict, with_lines
 from threadline.verdict.each_run import with_other_machines
+from threadline.verdict.replayed import product_of
+from threadline.verdict.types import REPEATED_RUNS, SearchedDays
 
 ROUNDS, CHANGED, KEPT = 8, 256, 32
-"""Rounds of changes, changed days of a round, and the worst days that they begin at."""
+"""Rounds of changes, changed runs of a round, and the worst runs that they begin at."""
+ROUNDS_ALONE, CHANGED_ALONE, KEPT_ALONE = 3, 8, 4
+"""The same where runs are simulated one by one, a fifth of a second each."""
+ROUNDS_OF_MACHINES, CLIMBS = 16, 2
+"""Rounds of a search that changes machine and day together, and searches from different seeds."""
+LEFT_FREE = 0.005
+"""Share of every limit that the worst machine of this search must leave free: from seed to seed its
+worst differed by up to 0.2 % of a limit, and the independent search found 0.2 % more."""
 _FIRST, _SHRINK = 0.2, 0.6  # of each range: the first step, and the next of each
-_MOST_SAMPLES = 5e7  # ticks times days: half a minute
+_SHRINK_OF_MACHINES = 0.77
+_MOST_SAMPLES, _MOST_OF_MACHINES = 5e7, 2e8  # ticks times runs: half a minute, and two
+_REPLAYED = 10  # times as long, where the fibre of every run is replayed
+_MOVED = 3.0  # numbers of a machine that a change moves, on average
+_TO_AN_END = 0.5  # of these
+_DEAD = (-1.0, 0.0, 1.0)  # dead times that it begins with, besides the dead times of the machines
 _BY_SEARCH = "the worst day of a search"
-_RANGES = np.array([FRICTION_OF_DAYS, SUPPLY_OF_DAYS, TENSION_OF_DAYS])
+_MACHINE_BY_SEARCH = (
+    f"the worst machine and day of a search, which must leave {100.0 * LEFT_FREE:g} % free"
+)
+_NEVER_ENDS = "a day of the search has no end"
+
+_Changed = Callable[[FloatArray, float, np.random.Generator], FloatArray]
+"""Takes (k, n) places, a step as a part of each range, and a generator; returns other places."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Search:
+    """A search for a bad run.
+
+    Parameters
+    ----------
+    first
+        (k, n) places of the runs to begin with.
+    judged
+        Judges the runs at (k, n) places.
+    changed
+        Changes places a little.
+    counts
+        As ``ROUNDS``, ``CHANGED`` and ``KEPT``.
+    shrink
+        Ratio of the step of a round to the step before.
+    climbs
+        Searches from the same places by different seeds.
+    """
+
+    first: FloatArray
+    judged: Callable[[FloatArray], EachRun]
+    changed: _Changed
+    counts: tuple[int, int, int]
+    shrink: float = _SHRINK
+    climbs: int = 1
+
+    def found(self) -> tuple[EachRun, int]:
+        """Return the worst runs that were found, and how many were tried."""
+        begun = self.judged(self.first)
+        climbed = [self._climbed(begun, REPEAT_SEED + k) for k in range(self.climbs)]
+        rounds, count, _ = self.counts
+        return EachRun.joined(climbed), len(self.first) + self.climbs * rounds * count
+
+    def _climbed(self, begun: EachRun, seed: int) -> EachRun:
+        rounds, count, kept = self.counts
+        random, step = np.random.default_rng(seed), _FIRST
+        places, found = self.first, begun
+        for _ in range(rounds):
+            worst = _worst(found, kept)
+            places, found = places[worst], found.taken(worst)
+            moved = self.changed(places[random.integers(0, len(places), count)], step, random)
+            found = EachRun.joined([found, self.judged(moved)])
+            places = np.concatenate([places, moved])
+            step *= self.shrink
+        return found
 
 
 def with_worst_day(plan: Plan, spec: Spec, verdict: Verdict) -> Verdict:
     """Return a verdict with every result replaced by the worst of searched days, if it is worse.
 
-    The verdict itself where days cannot be searched: machines that are simulated one by one, and
-    long jobs.
+    The verdict itself where days cannot be searched: nothing varies from day to day, or the job is
+    long.
     """
     machine = plan.machine
-    days = MOST_RUNS + ROUNDS * CHANGED
-    long = (plan.commands.tick_count() or 0) * days > _MOST_SAMPLES
-    if long or not machine.motors or not kind_of(machine).together(machine):
+    if machine.without_dynamics:
         return verdict
-    drawn = drawn_days(MOST_RUNS, len(plan.axes), np.random.default_rng(REPEAT_SEED))
+    together = kind_of(machine).together(machine) and bool(machine.motors)
+    search = _days_together(plan, spec) if together else _days_alone(plan, spec)
+    return verdict if search is None else _with_found(plan, verdict, search, machines=False)
+
+
+def with_worst_machine(
+    plan: Plan, spec: Spec, verdict: Verdict, known: Sequence[FloatArray]
+) -> Verdict:
+    """Return a verdict with the worst of machines within the tolerances, each on a day of its own.
+
+    The search changes numbers of the machine and of the day together. It shares no step with the
+    search of ``over_tolerances``, which goes from corner to corner. Machines of equal dead times
+    run side by side, so it begins with few dead times and changes none. The worst machine must
+    leave ``LEFT_FREE`` of every limit free.
+
+    Parameters
+    ----------
+    known
+        (n,) parts of machines to begin with: the worst that are known.
+
+    Returns
+    -------
+    Verdict
+        The verdict itself for machines that are simulated one by one, for windings and for long
+        jobs.
+    """
+    machine = plan.machine
+    count = CLIMBS * ROUNDS_OF_MACHINES * CHANGED + 4 * (1 + len(known)) * REPEATED_RUNS
+    if not machine.motors or product_of(plan) is not None or _long(plan, count, _MOST_OF_MACHINES):
+        return verdict
+    numbers = uncertain(machine)
+    ends = np.array([one.farthest for one in numbers])
+    delays = [any(path.endswith(".delay") for path in one.numbers) for one in numbers]
+    held, free = np.flatnonzero(delays), np.flatnonzero(np.logical_not(delays))
+    size, judge = len(numbers), RunsJudge(plan, spec.with_margin(LEFT_FREE))
+
+    def judged(places: FloatArray) -> EachRun:
+        days = days_at(places[:, size:])
+        own = numbers_at(machine, places[:, :size] * ends)
+        return judge.judged(on_own_days(machine, own, days), days.phases)
+
+    def changed(places: FloatArray, step: float, random: np.random.Generator) -> FloatArray:
+        moved = _moved_day(places, step, random)
+        own = places[:, :size].copy()
+        part = own[:, free]
+        far = random.random(part.shape) < _TO_AN_END
+        near = np.clip(part + 2.0 * step * random.standard_normal(part.shape), -1.0, 1.0)
+        chosen = random.random(part.shape) < _MOVED / max(len(free), 1)
+        other = np.where(far, random.choice((-1.0, 1.0), part.shape), near)
+        own[:, free] = np.where(chosen, other, part)
+        return np.concatenate([own, moved[:, size:]], axis=1)
+
+    own = np.stack([np.zeros(size), *(parts[:size] / ends for parts in known)])
+    machines = np.unique(np.concatenate([own, *(_held_at(own, held, at) for at in _DEAD)]), axis=0)
+    days = places_of_days(_drawn(plan, REPEATED_RUNS))
+    first = np.concatenate(
+        [np.repeat(machines, len(days), axis=0), np.tile(days, (len(machines), 1))], axis=1
+    )
+    search = _Search(
+        first=first,
+        judged=judged,
+        changed=changed,
+        counts=(ROUNDS_OF_MACHINES, CHANGED, KEPT),
+        shrink=_SHRINK_OF_MACHINES,
+        climbs=CLIMBS,
+    )
+    return _with_found(plan, verdict, search, machines=True)
+
+
+def _held_at(places: FloatArray, held: IntArray, at: float) -> FloatArray:
+    """Return places of machines with their dead times at ``at``."""
+    moved = places.copy()
+    moved[:, held] = at
+    return moved
+
+
+def _days_together(plan: Plan, spec: Spec) -> _Search | None:
+    machine = plan.machine
+    if _long(plan, MOST_RUNS + ROUNDS * CHANGED):
+        return None
+    drawn = _drawn(plan, MOST_RUNS)
     if not varied_numbers(machine, drawn):
-        return verdict
-    judge, random = RunsJudge(plan, spec), np.random.default_rng(REPEAT_SEED)
-    places, step = _places(drawn), _FIRST
-    found = _judged(judge, places)
-    for _ in range(ROUNDS):
-        worst = _worst(found, KEPT)
-        places, found = places[worst], found.taken(worst)
-        begun = random.integers(0, len(places), CHANGED)
-        moved = places[begun] + step * random.standard_normal((CHANGED, places.shape[1]))
-        moved = 1.0 - np.abs(1.0 - np.mod(moved, 2.0))  # folded back into 0 to 1
-        found = EachRun.joined([found, _judged(judge, moved)])
-        places = np.concatenate([places, moved])
-        step *= _SHRINK
-    with_day = with_other_machines(verdict, found, _BY_SEARCH)
-    return replace(with_day, results=with_lines(with_day.results, plan))
+        return None
+    judge = RunsJudge(plan, spec)
+
+    def judged(places: FloatArray) -> EachRun:
+        days = days_at(places)
+        return judge.judged(varied_numbers(machine, days), days.phases)
+
+    return _Search(
+        first=places_of_days(drawn),
+        judged=judged,
+        changed=_moved_day,
+        counts=(ROUNDS, CHANGED, KEPT),
+    )
+
+
+def _days_alone(plan: Plan, spec: Spec) -> _Search | None:
+    """Return the search on a machine whose days are simulated one by one: few of them."""
+    if _long(plan, REPEATED_RUNS + ROUNDS_ALONE * CHANGED_ALONE):
+        return None
+    machine, commands, judge = plan.machine, plan.commands, Judge(plan, spec)
+    kind = kind_of(machine)
+    ranges = kind.ranges_of_days(commands)
+
+    def judged(places: FloatArray) -> EachRun:
+        found = []
+        for one in places:
+            try:
+                found += [judge.each(run) for run in kind.on_days(commands, machine, one[None])]
+            except (MachineError, RecordingError):
+                found.append(judge.each(kind.simulate(commands, machine)).without_answer())
+        return EachRun.joined(found)
+
+    random = np.random.default_rng(REPEAT_SEED)
+    few = min(2**ranges, REPEATED_RUNS)
+    corners = (np.arange(few)[:, None] >> np.arange(ranges)) & 1
+    if 2**ranges > few:
+        corners = random.integers(0, 2, (few, ranges))
+    return _Search(
+        first=corners.astype(np.float64),
+        judged=judged,
+        changed=_moved_day,
+        counts=(ROUNDS_ALONE, CHANGED_ALONE, KEPT_ALONE),
+    )
+
+
+def _with_found(plan: Plan, verdict: Verdict, search: _Search, *, machines: bool) -> Verdict:
+    found, tried = search.found()
+    text = _MACHINE_BY_SEARCH if machines else _BY_SEARCH
+    with_day = with_other_machines(verdict, found, text)
+    results = with_lines(with_day.results, plan)
+    shares, names = shares_of(found)
+    at = int(np.argmax(np.minimum(shares, 1e9)))
+    row = next((row for row in found.rows if row.text == names[at]), None)
+    told = row is not None and bool(row.limit) and np.isfinite(shares[at])
+    free = LEFT_FREE if machines and row is not None and not row.hard else 0.0
+    stuck = int(unanswered_in(found).sum())
+    if stuck:
+        results = (*results, unanswered(found.runs, [_NEVER_ENDS] * stuck))
+    days = SearchedDays(
+        searched=tried,
+        criterion=names[at],
+        share=float(shares[at]) * (1.0 - free) if told else None,
+        machines=machines,
+    )
+    return replace(with_day, results=tuple(results), days=days)
+
+
+def _moved_day(places: FloatArray, step: float, random: np.random.Generator) -> FloatArray:
+    """Return places of days moved by ``step`` of each range, folded back into 0 to 1."""
+    moved = places + step * random.standard_normal(places.shape)
+    return np.asarray(1.0 - np.abs(1.0 - np.mod(moved, 2.0)))
+
+
+def _drawn(plan: Plan, count: int) -> Days:
+    return drawn_days(count, len(plan.axes), np.random.default_rng(REPEAT_SEED))
+
+
+def _long(plan: Plan, runs: int, most: float = _MOST_SAMPLES) -> bool:
+    ticks = (plan.commands.tick_count() or 0) * runs
+    return ticks * (1 if product_of(plan) is None else _REPLAYED) > most
 
 
 def _worst(found: EachRun, count: int) -> IntArray:
     """Return the numbers of the ``count`` worst runs, the worst first."""
     shares, _ = shares_of(found)
     return np.asarray(np.argsort(-shares, kind="stable")[:count])
-
-
-def _places(days: Days) -> FloatArray:
-    """Return (days, 3 + axes) places of days between the ends of their ranges, 0 to 1."""
-    factors = np.stack([days.friction, days.supply, days.tension], axis=1)
-    within = (factors - _RANGES[:, 0]) / (_RANGES[:, 1] - _RANGES[:, 0])
-    return np.concatenate([within, days.phases], axis=1)
-
-
-def _judged(judge: RunsJudge, places: FloatArray) -> EachRun:
-    factors = _RANGES[:, 0] + places[:, :3] * (_RANGES[:, 1] - _RANGES[:, 0])
-    friction, supply, tension = factors.T
-    days = Days(friction=friction, supply=supply, tension=tension, phases=places[:, 3:])
-    return judge.judged(varied_numbers(judge.plan.machine, days), days.phases)

@@ -23,10 +23,11 @@ from threadline.commands.plan import Plan
 from threadline.dynamics.values import Values
 from threadline.files import tick_table
 from threadline.machine import Machine
+from threadline.machine.days import on_days
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at, number_tables, with_numbers
 from threadline.machine.variants import check_uncertain, load_by_counts, numbers_at, one_at_a_time
-from threadline.machine.vary import Days, on_days
+from threadline.machine.vary import Days
 from threadline.proof.judge_runs import RunsJudge, SerialJudge, Variants
 from threadline.proof.kinds import kind_of
 from threadline.twin import fastest_rates

@@ -159,7 +159,8 @@ def fastest_allowed(question: Question) -> FastestJob:
             if by_contour or error.quantity == "travel":
                 raise
             return rung_of(chosen, top, beyond(error, machine), None, by_contour)
-        return rung_of(chosen, top, question.judged(plan), plan.duration_s, by_contour)
+        verdict = question.searched(plan, question.judged(plan))
+        return rung_of(chosen, top, verdict, plan.duration_s, by_contour)
 
     rungs: dict[float, Rung] = {}
     next_one = _next_contour if by_contour else _next_share

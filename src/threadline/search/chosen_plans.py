@@ -23,7 +23,6 @@ from threadline.motion.path import programmed_path
 from threadline.proof.option_words import Reserve, parse_width_s
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, try_plan
-from threadline.proof.worst_day import with_worst_day
 from threadline.search.allowance import LIMITS, FastestJob, Rung, rung_of
 from threadline.search.choices import (
     BUDGET,
@@ -159,16 +158,14 @@ class Choosing:
         return plan_job(question.job, question.machine, options)
 
     def _judged(self, plan: Plan) -> Verdict:
-        """Judge a plan; one that passes by few runs must pass by many, and on a day looked for."""
+        """Judge a plan; one that passes by few runs must pass many, and a search for a bad run."""
         question = self.question
         verdict = question.judged(plan)
         if not verdict.passed or not 1 < question.trials.repeats < _CONFIRMED:
             return verdict
         more = replace(question.trials.alone, repeats=_CONFIRMED)
         many = try_plan(plan, question.spec, more, question.actual).verdict
-        if many.passed and verdict.near and question.actual is None:
-            many = with_worst_day(plan, question.spec, many)
-        return verdict if many.passed else many
+        return question.searched(plan, verdict) if many.passed else many
 
     def _tried(self, options: Options, verdict: Verdict, duration_s: float | None) -> None:
         feed = options.feed

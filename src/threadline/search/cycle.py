@@ -8,7 +8,7 @@ simulations suffice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,13 +84,9 @@ def fastest_cycle(question: Question) -> FastestCycle:
     machine, spec, until = question.machine, question.spec, question.until
 
     def proved(job: Job) -> Proof:
-        return try_plan(
-            plan_job(job, machine, Options()),
-            spec,
-            question.trials,
-            question.actual,
-            question.suspects,
-        )
+        plan = plan_job(job, machine, Options())
+        proof = try_plan(plan, spec, question.trials, question.actual, question.suspects)
+        return replace(proof, verdict=question.searched(plan, proof.verdict))
 
     plain = with_choices(question.job, {}, {})
     unshaped = proved(plain)

@@ -10,7 +10,8 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Plan
 from threadline.machine import Machine
-from threadline.machine.vary import REPEAT_SEED, Days, drawn_days, on_days
+from threadline.machine.days import on_days
+from threadline.machine.vary import REPEAT_SEED, Days, drawn_days
 from threadline.proof.judge_runs import RunsJudge, kept_in_memory
 from threadline.proof.pipeline import Trials
 from threadline.search.design_space import Space

@@ -227,12 +227,17 @@ def fastest_needle(question: Question, grid: Grid = FINE) -> Fastest:
         If the time is over before a speed was judged.
     """
     low, high = needle_range_hz(question.job, question.machine)
+
+    def searched(speed_hz: float, verdict: Verdict) -> Verdict:
+        return question.searched(sewn_at(question, speed_hz), verdict)
+
     paced = Paced(
         low=low,
         high=high,
         unit="stitch/s",
         planned_at=[partial(sewn_at, question)],
         is_verdict=lambda _: True,
+        searched=searched,
     )
     return fastest_paced(question, paced, grid)
 

@@ -29,7 +29,13 @@ from threadline.search.fastest import FINE, RANGE, Fastest, Grid, check_range
 from threadline.search.feed import fastest_feed, feed_unit, search_range, searched_by
 from threadline.search.paced import Question
 from threadline.search.shortened_jobs import LongMoves, distinct_parts, moves_in
-from threadline.search.whole_jobs import in_one_run, in_order, judged_whole, planned_at
+from threadline.search.whole_jobs import (
+    in_one_run,
+    in_order,
+    judged_whole,
+    planned_at,
+    with_searched_best,
+)
 from threadline.verdict import Verdict
 from threadline.winding.product import product_text
 
@@ -183,11 +189,7 @@ def fastest_job(question: Question) -> FastestJob:
     if options.interpolation == OPTIMAL:
         return fastest_chosen(question) if question.free else fastest_allowed(question)
     by = searched_by(job, machine) if question.by is None else question.by
-    low, high = search_range(job, machine, by)
-    low, high = (
-        low if question.low is None else question.low,
-        high if question.high is None else question.high,
-    )
+    low, high = _span(question, by)
     question = replace(question, by=by, low=low, high=high, progress=never_back(question.progress))
     check_range(low, high, feed_unit(by) or "times the feeds")
     if question.progress is not None:
@@ -245,6 +247,11 @@ def fastest_job(question: Question) -> FastestJob:
         with until_deadline(until, lambda: rungs):
             best = judged_whole(best, rungs, question, 1 if scanned is question else len(rungs))
             whole = True
+    best = (
+        with_searched_best(best, rungs, question, None if partly else seen)
+        if whole and not stopped
+        else best
+    )
     return FastestJob(
         best=best,
         rungs=tuple(sorted(rungs.values(), key=lambda rung: -rung.share)),
@@ -260,6 +267,14 @@ def fastest_job(question: Question) -> FastestJob:
         enough=_enough(best, planned_s, question.progress)
         if limits_alone and not stopped
         else None,
+    )
+
+
+def _span(question: Question, by: FeedMode) -> tuple[float, float]:
+    """Return the ends of the search, in the unit of ``by``."""
+    low, high = search_range(question.job, question.machine, by)
+    return low if question.low is None else question.low, (
+        high if question.high is None else question.high
     )
 
 

@@ -19,11 +19,14 @@ from threadline.proof.option_form import Word
 from threadline.proof.options import Options
 from threadline.proof.over_tolerances import Suspects
 from threadline.proof.pipeline import NOMINAL, Trials, try_plan
-from threadline.search.deadline import Deadline
+from threadline.proof.worst_day import with_worst_day, with_worst_machine
+from threadline.search.deadline import Deadline, until_deadline
 from threadline.search.fastest import FINE, Fastest, Grid, check_range, find_fastest
 from threadline.search.feed_ranges import used
 from threadline.search.learn import learned_verdict
+from threadline.search.searched_edges import with_searched_edges
 from threadline.verdict import Result, Spec, Status, Verdict
+from threadline.verdict.types import REPEATED_RUNS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,7 +101,31 @@ class Question:
             plan, self.spec, self.trials, self.actual, self.suspects, progress=progress
         ).verdict
 
+    def searched(self, plan: Plan, verdict: Verdict) -> Verdict:
+        """Return the verdict on a plan that may be the answer, after a search for a bad run.
 
+        Over the tolerances a bad machine is looked for together with its day, where machines are
+        simulated side by side and the worst one known is close to a limit. Otherwise a bad day is
+        looked for near a limit. If one is out of specification, so is the verdict. If none is, the
+        verdict keeps its results, which ``prove`` gives, too, and tells the worst of the search.
+        Verdicts of less than the level *repeated* are returned as they are, and so are verdicts on
+        another machine and on learned tables.
+        """
+        trials = self.trials
+        alone = self.actual is None and self.learned is None
+        if not (verdict.passed and alone and trials.repeats >= REPEATED_RUNS):
+            return verdict
+        found, over = verdict, verdict.tolerances
+        if over is not None and (over.share is None or over.share >= _CLOSE):
+            found = with_worst_machine(plan, self.spec, verdict, self.suspects)
+        if found.days is None and verdict.near:
+            found = with_worst_day(plan, self.spec, verdict)
+        return replace(verdict, days=found.days) if found.passed else found
+
+
+_CLOSE = 0.85
+"""Used share of a limit from which on another machine may exceed it: searches from different seeds
+differ by up to 6 %."""
 _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
 
 
@@ -133,6 +160,9 @@ class Paced:
         not, the error is raised.
     judged
         Judges the plan at a pace; None: ``Question.judged`` judges it.
+    searched
+        Returns the verdict at a pace, from the verdict before, after a search for a bad run. Every
+        end of an interval must pass it. None: nothing is searched here.
     """
 
     low: float
@@ -141,6 +171,7 @@ class Paced:
     planned_at: Sequence[Callable[[float], Plan]]
     is_verdict: Callable[[LimitError], bool] = lambda _: False
     judged: Callable[[float, Plan], Verdict] | None = None
+    searched: Callable[[float, Verdict], Verdict] | None = None
 
 
 def fastest_paced(
@@ -194,7 +225,19 @@ def fastest_paced(
     low = paced.low if question.low is None else question.low
     high = paced.high if question.high is None else question.high
     check_range(low, high, paced.unit)
-    return find_fastest(judged, low, high, grid, trials=trials, until=question.until, seen=seen)
+    seen = {} if seen is None else seen
+    found = find_fastest(judged, low, high, grid, trials=trials, until=question.until, seen=seen)
+    if paced.searched is None or not found.complete:
+        return found
+    edges = [found]
+    with until_deadline(question.until, lambda: edges):
+        edges[0] = with_searched_edges(
+            found,
+            lambda pace: seen[pace] if pace in seen else judged(pace),
+            paced.searched,
+            until=question.until,
+        )
+    return edges[0]
 
 
 def _of_all(passed: Sequence[Verdict]) -> Verdict:

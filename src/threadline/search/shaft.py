@@ -18,6 +18,7 @@ from threadline.proof.pipeline import NOMINAL, Proof, check_machine, plan_job, t
 from threadline.search.deadline import until_deadline
 from threadline.search.fastest import Fastest, Grid
 from threadline.search.paced import Paced, Question, fastest_paced
+from threadline.search.searched_edges import with_searched_edges
 from threadline.verdict import Spec, Verdict
 
 GRID = Grid(points=24, near=3, edge=5e-3)
@@ -82,6 +83,11 @@ def fastest_shaft(question: Question) -> FastestShaft:
     machine = question.machine
     check_machine(machine)
     constant = constant_speeds(question)
+    if constant.complete:
+        edges = [constant]
+        with until_deadline(question.until, lambda: edges):
+            edges[0] = _searched_edges(question, constant)
+        constant = edges[0]
     constant_s = None
     if constant.best is not None:
         constant_s = at_speed(question, constant.best).duration_s
@@ -140,6 +146,16 @@ def constant_speeds(question: Question, grid: Grid = GRID) -> Fastest:
     return found if found.best is None else replace(found, verdict=whole[found.best])
 
 
+def _searched_edges(question: Question, found: Fastest) -> Fastest:
+    """Return constant speeds whose ends also pass a search for a bad day."""
+    return with_searched_edges(
+        found,
+        lambda speed_hz: question.judged(at_speed(question, speed_hz)),
+        lambda speed_hz, verdict: question.searched(at_speed(question, speed_hz), verdict),
+        until=question.until,
+    )
+
+
 def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
     """Return whether one run and the forecast of any day leave a fifth of every limit free.
 
@@ -196,6 +212,7 @@ def _schedule(question: Question) -> Proof | None:
         chosen = replace(options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit)))
         plan = plan_job(question.job, question.machine, chosen)
         proof = try_plan(plan, spec, question.trials, question.actual, question.suspects)
+        proof = replace(proof, verdict=question.searched(plan, proof.verdict))
         tried += 1
         if question.progress is not None:
             question.progress("searching schedules", tried / (_HALVINGS + 2.0))

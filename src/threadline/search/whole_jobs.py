@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 from threadline.commands.plan import Plan
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.proof.pipeline import NOMINAL, plan_job
 from threadline.search.allowance import Rung
+from threadline.search.deadline import until_deadline
 from threadline.search.feed_ranges import Interval, closeness, used, worst_criterion
 from threadline.search.paced import Question
+from threadline.search.searched_edges import with_searched_edges
 from threadline.verdict import Verdict
 
 _LOWERED = 8  # feeds at which the whole job is tried
@@ -60,6 +63,57 @@ def judged_whole(best: Rung, rungs: dict[float, Rung], question: Question, most:
         if one.found.fixed or (shortest_s < math.inf and not over):
             break
     return min(found, key=in_order)
+
+
+def with_searched_best(
+    best: Rung,
+    rungs: dict[float, Rung],
+    question: Question,
+    seen: Mapping[float, Mapping[float, Verdict]] | None,
+) -> Rung:
+    """Return the best rung whose feeds also pass a search for a bad run; ``rungs`` take it.
+
+    Where that makes another rung the best, its feeds are searched next. Once the time is over,
+    nothing is searched.
+
+    Parameters
+    ----------
+    seen
+        By share, the verdicts by feed. None: only the best feed of the best rung is searched,
+        because the others were judged by parts of the job, or in one run.
+    """
+    done: set[float] = set()
+    if question.until is not None and question.until.ended:
+        return best
+    with until_deadline(question.until, lambda: rungs):
+        while best.duration_s is not None and best.share not in done:
+            done.add(best.share)
+            best = rungs[best.share] = _with_searched(best, question, seen)
+            if seen is not None:
+                best = min(rungs.values(), key=in_order)
+    return best
+
+
+def _with_searched(
+    best: Rung, question: Question, seen: Mapping[float, Mapping[float, Verdict]] | None
+) -> Rung:
+    known = {} if seen is None else seen.get(best.share, {})
+
+    def judged(feed: float) -> Verdict:
+        if feed in known:
+            return known[feed]
+        return question.judged(planned_at(question, best.share, feed))
+
+    def searched(feed: float, verdict: Verdict) -> Verdict:
+        return question.searched(planned_at(question, best.share, feed), verdict)
+
+    found = with_searched_edges(
+        best.found, judged, searched, until=question.until, best_alone=seen is None
+    )
+    if found.best is None or found.best == best.found.best:
+        return replace(best, found=found, duration_s=best.duration_s if found.best else None)
+    plan = planned_at(question, best.share, found.best)
+    return replace(best, found=found, duration_s=plan.duration_s)
 
 
 def in_order(rung: Rung) -> tuple[float, tuple[bool, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from threadline import __version__
@@ -19,6 +19,7 @@ from threadline.verdict.types import (
     Level,
     OverTolerances,
     Result,
+    SearchedDays,
     Status,
     Verdict,
 )
@@ -91,11 +92,12 @@ def _tightest_json(result: Result | None) -> dict[str, Any] | None:
 
 
 def tolerances_json(verdict: Verdict) -> dict[str, Any]:
-    """Return one entry with the searched and the drawn machines within the tolerances."""
-    found = verdict.tolerances
+    """Return one entry with the searched and the drawn machines, and one with searched days."""
+    found, days = verdict.tolerances, verdict.days
+    of_days = {} if days is None else {"days": {**asdict(days), "share": finite(days.share)}}
     if found is None:
-        return {}
-    return {
+        return of_days
+    return of_days | {
         "tolerances": {
             "worst_share": finite(found.share),
             "worst_criterion": found.criterion,
@@ -249,6 +251,9 @@ def _level(verdict: Verdict) -> str:
         text += f"; {'; '.join(_of_machines(verdict.tolerances))}"
     elif verdict.machines:
         text += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
+    if verdict.days is not None:
+        found, kind = verdict.days, "machines and days" if verdict.days.machines else "days"
+        text += f"; {_about_worst(f'the worst of {found.searched} {kind} of a search', found)}"
     if verdict.ends:
         text += f", {verdict.ends} at the ends of the tolerances of loads and springs, one run each"
     if verdict.band:
@@ -260,13 +265,7 @@ def _level(verdict: Verdict) -> str:
 
 def _of_machines(found: OverTolerances) -> list[str]:
     """Return the text about the worst machine searched and the drawn machines."""
-    worst = f"the worst of {found.searched} machines searched"
-    if not found.criterion:
-        about = [f"{worst} is in spec"]
-    elif found.share is None:
-        about = [f"{worst} fails {found.criterion}"]
-    else:
-        about = [f"{worst} uses {percent_used(found.share)} of {found.criterion}"]
+    about = [_about_worst(f"the worst of {found.searched} machines searched", found)]
     if found.drawn:
         least = math.floor(1000.0 * found.least + 1e-9) / 10.0
         about.append(
@@ -274,6 +273,15 @@ def _of_machines(found: OverTolerances) -> list[str]:
             f"all, with {100.0 * found.confidence:g} % confidence"
         )
     return about
+
+
+def _about_worst(worst: str, found: OverTolerances | SearchedDays) -> str:
+    if not found.criterion:
+        return f"{worst} is in spec"
+    if found.share is None:
+        return f"{worst} fails {found.criterion}"
+    digits = 1 if isinstance(found, SearchedDays) else 0  # often within 1 % of the limit
+    return f"{worst} uses {percent_used(found.share, digits)} of {found.criterion}"
 
 
 def _used_beside(result: Result, verdict: Verdict) -> list[str]:

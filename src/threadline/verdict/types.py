@@ -289,6 +289,29 @@ class OverTolerances:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SearchedDays:
+    """What a search for a bad day tells, or over tolerances one for a bad machine on a bad day.
+
+    Parameters
+    ----------
+    searched
+        Number of runs that the search tried.
+    criterion
+        The criterion that the worst of them exceeds or comes closest to; empty if none has a limit.
+    share
+        Share of the limit that the worst of them uses; None if the limit is 0, or the run never
+        ends.
+    machines
+        Whether machines within the tolerances were searched, each on a day of its own.
+    """
+
+    searched: int
+    criterion: str
+    share: float | None
+    machines: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """Every criterion's result, in the order of the specification.
 
@@ -305,6 +328,8 @@ class Verdict:
     tolerances
         Results of the search for the worst machine and of the drawn machines within the
         tolerances; None if neither was wanted.
+    days
+        What a search for a bad day tells, as ``fastest`` asks for at its answer; else None.
     wanted_yield
         Share of these machines that must be in specification; None: every one.
     ends
@@ -329,6 +354,7 @@ class Verdict:
     runs: int = 1
     machines: int = 0
     tolerances: OverTolerances | None = None
+    days: SearchedDays | None = None
     wanted_yield: float | None = None
     ends: int = 0
     band: int = 0

@@ -46,6 +46,12 @@ class Kind:
     days
         Simulates the commands on a number of days: the first with the machine as its file says, the
         others with friction, supply and encoder phases drawn from the generator.
+    ranges_of_days
+        Number of ranges that ``days`` draws from: for each encoder one, and for friction, supply
+        and the like.
+    on_days
+        Simulates the commands on k days, which a (k, ranges) array places within these ranges, from
+        0 to 1.
     others
         Simulates the commands on k machines within the tolerances of the file: a (k, n) array
         places each number within its tolerance (``machine/variants.py``), and encoder phases are
@@ -71,6 +77,8 @@ class Kind:
     plan: Callable[[Job, Machine, Options], Plan]
     simulate: Callable[[Commands, Machine], Recording]
     days: Callable[[Commands, Machine, int, np.random.Generator], Sequence[Recording]]
+    ranges_of_days: Callable[[Commands], int]
+    on_days: Callable[[Commands, Machine, FloatArray], Sequence[Recording]]
     others: Callable[[Commands, Machine, FloatArray, np.random.Generator], Sequence[Recording]]
     together: Callable[[Machine], bool]
     with_criteria: Callable[[Spec, Machine, Options], Spec]

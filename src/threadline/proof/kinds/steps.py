@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan, Stitched
 from threadline.commands.step_files import write_dst, write_steps, write_t15, write_u01
 from threadline.commands.stitched import stitch
@@ -15,6 +16,7 @@ from threadline.errors import OptionError, Place, PlanError
 from threadline.files import Commands, Recording, StepPlay, played
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
+from threadline.machine.days import within
 from threadline.machine.vary import DAMPING_OF_DAYS, vary
 from threadline.motion.shaping.shaped_law import law_named
 from threadline.proof.kinds.kind import Kind
@@ -96,6 +98,14 @@ def _days(
     return [_simulate(commands, one) for one in machines]
 
 
+def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
+    """Simulate with damping at (k, 1) places within +-30 %."""
+    return [
+        _simulate(commands, vary(machine, damping=factor))
+        for factor in within(DAMPING_OF_DAYS, places[:, 0]).tolist()
+    ]
+
+
 def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:  # noqa: ARG001
     """Return the specification unchanged: no option of this kind adds a criterion."""
     return spec
@@ -115,6 +125,8 @@ KIND = Kind(
     plan=_plan,
     simulate=_simulate,
     days=_days,
+    ranges_of_days=lambda _: 1,
+    on_days=_on_days,
     others=partial(one_by_one, _any_day),
     together=lambda _: False,
     with_criteria=_with_criteria,

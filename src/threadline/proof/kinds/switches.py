@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan, Scheduled
 from threadline.commands.plcopen import write_plcopen, write_scl
 from threadline.commands.schedule import compile_cycles
@@ -16,7 +17,8 @@ from threadline.commands.write import Target, WrittenPlan
 from threadline.files import Commands, Recording, SwitchSchedule, switch_schedule
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.machine.vary import vary
+from threadline.machine.days import within
+from threadline.machine.vary import FRICTION_OF_DAYS, SUPPLY_OF_DAYS, vary
 from threadline.proof.kinds.kind import Kind
 from threadline.proof.kinds.variants import one_by_one
 from threadline.proof.options import Options, describe, refuse_axis_options
@@ -75,10 +77,21 @@ def _days(
     """
     machines = [machine]
     for _ in range(count - 1):
-        friction, supply = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
+        friction, supply = random.uniform(*FRICTION_OF_DAYS), random.uniform(*SUPPLY_OF_DAYS)
         machines.append(vary(machine, friction=friction, supply=supply))
     first, *others = machines
     return [_simulate(commands, first), *(_with_scans(commands, one, random) for one in others)]
+
+
+def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
+    """Simulate at (k, 3) places of friction, supply, and the seed of the scans."""
+    frictions = within(FRICTION_OF_DAYS, places[:, 0]).tolist()
+    supplies = within(SUPPLY_OF_DAYS, places[:, 1]).tolist()
+    seeds = (places[:, 2] * (1 << 31)).astype(np.int64).tolist()
+    return [
+        _with_scans(commands, vary(machine, friction=f, supply=s), np.random.default_rng(seed))
+        for f, s, seed in zip(frictions, supplies, seeds, strict=True)
+    ]
 
 
 def _release(plan: Plan) -> None:
@@ -100,6 +113,8 @@ KIND = Kind(
     plan=_plan,
     simulate=_simulate,
     days=_days,
+    ranges_of_days=lambda _: 3,
+    on_days=_on_days,
     others=partial(one_by_one, _with_scans),
     together=lambda _: False,
     with_criteria=_with_criteria,

@@ -32,8 +32,9 @@ from threadline.files import (
 from threadline.files.formats.common import Written
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
+from threadline.machine.days import RANGES_OF_DAYS, days_at
 from threadline.machine.variants import numbers_at, variant
-from threadline.machine.vary import derate, drawn_days, varied_numbers, vary, with_reserve
+from threadline.machine.vary import Days, derate, drawn_days, varied_numbers, vary, with_reserve
 from threadline.motion.path import chord_path, on_chords, plan_path, programmed_path
 from threadline.motion.path.types import PlannedPath, ProgrammedPath
 from threadline.motion.path.wide_corners import Corners
@@ -298,7 +299,15 @@ def _days(
     table = tick_table(commands)
     if count == 1 or machine.without_dynamics:  # limits alone do not vary from day to day
         return [simulate(table, machine)]
-    days = drawn_days(count, len(table.axes), random)
+    return _simulated_on(table, machine, drawn_days(count, len(table.axes), random))
+
+
+def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
+    """Simulate at (k, 3 + axes) places, as ``days_at`` has them."""
+    return _simulated_on(tick_table(commands), machine, days_at(places))
+
+
+def _simulated_on(table: TickTable, machine: Machine, days: Days) -> Sequence[Recording]:
     if machine.position_sources:
         varied = zip(
             days.friction.tolist(), days.supply.tolist(), days.tension.tolist(), strict=True
@@ -312,7 +321,7 @@ def _days(
             for one, phase in zip(machines, days.phases, strict=True)
         ]
     numbers = Values.of(machine, varied_numbers(machine, days)).replaced
-    values = Values(machine, numbers, count)
+    values = Values(machine, numbers, len(days))
     return [simulate_runs(table, values, encoder_phase=days.phases, kinds=_RECORDED)]
 
 
@@ -389,6 +398,8 @@ KIND = Kind(
     plan=_plan,
     simulate=_simulate,
     days=_days,
+    ranges_of_days=lambda commands: RANGES_OF_DAYS + len(tick_table(commands).axes),
+    on_days=_on_days,
     others=_others,
     together=lambda machine: not machine.takes_positions,
     with_criteria=_with_criteria,
