@@ -16,6 +16,7 @@ from tools.core_types import (
     ROOT,
     flags_of,
     own_core_type,
+    run_together,
     runs,
     words_for,
 )
@@ -71,15 +72,37 @@ def test_what_no_other_kernel_changes_is_left_out(tmp_path: Path):
         (False, ("plain", "interpreter")),
         (True, ("plain", "interpreter", "breadth")),
     ):
-        done = suite(tmp_path, "", "-rA", "-p", "no:xdist", *_serial(words_for(long=long)))
+        done = suite(tmp_path, "", "-rA", *words_for(long=long, workers=1))
         ran = re.findall(r"^PASSED (\S+)", done.stdout, re.MULTILINE)
         assert ran == [f"{of_laws}{name}" for name in names]
 
 
-def _serial(words: tuple[str, ...]) -> tuple[str, ...]:
-    """Return pytest's words without those for several workers."""
-    assert words[1:5] == ("-n", str(os.cpu_count()), "--dist", "worksteal")
-    return (words[0], *words[5:])
+def test_a_run_with_cores_of_its_own_has_a_worker_for_each():
+    words = words_for(long=False, workers=3)
+    assert words[1:5] == ("-n", "3", "--dist", "worksteal")
+    assert (words[0], *words[5:]) == tuple(
+        word for word in words_for(long=False, workers=1) if word not in ("-p", "no:xdist")
+    )
+
+
+def test_runs_go_on_together_and_are_told_one_after_the_other(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    """Each waits for a word of the others: one after the other they would wait for ever."""
+    code = (
+        "import os, pathlib, sys, time\n"
+        f"folder, own = pathlib.Path({str(tmp_path)!r}), os.environ['CORE']\n"
+        "print(own, 'begins', flush=True)\n"
+        "(folder / own).touch()\n"
+        "end = time.monotonic() + 60\n"
+        "while len(list(folder.iterdir())) < 3 and time.monotonic() < end: time.sleep(0.01)\n"
+        "print(own, 'goes on')\n"
+        "sys.exit(own == 'b' or time.monotonic() > end)\n"
+    )
+    commands = {name: (sys.executable, "-c", code) for name in "abc"}
+    assert run_together(commands, "CORE") == ["b"]
+    told = [line for line in capfd.readouterr().out.splitlines() if not line.startswith("==")]
+    assert told == [f"{name} {what}" for name in "abc" for what in ("begins", "goes on")]
 
 
 def suite(folder: Path, ci: str, *words: str) -> subprocess.CompletedProcess[str]:

@@ -4,6 +4,9 @@ numpy and scipy multiply and factor matrices with OpenBLAS, which has a kernel p
 processor; the kernels round differently. A decision that hangs on the last bits of such a result
 is right on one processor and wrong on another. ``OPENBLAS_CORETYPE`` picks the kernel, so that one
 machine can play the others.
+
+All runs go on at the same time and share the cores. A process then imports, loads machine code and
+makes the plans of a test file once for a kernel, and not once for a kernel and a core.
 """
 
 from __future__ import annotations
@@ -12,11 +15,14 @@ import argparse
 import ctypes
 import os
 import platform
+import resource
+import signal
 import subprocess
 import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryFile
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMERICS = (
@@ -79,15 +85,60 @@ def runs(flags: frozenset[str], own: str | None = None) -> list[str]:
     return [core for core in CORE_TYPES if NEEDS[core] in flags and core != own]
 
 
-def words_for(*, long: bool) -> tuple[str, ...]:
+def words_for(*, long: bool, workers: int) -> tuple[str, ...]:
     """Return pytest's words for a run, with or without the long tests.
 
-    A worker for each core: nothing waits, and each worker more imports everything once more.
+    A run with one worker is one process. Several take from each other what is left.
     """
-    words = ("-q", "-n", str(os.cpu_count() or 1), "--dist", "worksteal")
+    spread = ("-n", str(workers), "--dist", "worksteal") if workers > 1 else ("-p", "no:xdist")
     left_out = ("-m", f"not ({ON_LINUXCNC})")
     folders = tuple(f"tests/{name}" for name in NUMERICS)
-    return (*words, *(() if long else ("--without-long",)), *left_out, *folders)
+    return ("-q", *spread, *(() if long else ("--without-long",)), *left_out, *folders)
+
+
+def _processor_s() -> float:
+    """Return the processor time of all children that have ended, s."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def run_together(commands: Mapping[str, Sequence[str]], key: str) -> list[str]:
+    """Run commands at the same time, print the output of each in one piece, in their order.
+
+    Parameters
+    ----------
+    commands
+        By name, a command each.
+    key
+        Environment variable that each command finds its own name in.
+
+    Returns
+    -------
+    list of str
+        Names of the commands that failed.
+    """
+    failed = []
+    with ExitStack() as stack:
+        begun = []
+        for name, words in commands.items():
+            said = stack.enter_context(TemporaryFile("w+", encoding="utf-8", errors="replace"))
+            environment = os.environ | {key: name}
+            run = subprocess.Popen(
+                words, cwd=ROOT, env=environment, stdout=said, stderr=subprocess.STDOUT
+            )
+            stack.callback(run.wait)
+            stack.callback(run.terminate)  # one that has ended is left alone
+            begun.append((name, run, said))
+        for name, run, said in begun:
+            before_s = _processor_s()
+            code = run.wait()
+            took_s = _processor_s() - before_s
+            said.seek(0)
+            print(f"== {name}\n{said.read()}", end="")
+            print(f"== {name} ended with {code}, {took_s:.0f} s of the processor", flush=True)
+            if code != 0:
+                failed.append(name)
+    return failed
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -110,19 +161,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     left_out = sorted(core for core in CORE_TYPES if NEEDS[core] not in flags)
     if left_out:
         print(f"this processor cannot play {', '.join(left_out)}: left out")
-    failed = []
-    for core in planned:
-        print(f"== {core}", flush=True)
-        began = time.monotonic()
-        done = subprocess.run(
-            [sys.executable, "-m", "pytest", *words_for(long=chosen.long), *chosen.rest],
-            cwd=ROOT,
-            env=os.environ | {"OPENBLAS_CORETYPE": core},
-            check=False,
-        )
-        print(f"== {core}: {time.monotonic() - began:.0f} s", flush=True)
-        if done.returncode != 0:
-            failed.append(core)
+    print(f"all at the same time, told when they have ended: {', '.join(planned)}", flush=True)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # and end the runs
+    cores = os.cpu_count() or 1
+    words = words_for(long=chosen.long, workers=max(cores // max(len(planned), 1), 1))
+    one = [sys.executable, "-m", "pytest", *words, *chosen.rest]
+    failed = run_together(dict.fromkeys(planned, one), "OPENBLAS_CORETYPE")
     if failed or not planned:
         print(f"failed on {', '.join(failed) or 'every core type: none could run'}")
         return 1

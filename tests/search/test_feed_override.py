@@ -44,6 +44,36 @@ VESSEL = Path(tl.__file__).parent / "cli" / "projects" / "winding" / "vessel.win
 PLUNGE = "G21 G90\nG0 X10 Y10\nG1 Y8 F333\nG1 X60 F1000\nG1 Y12 F333\nG93\nX50 F30\nG0 X0 Y0\nM2\n"
 
 
+HOOP = """
+name = "hoop"
+[mandrel]
+at = "100 mm"
+[[part]]
+kind = "cylinder"
+radius = "50 mm"
+length = "60 mm"
+[band]
+width = "8 mm"
+tex = 2400
+material = "e-glass/epoxy"
+fibre_volume = "60 %"
+[friction]
+value = 0.25
+[fibre]
+speed = "200 mm/s"
+[[layer]]
+kind = "hoop"
+"""
+
+
+def winding_of(name: str, folder: Path) -> Path:
+    """Return a product: the vessel, of 1910 moves, or a hoop layer of 32."""
+    if name == "vessel":
+        return VESSEL
+    (folder / "hoop.wind.toml").write_text(HOOP)
+    return folder / "hoop.wind.toml"
+
+
 @pytest.fixture
 def mill(tmp_path: Path) -> Machine:
     """Two axes of 30 m/min."""
@@ -168,9 +198,12 @@ def test_a_lift_that_a_slow_axis_holds_back_is_no_end_of_the_search(
     assert search_range(lifted, slow_y, FeedMode.OVERRIDE)[1] == pytest.approx(30.0, rel=1e-5)
 
 
-@pytest.mark.parametrize("interpolation", ["linear", "auto"])
+@pytest.mark.long(but="hoop-linear")
+@pytest.mark.parametrize(
+    ("winding", "interpolation"), [("hoop", "linear"), ("vessel", "linear"), ("vessel", "auto")]
+)
 def test_a_winding_is_searched_from_above(
-    interpolation: str, monkeypatch: pytest.MonkeyPatch
+    winding: str, interpolation: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Its slow feeds take longest to judge, and are never the answer."""
     tried: list[float] = []
@@ -188,7 +221,7 @@ def test_a_winding_is_searched_from_above(
 
     monkeypatch.setattr(Question, "judged", judged)
     words = Words.of("fastest", Door.PYTHON, {"interpolation": interpolation})
-    asked = question_of(words, VESSEL, "lathe-winder")
+    asked = question_of(words, winding_of(winding, tmp_path), "lathe-winder")
     found = fastest_job(asked)
     assert found.by is FeedMode.OVERRIDE and found.best.found.best is not None
     assert 980.0 < 100.0 * found.best.found.best < 1000.0
@@ -218,21 +251,23 @@ def _judged_by(
     return tried
 
 
-def _over_tolerances() -> Question:
+def _over_tolerances(job: Path) -> Question:
     words = Words.of(
         "fastest", Door.PYTHON, {"interpolation": "linear", "level": "over tolerances"}
     )
-    return question_of(words, VESSEL, "lathe-winder")
+    return question_of(words, job, "lathe-winder")
 
 
+@pytest.mark.long(but="hoop")
+@pytest.mark.parametrize("winding", ["hoop", "vessel"])
 def test_a_winding_is_searched_in_one_run_and_judged_over_the_tolerances(
-    monkeypatch: pytest.MonkeyPatch,
+    winding: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Other machines are asked only near the answer: hundreds of them pass one feed."""
     tried = _judged_by(
         monkeypatch, lambda q, percent: percent * (3e-6 if q.trials.machines else 2e-6)
     )
-    found = fastest_job(_over_tolerances())
+    found = fastest_job(_over_tolerances(winding_of(winding, tmp_path)))
     assert found.whole and found.in_one_run
     best = found.best.found.best
     assert best is not None and 0.93 * 666.7 < 100.0 * best <= 666.7
@@ -257,14 +292,16 @@ def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: s
     assert line.startswith("the feeds of the table pass in one run of each plan") and said in line
 
 
+@pytest.mark.long(but="hoop")
+@pytest.mark.parametrize("winding", ["hoop", "vessel"])
 def test_an_error_over_the_tolerances_that_no_feed_mends_ends_the_search(
-    monkeypatch: pytest.MonkeyPatch,
+    winding: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """As by the steps per degree: it is the same at a third of the feed."""
     tried = _judged_by(
         monkeypatch, lambda q, percent: 3e-3 if q.trials.machines else percent * 2e-6
     )
-    found = fastest_job(_over_tolerances())
+    found = fastest_job(_over_tolerances(winding_of(winding, tmp_path)))
     assert found.best.found.best is None and found.best.found.fixed == "contour_error"
     over = [percent for machines, percent in tried if machines]
     assert found.whole and len(over) <= 8 and over[-1] < over[0] / 3.0

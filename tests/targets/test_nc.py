@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from threadline.commands import nc
 from threadline.commands.nc import MAX_BODY, Loop, fold, part_program_lines, write_part_program
 from threadline.commands.nc_blocks import OutBlock
 from threadline.commands.nc_numbers import shortest
@@ -180,6 +182,63 @@ def test_a_subroutine_too_long_to_be_held_is_written_out_whole() -> None:
             for block in (one.body * one.passes if isinstance(one, Loop) else (one,))
         ]
         assert written == [block.words for block in blocks]
+
+
+def written(blocks: Iterable[OutBlock]) -> list[int]:
+    """Return the number of passes of each loop, and 0 for each block outside of loops."""
+    return [one.passes if isinstance(one, Loop) else 0 for one in fold(blocks)]
+
+
+def passes(count: int, *words: str, feed: int | None = None) -> list[OutBlock]:
+    """Return the blocks of equal passes of a subroutine."""
+    return [
+        OutBlock(1, one, inverse_time=feed is not None, feed=feed, passes=(k,))
+        for k in range(1, count + 1)
+        for one in words
+    ]
+
+
+def test_bodies_that_are_held_together_are_not_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What does not fit beside those that are held is written out, and what still fits is held."""
+    monkeypatch.setattr(nc, "_MAX_KEPT", 5)
+    first, second = passes(2, "X1", "X2", "X3"), passes(2, "X4", "X5", "X6")
+    assert written([*first, *second, *passes(2, "X7", "X8")]) == [2, *[0] * 6, 2]
+
+
+def test_passes_whose_times_differ_by_rounding_alone_are_one_loop() -> None:
+    """Two units in the ninth digit, no more."""
+    (one,) = passes(1, "X1", feed=10**18)
+    for digits, wanted in ((2, [2]), (3, [1, 1])):
+        other = one._replace(feed=10**18 + digits * 10**10, passes=(2,))
+        assert written([one, other]) == wanted
+
+
+def test_each_call_stays_a_call_with_its_own_count(tmp_path: Path) -> None:
+    """The operator who looks for a call of the job finds it in the program; one pass has no L."""
+    text = "%\nO7\nX1\nM99\nO1\nG91 G1 F600 A1\nM98 P7 L2\nM98 P7 L3\nA1\nM98 P7\nM30\n%\n"
+    (tmp_path / "a.nc").write_text(text)
+    job = read_job(tmp_path / "a.nc", MACHINE)
+    lines = list(part_program_lines(job, MACHINE, subroutines=True))
+    calls = [line.partition("M 98 ")[2] for line in lines if "M 98 " in line]
+    assert calls == ["P 2 L 2;", "P 2 L 3;", "P 2;"]
+
+
+def test_fanuc_has_as_many_subprograms_as_four_digits_leave(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The main program is number 1, so the last number is that of the one before it."""
+    monkeypatch.setattr(nc, "_MOST_FANUC", 3)
+    for count in (2, 3):
+        bodies = "".join(f"O{k}\nX{k}\nM99\n" for k in range(7, 7 + count))
+        calls = "".join(f"M98 P{k}\nA1\n" for k in range(7, 7 + count))
+        (tmp_path / "a.nc").write_text(f"%\n{bodies}O1\nG91 G1 F600 A1\n{calls}M30\n%\n")
+        job = read_job(tmp_path / "a.nc", MACHINE)
+        lines = part_program_lines(job, MACHINE, style="fanuc", subroutines=True)
+        if count == 2:
+            assert sum(line.startswith("O") for line in lines) == 1 + count
+        else:
+            with pytest.raises(PlanError, match="more than 3 different subprograms"):
+                list(lines)
 
 
 @settings(max_examples=300, phases=(Phase.generate,))

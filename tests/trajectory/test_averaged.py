@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -178,6 +180,56 @@ def test_a_motion_that_begins_and_ends_at_speed_stands_before_and_after_it():
     ladder = TrajectoryReader(moving).ladder(np.array([-0.5, 0.0, 0.25, 1.0, 1.5]), 2)
     assert ladder[:, 0, 0].tolist() == [3.0, 3.0, 3.5, 5.0, 5.0]
     assert ladder[:, 1, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 0.0]
+
+
+def long_blocks(count, length):
+    """Yield blocks of a second each, of equal pieces, one after the other."""
+    for number in range(count):
+        yield TrajectoryBlock(
+            start_s=number + np.arange(length) / length,
+            duration_s=np.full(length, 1.0 / length),
+            coefficients=np.full((length, 4, 2), float(number)),
+            operation=np.zeros(length, dtype=np.int64),
+        )
+
+
+def test_reader_holds_the_blocks_around_an_instant_alone():
+    """Sixty blocks of a megabyte: four at once at most, as they are made, read and checked."""
+    count, length = 60, 12_000
+    reader = TrajectoryReader(
+        Trajectory(axes=("X", "Y"), blocks=Stream(long_blocks, count, length))
+    )
+    tracemalloc.start()
+    for begin in np.arange(0.0, count, 0.5):
+        ladder = reader.ladder(begin + np.array([0.1, 0.2]), 2)
+        assert ladder[0, 0, 0] >= np.floor(begin)
+        reader.drop(begin)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 6e6
+
+
+@pytest.mark.parametrize("blocks", [1, 2])
+def test_where_a_speed_steps_it_is_that_with_which_the_motion_goes_on(blocks):
+    """Wherever the blocks are cut: 1 m/s up to the first second, 2 m/s from then on."""
+    whole = TrajectoryBlock(
+        start_s=np.array([0.0, 1.0]),
+        duration_s=np.array([1.0, 1.0]),
+        coefficients=np.array([[[0.0], [1.0]], [[1.0], [2.0]]]),
+        operation=np.array([0, 0]),
+    )
+    cut = [
+        TrajectoryBlock(
+            start_s=whole.start_s[k],
+            duration_s=whole.duration_s[k],
+            coefficients=whole.coefficients[k],
+            operation=whole.operation[k],
+        )
+        for k in ([slice(0, 2)] if blocks == 1 else [slice(0, 1), slice(1, 2)])
+    ]
+    motion = Trajectory(axes=("X",), blocks=Stream.of(cut))
+    assert motion([0.0, 0.5, 1.0, 1.5], 1)[:, 0].tolist() == [1.0, 1.0, 2.0, 2.0]
+    assert motion([0.5, 1.0, 1.5])[:, 0].tolist() == [0.5, 1.0, 2.0]
 
 
 def test_no_width_is_refused():
