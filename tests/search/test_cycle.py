@@ -196,7 +196,7 @@ def test_a_move_list_reads_back_as_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ('levels = "1 for 490 ms"', "move the piston by 208.51 mm of 200.00 mm"),
+        ('levels = "1 for 490 ms"', "by 208.51 mm, and its move is 200.00 mm"),
         ('levels = "1 for 475 ms"', "475 ms is no whole number of scans of 10 ms"),
         ('levels = "full for 470 ms"', "'full for 470 ms' is not a level with its time"),
         ('levels = "1 for 10 ms, 0 for 10 ms, 1 for 460 ms"', "would switch again after 10 ms"),

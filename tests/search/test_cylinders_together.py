@@ -105,7 +105,7 @@ def read_job_text(text: str, machine: Machine, beside: Job) -> Job:
     [
         ('{ X = "1 for 470 ms", Y = "1 for 500 ms" }', "levels are given for 'Y', which this"),
         ('{ X = "1 for 470 ms", Z = 7 }', "levels of Z: 7 is no text of levels"),
-        ('{ X = "1 for 470 ms", Z = "1 for 100 ms" }', "move the piston by 20.00 mm of 100.00 mm"),
+        ('{ X = "1 for 470 ms", Z = "1 for 100 ms" }', "by 20.00 mm, and its move is 100.00 mm"),
         ("[1, 2]", "levels = [1, 2] is no text"),
     ],
 )
