@@ -2,13 +2,15 @@
 
 A headless Chromium has the page open and runs a program again and again. ``python -m
 tools.panel_hour --minutes 60`` writes a line a minute, and the figures of ``docs/panel.md`` at the
-end. With ``--circuits 60`` one run lasts long, so that the machine moves all the time.
+end. With ``--circuits 60`` one run lasts long, so that the machine moves all the time. ``--machine
+stitcher --program strap.seam.toml`` takes another machine and another example.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -45,7 +47,7 @@ def child_of(pid: int) -> int:
     return int(Path(f"/proc/{pid}/task/{pid}/children").read_text("utf-8").split()[0])
 
 
-def open_page(page: Page, port: int) -> None:
+def open_page(page: Page, port: int, program: str) -> None:
     """Open the panel, and bring the machine to where the program was calculated."""
     end = time.monotonic() + 120.0
     while True:
@@ -59,7 +61,7 @@ def open_page(page: Page, port: int) -> None:
     for name in ("Take control", "Enable", "Home all"):
         press(page, name)
     page.get_by_role("tab", name="Prepare").click()
-    page.locator("#program").select_option(PROGRAM.name)
+    page.locator("#program").select_option(program)
     press(page, "Calculate")
     page.locator("#figures dt").first.wait_for(timeout=600_000)
     if (reason := page.locator("#override")).is_visible():  # a program out of specification
@@ -167,10 +169,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--circuits", type=int, default=CIRCUITS, help="circuits of a run")
+    parser.add_argument("--machine", default="lathe-winder", help="machine file or library name")
+    parser.add_argument("--program", default=PROGRAM.name, help="a program of examples/")
     given = parser.parse_args()
     minutes: float = given.minutes
-    text = PROGRAM.read_text("utf-8")
-    assert f" L {CIRCUITS};" in text
     if minutes < _SETTLED_S / 60.0 + 2.0:
         parser.error(
             f"--minutes must be {_SETTLED_S / 60.0 + 2.0:g} or more: the first are left out"
@@ -181,10 +183,15 @@ def main() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with tempfile.TemporaryDirectory() as folder:
-        wound = text.replace(f" L {CIRCUITS};", f" L {given.circuits};")
-        (Path(folder) / PROGRAM.name).write_text(wound, "utf-8")
+        for one in PROGRAM.parent.glob(f"{given.program.partition('.')[0]}.*"):  # with its drawing
+            shutil.copy(one, folder)
+        if given.program == PROGRAM.name:
+            text = PROGRAM.read_text("utf-8")
+            assert f" L {CIRCUITS};" in text
+            wound = text.replace(f" L {CIRCUITS};", f" L {given.circuits};")
+            (Path(folder) / PROGRAM.name).write_text(wound, "utf-8")
         server = subprocess.Popen(
-            [sys.executable, "-m", "threadline", "panel", folder, "-m", "lathe-winder",
+            [sys.executable, "-m", "threadline", "panel", folder, "-m", given.machine,
              "--port", str(port), "--speed", SPEED, "--store", f"{folder}/runs"],
         )  # fmt: skip
         try:
@@ -194,7 +201,7 @@ def main() -> None:
                     args=["--no-sandbox", "--enable-unsafe-swiftshader"],
                 )
                 page = browser.new_page(viewport={"width": 1280, "height": 800})
-                open_page(page, port)
+                open_page(page, port, given.program)
                 owner = child_of(server.pid)
                 pids = {"server": server.pid, "owner": owner, "machine": child_of(owner)}
                 pids |= browser_pids(page)

@@ -220,6 +220,29 @@ def test_without_the_server_everything_is_stale(browser: Browser, plant: Plant) 
     page.close()
 
 
+def test_a_server_that_is_gone_is_told_at_once_and_until_it_is_back(
+    browser: Browser, plant: Plant
+) -> None:
+    """The state from before is not shown again while there is no connection."""
+    page = opened(browser, plant)
+    ready(page)
+    page.evaluate(
+        """() => {
+          window.gone = new Promise((done) => {
+            const state = document.getElementById("state");
+            new MutationObserver(() => {
+              if (!state.textContent.startsWith("no connection")) return;
+              setTimeout(() => done(state.textContent), 500);
+            }).observe(state, { childList: true, subtree: true });
+          });
+        }"""
+    )
+    os.kill(plant.server, signal.SIGKILL)
+    told = page.evaluate("() => window.gone")
+    assert told.startswith("no connection: trying again; a run goes on, unless the panel has ended")
+    page.close()
+
+
 @pytest.mark.long(shown_by="test_home_jog_calculate_run_hold_resume_stop")
 def test_the_feed_of_a_run_is_overridden_by_buttons_and_keys(
     browser: Browser, plant: Plant
