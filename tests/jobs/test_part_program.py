@@ -123,6 +123,13 @@ def test_warnings_name_their_line(tmp_path: Path) -> None:
     assert read(tmp_path, "G91 G1", *many, "M30").capped[-1] == "15 more warnings of these kinds."
 
 
+def test_dwells_from_twenty_seconds_on_are_asked_about(tmp_path: Path) -> None:
+    """Whatever is waited for, pens, valves and spindles, takes less than that."""
+    job = read(tmp_path, "G91 G1 F600 X1", "G4 P19.9", "G4 P20", "G4 P21", "M30")
+    (told,) = job.suspicions(own_feed=True)
+    assert told.split(":")[1] == "3" and "waits 20 s (1 more line waits as long)" in told
+
+
 def test_g64_alone_is_warned_of_and_a_thousand_of_them_at_most(tmp_path: Path) -> None:
     """A program may have millions: what is told of them takes a bounded place."""
     modes = ["G21 G90 G94", "G91 G1 F600 X1"]

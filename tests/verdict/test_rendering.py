@@ -305,6 +305,24 @@ def test_axes_that_never_move_have_no_rows_of_zeros() -> None:
     assert len(every) == 2
 
 
+def test_a_step_without_a_result_has_a_dash_and_one_that_failed_to_be_measured_says_so() -> None:
+    def of(step: str, name: str, measured: float | None, status: Status) -> Result:
+        return Result(
+            name=name, axis="Z", measured=measured, limit=0.1, unit="s", status=status, step=step
+        )
+
+    results = (
+        of("down", "settling_time", 0.05, Status.PASSED),
+        of("down", "cycle_time", 0.2, Status.FAILED),
+        of("grip", "settling_time", None, Status.NOT_MEASURED),
+    )
+    header, rows = step_rows(Verdict(results=results, simulated=True))
+    assert header == ["step", "settling_time Z", "cycle_time Z"]
+    assert [row[0] for row in rows] == ["down", "grip"]
+    assert rows[0][2].endswith(" (failed)") and not rows[0][1].endswith(" (failed)")
+    assert rows[1][1:] == ["not measured", "-"]
+
+
 @pytest.mark.parametrize(
     ("share", "said"), [(0.0, "0 %"), (0.0209, "2.09 %"), (1.0, "100 %"), (12.53, "1250 %")]
 )
