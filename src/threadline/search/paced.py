@@ -101,6 +101,12 @@ class Question:
             plan, self.spec, self.trials, self.actual, self.suspects, progress=progress
         ).verdict
 
+    @property
+    def searches(self) -> bool:
+        """Whether a bad run is looked for at the answer: ``searched`` may change a verdict."""
+        alone = self.actual is None and self.learned is None
+        return alone and self.trials.repeats >= REPEATED_RUNS
+
     def searched(self, plan: Plan, verdict: Verdict) -> Verdict:
         """Return the verdict on a plan that may be the answer, after a search for a bad run.
 
@@ -111,9 +117,7 @@ class Question:
         Verdicts of less than the level *repeated* are returned as they are, and so are verdicts on
         another machine and on learned tables.
         """
-        trials = self.trials
-        alone = self.actual is None and self.learned is None
-        if not (verdict.passed and alone and trials.repeats >= REPEATED_RUNS):
+        if not (verdict.passed and self.searches):
             return verdict
         found, over = verdict, verdict.tolerances
         if over is not None and (over.share is None or over.share >= _CLOSE):
@@ -227,7 +231,7 @@ def fastest_paced(
     check_range(low, high, paced.unit)
     seen = {} if seen is None else seen
     found = find_fastest(judged, low, high, grid, trials=trials, until=question.until, seen=seen)
-    if paced.searched is None or not found.complete:
+    if paced.searched is None or not (found.complete and question.searches):
         return found
     edges = [found]
     with until_deadline(question.until, lambda: edges):

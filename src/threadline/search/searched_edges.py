@@ -103,7 +103,8 @@ def _held(verdict_at: Judged, end: float, other: float, edge: float) -> float | 
 def _with_kept(found: Fastest, kept: tuple[Interval, ...], known: dict[float, Verdict]) -> Fastest:
     """Return a result with other intervals, and what limits the fastest of them."""
     assert found.best is not None
-    tried = found.tried + len(known) - (found.best in known)
+    ends = {end for one in found.intervals for end in (one.low, one.high)}
+    tried = found.tried + len(known.keys() - ends)
     failing = {pace: verdict for pace, verdict in known.items() if not verdict.passed}
     new = replace(found, intervals=kept, tried=tried)
     if new.best is None:

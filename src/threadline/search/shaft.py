@@ -83,7 +83,7 @@ def fastest_shaft(question: Question) -> FastestShaft:
     machine = question.machine
     check_machine(machine)
     constant = constant_speeds(question)
-    if constant.complete:
+    if constant.complete and question.searches:
         edges = [constant]
         with until_deadline(question.until, lambda: edges):
             edges[0] = _searched_edges(question, constant)

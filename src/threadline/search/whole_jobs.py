@@ -83,7 +83,7 @@ def with_searched_best(
         because the others were judged by parts of the job, or in one run.
     """
     done: set[float] = set()
-    if question.until is not None and question.until.ended:
+    if not question.searches or (question.until is not None and question.until.ended):
         return best
     with until_deadline(question.until, lambda: rungs):
         while best.duration_s is not None and best.share not in done:
