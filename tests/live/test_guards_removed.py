@@ -299,7 +299,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
         lambda: test_jog.test_who_is_idle_after_it_stands_where_it_is_told("X", "let go"),
     ),
     "the stop of homing": (
-        attribute(FarEnd, "home", lambda one, _wakes, _stopped: np.zeros(3, np.int64)),
+        attribute(FarEnd, "home", lambda one, _wakes, _stopped: (np.zeros(3, np.int64), {})),
         test_homing.test_a_run_that_is_stopped_while_it_homes_never_begins,
     ),
 }  # fmt: skip

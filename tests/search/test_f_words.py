@@ -131,5 +131,5 @@ def test_what_fastest_finds_is_typed_into_the_program(
 @pytest.mark.parametrize("rule", ["x-winder", ""])
 def test_f_that_is_no_speed_is_not_asked_for(rule: str) -> None:
     """X-Winder's F is of its carriage alone; a seam has none."""
-    with pytest.raises(OptionError, match="no speed of its moves"):
+    with pytest.raises(OptionError, match="is not the speed of its moves"):
         as_f_words(0.1, rule)

@@ -242,7 +242,7 @@ def test_lines_for_fluidnc_and_linuxcnc_are_as_long_as_these_take(
     for target in ("fluidnc", "linuxcnc", "grbl", "marlin"):
         assert BOARDS[target].longest == DIALECTS[target].grammar.longest
     words = f"M62 P{'0' * 130}1"
-    with pytest.raises(PlanError, match=r"a line of 1\d\d characters: fluidnc takes 127"):
+    with pytest.raises(PlanError, match=r"a line has 1\d\d characters, and fluidnc takes 127"):
         compiled(tmp_path, machines["linuxcnc"], f"{words}\nG1 X5 F600\nM2\n", "fluidnc")
 
 
@@ -263,7 +263,7 @@ def test_marlin_shows_the_text_of_a_stop(tmp_path: Path, machines: dict[str, Mac
     text = "".join(f"G1 X{5 + k} F600\n{stop}\n" for k, stop in enumerate(stops))
     lines = compiled(tmp_path, machines["marlin"], text, "marlin").splitlines()
     assert [line for line in lines if line[:2] in {"M0", "M1"}] == stops
-    with pytest.raises(PlanError, match=r"a line of 103 characters: marlin takes 95"):
+    with pytest.raises(PlanError, match=r"a line has 103 characters, and marlin takes 95"):
         compiled(tmp_path, machines["marlin"], f"M0 {'x' * 100}\nG1 X5 F600\n", "marlin")
 
 

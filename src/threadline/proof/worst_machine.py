@@ -23,7 +23,6 @@ from threadline.commands.plan import Plan
 from threadline.dynamics.values import Values
 from threadline.files import tick_table
 from threadline.machine import Machine
-from threadline.machine.days import on_days
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at, number_tables, with_numbers
 from threadline.machine.variants import check_uncertain, load_by_counts, numbers_at, one_at_a_time
@@ -174,6 +173,8 @@ class WithinTolerances:
         """
         assert self._many is not None
         own = numbers_at(self.plan.machine, self.machine_parts(parts))
+        from threadline.machine.days import on_days  # of searches alone
+
         numbers = on_days(self.plan.machine, own, days)
         products = self._products(parts)
         if products is not None:

@@ -32,7 +32,6 @@ from threadline.files import (
 from threadline.files.formats.common import Written
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
-from threadline.machine.days import RANGES_OF_DAYS, days_at
 from threadline.machine.variants import numbers_at, variant
 from threadline.machine.vary import Days, derate, drawn_days, varied_numbers, vary, with_reserve
 from threadline.motion.path import chord_path, on_chords, plan_path, programmed_path
@@ -302,8 +301,16 @@ def _days(
     return _simulated_on(table, machine, drawn_days(count, len(table.axes), random))
 
 
+def _ranges_of_days(commands: Commands) -> int:
+    from threadline.machine.days import RANGES_OF_DAYS  # of searches alone
+
+    return RANGES_OF_DAYS + len(tick_table(commands).axes)
+
+
 def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
-    """Simulate at (k, 3 + axes) places, as ``days_at`` has them."""
+    """Simulate at (k, 3 + axes) places, as ``days_at`` takes them."""
+    from threadline.machine.days import days_at
+
     return _simulated_on(tick_table(commands), machine, days_at(places))
 
 
@@ -398,7 +405,7 @@ KIND = Kind(
     plan=_plan,
     simulate=_simulate,
     days=_days,
-    ranges_of_days=lambda commands: RANGES_OF_DAYS + len(tick_table(commands).axes),
+    ranges_of_days=_ranges_of_days,
     on_days=_on_days,
     others=_others,
     together=lambda machine: not machine.takes_positions,
