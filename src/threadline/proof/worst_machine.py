@@ -171,10 +171,10 @@ class WithinTolerances:
 
         Only where machines are simulated together.
         """
-        assert self._many is not None
-        own = numbers_at(self.plan.machine, self.machine_parts(parts))
         from threadline.machine.days import on_days  # of searches alone
 
+        assert self._many is not None
+        own = numbers_at(self.plan.machine, self.machine_parts(parts))
         numbers = on_days(self.plan.machine, own, days)
         products = self._products(parts)
         if products is not None:
