@@ -23,8 +23,7 @@ from threadline.dynamics.pneumatic import step_ringing
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import with_numbers
 from threadline.machine.vary import mode_off
-from threadline.motion.shaping.onoff.flow_levels import FlowMove, least_scans
-from threadline.motion.shaping.onoff.flow_search import shortest_flow_command
+from threadline.motion.shaping.onoff.flow_search import FlowMove, least_scans, shortest_flow_command
 
 OWN: dict[str, tuple[str, dict[str, float]]] = {
     # A gantry of two cylinders: 6.3 Hz across, 10.9 Hz up.

@@ -12,7 +12,6 @@ from tests.twin.test_state_space import compare, run, swinger
 from threadline.cli.main import main
 from threadline.dynamics.analysis import analyse_axis
 from threadline.dynamics.contouring import cross_coupled
-from threadline.dynamics.design_overlay import overlay_text
 from threadline.dynamics.loop import axis_loop
 from threadline.dynamics.state_designs import (
     Designed,
@@ -25,6 +24,7 @@ from threadline.dynamics.state_designs import (
 from threadline.errors import MachineError
 from threadline.identify.time_domain import driven_by_volts
 from threadline.machine import Machine, load_machine
+from threadline.search.controller_design import overlay_text
 
 
 def written(folder, machine: Machine, base: str, designs: list[Designed]) -> Machine:

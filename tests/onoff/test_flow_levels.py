@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from threadline.motion.shaping.onoff.flow_levels import FlowMove, least_scans
-from threadline.motion.shaping.onoff.flow_search import flow_command, shortest_flow_command
+from threadline.motion.shaping.onoff.flow_search import (
+    FlowMove,
+    flow_command,
+    least_scans,
+    shortest_flow_command,
+)
 from threadline.motion.shaping.onoff.switched import Valves
 from threadline.search.move_commands import time_optimal_s
 

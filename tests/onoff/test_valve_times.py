@@ -21,8 +21,7 @@ from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import Quantity
-from threadline.motion.shaping.onoff.flow_levels import FlowMove, least_scans
-from threadline.motion.shaping.onoff.flow_search import flow_command
+from threadline.motion.shaping.onoff.flow_search import FlowMove, flow_command, least_scans
 from threadline.motion.shaping.onoff.switched import Valves
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job

@@ -18,8 +18,8 @@ from threadline.machine import load_machine
 from threadline.panel.live_contour import Also, LiveContour
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import Proof, open_job, plan_job, prove_plan
+from threadline.report.traces import contour_along
 from threadline.verdict import load_spec
-from threadline.verdict.along import contour_along
 
 LIMIT_M = 0.5e-3
 SMALL = 7  # samples of a report, which need not fit the pieces

@@ -18,8 +18,8 @@ import pytest
 import threadline as tl
 from threadline.errors import InputError
 from threadline.readback.equal import Equal
+from threadline.readback.equal_schedule import Controller
 from threadline.readback.scan_language import read_body, read_units
-from threadline.readback.scan_machine import Controller
 from threadline.readback.scan_units import of_plcopen
 from threadline.readback.scan_words import ScanError
 

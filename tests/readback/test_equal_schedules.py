@@ -14,8 +14,8 @@ from tests.plc.texts import units_of
 import threadline as tl
 from threadline.errors import InputError
 from threadline.readback.equal import Equal
+from threadline.readback.equal_schedule import Controller
 from threadline.readback.scan_language import read_body, read_units
-from threadline.readback.scan_machine import Controller
 from threadline.readback.scan_words import ScanError, time_us
 from threadline.report.differences import difference_figure
 

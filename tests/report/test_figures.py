@@ -16,9 +16,8 @@ from threadline.proof.pipeline import Proof, plan_job, prove_plan
 from threadline.report.comparison import overlays
 from threadline.report.figures import all_figures
 from threadline.report.style import figure_style
-from threadline.report.traces import collect
+from threadline.report.traces import collect, contour_along
 from threadline.verdict import load_spec
-from threadline.verdict.along import contour_along
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

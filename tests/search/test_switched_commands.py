@@ -10,8 +10,7 @@ from scipy.integrate import solve_ivp
 from tools.second_search import left, second
 
 from threadline.commands.schedule_moves import AT_ONCE
-from threadline.motion.shaping.onoff.flow_levels import FlowMove
-from threadline.motion.shaping.onoff.flow_search import shortest_flow_command
+from threadline.motion.shaping.onoff.flow_search import FlowMove, shortest_flow_command
 from threadline.motion.shaping.onoff.switched import Valves
 from threadline.search.move_commands import gapped, residual_ringing, stepped, time_optimal_s
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.commands.merging import merged
+from threadline.commands.merged_chords import merged
 from threadline.commands.planned_job import planned_job
 from threadline.jobs.operations import Feed, FeedMode, Move
 

@@ -23,8 +23,7 @@ from threadline.proof.request import options_of
 from threadline.twin import simulate
 from threadline.verdict import Spec, judge
 from threadline.verdict.types import Criterion, Result, Status
-from threadline.winding.mounting import with_mandrel
-from threadline.winding.product import product_text
+from threadline.winding.product import product_text, with_mandrel
 
 BLOCKS, CHANGE = 110, 55  # of the circuit, and the one from which on the tension is another one
 ASKED = 8.4, 7.4

@@ -26,8 +26,8 @@ from pathlib import Path
 from types import CodeType
 from typing import Any, BinaryIO, TypeVar
 
-from threadline.base.held_signals import uninterrupted
 from threadline.base.progress import COMPILING
+from threadline.base.writing import uninterrupted
 from threadline.errors import OptionError
 
 try:

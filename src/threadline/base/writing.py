@@ -2,24 +2,27 @@
 
 Every file is written under a temporary name in its folder and renamed at the end, in steps that can
 be undone. No output replaces an input file, a read-only file, a folder, a pipe or a device; links
-are followed. Standard output is written last. Missing parent folders are made.
+are followed. Standard output is written last. Missing parent folders are made. Signals that
+end the program are held back while files are renamed.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+import signal
 import stat
 import sys
 import tempfile
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import IO
 
-from threadline.base.held_signals import uninterrupted
 from threadline.base.reading import input_behind, naming
 from threadline.errors import OptionError
 
@@ -334,3 +337,26 @@ def _kept(move: _Move, stack: ExitStack) -> Path | None:
     except OSError:  # a file system without links
         shutil.copy2(move.place, kept)
     return kept
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold back SIGINT, SIGTERM and SIGHUP until the end of the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    before = {
+        number: signal.signal(number, lambda *arguments: came.append(arguments))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if callable(signal.getsignal(number))
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for arguments in came[:1]:
+            handler = before[signal.Signals(arguments[0])]
+            if callable(handler):
+                handler(*arguments)

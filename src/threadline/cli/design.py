@@ -34,10 +34,11 @@ from threadline.report.design import (
     candidate_rows,
     change_rows,
     corners_title,
+    front_rows,
+    front_title,
     gain_rows,
     write_design_report,
 )
-from threadline.report.front import front_rows, front_title
 from threadline.search.design import DesignResult
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design

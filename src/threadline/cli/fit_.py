@@ -11,9 +11,8 @@ from threadline.base.writing import check_machine_output
 from threadline.cli.arguments import JsonOption, keep_inputs
 from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.errors import OptionError
-from threadline.identify.machine_file import quantity_text, write_fitted
 from threadline.identify.measured_data import open_data
-from threadline.identify.parameter_fit import Fit, fit, parse_numbers
+from threadline.identify.parameter_fit import Fit, fit, parse_numbers, quantity_text, write_fitted
 from threadline.machine import load_machine
 
 

@@ -16,7 +16,7 @@ from threadline.errors import OptionError
 from threadline.files.formats.common import atomic_file
 from threadline.identify.amplifier_trim import AxisTrim, trim
 from threadline.identify.experiment_run import LINKS
-from threadline.identify.machine_file import base_lines
+from threadline.identify.parameter_fit import base_lines
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at, number_tables
 from threadline.search.tune import (
@@ -25,8 +25,8 @@ from threadline.search.tune import (
     tune,
     usual_controller,
     wanted_tuning,
+    write_tuned,
 )
-from threadline.search.tuned_file import write_tuned
 from threadline.search.tuning import MEASURES, RULES, JobRun, TunedAxis, Tuning, label
 from threadline.units import parse_quantity
 from threadline.verdict.spec import load_spec

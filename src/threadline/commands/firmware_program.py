@@ -6,32 +6,45 @@ F of a chord is the highest planned speed along the chord. A chord ends where th
 rises again after a fall, where the feed of the job changes, where G0 changes to G1 or back, and
 where a word switches something. The program is read back in its own dialect and compared with the
 plan before the file exists.
+
+An axis may move on the way to the place where the job first moves it, which is a warning. A job
+that goes over a place and then down leaves Z where the operator has put it until then. The rounded
+corner before the descent moves Z earlier, and so from the zero of the program.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.progress import WRITING
 from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, read_written, refuse_lost
-from threadline.commands.early_moves import early_moves
 from threadline.commands.endless_axes import EndlessNumbers
-from threadline.commands.merged_chords import Chord, Chords, travels
-from threadline.commands.merging import CLOSE_M
+from threadline.commands.merged_chords import CLOSE_M, Chord, Chords, travels
 from threadline.commands.nc_blocks import operation_words
 from threadline.commands.planned_job import CHORD_TOLERANCE_M
 from threadline.errors import PlanError
 from threadline.files.formats.common import Written, atomic_file, written
 from threadline.jobs.feed_times import programmed_time_s
 from threadline.jobs.gcode.dialects import DIALECTS
-from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Stop, ToolEvent
+from threadline.jobs.operations import (
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    MoveRun,
+    Operation,
+    Stop,
+    ToolEvent,
+    move_runs,
+)
 from threadline.machine import Machine
 from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.motion.path import plan_path, programmed_path
@@ -373,3 +386,57 @@ def _away_m(points: FloatArray, begin: FloatArray, end: FloatArray) -> float:
     share = np.clip((points - begin) @ way / squared, 0.0, 1.0) if squared else 0.0
     nearest = begin + np.multiply.outer(share, way) if squared else begin
     return float(np.sqrt(((points - nearest) ** 2).sum(axis=1).max()))
+
+
+class _First(NamedTuple):
+    """Line of the first move of an axis, and the (axes,) position before it."""
+
+    line: int
+    before: FloatArray
+
+
+def early_moves(job: Job, ways: Iterable[FloatArray], machine: Machine) -> Iterator[str]:
+    """Yield a sentence for each linear axis that moves too early.
+
+    Parameters
+    ----------
+    ways
+        (n, axes) points of each move of the written program, the place before it included.
+    """
+    start = np.array(job.start)
+    waiting = {
+        k: first
+        for k, first in _first_moves(job).items()
+        if machine.axes[job.axes[k]].kind == "linear" and np.any(first.before != start)
+    }
+    for points in ways:
+        if not waiting:
+            return
+        for k in [k for k in waiting if points[-1][k] != start[k]]:
+            first = waiting.pop(k)
+            if np.any(np.delete(points[0] - first.before, k) != 0.0):
+                name = job.axes[k]
+                yield (
+                    f"{name} moves before line {first.line}, where {job.name} first moves it: the "
+                    f"corner there is rounded. Begin with {name} at the zero of the program, or "
+                    "write its position into the first move"
+                )
+
+
+def _first_moves(job: Job) -> dict[int, _First]:
+    """Return the first move of each axis that moves, by the index of the axis."""
+    found: dict[int, _First] = {}
+    start = at = np.array(job.start)
+    for run in move_runs(job):
+        if not isinstance(run, MoveRun):
+            continue
+        targets = run.targets
+        moved = targets != start
+        for k in np.flatnonzero(moved.any(axis=0)).tolist():
+            if k not in found:
+                row = int(np.argmax(moved[:, k]))
+                found[k] = _First(int(run.line[row]), targets[row - 1] if row else at)
+        if len(found) == len(start):
+            break
+        at = targets[-1]
+    return found

@@ -150,9 +150,14 @@ def tune(
     InputError
         As on the command line.
     """
-    from threadline.search.tune import parse_controller, parse_rule, usual_controller, wanted_tuning
+    from threadline.search.tune import (
+        parse_controller,
+        parse_rule,
+        usual_controller,
+        wanted_tuning,
+        write_tuned,
+    )
     from threadline.search.tune import tune as tune_machine
-    from threadline.search.tuned_file import write_tuned
 
     chosen = chosen_machine(machine, None)
     kind = usual_controller(chosen) if controller is None else parse_controller(controller)

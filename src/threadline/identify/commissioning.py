@@ -49,10 +49,9 @@ def fit(
     InputError
         As on the command line.
     """
-    from threadline.identify.machine_file import write_fitted
     from threadline.identify.measured_data import open_data
     from threadline.identify.parameter_fit import fit as fitted
-    from threadline.identify.parameter_fit import parse_numbers
+    from threadline.identify.parameter_fit import parse_numbers, write_fitted
 
     files = [data] if isinstance(data, str | Path) else list(data)
     chosen = load_machine(str(machine))

@@ -13,8 +13,7 @@ from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LinkFaultError
 from threadline.files import Channel, RunEnd
 from threadline.live.executor import LEASE_S
-from threadline.live.grbl_board import GrblBoard
-from threadline.live.grbl_console import Traffic, console_line
+from threadline.live.grbl_console import GrblBoard, Traffic, console_line
 from threadline.live.grbl_controller import Controller, GrblJog, fastest_by_hand
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_run import POLL_S, GrblRun

@@ -10,7 +10,7 @@ from threadline.base.arrays import IntArray
 from threadline.commands.plan import Plan
 from threadline.files import Channel, Commands, RunEnd
 from threadline.live.derived import Rest
-from threadline.live.grbl_board import GrblBoard
+from threadline.live.grbl_console import GrblBoard
 from threadline.live.grbl_words import Program
 from threadline.live.states import State
 

@@ -30,6 +30,7 @@ from threadline.live.continuing import (
 )
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load, Operated
+from threadline.live.path_window import REST_S
 from threadline.live.states import Cause, Sink, State
 from threadline.live.store.run_store import OpenRun, RunStore
 from threadline.live.store.whole_trace import (
@@ -46,7 +47,6 @@ from threadline.live.supervised import (
     check_runnable,
 )
 from threadline.machine import Machine
-from threadline.panel.holds import next_hold
 from threadline.panel.live_contour import Also, LiveContour
 from threadline.panel.programs import planned
 from threadline.panel.run_work import interventions_apart, judged_apart
@@ -425,3 +425,28 @@ class KeptRuns:
         """Close an open run, as ended by ``error``; wait for the threads."""
         self._break_off(error)
         self._pool.shutdown(wait=True)
+
+
+def next_hold(rests_s: FloatArray | None, time_s: float) -> dict[str, Any]:
+    """Return where a hold that is asked for now stands, as ``Progress`` tells it.
+
+    Parameters
+    ----------
+    rests_s
+        (n, 2) rests that holds wait for, s; None: a hold stands at once.
+    time_s
+        Instant of the plan, s.
+
+    Examples
+    --------
+    >>> next_hold(np.array([[1.0, 2.0], [5.0, 6.0]]), 1.97)
+    {'hold': 'at a rest', 'hold_at_s': 5.0}
+    >>> next_hold(np.zeros((0, 2)), 1.0)
+    {'hold': 'at the end', 'hold_at_s': None}
+    """
+    if rests_s is None:
+        return {"hold": "at once", "hold_at_s": None}
+    ahead = rests_s[rests_s[:, 1] - np.maximum(rests_s[:, 0], time_s) >= REST_S - 1e-9]
+    if not len(ahead):
+        return {"hold": "at the end", "hold_at_s": None}
+    return {"hold": "at a rest", "hold_at_s": round(float(max(ahead[0, 0], time_s)), 3)}

@@ -10,22 +10,26 @@ from __future__ import annotations
 import select
 import threading
 from collections import deque
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from threadline.errors import CommandError, LinkFaultError, ThreadlineError
 from threadline.files import RunEnd
 from threadline.live.at_rest import OPERATOR
 from threadline.live.executor import LEASE_S
+from threadline.live.grbl_console import Exchange
 from threadline.live.guards import clock_s
 from threadline.live.operated import Operated
 from threadline.live.states import TRANSITIONS, Cause, Desk, State
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
-from threadline.panel.board_reports import BoardReports
 from threadline.panel.kept_runs import KeptRuns, Prepared
 from threadline.panel.welcoming import positions, readings, signals
+
+SAID_S = 0.25
+"""Shortest time between two reports of the lines of a run, s."""
+_MOST_SAID = 40  # lines of a run in one report
 
 
 class MoveSequence:
@@ -405,3 +409,45 @@ class Owner:
         if self._server.lost or not select.select([], [self._server.fileno()], [], 0.0)[1]:
             return
         self._server.send(Message(kind, head))
+
+
+class BoardReports:
+    """What a board has told since the last report.
+
+    Parameters
+    ----------
+    executor
+        The machine; without a board there are no reports.
+    """
+
+    def __init__(self, executor: Operated) -> None:
+        self._executor = executor
+        self._readings = 0
+        self._waiting: list[Exchange] = []
+        self._sent_s = 0.0
+
+    def fill(self) -> dict[str, int] | None:
+        """Return how full the controller is; None if it does not report it."""
+        board = self._executor.board
+        return None if board is None or board.fill is None else asdict(board.fill)
+
+    def news(self, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield kind and content of each report that is due.
+
+        The lines of a program come in batches; the latest batches are kept.
+        """
+        board = self._executor.board
+        if board is None:
+            return
+        if board.readings != self._readings and board.settings:
+            self._readings = board.readings
+            rows = [asdict(one) for one in board.settings]
+            yield "board", {"firmware": board.identity, "settings": rows}
+        self._waiting += board.take()
+        of_run = all(one.kind == "program" for one in self._waiting)
+        if not self._waiting or (of_run and now_s - self._sent_s < SAID_S):
+            return
+        left_out = max(len(self._waiting) - _MOST_SAID, 0) if of_run else 0
+        lines = [asdict(one) for one in self._waiting[left_out:]]
+        self._waiting, self._sent_s = [], now_s
+        yield "console", {"lines": lines, "left_out": left_out}

@@ -28,8 +28,13 @@ from threadline.motion.timing import plan_trajectory
 from threadline.motion.timing.types import Trajectory
 from threadline.readback import grbl_steps, klipper_host, marlin_steps
 from threadline.readback.equal_found import Found
-from threadline.readback.equal_path import PLACE_M, radius_m
-from threadline.readback.equal_programs import TIME_SHARE, compare_read_back, firmware_note
+from threadline.readback.equal_programs import (
+    PLACE_M,
+    TIME_SHARE,
+    compare_read_back,
+    firmware_note,
+    radius_m,
+)
 from threadline.readback.stepped import Beside, Steps, beside
 
 SEGMENT_S = 0.01

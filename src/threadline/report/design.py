@@ -1,4 +1,4 @@
-"""The report of a redesign: its changes, their cost and gain, and the region in spec."""
+"""The report of a redesign: its changes, their cost and gain, the region in spec, and the front."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.machine.numbers import number_at
 from threadline.report.document import Document, Table, origin_facts
-from threadline.report.front import front_figure, front_rows, front_title
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
 from threadline.search.design import DesignResult, candidate_cells
@@ -304,5 +303,56 @@ def pareto_figure(result: DesignResult) -> Figure:
     panel.set_xlabel("cost: sum of weight x |ln factor|")
     panel.set_ylabel("worst measured over its limit [%]")
     panel.set_title(f"What a change buys: {result.screened}")
+    panel.legend()
+    return figure
+
+
+def front_title(result: DesignResult) -> str:
+    """Return the title of the table, with the number of machines."""
+    return f"Cost against yield: {result.front[0].machines} machines of each"
+
+
+def front_rows(result: DesignResult) -> tuple[list[str], list[list[str]]]:
+    """Return the candidates by their cost, each with its yield and its interval at 95 %."""
+    names = list(result.space.names)
+    rows = [
+        [
+            *(f"{one.factors[name]:.3g}" for name in names),
+            f"{one.cost:.3f}",
+            f"{one.passed}",
+            f"{100.0 * one.interval[0]:.1f} to {100.0 * one.interval[1]:.1f} %",
+            "yes" if one.on_front else "no",
+        ]
+        for one in result.front
+    ]
+    return [*names, "cost", "in spec", "yield", "on the front"], rows
+
+
+def front_figure(result: DesignResult) -> Figure:
+    """Draw the yield over the cost, with its interval; the front is a line."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 4.2))
+    panel: Axes = figure.subplots()
+    for mark, on_front in (("o", True), ("x", False)):
+        some = [one for one in result.front if one.on_front is on_front]
+        shares = np.array([one.share for one in some])
+        low, high = np.array([one.interval for one in some]).reshape(-1, 2).T
+        panel.errorbar(
+            [one.cost for one in some],
+            100.0 * shares,
+            100.0 * np.array([shares - low, high - shares]),
+            fmt=mark, color="black", capsize=2,
+            label="on the front" if on_front else "no more yield than a cheaper one",
+        )  # fmt: skip
+    front = [one for one in result.front if one.on_front]
+    panel.step(
+        [one.cost for one in front], [100.0 * one.share for one in front], where="post",
+        color="#0072B2", label="most yield for the cost",
+    )  # fmt: skip
+    panel.set_ylim(-3.0, 103.0)
+    panel.set_xlabel("cost: sum of weight x |ln factor|")
+    panel.set_ylabel("yield, 95 % interval [%]")
+    panel.set_title(front_title(result))
     panel.legend()
     return figure

@@ -19,8 +19,8 @@ from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Motion, Scheduled, Stitched
 from threadline.machine import Machine
 from threadline.proof.pipeline import Proof
+from threadline.report.traces import contour_along
 from threadline.verdict import closing
-from threadline.verdict.along import contour_along
 
 FIXED = "fixed"
 MOST_FRAMES = 240

@@ -24,8 +24,13 @@ from threadline.errors import OptionError, Place, PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.vary import band_of, band_parts, mode_off
-from threadline.motion.shaping.onoff.flow_levels import FlowCommand, FlowMove, least_scans
-from threadline.motion.shaping.onoff.flow_search import flow_command, shortest_flow_command
+from threadline.motion.shaping.onoff.flow_search import (
+    FlowCommand,
+    FlowMove,
+    flow_command,
+    least_scans,
+    shortest_flow_command,
+)
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Proof, plan_job, simulate, try_plan
 from threadline.search.cycle import cycle_s

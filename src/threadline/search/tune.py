@@ -2,7 +2,8 @@
 
 The rules are the margins of the loop (``loop_design``), Ziegler and Nichols's two
 (``ziegler_nichols``), and the fastest settling of a PD controller, which the thesis on the winder
-looked for by hand over the operable range of Kp and Kd.
+looked for by hand over the operable range of Kp and Kd. The tuned loops are written as a machine
+file.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.base.progress import Progress
+from threadline.base.wording import ascii_only, toml_string
 from threadline.dynamics.analysis import LoopFigures, loop_figures
 from threadline.dynamics.loop import Loop, axis_loop
 from threadline.dynamics.loop_design import (
@@ -33,6 +35,8 @@ from threadline.dynamics.loop_design import (
 from threadline.dynamics.responses import Step, step_response
 from threadline.dynamics.worst_margins import spread_of
 from threadline.errors import MachineError, OptionError, PlanError
+from threadline.files.formats.common import atomic_file
+from threadline.identify.parameter_fit import base_lines
 from threadline.machine import Machine
 from threadline.machine.numbers import number_at
 from threadline.proof.options import options_of
@@ -327,3 +331,54 @@ def parse_rule(text: str) -> Rule:
         if text == rule:
             return rule
     raise OptionError(f"there is no rule {text[:20]!r}", remedy=f"There are {', '.join(RULES)}.")
+
+
+def tuned_toml(tuning: Tuning, kind: ControllerKind, rule: Rule, folder: Path) -> str:
+    """Return the text of a machine file with one kind of controller, to lie in ``folder``.
+
+    Raises
+    ------
+    OptionError
+        If an axis has no such controller.
+    """
+    machine = tuning.machine
+    lines = [
+        f"# Tuned by threadline tune: {NAMES[kind]}, {rule}.",
+        *base_lines(machine, folder),
+        f"name = {toml_string(machine.name.split('+')[0] + '-tuned')}",
+        f"title = {toml_string(ascii_only(machine.title) + ', tuned')}",
+    ]
+    for axis in tuning.axes:
+        one = axis.loop(kind, rule)
+        name = machine.axes[axis.axis].controller
+        own = machine.controllers[name].kind
+        lines += ["", f"[controllers.{name}]", f"kind = {toml_string(kind)}"]
+        for key in NUMBERS[kind]:
+            unit = "" if key in {"zero", "pole"} else " dac/count"
+            lines.append(
+                f'{key} = "{one.gains[key]:.6g}{unit} exact, checked: threadline tune, {rule}"'
+            )
+        left = {k for one in CONTROLLERS if one == own for k in NUMBERS[one]} - {*NUMBERS[kind]}
+        lines += [f'{key} = "none"' for key in sorted(left)]
+    return "\n".join(lines) + "\n"
+
+
+def write_tuned(tuning: Tuning, kind: ControllerKind, rule: Rule, file: Path) -> None:
+    """Write a machine file with one kind of controller; nothing is left if that fails.
+
+    Raises
+    ------
+    OptionError
+        If an axis has no such controller, or one that is unstable.
+    RecordingError
+        If the file cannot be written.
+    """
+    for axis in tuning.axes:
+        if not axis.loop(kind, rule).figures.stable:
+            raise OptionError(
+                f"axis {axis.axis}: {NAMES[kind]} by {rule} is unstable",
+                remedy="Choose another --controller or --rule.",
+            )
+    text = tuned_toml(tuning, kind, rule, file.parent)
+    with atomic_file(file) as stream:
+        stream.write(text.encode())

@@ -1,4 +1,4 @@
-"""Product files (``NAME.wind.toml``): the mandrel, the band and the friction of a winding."""
+"""Product files (``NAME.wind.toml``): the mandrel, band and friction of a winding."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,8 @@ from threadline.base.arrays import FloatArray
 from threadline.base.reading import read_text, within_folder
 from threadline.base.wording import toml_fault
 from threadline.errors import JobError, Place
+from threadline.machine import Machine
+from threadline.machine.spool import Mounted
 from threadline.winding.mandrel_parts import MandrelReader
 from threadline.winding.meridians import (
     MAX_BYTES,
@@ -325,3 +327,39 @@ def _within(ends: FloatArray) -> str:
 def digest(product: Product) -> str:
     """Return the SHA-256 of a product's content."""
     return hashlib.sha256(product.text.encode()).hexdigest()
+
+
+def with_mandrel(machine: Machine, product: str | None) -> Machine:
+    """Return ``machine`` with the mandrel of a product mounted, if it has a spool to unwind.
+
+    Radius, place and slip come from the file, without their tolerances; the layers that grow on
+    the mandrel are left out, as in the replay.
+
+    Parameters
+    ----------
+    product
+        Text of the product, as ``product_text``; None for no product.
+
+    Raises
+    ------
+    JobError
+        If the text is no product.
+    """
+    if machine.spool is None or product is None:
+        return machine
+    wound = product_of_text(product)
+    surface = wound.surface
+    if wound.radius_error.si:
+        surface = surface.grown(wound.radius_error.si)
+    tied = wound.tied
+    mandrel = Mounted(
+        nodes=surface.nodes,
+        x=surface.x,
+        r=surface.r,
+        convex=surface.convex,
+        at_m=wound.at.si,
+        slip=wound.slip.si,
+        friction=wound.friction.si - wound.friction.tolerance,
+        tied_m=None if tied is None else float(surface.place_of(np.array([tied]))[0]),
+    )
+    return replace(machine, mounted=mandrel)
