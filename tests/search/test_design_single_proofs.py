@@ -13,9 +13,8 @@ from threadline.machine.numbers import number_at
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials, prove
-from threadline.search.design import Wanted, design
+from threadline.search.design import Wanted, design, write_design
 from threadline.search.design_evaluate import Effort
-from threadline.search.design_files import write_design
 from threadline.search.design_single_proofs import share_used
 from threadline.verdict import Result, Status, Verdict, load_spec
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from threadline.errors import SpecError
 from threadline.files import ChannelKind
 from threadline.machine import load_machine
-from threadline.search.design_files import spec_toml
+from threadline.search.design import spec_toml
 from threadline.verdict import Status, is_assumed, judge, load_spec
 from threadline.verdict.registry import MEASURES
 

@@ -39,9 +39,8 @@ from threadline.report.design import (
     gain_rows,
     write_design_report,
 )
-from threadline.search.design import DesignResult
+from threadline.search.design import DesignResult, spec_file, write_design
 from threadline.search.design import design as search_design
-from threadline.search.design_files import spec_file, write_design
 from threadline.search.design_parts import searches_of
 from threadline.search.design_proof import Candidate
 from threadline.search.design_question import MOST_FRONT, DesignAims, design_question

@@ -26,9 +26,8 @@ from threadline.live.hal_session import (
     in_use,
     words_to_end,
 )
-from threadline.live.machine_process import machine_end, process_link
 from threadline.live.supervised import ExecutedLink
-from threadline.live.wire import Connection, Message
+from threadline.live.wire import Connection, Message, machine_end, process_link
 from threadline.machine import Machine
 from threadline.proof.kinds import kind_of
 

@@ -20,10 +20,9 @@ from math import ceil
 
 from threadline.base.arrays import IntArray
 from threadline.base.importing import import_and_call
-from threadline.live.machine_process import machine_end, process_link
 from threadline.live.sim_kinds import SimRows, SimScans, SimTurns
 from threadline.live.sim_machine import LATE, SimFault, SimMachine
-from threadline.live.wire import Connection, Message
+from threadline.live.wire import Connection, Message, machine_end, process_link
 from threadline.machine import Machine
 
 _SIMULATED: dict[str, type[SimMachine]] = {

@@ -3,24 +3,29 @@
 A message is four bytes of length, four bytes of the length of its head, the head (JSON, UTF-8),
 and the bytes of its arrays in the order in which the head names them; integers are little-endian.
 Consecutive arrays of one type and shape are named together. Nothing in a message is code, and
-nothing is longer than ``MOST_BYTES``.
+nothing is longer than ``MOST_BYTES``. The far end of a link may be a process of its own.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
+import pickle
 import select
 import socket
 import struct
-from collections.abc import Mapping
-from contextlib import suppress
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, get_args
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.importing import program_apart
 from threadline.errors import LinkFaultError
 from threadline.files import Creep, Event
 from threadline.files.clock import EventKind
@@ -32,6 +37,9 @@ _TYPES = {"<i8": np.int64, "<f8": np.float64}
 _AT_ONCE = 1 << 16
 _encode = json.JSONEncoder(allow_nan=False, ensure_ascii=False).encode
 _EVENT_KINDS = get_args(EventKind)
+_SEND_S = 2.0
+"""Time in s after which an unsent message means that the other side is gone."""
+_JOIN_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,3 +227,48 @@ class Connection:
         with suppress(OSError):  # the other side is gone already
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
+
+
+@contextmanager
+def process_link(program: str, sent: tuple[Any, ...]) -> Iterator[Connection]:
+    """Start a process for a machine, and yield the link to it.
+
+    A forked process would share open files with its parent, and a process of ``multiprocessing``
+    would run the main program of the caller again.
+
+    Parameters
+    ----------
+    program
+        Python code that calls ``machine_end`` and serves.
+    sent
+        Object sent to the process through a pipe.
+    """
+    ours, theirs = socket.socketpair()
+    process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
+        [*program_apart(program), str(theirs.fileno())],
+        stdin=subprocess.PIPE,
+        pass_fds=(theirs.fileno(),),
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        start_new_session=True,  # keys of the terminal are for the executor
+    )
+    theirs.close()
+    assert process.stdin is not None
+    with suppress(BrokenPipeError), process.stdin as pipe:  # if it died, no greeting will come
+        pickle.dump(sent, pipe)
+    ours.settimeout(_SEND_S)
+    connection = Connection(ours)
+    try:
+        yield connection
+    finally:
+        connection.close()
+        try:
+            process.wait(_JOIN_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def machine_end() -> tuple[socket.socket, Any]:
+    """Return this process's end of the link, and the object from the parent process."""
+    sent = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe of its own
+    return socket.socket(fileno=int(sys.argv[1])), sent

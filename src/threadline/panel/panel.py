@@ -17,9 +17,9 @@ from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.wire import Message
 from threadline.machine import Machine
 from threadline.panel import protocol as say
-from threadline.panel.board_messages import Board, Console, Exchange, Fill
 from threadline.panel.calculation import Calculation
 from threadline.panel.control import SEEN_S, Client, ControlLease, Lease
+from threadline.panel.message_parts import Board, Console, Exchange, Fill
 from threadline.panel.owner import TELL_S
 from threadline.panel.owner_process import OwnerLink
 from threadline.panel.welcoming import welcome_of

@@ -20,13 +20,12 @@ from threadline.base.wording import toml_fault
 from threadline.errors import JobError, Place
 from threadline.machine import Machine
 from threadline.machine.spool import Mounted
-from threadline.winding.mandrel_parts import MandrelReader
 from threadline.winding.meridians import (
     MAX_BYTES,
     read_points,
     read_section,
 )
-from threadline.winding.product_reader import TABLES, Toleranced
+from threadline.winding.product_reader import TABLES, MandrelReader, Toleranced
 from threadline.winding.surface import Surface
 
 if TYPE_CHECKING:

@@ -13,8 +13,13 @@ from collections.abc import Sequence
 
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import AxisSettings, Settings, number_or_nan, unknown
-from threadline.machine.firmware.dump_lines import DumpLine, DumpSetting, dump_lines, in_force
-from threadline.machine.firmware.pasted import pasted
+from threadline.machine.firmware.dump_lines import (
+    DumpLine,
+    DumpSetting,
+    dump_lines,
+    in_force,
+    pasted,
+)
 
 _LETTERS = "XYZABCUVW"
 _GRBL_AXES = "XYZABC"

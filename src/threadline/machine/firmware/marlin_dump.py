@@ -25,8 +25,7 @@ from dataclasses import dataclass
 
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times, unknown
-from threadline.machine.firmware.dump_lines import DumpSetting, dump_lines, in_force
-from threadline.machine.firmware.pasted import pasted
+from threadline.machine.firmware.dump_lines import DumpSetting, dump_lines, in_force, pasted
 
 FIRST = "Marlin 1.0"
 KIMBRA = "MarlinKimbra or MK4duo"

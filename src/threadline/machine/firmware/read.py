@@ -9,10 +9,10 @@ from threadline.base.reading import read_text
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import Settings
 from threadline.machine.firmware.config_g import is_config_g, read_config_g
+from threadline.machine.firmware.dump_lines import file_lines
 from threadline.machine.firmware.grbl_dump import is_fluidnc, is_grbl, read_fluidnc, read_grbl
 from threadline.machine.firmware.linuxcnc_ini import is_linuxcnc, read_linuxcnc
 from threadline.machine.firmware.marlin_dump import is_marlin, read_marlin
-from threadline.machine.firmware.pasted import file_lines
 from threadline.machine.firmware.printer_cfg import is_printer_cfg, read_printer_cfg
 
 _MOST_BYTES = 4_000_000  # logs of senders are long

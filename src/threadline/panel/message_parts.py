@@ -1,6 +1,8 @@
-"""Parts of messages about a job: its lines, stitches, steps, switchings and criteria."""
+"""Parts of messages: lines, stitches, steps and criteria of a job, and a controller's board."""
 
 from __future__ import annotations
+
+from typing import Literal
 
 from pydantic import BaseModel
 
@@ -88,3 +90,57 @@ class Tension(BaseModel):
     """The mean from each of them to the next."""
     least: float
     most: float
+
+
+class Fill(BaseModel):
+    """How full a controller is: blocks of its planner, characters of its receive buffer."""
+
+    blocks: int
+    of_blocks: int
+    characters: int
+    of_characters: int
+
+
+class BoardSetting(BaseModel):
+    """A setting of a controller beside the machine file."""
+
+    number: int
+    name: str
+    unit: str
+    board: str
+    words: str
+    """Meaning of a code."""
+    file: str
+    """Value of the machine file; empty if it has none."""
+    mark: Literal["", "same", "lower", "other", "refused"]
+    """How they compare: a speed may be ``lower``; nothing moves while one is ``refused``."""
+
+
+class Board(BaseModel):
+    """The settings of a controller, each time that they were read."""
+
+    type: Literal["board"] = "board"
+    firmware: str
+    settings: list[BoardSetting]
+
+
+class Exchange(BaseModel):
+    """A line to a controller, or from it."""
+
+    at_s: float
+    """s since 1970."""
+    kind: Literal["typed", "sent", "program", "heard"]
+    text: str
+    words: str
+    """Meaning of a code."""
+
+
+class Console(BaseModel):
+    """Lines to a controller and from it, as they pass."""
+
+    type: Literal["console"] = "console"
+    lines: list[Exchange]
+    left_out: int = 0
+    """Lines of a program before these that are not listed."""
+    whole: bool = False
+    """Whether these are all that are kept, as a client gets them at its hello."""
