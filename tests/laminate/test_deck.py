@@ -14,9 +14,8 @@ import pytest
 
 from tests.jobs_winding.test_sheet import BAND, MANDREL, run
 from threadline.errors import JobError
-from threadline.jobs.winding.build_up import design
+from threadline.jobs.winding.build_up import design, rings_of
 from threadline.jobs.winding.layers import read_layers
-from threadline.jobs.winding.rings import rings_of
 from threadline.laminate.theory import Layered, laminate_of
 
 SHORT = MANDREL.replace("120 mm", "80 mm") + BAND

@@ -13,7 +13,7 @@ from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, keep_inputs
 from threadline.cli.messages import PLANNING_STAGE, WRITING_STAGE, note
 from threadline.cli.output import check_outputs, print_json, progress_bar, say, warn
-from threadline.commands.passes import check_passes, write_passes
+from threadline.commands.nc import check_passes, write_passes
 from threadline.errors import OptionError
 from threadline.files.formats.common import Written, written
 from threadline.motion.timing import check_limits

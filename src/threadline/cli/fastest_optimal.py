@@ -13,7 +13,7 @@ from threadline.cli.search_text import limit_words, margin_words, typed
 from threadline.proof.option_words import reserve_words, share_words
 from threadline.proof.options import Options
 from threadline.report.document import Printed
-from threadline.report.strips import binding_lines, binding_of
+from threadline.report.figures import binding_lines, binding_of
 from threadline.search import FastestJob, Rung
 from threadline.search.by_pace import Answer
 

@@ -12,14 +12,13 @@ from threadline.base.writing import staged_file, together
 from threadline.cli.arguments import JsonOption, keep_inputs
 from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, say
-from threadline.commands.passes import write_passes
+from threadline.commands.nc import write_passes
 from threadline.errors import OptionError
 from threadline.jobs.winding.bare import bare_of, write_meridian
-from threadline.jobs.winding.build_up import Laid, bridged, design
+from threadline.jobs.winding.build_up import Laid, bridged, design, rings_of
 from threadline.jobs.winding.closing_patterns import Pattern
 from threadline.jobs.winding.job import is_winding, job_of
 from threadline.jobs.winding.layers import Winding, read_layers
-from threadline.jobs.winding.rings import rings_of
 from threadline.jobs.winding.sheet import sheet_of, sheet_warnings, wound_laminate
 from threadline.jobs.winding.write_fiberpath import check_wind, write_wind
 from threadline.laminate.deck import shell_deck

@@ -1,4 +1,4 @@
-"""Parts of messages: lines, stitches, steps and criteria of a job, and a controller's board."""
+"""Parts of messages: a job with its lines, stitches and criteria, a board, and cylinders."""
 
 from __future__ import annotations
 
@@ -144,3 +144,23 @@ class Console(BaseModel):
     """Lines of a program before these that are not listed."""
     whole: bool = False
     """Whether these are all that are kept, as a client gets them at its hello."""
+
+
+class EndSwitch(BaseModel):
+    """A contact that closes where its cylinder is ``beyond`` a position, SI."""
+
+    name: str
+    at: float
+    beyond: Literal["below", "above"]
+
+
+class Cylinder(BaseModel):
+    """A cylinder, from 0 to its stroke, SI; the outputs that move it, and its contacts."""
+
+    name: str
+    unit: Literal["m", "rad"]
+    stroke: float
+    forward: list[str]
+    """Valve and flow controls of the outward stroke."""
+    back: list[str]
+    contacts: list[EndSwitch]

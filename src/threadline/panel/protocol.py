@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
 
 from threadline.live.feed_override import LEAST_PERCENT, MOST_PERCENT
-from threadline.panel.cylinder_messages import Cylinder
 from threadline.panel.message_parts import (
     Board,
     Console,
     Criterion,
+    Cylinder,
     Fill,
     Lane,
     Lines,

@@ -14,7 +14,7 @@ from threadline.live.sim_process import SLOWER
 from threadline.machine import Machine
 from threadline.panel import protocol as say
 from threadline.panel.control import CONTROL_LEASE_S
-from threadline.panel.cylinder_messages import cylinders_of
+from threadline.panel.message_parts import Cylinder, EndSwitch
 from threadline.panel.programs import untaught
 from threadline.panel.protocol import Mandrel
 from threadline.proof.kinds import kind_of
@@ -143,3 +143,22 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
         jog_lease_s=LEASE_S,
         control_lease_s=CONTROL_LEASE_S,
     )
+
+
+def cylinders_of(machine: Machine) -> list[Cylinder]:
+    """Return the cylinders of a machine with what moves them and what they close."""
+    return [
+        Cylinder(
+            name=name,
+            unit="rad" if one.kind == "rotary" else "m",
+            stroke=one.stroke.si,
+            forward=[one.forward.valve, *one.forward.flows],
+            back=[one.back.valve, *one.back.flows],
+            contacts=[
+                EndSwitch(name=contact, at=switch.at.si, beyond=switch.beyond)
+                for contact, switch in machine.contacts.items()
+                if switch.cylinder == name and switch.at is not None and switch.beyond is not None
+            ],
+        )
+        for name, one in machine.cylinders.items()
+    ]

@@ -18,11 +18,10 @@ from threadline.report.document import (
     origin_facts,
     run_facts,
 )
-from threadline.report.figures import all_figures
+from threadline.report.figures import all_figures, binding_lines, binding_of, strips_figure
 from threadline.report.lines import count_circuits, feed_lines, motion_lines, specification_lines
 from threadline.report.publish import write_document
 from threadline.report.seam import seam_figure, seam_run
-from threadline.report.strips import binding_lines, binding_of, strips_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.report.unrolled import winding_caption, winding_figures
