@@ -101,7 +101,7 @@ def trusting(one: hal_rows._Played, part: Part) -> dict[str, np.ndarray]:
     """Take what comes back from HAL for what it was sent."""
     found = one._sampled(len(part.travelled))
     one._tick += len(part.travelled)
-    return {"told": found.commanded, "read": np.rint(found.read)}
+    return {"commanded": found.commanded, "read": np.rint(found.read)}
 
 
 def of_scans(told: str, said: str) -> Callable[[], None]:

@@ -142,9 +142,9 @@ def test_a_run_on_grbl_is_stopped_and_its_rest_done(project: Path) -> None:
         sent = len(model.heard)
         assert anna.act("continue", run=run, proof=proof) == ""
         wait(anna, lambda: anna.state["rest"] is not None)
-        assert "the work begins again at line 4 of the job" in anna.state["rest"]["told"][0]
+        assert "the work begins again at line 4 of the job" in anna.state["rest"]["notes"][0]
         assert "the run begins at" in anna.act("start-rest")  # it stands elsewhere
-        begins = [float(at) for at in re.findall(r"to (-?[0-9.]+)", anna.state["rest"]["told"][0])]
+        begins = [float(at) for at in re.findall(r"to (-?[0-9.]+)", anna.state["rest"]["notes"][0])]
         assert begins == pytest.approx([40.0, 20.0], abs=0.5)  # where the second line begins
         there = pytest.approx(begins, abs=0.01)
         moved_by(anna, lambda: model.at[[3, 0]] == there, "approach-rest")

@@ -95,7 +95,7 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     part(page, "Review")  # what was broken off is done from there on, after a confirmation
     expect(page.locator("#kept")).to_contain_text("stopped", timeout=60_000)
     press(page, "Continue")
-    expect(page.locator("#rest-told")).to_contain_text("the work begins again at line")
+    expect(page.locator("#rest-notes")).to_contain_text("the work begins again at line")
     expect(page.get_by_role("button", name="Start the rest")).to_be_enabled()
     state(page, "idle")
     to_zero(page, lambda: press(page, "Go there"))

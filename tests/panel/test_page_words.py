@@ -79,7 +79,7 @@ def test_what_is_of_no_use_is_grey_and_says_why(browser: Browser, plant: Plant) 
     for told in ("completed", "in spec"):
         expect(page.locator("#kept tbody td", has_text=told)).to_have_text(told)
     expect(page.get_by_role("button", name="Continue", exact=True)).to_be_hidden()
-    expect(page.locator("#rest-told")).to_contain_text("nothing of it is left to do")
+    expect(page.locator("#rest-notes")).to_contain_text("nothing of it is left to do")
     page.close()
 
 

@@ -63,9 +63,9 @@ def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> No
 
         ready_to_go_on(anna, run, proof)
         assert anna.state["rest"]["run"] == run
-        (told,) = anna.state["rest"]["told"]
-        assert told.startswith("the work begins again at line 6 of the job; from home: ")
-        assert "A to 20.01 deg at 114 deg/s; then X to 59.99 mm at 72.3 mm/s" in told
+        (note,) = anna.state["rest"]["notes"]
+        assert note.startswith("the work begins again at line 6 of the job; from home: ")
+        assert "A to 20.01 deg at 114 deg/s; then X to 59.99 mm at 72.3 mm/s" in note
         assert "the run begins at" in anna.act("start-rest")  # the machine stands at home
         assert all(at["commanded"] == 0.0 for at in anna.until("state")["axes"].values())
 

@@ -134,7 +134,9 @@ def test_a_verdict_is_whole_or_is_not_there(
     assert not [*folder.glob("*verdict*")]
 
 
-@pytest.mark.long(shown_by="tests/cli/test_told.py::test_standard_streams_that_are_closed_or_full")
+@pytest.mark.long(
+    shown_by="tests/cli/test_messages.py::test_standard_streams_that_are_closed_or_full"
+)
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 def test_a_verdict_that_cannot_be_printed_is_no_wrong_input(tmp_path: Path) -> None:
     """The machine has moved, and the verdict is kept: exit status 2 would deny both."""

@@ -44,7 +44,7 @@ export function howToGoOn(
   known: { stitches: boolean; byHand: boolean; atStart: boolean },
 ): string {
   const run = state.progress!;
-  if (state.rest) return [...state.rest.told, "Start the rest confirms; STOP discards it"].join(". ");
+  if (state.rest) return [...state.rest.notes, "Start the rest confirms; STOP discards it"].join(". ");
   const begun = `${run.program} was broken off at ${run.time_s.toFixed(1)} s of ${run.duration_s.toFixed(1)} s`;
   if (state.state !== "idle") return `${begun}. To go on, bring the machine to idle: reset, enable, home.`;
   if (!known.byHand && !known.atStart)
@@ -158,13 +158,13 @@ export class Continuing {
   show(state: State, run: Kept | null): void {
     const whole = state.rest ? "" : this.whole(run);
     put(by("rest-row"), "hidden", whole !== "");
-    const told = state.rest
-      ? [state.rest.run, ...state.rest.told, "Start the rest confirms; a stop discards it"]
+    const notes = state.rest
+      ? [state.rest.run, ...state.rest.notes, "Start the rest confirms; a stop discards it"]
       : run === null
         ? []
         : [whole ? `${run.run}: ${whole}` : hintOf(this.session)];
-    if (told.join("\n") === this.shown) return;
-    this.shown = told.join("\n");
-    by("rest-told").replaceChildren(...told.map((line) => made("li", line)));
+    if (notes.join("\n") === this.shown) return;
+    this.shown = notes.join("\n");
+    by("rest-notes").replaceChildren(...notes.map((line) => made("li", line)));
   }
 }

@@ -204,7 +204,7 @@ export interface Reading {
 /** The rest of an interrupted run, ready to start; a stop drops it. */
 export interface RestOfRun {
   run: string;
-  told: string[];
+  notes: string[];
 }
 /** An event, for people. */
 export interface Said {

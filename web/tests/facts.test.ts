@@ -146,7 +146,7 @@ describe("a run that was broken off", () => {
     expect(howToGoOn(stopped({ state: "fault" }), known)).toContain("bring the machine to idle");
     expect(howToGoOn(stopped(), { ...known, atStart: false })).toContain("home the machine first");
     expect(howToGoOn(stopped(), known)).toContain("After a thread break, go some stitches back.");
-    expect(howToGoOn(stopped({ rest: { run: "1", told: ["line 4"] } }), known)).toContain(
+    expect(howToGoOn(stopped({ rest: { run: "1", notes: ["line 4"] } }), known)).toContain(
       "line 4. Start the rest confirms",
     );
   });

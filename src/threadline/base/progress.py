@@ -118,10 +118,10 @@ class WritingSoFar:
     def reach(self, motion_s: float, whole_s: float) -> None:
         """Set how far the present pass is in the motion, s, of ``whole_s``.
 
-        >>> told = WritingSoFar()
-        >>> told.pass_to(0.5)
-        >>> told.reach(30.0, 60.0)
-        >>> told.share
+        >>> written = WritingSoFar()
+        >>> written.pass_to(0.5)
+        >>> written.reach(30.0, 60.0)
+        >>> written.share
         0.25
         """
         done = min(motion_s / whole_s, 1.0) if whole_s > 0.0 else 1.0
@@ -155,13 +155,13 @@ class TrialShares:
 
     Examples
     --------
-    >>> told = []
-    >>> trials = TrialShares(lambda work, share: told.append(round(share, 2)), "searching", left=2)
+    >>> parts = []
+    >>> trials = TrialShares(lambda work, share: parts.append(round(share, 2)), "searching", left=2)
     >>> trials.within(0.5)
     >>> trials.done()
     >>> trials.expects(4)
     >>> trials.done()
-    >>> told
+    >>> parts
     [0.24, 0.49, 0.61]
     """
 
@@ -197,11 +197,11 @@ def never_back(progress: Progress | None) -> Progress | None:
 
     Searches that follow each other know only their own number of trials, and so begin at 0 again.
 
-    >>> told = []
-    >>> forwards = never_back(lambda work, share: told.append(share))
+    >>> shares = []
+    >>> forwards = never_back(lambda work, share: shares.append(share))
     >>> for share in (0.1, 0.4, 0.0, 0.5):
     ...     forwards("proving", share)
-    >>> told
+    >>> shares
     [0.1, 0.4, 0.4, 0.5]
     """
     if progress is None:

@@ -151,10 +151,10 @@ class AtRest:
         if found is None:
             self._go(Cause.AT_REST_UNHOMED)
             return
-        self._stands, told = found
+        self._stands, reported = found
         places = {channel.name for channel in self.far_end.channels if channel.axis}
         kept = {name: at for name, at in self.latest.items() if name not in places}
-        self.latest = {**kept, **told}
+        self.latest = {**kept, **reported}
         self._go(Cause.HOMED)
 
     def _stopped(self) -> bool:

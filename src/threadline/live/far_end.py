@@ -150,8 +150,8 @@ class FarEnd:
             if stop_sent:  # homed or not: the result is no longer needed
                 return None
             homed = self._as(message, "homed")
-            told = {name: float(a[-1]) for name, a in homed.arrays.items() if len(a)}
-            return np.array(homed.head["position"], dtype=np.int64), told
+            reported = {name: float(a[-1]) for name, a in homed.arrays.items() if len(a)}
+            return np.array(homed.head["position"], dtype=np.int64), reported
         raise _silent("homed")
 
     def leave(self) -> None:

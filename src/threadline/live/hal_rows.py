@@ -51,7 +51,7 @@ class _Played(RowSession):
             self.fail(
                 f"HAL's commands to the drives differ from the sent rows by {wrong:.0f} counts"
             )
-        return {"told": found.commanded, "read": np.rint(found.read)}
+        return {"commanded": found.commanded, "read": np.rint(found.read)}
 
     def fail(self, why: str) -> None:
         """Record a fault, after which nothing is known."""
@@ -67,7 +67,7 @@ class _Played(RowSession):
         commanded, read = (
             np.concatenate([nothing, *(part.read[name] for part in parts)])
             / self._machine.counts_per_unit
-            for name in ("told", "read")
+            for name in ("commanded", "read")
         )
         samples: dict[str, FloatArray] = {}
         for k, name in enumerate(self._machine.axes):

@@ -53,7 +53,7 @@ def machine_of(content: Mapping[str, Any]) -> Machine:
 
 
 def calculate(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of a program; write its proof into ``told["proof_file"]``.
+    """Return the figures of a program; write its proof into ``content["proof_file"]``.
 
     Raises
     ------

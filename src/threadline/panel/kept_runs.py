@@ -94,7 +94,7 @@ class Prepared:
     def rest_notes(self) -> dict[str, Any]:
         """Return what the operator must know before confirming the rest."""
         assert self.again is not None
-        return {"run": self.continues, "told": list(self.again.notes)}
+        return {"run": self.continues, "notes": list(self.again.notes)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -422,7 +422,7 @@ class Panel:
         A state in which nothing has changed is shown half as often: each costs a page as much as a
         number that changes.
         """
-        told: dict[str, Any] = {}
+        shown: dict[str, Any] = {}
         while True:
             # The owner reads from its first report on.
             if self._owner.now and self._seq % _ALIVE_BEATS == 0:
@@ -431,8 +431,8 @@ class Panel:
             self._seq += 1
             state = self.state()
             lasting = state.model_dump(exclude=_PASSING)
-            if lasting != told or self._seq % _REST_BEATS == 0:
-                told, text = lasting, state.model_dump_json()
+            if lasting != shown or self._seq % _REST_BEATS == 0:
+                shown, text = lasting, state.model_dump_json()
                 for client in self._clients.values():
                     client.show(self._seq, text)
             await asyncio.sleep(BEAT_S)

@@ -344,7 +344,7 @@ class RestOfRun(BaseModel):
     """The rest of an interrupted run, ready to start; a stop drops it."""
 
     run: str
-    told: list[str]
+    notes: list[str]
     """The moves to come, and where the work begins again."""
 
 

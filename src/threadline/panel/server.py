@@ -132,11 +132,11 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
         try:
             content = await whole_body(request)
         except TooLongError:
-            told = (
+            refusal = (
                 f"{name[:60]} has more than {MOST_UPLOAD // 1024**2} MiB, the most that the page "
                 "takes: copy it into the project folder"
             )
-            return PlainTextResponse(f"{told}\n", 413)
+            return PlainTextResponse(f"{refusal}\n", 413)
         except ClientDisconnect:  # nobody reads the answer
             return PlainTextResponse("the request broke off\n", 400)
         try:

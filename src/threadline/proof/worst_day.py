@@ -248,7 +248,7 @@ def _with_found(plan: Plan, verdict: Verdict, search: _Search, *, machines: bool
     shares, names = shares_of(found)
     at = int(np.argmax(np.minimum(shares, 1e9)))
     row = next((row for row in found.rows if row.text == names[at]), None)
-    told = row is not None and bool(row.limit) and np.isfinite(shares[at])
+    has_limit = row is not None and bool(row.limit) and np.isfinite(shares[at])
     free = LEFT_FREE if machines and row is not None and not row.hard else 0.0
     stuck = int(unanswered_in(found).sum())
     if stuck:
@@ -256,7 +256,7 @@ def _with_found(plan: Plan, verdict: Verdict, search: _Search, *, machines: bool
     days = SearchedDays(
         searched=tried,
         criterion=names[at],
-        share=float(shares[at]) * (1.0 - free) if told else None,
+        share=float(shares[at]) * (1.0 - free) if has_limit else None,
         machines=machines,
     )
     return replace(with_day, results=tuple(results), days=days)

@@ -145,7 +145,7 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
             swing_hz = resonance_hz(source, float(piece.inertia[k]))
             assert swing_hz is not None
             averaged[k] = _half_period(machine, piece.drives[k], swing_hz, tick_s)
-    # x' = rates x + told (p + p' t) + speeds p', where p' is constant over the tick.
+    # x' = rates x + commanded (p + p' t) + speeds p', where p' is constant over the tick.
     whole = np.zeros((size + 2 * count, size + 2 * count))
     whole[:size, :size] = rates
     whole[:size, size : size + count], whole[:size, size + count :] = commanded, speeds

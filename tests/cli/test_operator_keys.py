@@ -1,4 +1,4 @@
-"""Who runs a job at a terminal is told what the keys do before the machine moves far."""
+"""The keys of the operator at a terminal: they are named before the machine moves far."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KEYS = "h holds, r goes on, any other key stops"
 
 
 @pytest.mark.parametrize("at_a_terminal", [True, False])
-def test_keys_are_told_once_where_there_are_any(
+def test_keys_are_named_once_where_there_are_any(
     at_a_terminal: bool, capfd: pytest.CaptureFixture[str]
 ) -> None:
     ends = os.pipe()

@@ -1,4 +1,4 @@
-"""Machines that are told positions side by side, each against a run of its own."""
+"""Machines that follow commanded positions, simulated side by side and each alone."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PROGRAM = "G21 G90 G94\nF9000\nG1 X0\nG1 X30 A40\nG4 P0.2\nG1 X12 A90\nG1 X0 A0\
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A machine made of settings: every axis is rigid behind its stepper."""
-    folder = tmp_path_factory.mktemp("told") / "made"
+    folder = tmp_path_factory.mktemp("positions") / "made"
     words = [word for owned in OWNED for word in ("--set", owned)]
     with pytest.raises(SystemExit) as end:
         main(["new", "grbl", str(folder), "--from", str(SETTINGS), *words])

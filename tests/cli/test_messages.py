@@ -1,4 +1,4 @@
-"""What is told where: the error alone, warnings after the answer, defects with a status of 70."""
+"""Messages of commands: the error alone, warnings after the answer, defects with status 70."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_defect_has_a_status_of_its_own_and_keeps_its_traceback(
     code, out, err = stopped(capsys, *PROVE)
     assert (code, out, err.count("\n")) == (70, "", 1)
     assert "[DEFECT]" in err
-    assert "ValueError at test_told.py:" in err
+    assert "ValueError at test_messages.py:" in err
     assert "math domain error of two lines" in err
     (kept,) = tmp_path.iterdir()
     assert str(kept) in err
@@ -58,7 +58,7 @@ def test_a_defect_has_a_status_of_its_own_and_keeps_its_traceback(
     assert f"threadline {' '.join(PROVE)}" in text
 
 
-def test_a_defect_without_room_for_its_traceback_is_told_too(
+def test_a_defect_without_room_for_its_traceback_is_reported_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def crashes(*_: object) -> None:
@@ -86,7 +86,7 @@ def test_too_little_memory_is_no_defect(
 def test_an_error_comes_without_the_warnings_before_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The stitcher as built has eight: they were told before the error, and hid it."""
+    """The stitcher as built has eight: they came before the error, and hid it."""
 
     def refuses(*_: object) -> None:
         raise PlanError("too fast")
@@ -237,7 +237,7 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
         assert telling.doing() == "narrowing, 25 % done, about 3 min more"
 
 
-def test_the_time_left_is_told_once_it_can_be_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_left_is_shown_once_it_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     """A first percent and a share that stands too long tell nothing; the last half tells most."""
     clock = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])

@@ -1,4 +1,4 @@
-"""No figure that a verdict could be made of stands in a document without the level it is of."""
+"""A figure of a verdict stands in a document with the level that it is of."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ DOCUMENTS = [ROOT / "docs" / "yield.md"]  # the validation pages have a column f
 def tables(text: str) -> Iterator[tuple[int, str, str]]:
     """Yield the line, the table, and the text of its own between it and what stands before it."""
     lines = text.splitlines()
-    at, told = 0, 0
+    at, begin = 0, 0
     while at < len(lines):
         if lines[at].startswith("#"):
-            told = at
+            begin = at
         if not lines[at].startswith("|"):
             at += 1
             continue
         end = at
         while end < len(lines) and lines[end].startswith("|"):
             end += 1
-        yield at + 1, "\n".join(lines[at:end]), "\n".join(lines[told:at])
-        at = told = end
+        yield at + 1, "\n".join(lines[at:end]), "\n".join(lines[begin:at])
+        at = begin = end
 
 
 def test_the_glossary_has_every_level_and_only_measures_that_exist() -> None:
