@@ -8,7 +8,8 @@ from typing import Any
 from threadline.machine import load_machine
 from threadline.panel.admission import Admission
 from threadline.panel.calculation import Calculation, MachineGuide
-from threadline.panel.owner_process import Owned, OwnerLink, start_owner
+from threadline.panel.kept_runs import Owned
+from threadline.panel.owner_process import OwnerLink, start_owner
 from threadline.panel.panel import Panel
 from threadline.panel.server import make_api, schema_of
 

@@ -32,7 +32,7 @@ from threadline.live.states import Cause, State
 from threadline.live.store.run_store import opened
 from threadline.live.wire import Connection, Message
 from threadline.panel import calculating, kept_runs
-from threadline.panel.kept_runs import KeptRuns
+from threadline.panel.kept_runs import KeptRuns, Owned
 from threadline.panel.owner import Owner
 from threadline.panel.panel import end_words
 from threadline.panel.protocol import CLIENT_MESSAGE
@@ -309,7 +309,8 @@ def test_a_silent_server_is_one_that_could_not_stop_it(project: Path) -> None:
 
 
 def test_a_stop_does_not_take_the_reason_of_a_fault_away(tmp_path: Path) -> None:
-    runs = KeptRuns(tmp_path, winder(), None, tmp_path / "runs", "sim", "", 1.0, lambda *_: None)
+    owned = Owned(winder(), None, tmp_path, tmp_path / "runs", 1.0)
+    runs = KeptRuns(owned, "", lambda *_: None)
     runs.state(3, State.FAULT, Cause.FAULT, "a tick came 6 periods late")
     runs.state(9, State.FAULT, Cause.STOP, "")
     assert runs.why == "a tick came 6 periods late"

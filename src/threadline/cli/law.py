@@ -89,12 +89,13 @@ def law(
         "--band": band,
     }  # fmt: skip
     if mode is not None:
-        from threadline.cli.law_mode import study
+        from threadline.cli.law_mode import OfMode, study
 
-        study(
-            laws, mode=mode, damping=damping, move=move, time=time, mass=mass, residual=residual,
-            limit=limit, jerk=jerk, band=band, out=out, report=report, json=json,
+        asked = OfMode(
+            mode=mode, damping=damping, move=move, time=time, mass=mass, residual=residual,
+            limit=limit, jerk=jerk, band=band,
         )  # fmt: skip
+        study(laws, asked, out=out, report=report, json=json)
         return
     for option, given in of_a_mode.items():
         if given is not None:

@@ -63,11 +63,36 @@ class _Move:
     residual_m: float | None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfMode:
+    """A mode and the move that excites it, as they were typed; None where nothing was.
+
+    Parameters
+    ----------
+    mode, damping
+        Frequency and damping ratio of the mode.
+    move, time, mass
+        Length, duration and moved mass.
+    residual
+        Residual amplitude allowed after the move.
+    limit, jerk, band
+        Largest acceleration and jerk of a law for the mode, and its design band.
+    """
+
+    mode: str
+    damping: float
+    move: str | None
+    time: str | None
+    mass: str
+    residual: str | None
+    limit: str | None
+    jerk: str | None
+    band: float | None
+
+
 def study(
-    laws: Sequence[Law], *, mode: str, damping: float, move: str | None, time: str | None,
-    mass: str, residual: str | None, limit: str | None, jerk: str | None, band: float | None,
-    out: Path | None, report: Path | None, json: bool,
-) -> None:  # fmt: skip
+    laws: Sequence[Law], asked: OfMode, *, out: Path | None, report: Path | None, json: bool
+) -> None:
     """Rank ``laws`` on a mode, make a law for it if limits are given, print and write files.
 
     Raises
@@ -75,22 +100,26 @@ def study(
     OptionError
         If an option cannot be read, needs another one, or has an impossible value.
     """
-    flexible = _mode(mode, damping)
-    if move is None or time is None:
+    flexible = _mode(asked.mode, asked.damping)
+    if asked.move is None or asked.time is None:
         raise OptionError(
-            f"--mode {mode} needs the move", remedy='Add --move "16.5 mm" --time "120 ms".'
+            f"--mode {asked.mode} needs the move", remedy='Add --move "16.5 mm" --time "120 ms".'
         )
-    move_m = parse_number("--move", move, "m", "16.5 mm")
-    window_s = parse_number("--time", time, "s", "120 ms")
-    mass_kg = parse_number("--mass", mass, "kg", "1000 kg")
-    still = None if residual is None else parse_number("--residual", residual, "m", "0.05 mm")
-    most = None if limit is None else parse_number("--limit", limit, "m/s^2", "6.33 m/s^2")
+    move_m = parse_number("--move", asked.move, "m", "16.5 mm")
+    window_s = parse_number("--time", asked.time, "s", "120 ms")
+    mass_kg = parse_number("--mass", asked.mass, "kg", "1000 kg")
+    still = None
+    if asked.residual is not None:
+        still = parse_number("--residual", asked.residual, "m", "0.05 mm")
+    most = None
+    if asked.limit is not None:
+        most = parse_number("--limit", asked.limit, "m/s^2", "6.33 m/s^2")
     for option, typed, value, like in (
-        ("--move", move, move_m, "16.5 mm"),
-        ("--time", time, window_s, "120 ms"),
-        ("--mass", mass, mass_kg, "1000 kg"),
-        ("--residual", residual, still, "0.05 mm"),
-        ("--limit", limit, most, "6.33 m/s^2"),
+        ("--move", asked.move, move_m, "16.5 mm"),
+        ("--time", asked.time, window_s, "120 ms"),
+        ("--mass", asked.mass, mass_kg, "1000 kg"),
+        ("--residual", asked.residual, still, "0.05 mm"),
+        ("--limit", asked.limit, most, "6.33 m/s^2"),
     ):
         if value is not None and not 0.0 < value < np.inf:
             raise OptionError(
@@ -100,7 +129,7 @@ def study(
     motion = _Move(
         mode=flexible, length_m=move_m, window_s=window_s, mass_kg=mass_kg, residual_m=still
     )
-    demand = _demand(flexible, move_m, still, most, jerk, band, out)
+    demand = _demand(flexible, move_m, still, most, asked.jerk, asked.band, out)
     made, shaped = None, []
     with progress_bar(not json) as progress:
         found = sorted(

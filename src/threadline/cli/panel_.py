@@ -84,7 +84,8 @@ def panel(
 
     from threadline.panel.admission import Admission, PromptHttp, PromptWebsocket
     from threadline.panel.calculation import Calculation, MachineGuide
-    from threadline.panel.owner_process import Owned, OwnerLink, start_owner
+    from threadline.panel.kept_runs import Owned
+    from threadline.panel.owner_process import OwnerLink, start_owner
     from threadline.panel.panel import Panel
     from threadline.panel.protocol import MOST_TEXT
     from threadline.panel.server import check_page, make_app

@@ -103,19 +103,39 @@ class _Finished:
     closing: str
 
 
+@dataclass(frozen=True, slots=True)
+class Owned:
+    """The machine, folders and link that a process is to own.
+
+    Parameters
+    ----------
+    machine, spec_file
+        The machine, and the specification that its work is judged by; None: its own.
+    folder, store
+        Folders of the programs and of the runs.
+    speed
+        Seconds of simulated time per second.
+    link
+        Name of the link to the machine.
+    """
+
+    machine: Machine
+    spec_file: Path | None
+    folder: Path
+    store: Path
+    speed: float
+    link: str = "sim"
+
+
 class KeptRuns:
     """Prepares, keeps and judges runs; the sink of the executor.
 
     Parameters
     ----------
-    folder
-        Folder of the programs.
-    machine, spec_file
-        The machine, and the specification; None: the machine's own.
-    store
-        Folder of the runs.
-    link, label, speed
-        Entries for the index; see ``AtLink``.
+    owned
+        The machine, its link, and the folders.
+    label
+        Entry for the index; see ``AtLink``.
     said
         Called with a text for people, and whether something is wrong.
 
@@ -125,20 +145,11 @@ class KeptRuns:
         The reason of the latest change of state, if it had one.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        machine: Machine,
-        spec_file: Path | None,
-        store: Path,
-        link: str,
-        label: str,
-        speed: float,
-        said: Callable[[str, bool], None],
-    ) -> None:
-        self._folder, self._machine, self._spec_file = folder, machine, spec_file
-        self._store, self._speed, self._said = store, speed, said
-        self._link = {"link": link, **({"label": label} if label else {})}
+    def __init__(self, owned: Owned, label: str, said: Callable[[str, bool], None]) -> None:
+        machine = owned.machine
+        self._folder, self._machine, self._spec_file = owned.folder, machine, owned.spec_file
+        self._store, self._speed, self._said = owned.store, owned.speed, said
+        self._link = {"link": owned.link, **({"label": label} if label else {})}
         self._pool = ThreadPoolExecutor(1)
         self._preparing: tuple[Future[Prepared], int, int] | None = None
         self._given_up = ""  # the command that came instead of the start being checked

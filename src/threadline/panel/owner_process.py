@@ -12,8 +12,6 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from threadline.base.importing import import_and_call, program_apart
@@ -22,8 +20,7 @@ from threadline.live.guards import clock_s
 from threadline.live.links import at_link, operated
 from threadline.live.states import Desk
 from threadline.live.wire import Connection, Message
-from threadline.machine import Machine
-from threadline.panel.kept_runs import KeptRuns
+from threadline.panel.kept_runs import KeptRuns, Owned
 from threadline.panel.owner import Owner
 
 _ENDS_S = 2.0
@@ -149,30 +146,6 @@ SEND_S = 2.0
 """Time in s after which an unsent message means that the other side is gone."""
 
 
-@dataclass(frozen=True, slots=True)
-class Owned:
-    """The machine, folders and link that a process is to own.
-
-    Parameters
-    ----------
-    machine, spec_file
-        The machine, and the specification that its work is judged by; None: its own.
-    folder, store
-        Folders of the programs and of the runs.
-    speed
-        Seconds of simulated time per second.
-    link
-        Name of the link to the machine.
-    """
-
-    machine: Machine
-    spec_file: Path | None
-    folder: Path
-    store: Path
-    speed: float
-    link: str = "sim"
-
-
 def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
     """Start the process, and return it with the connection to it.
 
@@ -219,9 +192,7 @@ def serve_owned(server: Connection, owned: Owned) -> None:
     with closing(Desk()) as desk:
         try:
             label = at_link(link, machine, owned.speed).label
-            runs = KeptRuns(
-                owned.folder, machine, owned.spec_file, owned.store, link, label, owned.speed, said
-            )
+            runs = KeptRuns(owned, label, said)
             with operated(link, machine, owned.speed, desk, runs) as executor:
                 Owner(server, executor, machine, desk, runs).serve()
         except ThreadlineError as error:  # nothing answers there
