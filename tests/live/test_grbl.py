@@ -138,6 +138,20 @@ def test_a_hold_stands_on_the_path_and_goes_on_from_there() -> None:
         ]  # fmt: skip
 
 
+def test_the_time_of_a_run_goes_on_within_a_line() -> None:
+    """A winder's line may take minutes: time left and progress count what is done of it."""
+    model = GrblModel(settings(), faster=2.0)
+    what = program("G1 A200 X100 F6000\n")
+    whole_s = float(what.durations_s.sum())
+    with meeting(model) as (one, _desk, _kept):
+        ready(one, what)
+        go_on(one, lambda: one.plan_s > 0.4 * whole_s)
+        assert one.executed == 0
+        assert one.plan_s <= model.at[0] / 100.0 * whole_s
+        go_on(one)
+        assert one.plan_s == pytest.approx(whole_s)
+
+
 def test_a_hold_after_the_last_line_is_refused_and_the_run_ends() -> None:
     """A feed hold would leave the controller in Hold with nothing to go on with."""
     model = GrblModel(settings(), faster=4.0)

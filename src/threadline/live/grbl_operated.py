@@ -70,8 +70,7 @@ class GrblOperated(GrblRun):
     def share_done(self) -> float | None:
         """Share of the program's time at its feeds that the reports have passed."""
         whole = float(self._program.durations_s.sum())
-        done = float(self._program.durations_s[: self.executed].sum())
-        return done / whole if whole else 0.0
+        return self.plan_s / whole if whole else 0.0
 
     @property
     def under_way(self) -> bool:

@@ -32,6 +32,7 @@ class Way:
 
     def __init__(self, program: Program, machine: Machine, starts: FloatArray) -> None:
         self._lines, self._radius = program.lines, machine.radius_m
+        self._durations_s = program.durations_s
         self._ends, self._starts = program.ends * self._radius, starts * self._radius
 
     def _begin(self, line: int) -> FloatArray:
@@ -53,6 +54,24 @@ class Way:
             return False
         return float(np.linalg.norm(self._begin(line) - at * self._radius)) <= _AT_END_M
 
+    def time_s(self, executed: int, at: FloatArray) -> float:
+        """Return the time at the feeds to a position on the line after ``executed`` lines, s.
+
+        A winder's line may take minutes: without its share the time left would stand meanwhile.
+        """
+        before_s = float(self._durations_s[:executed].sum())
+        if executed >= len(self._ends):
+            return before_s
+        return before_s + self._share(executed, at) * float(self._durations_s[executed])
+
+    def _share(self, line: int, at: FloatArray) -> float:
+        """Return the share of a line before the point of it that is nearest to a position."""
+        begin = self._begin(line)
+        way = self._ends[line] - begin
+        long = float(way @ way)
+        place = at * self._radius
+        return 0.0 if long == 0.0 else float(np.clip((place - begin) @ way / long, 0.0, 1.0))
+
     def passed(self, lines: range, at: FloatArray) -> tuple[int | None, float]:
         """Return the number of lines that a position has passed, and its distance from them, m.
 
@@ -60,14 +79,11 @@ class Way:
         """
         nearest = np.inf
         for k in lines:
-            begin = self._begin(k)
+            begin, share = self._begin(k), self._share(k, at)
             way = self._ends[k] - begin
-            long = float(way @ way)
-            place = at * self._radius
-            share = 0.0 if long == 0.0 else float(np.clip((place - begin) @ way / long, 0.0, 1.0))
-            off = float(np.linalg.norm(begin + share * way - place))
+            off = float(np.linalg.norm(begin + share * way - at * self._radius))
             nearest = min(nearest, off)
-            if off <= _AT_END_M and long:
+            if off <= _AT_END_M and way.any():
                 return k + (share == 1.0), off
         return None, nearest
 

@@ -258,7 +258,7 @@ class GrblRun:
     @property
     def plan_s(self) -> float:
         """Time of the program at its feeds that the reports have passed, s."""
-        return float(self._program.durations_s[: self.executed].sum())
+        return self._way.time_s(self.executed, self._at)
 
     def override(self, percent: int) -> None:
         """Override the feed at the controller, step by step; see ``Executor.override``."""
