@@ -58,7 +58,7 @@ def page(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
         (["--host", ""], "--host '' is no address"),
         (["--host", "", "--token", "x" * 16], "--host '' is no address"),
         (["--host", "a..b", "--token", "x" * 16], "--host 'a..b' is no address"),
-        (["--token", " " * 16], "--token holds ' ', which cannot stand in a word of an HTTP"),
+        (["--token", " " * 16], "--token holds ' ', which an HTTP header does not allow"),
         (["--token", "x" * 16 + "\n\xe4"], r"--token holds '\n', '\xe4', which cannot stand"),
         (["--link", "grbl:localhost:99999"], "port 99999 is not between 1 and 65535"),
         (["--store", ""], "Invalid value for '--store': it is empty; name a folder, or . for this"),

@@ -28,11 +28,11 @@ class BoardSetting(BaseModel):
     file: str
     """Value of the machine file; empty if it has none."""
     mark: Literal["", "same", "lower", "other", "refused"]
-    """How they compare: a speed may be ``lower``; nothing moves while one is ``refused``."""
+    """Result of the comparison: a speed may be ``lower``; a ``refused`` value blocks all motion."""
 
 
 class Board(BaseModel):
-    """The settings of a controller, each time that they were read."""
+    """The settings of a controller; sent each time that they are read."""
 
     type: Literal["board"] = "board"
     firmware: str
@@ -56,6 +56,6 @@ class Console(BaseModel):
     type: Literal["console"] = "console"
     lines: list[Exchange]
     left_out: int = 0
-    """Lines of a program before these that are not listed."""
+    """Number of program lines that are left out before these."""
     whole: bool = False
-    """Whether these are all that are kept, as a client gets them at its hello."""
+    """Whether these are all kept lines: a client gets them after its hello."""

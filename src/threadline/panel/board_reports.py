@@ -1,4 +1,4 @@
-"""Reports of a controller's board to the web server: settings, fill of its buffer, lines said."""
+"""Reports of a controller's board to the web server: settings, fill of its buffer, its lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MOST_SAID = 40  # lines of a run in one report
 
 
 class BoardReports:
-    """What a board has told since the last report.
+    """The news of a board since the last report.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class BoardReports:
     def news(self, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield kind and content of each report that is due.
 
-        The lines of a program come in batches; the latest batches are kept.
+        The lines of a program come in batches, each cut to its latest ``_MOST_SAID`` lines.
         """
         board = self._executor.board
         if board is None:

@@ -30,7 +30,7 @@ class Cylinder(BaseModel):
 
 
 def cylinders_of(machine: Machine) -> list[Cylinder]:
-    """Return the cylinders of a machine with what moves them and what they close."""
+    """Return the cylinders of a machine with their outputs and their contacts."""
     return [
         Cylinder(
             name=name,

@@ -1,4 +1,4 @@
-"""Where the next hold of a run can stand."""
+"""The place where the next hold of a run takes effect."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from threadline.live.path_window import REST_S
 
 
 def next_hold(rests_s: FloatArray | None, time_s: float) -> dict[str, Any]:
-    """Return where a hold that is asked for now stands, as ``Progress`` tells it.
+    """Return where a hold that is asked for now takes effect, as fields of ``Progress``.
 
     Parameters
     ----------
     rests_s
-        (n, 2) rests that holds wait for, s; None: a hold stands at once.
+        (n, 2) begin and end of the rests for which a hold waits, s; None: it takes effect at once.
     time_s
         Instant of the plan, s.
 

@@ -6,7 +6,7 @@ from pydantic import BaseModel
 
 
 class Lines(BaseModel):
-    """Lines and circuits of the job, and the times from which each is under way, s."""
+    """Lines and circuits of the job, and the time at which each begins, s."""
 
     times_s: list[float]
     line: list[int]
@@ -20,7 +20,7 @@ class Stitches(BaseModel):
     x: list[float]
     y: list[float]
     joined: list[bool]
-    """Whether the thread comes from the hole before, without travel between."""
+    """Whether the thread comes from the previous hole without travel in between."""
     block: list[int]
     """Number of the thread, from 1; 0 for a seam."""
     threads: list[str | None]
@@ -85,6 +85,6 @@ class Tension(BaseModel):
     times_s: list[float]
     """Instants of the plan, s."""
     mean: list[float]
-    """The mean from each of them to the next."""
+    """Mean tension from each instant to the next."""
     least: float
     most: float

@@ -87,7 +87,7 @@ def readings(
 def mandrel_of(machine: Machine) -> Mandrel | None:
     """Return the mandrel of a machine: its first rotary axis beside a linear one; None without.
 
-    If the machine has no profile of it, its radius is everywhere the one at which that axis acts.
+    Without a profile in the machine file, its radius is the radius at which that axis acts.
     """
     linear = [name for name, axis in machine.axes.items() if axis.kind == "linear"]
     for (name, axis), radius_m in zip(machine.axes.items(), machine.radius_m, strict=True):
