@@ -59,7 +59,10 @@ def page(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
         (["--host", "", "--token", "x" * 16], "--host '' is no address"),
         (["--host", "a..b", "--token", "x" * 16], "--host 'a..b' is no address"),
         (["--token", " " * 16], "--token holds ' ', which an HTTP header does not allow"),
-        (["--token", "x" * 16 + "\n\xe4"], r"--token holds '\n', '\xe4', which cannot stand"),
+        (
+            ["--token", "x" * 16 + "\n\xe4"],
+            r"--token holds '\n', '\xe4', which an HTTP header does not",
+        ),
         (["--link", "grbl:localhost:99999"], "port 99999 is not between 1 and 65535"),
         (["--store", ""], "Invalid value for '--store': it is empty; name a folder, or . for this"),
         (["--store", "a-file"], "'a-file' is no folder of runs. Give the folder with --store"),

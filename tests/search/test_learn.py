@@ -252,7 +252,7 @@ def test_the_face_learns_and_proves_with_the_table(seam: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "refusal"),
     [
-        ({"feed_forward": False}, "set to a head that lags"),
+        ({"feed_forward": False}, "timed for a head that lags"),
         ({"low_pass": "900 Hz"}, "is not between 0 and 400 Hz"),
         ({"gain": "120 %"}, "at most 100 %"),
         ({"repeats": 0}, "is not from 1 to 100"),
@@ -286,7 +286,7 @@ def test_a_search_judges_plans_by_what_repeats_make_of_them(plan: Plan, seam: Pa
     [
         ({"learned": 101}, "is not from 1 to 100"),
         ({"learned": 2, "level": "nominal", "mismatch": True}, "exclude each other"),
-        ({"learned": 2, "feed_forward": False}, "set to a head that lags"),
+        ({"learned": 2, "feed_forward": False}, "timed for a head that lags"),
     ],
 )
 def test_a_search_of_what_cannot_be_learned_is_refused(

@@ -237,7 +237,7 @@ def test_a_part_of_other_versions_files_or_bits_is_named(
     yield_parts.write_part(Path("bits.yield"), part.record, part.found)
     code, out, err = said("--merge", three[0], "bits.yield", three[2])
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "part 2/3 in 'bits.yield' comes to something else here" in err
+    assert "part 2/3 in 'bits.yield' has other results here" in err
     # The job was changed, or is gone.
     Path("turn.prg").write_text(TURN.replace("F1000", "F900"), encoding="utf-8")
     code, _, err = said("--merge", *three)

@@ -56,7 +56,7 @@ def test_numbers_of_the_product_vary_beside_those_of_the_machine(
     within = WithinTolerances(plan, spec, threads=1, with_product=True)
     product = product_of(plan)
     assert product is not None
-    reason = "as the product file has it"
+    reason = "as in the product file"
     same = MachineYield(plan, spec, threads=1).same
     assert {name for name, why in same.items() if reason in why} == {
         "mandrel.radius_error", "mandrel.at", "band.width", "friction.value"

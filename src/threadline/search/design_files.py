@@ -95,7 +95,7 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
     given = {(c.name, c.axis) for c in spec.criteria if not c.hard}
     for criterion in spec.criteria:
         if criterion.hard and (criterion.name, criterion.axis) in given:
-            continue  # the machine's limit holds beside a wider one without being named
+            continue  # the machine's own, narrower limit holds without being named
         kind = MEASURES[criterion.name]
         lines += ["", "[[criteria]]", f"name = {toml_string(criterion.name)}"]
         if criterion.axis:
