@@ -78,7 +78,7 @@ def test_an_f_word_has_its_unit() -> None:
 
 
 def test_the_ends_of_the_search_are_those_of_the_axes(tmp_path: Path, winder: Machine) -> None:
-    """With all axes at their limits, grbl's F is the root of squares; Marlin takes X and Y, or A."""
+    """At all axes' limits grbl's F is the root of squares; Marlin takes X and Y, or A."""
     limits = dict(zip(winder.axis_names, winder.velocity_limit, strict=True))
     turns = [axis in winder.rotary for axis in limits]
     speeds = np.where(turns, np.degrees(list(limits.values())), 1e3 * np.array([*limits.values()]))
