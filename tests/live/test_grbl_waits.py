@@ -250,10 +250,7 @@ def slept(one: GrblRun, model: GrblModel) -> bytes:
 def test_nothing_that_moves_is_sent_after_this_process_stood_still(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Unread answers would allow more lines; the controller holds instead, and drops its lines.
-
-    The sleep is a SIGSTOP of this process.
-    """
+    """Unread answers would allow more lines; it holds instead, and the controller drops lines."""
     monkeypatch.setattr(grbl_run, "SILENCE_S", 0.5)
     model = GrblModel(settings(), blocks=4)
     with meeting(model) as (one, _, _):
