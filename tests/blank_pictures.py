@@ -10,9 +10,9 @@ from threadline.report.document import Document
 
 
 def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have every figure replaced by an empty one of its size, once the report has made it.
+    """Replace every figure by an empty one of the same size, once the report has made it.
 
-    ``tests/report`` and the tests of each command look at what is drawn.
+    ``tests/report`` and the tests of each command check the drawings.
     """
     shown = Document.shown
 

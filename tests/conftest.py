@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, settings
 from tests import long_tests
 from tests.long_turns import LONG_S, ask_for_turns
 
-# As the program has it (cli/start.py): on small matrices threads of OpenBLAS wait for each other
+# As in the program (cli/start.py): on small matrices threads of OpenBLAS wait for each other
 # longer than they work, on a loaded machine a thousand times as long. Read when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -34,7 +34,7 @@ settings.register_profile(
 )
 settings.load_profile("fixed")
 
-# An assertion of theirs says what it saw, as those of the tests do; some are looked at for it.
+# Assertions in these modules show their values, as in tests; some modules are imported for it.
 pytest.register_assert_rewrite("tests.live.bench", "tests.live.kill_bench", "tests.panel.bench")
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -44,11 +44,11 @@ NO_FIRMWARE = "a firmware that is built by hand, from sources that no package in
 """The two reasons to skip that hold in CI, too: not everyone can have those."""
 
 
-# What is tested is imported in the fixtures: the process that starts the workers does not need it.
+# Fixtures import the tested code: the process that starts the workers does not need it.
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add options: two let one run of the suite go on where another ended."""
+    """Add options: two of them let a run of the suite continue an earlier one."""
     group = parser.getgroup("threadline")
     group.addoption(
         "--note-passed", type=Path, metavar="FILE", help="write the tests that pass into a file"
@@ -65,12 +65,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 class NotePassed:
-    """Writes the tests that passed, one a line; those that a fixture failed for are left out.
+    """Writes the passed tests, one a line; tests whose fixture failed are left out.
 
     Parameters
     ----------
     file
-        Where they are written to, at the end of the run.
+        The file, written at the end of the run.
     """
 
     def __init__(self, file: Path) -> None:
@@ -79,7 +79,7 @@ class NotePassed:
         self._failed: set[str] = set()
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Keep what became of a part of a test: its setup, its call, its end."""
+        """Record the result of one part of a test: its setup, its call, its end."""
         if report.failed:
             self._failed.add(report.nodeid)
         elif report.passed and report.when == "call":
@@ -92,7 +92,7 @@ class NotePassed:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Note in the process that hears of every test: under xdist the workers do not."""
+    """Record in the process that hears of every test: under xdist the workers do not."""
     file = config.getoption("note_passed", None)
     if file is not None and not hasattr(config, "workerinput"):
         config.pluginmanager.register(NotePassed(file))
@@ -100,7 +100,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _leave_out_noted(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect the tests that a run before this one has noted as passed."""
+    """Deselect the tests that an earlier run has recorded as passed."""
     file = config.getoption("except_noted", None)
     if file is None or not file.is_file():
         return
@@ -112,22 +112,22 @@ def _leave_out_noted(config: pytest.Config, items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True, optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int, int]:
-    """Have a quarter more workers than cores, two at least: those at live machines wait."""
+    """Have a quarter more workers than cores, two at least: tests of live machines wait."""
     cores = yield
     return cores + max(2, cores // 4)
 
 
 def _waits(item: pytest.Item) -> bool:
-    """Say whether a test waits for machines that move in real time."""
+    """Return whether a test waits for machines that move in real time."""
     return item.nodeid.startswith("tests/live/") or item.get_closest_marker("waits") is not None
 
 
 def pytest_collection(session: pytest.Session) -> None:
-    """Import the test files in a worker, each worker from another one on.
+    """Import the test files in a worker, each worker in another order.
 
-    pytest writes their assertions anew where they changed, which takes longer than all else that
-    is done before the tests begin. In the same order each worker would do that for all of them;
-    so each does it for a share of them, and reads what the others wrote.
+    pytest rewrites the assertions of changed files, which takes longer than everything else before
+    the tests. In the same order each worker would do that for all files; so each worker does a
+    share of them, and reads the files of the others.
     """
     number = os.environ.get("PYTEST_XDIST_WORKER", "")[2:]
     if not number or session.config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
@@ -135,18 +135,18 @@ def pytest_collection(session: pytest.Session) -> None:
     files = sorted((ROOT / "tests").rglob("test_*.py"))
     first = len(files) * int(number) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
     for file in files[first:] + files[:first]:
-        # What cannot be imported, or is skipped as a whole, is told where it is collected.
+        # A file that cannot be imported, or is skipped as a whole, is reported at collection.
         with suppress(Exception, pytest.skip.Exception):
             importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Give tests that compute long turns on their core, which four workers share by twos.
+    """Give tests that compute longer turns on their core, which two workers share.
 
-    Four processes that prove the winder's program take a fifth more of the processor with the usual
-    turns of 1.4 ms, for caches that others have filled. Tests at live machines have short turns,
-    which come between.
+    With the usual turns of 1.4 ms, four processes that prove the winder's program take a fifth more
+    processor time, because others have filled the caches. Tests of live machines have short turns,
+    which come in between.
     """
     live = _waits(item) or item.nodeid.startswith("tests/panel/")
     ask_for_turns(0.0 if live else LONG_S)
@@ -154,12 +154,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Let two workers begin with the tests that wait, for live machines and for browsers.
+    """Let two workers begin with the tests that wait for live machines and browsers.
 
-    The others compute meanwhile. Each worker is given as many tests as the others, in this order,
-    and takes from the end of another's when it has no more: last in one queue, those that wait
-    would leave the cores idle. LinuxCNC is one on a computer: its tests are in one queue, or one
-    worker would wait for the other.
+    The other workers compute meanwhile. Each worker gets equally many tests, in this order, and
+    takes tests from the end of another queue when its own is empty: waiting tests at the end of a
+    queue would leave the cores idle. LinuxCNC runs only once on a computer, so its tests are in one
+    queue; otherwise one worker would wait for the other.
     """
     long_tests.leave_out(config, items)
     _leave_out_noted(config, items)
@@ -173,11 +173,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Leave out what the modules made when garbage is looked for from here on, and seldom look.
+    """Leave the modules' objects out of later garbage collections, and collect seldom.
 
-    Looking took a twentieth of the time of the tests; nothing in them waits for it. Freed memory is
-    kept, as where many machines are judged: every second page was asked for anew. The small suites
-    that test the rules of this one compute nothing.
+    Collecting took a twentieth of the time of the tests, and no test depends on it. Freed memory is
+    kept, as in judging many machines; otherwise half of the pages were requested again. The small
+    suites that test these rules compute nothing.
     """
     if not any(item.path.is_relative_to(ROOT) for item in session.items[:1]):
         gc.enable()
@@ -194,7 +194,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[Any]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Turn a skipped test into a failed one in CI: its oracle is missing there."""
+    """Turn a skipped test into a failed one in CI: its reference is missing there."""
     report = yield
     if os.environ.get("CI") == "true" and report.skipped and not hasattr(report, "wasxfail"):
         reason = str(call.excinfo.value) if call.excinfo else "no reason given"
@@ -206,7 +206,7 @@ def pytest_runtest_makereport(
 
 @pytest.fixture(autouse=True, scope="session")
 def nothing_said_of_compiling() -> Iterator[None]:
-    """Tests count lines: which of them has machine code compiled hangs on their order."""
+    """Leave out the message about compiling: which test compiles depends on their order."""
     from threadline.cli import messages
 
     with pytest.MonkeyPatch.context() as patched:
@@ -216,9 +216,9 @@ def nothing_said_of_compiling() -> Iterator[None]:
 
 @pytest.fixture
 def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a search for the fastest feed try a tenth as many at each share of the limits.
+    """Let a search for the fastest feed try a tenth as many feeds at each share of the limits.
 
-    For tests of what is made of its answer; ``tests/search`` tests the answer itself.
+    For tests that use its answer; ``tests/search`` tests the answer itself.
     """
     from threadline.search import fastest
     from threadline.search import feed_ranges as edges
@@ -233,7 +233,7 @@ def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def coarse_search(coarse_scan: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have such a search try two shares of the limits, besides."""
+    """Let such a search also try only two shares of the limits."""
     from threadline.search import least_limits as gentle
 
     monkeypatch.setattr(gentle, "_LADDER", (1.0, 0.25))
@@ -241,10 +241,10 @@ def coarse_search(coarse_scan: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def forked_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have simulated machines as forks of the test's process, which has imported all they need.
+    """Make simulated machines forks of the test's process, which has imported everything.
 
-    For what such a machine does; ``tests/live/test_checked.py`` and ``test_rehearsed.py`` start one
-    anew.
+    For tests of such a machine's work; ``tests/live/test_checked.py`` and ``test_rehearsed.py``
+    start new processes.
     """
     from tests.live.kill_bench import forked_link
     from threadline.live import sim_process
@@ -254,13 +254,13 @@ def forked_machine(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def examples() -> Path:
-    """The folder of jobs that come with the project."""
+    """The folder of jobs that belong to the project."""
     return ROOT / "examples"
 
 
 @pytest.fixture
 def shared_samples() -> Path:
-    """The folder of files that others wrote; absent outside the project's own machines."""
+    """The folder of files from other programs; it exists only on the project's own machines."""
     if not SHARED_SAMPLES.is_dir():
         if os.environ.get("CI") == "true" and SHARED_SAMPLES.parent.is_dir():
             pytest.fail(f"{SHARED_SAMPLES} is missing")

@@ -1,4 +1,4 @@
-"""An integrator that is not ours, for many short spans: the compiled DOP853 of scipy."""
+"""An independent integrator for many short spans: the compiled DOP853 of scipy."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def state_after(
 ) -> FloatArray:
     """Return the (n,) state after ``span_s`` of ``state' = slope(t, state)``, t from 0.
 
-    The method and tolerances are those of ``solve_ivp`` with DOP853, which works several times as
-    long around each of its steps as the right-hand side takes: no matter for long integrations, all
-    that counts where a span is a tick of a controller.
+    The method and tolerances are the same as of ``solve_ivp`` with DOP853, whose Python code takes
+    several times as long per step as the right-hand side. This does not matter in long
+    integrations, but if a span is a tick of a controller, it decides the time.
     """
     if span_s == 0.0:
         return np.array(state)

@@ -18,7 +18,7 @@ UNSHOWN = pytest.StashKey[list[str]]()
 
 
 def is_long(item: pytest.Item) -> bool:
-    """Say whether a test is long, or this case of it."""
+    """Return whether a test, or this case of it, is long."""
     mark = item.get_closest_marker("long")
     if mark is None:
         return False
@@ -41,7 +41,7 @@ def _plain(item: pytest.Item) -> str:
 def unshown(items: list[pytest.Item]) -> list[str]:
     """Return the long tests whose mark is wrong.
 
-    The test that it names does not exist or is long, no case stays, or no case has a named id.
+    The named test does not exist or is long itself, no case stays, or no case has a named id.
     """
     shorter = {_plain(item) for item in items if not is_long(item)}
     names = {item.nodeid for item in items}
@@ -67,9 +67,9 @@ def unshown(items: list[pytest.Item]) -> list[str]:
 
 
 def leave_out(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect the long tests if the run is without them, and keep their number.
+    """Deselect the long tests if the run excludes them, and keep their number.
 
-    Only a run of the whole suite is checked for long tests without a shorter one.
+    Only a run of the whole suite checks that every long test has a shorter one.
     """
     part = config.args_source is pytest.Config.ArgsSource.ARGS
     part = part or bool(config.option.keyword or config.option.markexpr)
@@ -86,7 +86,7 @@ def leave_out(config: pytest.Config, items: list[pytest.Item]) -> None:
 
 
 class CountLong:
-    """Says at the end how many long tests were left out; under xdist a worker knows."""
+    """Reports at the end how many long tests were left out; under xdist a worker knows it."""
 
     def __init__(self) -> None:
         self._left = 0
@@ -97,7 +97,7 @@ class CountLong:
         self._left = max(self._left, getattr(node, "workeroutput", {}).get("left_long", 0))
 
     def pytest_terminal_summary(self, terminalreporter: Any, config: pytest.Config) -> None:
-        """Write one line, if there is something to say."""
+        """Write one line if a test was left out."""
         left = config.stash.get(LEFT, self._left)
         if left:
             tests = "long test was" if left == 1 else "long tests were"

@@ -1,4 +1,4 @@
-"""Longer turns on a core for tests that compute: those that share it come back to cold caches."""
+"""Longer turns on a core for computing tests: processes that share it find cold caches."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ LONG_S = 0.04
 
 
 def ask_for_turns(seconds: float) -> bool:
-    """Have the calling thread run so long before another has its turn, and say whether it may.
+    """Set the length of the calling thread's turns on its core; return whether it is possible.
 
-    Of the core each process gets what it got, and one that was asleep and has short turns still
-    comes between. Processes and threads that are started have the usual turns.
+    Each process still gets the same share of the core, and a waking process with short turns still
+    comes in between. Started processes and threads have the usual turns.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from threadline.files import Recording
 
 
 class Made:
-    """Reads as a stream does: each reading calls ``function`` anew."""
+    """Reads like a stream: each reading calls ``function`` anew."""
 
     def __init__(self, function: Callable[[], Iterator[Any]]) -> None:
         self._function = function
@@ -25,6 +25,6 @@ class Made:
 def read_once(recording: Recording) -> Recording:
     """Return a recording with its blocks in memory.
 
-    Each channel that is asked for reads them all: from a file, or by simulating them again.
+    Otherwise each requested channel would read them all: from a file, or by a new simulation.
     """
     return replace(recording, blocks=tuple(recording))

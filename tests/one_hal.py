@@ -1,4 +1,4 @@
-"""LinuxCNC's HAL is one on a computer: its memory has the same keys for everybody."""
+"""LinuxCNC's HAL runs once on a computer: its memory has the same keys for everybody."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LOCK = Path(tempfile.gettempdir()) / "threadline-test-hal.lock"
 
 @contextmanager
 def one_hal() -> Iterator[None]:
-    """Have HAL for one test alone; others wait."""
+    """Reserve HAL for one test; others wait."""
     with _LOCK.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

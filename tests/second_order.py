@@ -1,4 +1,4 @@
-"""What a system of second order makes of an input: not our code, and quicker than ``lsim``."""
+"""The response of a second-order system: independent code, and quicker than ``lsim``."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from threadline.base.arrays import FloatArray
 def states_of(a: FloatArray, b: FloatArray, u: FloatArray, step_s: float) -> FloatArray:
     """Return the (n, 2) states of ``x' = a x + b u`` from rest, for (n,) inputs ``step_s`` apart.
 
-    The input is straight in between, and the answer exact by a matrix exponential, as that of
-    ``scipy.signal.lsim`` is, which takes a hundred times as long for each step.
+    The input is straight in between, and a matrix exponential gives the exact answer, as in
+    ``scipy.signal.lsim``, which takes a hundred times as long for each step.
     """
     m = np.zeros((4, 4))
     m[:2, :2], m[:2, 2], m[2, 3] = np.asarray(a) * step_s, np.ravel(b) * step_s, 1.0

@@ -1,4 +1,4 @@
-"""The page on the architecture names every room, in the order that the linter holds."""
+"""The page on the architecture names every room, in the order of the import contract."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def test_rooms_stand_in_their_order() -> None:
-    """The table goes down the house; the contract has the same layers, the highest first."""
+    """The table goes from the lowest layer up; the contract has the same layers from the top."""
     contracts = configparser.ConfigParser()
     contracts.read(ROOT / ".importlinter")
     layers = contracts["importlinter:contract:layers"]["layers"].split("\n")
@@ -26,7 +26,7 @@ def test_rooms_stand_in_their_order() -> None:
 
 
 def test_a_file_name_stands_for_one_thing() -> None:
-    """Names that come in several rooms are those that the page names, and no others."""
+    """The page names all file names that several rooms share, and no others."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     section = page.partition("## File names")[2].partition("\n## ")[0]
     stems = Counter(f.stem for f in (ROOT / "src" / "threadline").rglob("*.py") if f.stem[0] != "_")
@@ -44,17 +44,17 @@ MACHINE_PARTS = {"plc", "tables"}
 
 
 def names_in(node: ast.AST) -> set[str]:
-    """Return the names and attributes that an expression reads."""
+    """Return the names and attributes in an expression."""
     found = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
     return found | {n.attr for n in ast.walk(node) if isinstance(n, ast.Attribute)}
 
 
 def asks(text: str) -> list[int]:
-    """Return the lines of a module that ask which kind of work it has.
+    """Return the lines of a module that depend on the kind of work.
 
     These are tests of a kind's class, uses of a kind's part of a machine, and comparisons with
-    ``commanded_by`` or with the class of a kind. Choosing from a table by it is none. That nobody
-    compares rows of the table is a contract of the linter: nobody else can import them.
+    ``commanded_by`` or with the class of a kind. A choice from a table by the kind is allowed. A
+    contract of the linter forbids comparing rows of the table, because nobody else can import them.
     """
     found = []
     for node in ast.walk(ast.parse(text)):
@@ -81,7 +81,7 @@ def asks(text: str) -> list[int]:
 
 
 def test_only_the_rooms_of_a_kind_ask_which_it_is() -> None:
-    """The page lists these rooms; outside them no line asks, and each room listed is there."""
+    """The page lists these rooms; no line outside depends on the kind, and each room exists."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     table = page[page.index("| files of a kind |") :].split("\n\n")[0]
     rooms = re.findall(r"`([\w/.]+)`", "\n".join(r.split("|")[1] for r in table.split("\n")[2:]))
@@ -100,7 +100,7 @@ def test_only_the_rooms_of_a_kind_ask_which_it_is() -> None:
 
 
 def test_the_count_sees_the_usual_ways_to_ask() -> None:
-    """One of each; a choice from a table is none."""
+    """There is one example of each; a choice from a table does not count."""
     for text in (
         "if isinstance(plan.commands, targets.TickTable | SwitchSchedule): pass",
         "if machine.cylinders: pass",
@@ -118,7 +118,7 @@ def test_the_count_sees_the_usual_ways_to_ask() -> None:
 
 
 def test_a_report_draws_and_simulates_nothing() -> None:
-    """Of the pipeline it knows the proof alone; that it imports no twin is a contract."""
+    """It knows only the proof of the pipeline; a contract forbids it to import a twin."""
     taken = set()
     for file in (ROOT / "src" / "threadline" / "report").rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -131,9 +131,9 @@ _POSSESSIVE_GROUP = re.compile(r"\)(?:[*+?]|\{\d*,?\d*\})\+|\(\?>")
 
 
 def test_no_pattern_has_a_possessive_group() -> None:
-    """Python 3.11.0 to 3.11.4 take one that fits only in part for a match (gh-106052).
+    """Python 3.11.0 to 3.11.4 accept a partial match of such a group (gh-106052).
 
-    The block ``X1 Y`` was read as ``X1`` there, and its ``Y`` without a number was lost.
+    There the block ``X1 Y`` was read as ``X1``, and its ``Y`` without a number was lost.
     """
     assert _POSSESSIVE_GROUP.search(r"(?:[A-Z]\d++)*+")
     assert [

@@ -1,4 +1,4 @@
-"""Arrays that cannot be changed behind a frozen dataclass."""
+"""Arrays that cannot be changed after a frozen dataclass has taken them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_a_copy_is_locked(lock) -> None:
 
 @pytest.mark.parametrize("lock", [read_only, read_only_int])
 def test_what_nobody_can_change_is_not_copied(lock) -> None:
-    """A block cut out of a locked one shares its memory; a view of what can be written does not."""
+    """A block cut out of a locked array shares its memory; a view of a writable one does not."""
     whole = lock([1, 2, 3, 4], "whole", ndim=1)
     assert np.shares_memory(lock(whole[1:3], "part", ndim=1), whole)
     source = np.array([1, 2, 3, 4], dtype=whole.dtype)
@@ -29,7 +29,7 @@ def test_what_nobody_can_change_is_not_copied(lock) -> None:
     kept = lock(view, "kept", ndim=1)
     source[:] = 99
     assert kept.tolist() == [2, 3]
-    stretched = np.broadcast_to(whole[:1], (3,))  # read-only, but no array that code may walk along
+    stretched = np.broadcast_to(whole[:1], (3,))  # read-only, but not contiguous
     assert lock(stretched, "stretched", ndim=1).strides == whole.strides
 
 

@@ -1,4 +1,4 @@
-"""The cases of the benchmarks still run; what they measure is for ``make bench`` to say."""
+"""The cases of the benchmarks still run; ``make bench`` gives their results."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ def test_every_module_is_read_where_no_peer_is_installed(name: str) -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_axis_of_the_twin_moves_as_scipy_integrates_it(case: str) -> None:
-    """Two reversals of the axis; the bound is the one that the benchmark itself states."""
+    """Two reversals of the axis, with the bound that the benchmark itself states."""
     assert difference_um(case, scipy_run(case, 420, quantised=False)) < WITHIN_UM

@@ -1,4 +1,4 @@
-"""Path, timing and what follows are three choices, whatever words they were typed with."""
+"""Path, timing and following are three choices, with whatever options they were typed."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def test_without_feed_forward_motors_follow_within_the_limits() -> None:
 
 
 def test_feed_forward_is_a_word_for_three_choices() -> None:
-    """``auto`` then has nothing to choose: chords at their times, smoothed, followed by loads."""
+    """``auto`` then plans chords at their times, smoothed, which the loads follow."""
     options = Options(feed_forward_s=0.04)
     assert options.path.interpolation == CHORDS
     assert (options.timing.pace, options.timing.smoothing_s) == (Pace.PROGRAMMED, 0.04)
     assert options.following is Following.LOAD
-    # A path that was asked for by name stays, with the times that it has.
+    # A path that was given by name stays, with its own timing.
     named = Options(interpolation="linear", feed_forward_s=0.04)
     assert (named.path.interpolation, named.timing.pace) == ("linear", Pace.LIMITED)
     assert named.following is Following.LOAD
@@ -52,7 +52,7 @@ def test_programmed_times_are_kept_exactly() -> None:
     """Ways of 12, 8 and 16 mm at 20 mm/s: 0.6, 0.4 and 0.8 s, at constant speed in between."""
     path = chord_path(programmed_path(job_of(POINTS, ("X",), FEED), MACHINE))
     trajectory = plan_trajectory(path, MACHINE, Pace.PROGRAMMED)
-    assert trajectory.historical  # its velocity steps, until it is smoothed
+    assert trajectory.historical  # its velocity steps until it is smoothed
     assert trajectory.duration_s == pytest.approx(1.8, rel=1e-12)
     instants = np.array([0.0, 0.3, 0.6, 0.8, 1.0, 1.4, 1.8])
     wanted = [0.0, 0.006, 0.012, 0.016, 0.02, 0.012, 0.004]
@@ -85,7 +85,7 @@ def test_a_plan_says_what_follows_and_what_was_intended() -> None:
 
 
 def test_the_contour_is_of_optimal_followed_by_motors() -> None:
-    """0.3 mm unless told otherwise; of loads that follow it bounds the ends of the table alone."""
+    """0.3 mm by default; if the loads follow, it bounds only the ends of the table."""
     assert Options(interpolation="optimal").timing.contour_m == 3e-4
     assert Options().timing.contour_m == np.inf
     assert Options(interpolation="optimal", feed_forward_s=0.01).timing.contour_m == np.inf

@@ -1,6 +1,6 @@
-"""Machine code on disk: no process runs that of other types, or of a file as it was before.
+"""Machine code on disk: no process runs code for other types, or of an older file.
 
-Whatever comes between two steps of one process, another may read: so one is interrupted at every
+A process may read at any point between two steps of another. So a process is interrupted at every
 step by a reader, or by another writer, in this process and therefore always in the same order.
 """
 
@@ -28,7 +28,7 @@ def cache(folder: Path, stamp: str) -> CacheFile:
 
 
 class Interrupted(CacheFile):
-    """Lets somebody else do something before and after it writes a file."""
+    """Calls another function before and after it writes a file."""
 
     def __init__(self, folder: Path, stamp: str, other: Callable[[], None]) -> None:
         super().__init__(cache_path=str(folder), filename_base="f", source_stamp=stamp)
@@ -45,7 +45,7 @@ class Interrupted(CacheFile):
 def test_who_reads_while_another_writes_never_gets_the_code_of_an_older_file(
     tmp_path: Path,
 ) -> None:
-    """numba's own cache names the code in its index first: the old code still stands there."""
+    """numba's own cache writes the code's name into its index while the old code is still there."""
     cache(tmp_path, "old file").save("a float", "old code")
     read = []
     writer = Interrupted(
@@ -55,12 +55,12 @@ def test_who_reads_while_another_writes_never_gets_the_code_of_an_older_file(
     assert len(read) == 4  # before and after machine code, before and after the index
     assert set(read) == {None, "new code"}
     assert cache(tmp_path, "new file").load("a float") == "new code"
-    # What nobody can read any more does not stay.
+    # Files that nobody can read any more are removed.
     assert len(list(tmp_path.glob("*.nbc"))) == 1
 
 
 def test_an_interrupt_leaves_no_half_of_machine_code(tmp_path: Path) -> None:
-    """numba's own cache removes its unfinished file at an error, and leaves it at an interrupt."""
+    """numba's own cache removes its unfinished file after an error, but not after an interrupt."""
 
     class Cut:
         def __reduce__(self) -> str:
@@ -80,7 +80,7 @@ def test_an_interrupt_leaves_no_half_of_machine_code(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", ["empty", "cut", "a byte"])
 def test_a_damaged_file_is_made_again(tmp_path: Path, ending: str, damage: str) -> None:
-    """numba's own cache ends with an error of pickle, or runs machine code that is none."""
+    """numba's own cache ends with an error of pickle, or runs bytes that are no machine code."""
     cache(tmp_path, "file").save("a float", b"code" * 400)
     (file,) = tmp_path.glob(f"*.{ending}")
     whole = file.read_bytes()
@@ -99,7 +99,7 @@ def test_a_damaged_file_is_made_again(tmp_path: Path, ending: str, damage: str) 
 def test_machine_code_is_on_the_disk_before_it_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A loss of power after a rename leaves a file of its length that is empty, else."""
+    """Otherwise a loss of power after a rename leaves an empty file of the right length."""
     order: list[str] = []
     fsync, replace = os.fsync, Path.replace
     monkeypatch.setattr("os.fsync", lambda file: (order.append("fsync"), fsync(file))[1])
@@ -130,7 +130,7 @@ def test_where_no_folder_can_be_written_functions_are_compiled_each_time(
 
 
 def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path) -> None:
-    """numba's own cache gives the code of both the same name; one that is lost is compiled anew."""
+    """numba's own cache gives both codes the same name; here a lost one is compiled anew."""
     turns = []
 
     def another_writes() -> None:
@@ -148,7 +148,7 @@ def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path
 def test_a_function_is_compiled_anew_when_one_that_it_calls_has_changed(
     tmp_path: Path, change: str
 ) -> None:
-    """numba's own cache looks at the file of the caller alone."""
+    """numba's own cache checks only the file of the caller."""
     inner = "from threadline.base.compiled import njit\nFACTOR = 3.0\n@njit()\ndef inner(x):\n    "
     (tmp_path / "outer.py").write_text(
         "from inner import inner\nfrom threadline.base.compiled import njit\n\n"
@@ -170,7 +170,7 @@ def test_it_divides_as_numpy_does() -> None:
 
 
 def test_of_processes_that_want_the_same_one_compiles_and_the_others_wait(tmp_path: Path) -> None:
-    """Each writes down when it compiles, and how long that took it."""
+    """Each records when it compiles, and how long that took."""
     (tmp_path / "wanted.py").write_text(
         "import sys\nfrom threadline.base.compiled import njit\n"
         "from threadline.base.progress import COMPILING\n"
@@ -200,7 +200,7 @@ def test_of_processes_that_want_the_same_one_compiles_and_the_others_wait(tmp_pa
 def test_who_waited_long_enough_compiles_for_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The process that was to make it may have been stopped."""
+    """The process that was to compile it may have been stopped."""
     monkeypatch.setattr("threadline.base.compiled.LOCK_TIMEOUT_S", 0.1)
     stopped = cache(tmp_path, "file")
     assert stopped.load("a float") is None
@@ -266,7 +266,7 @@ print(twice(1.5))
 @pytest.mark.long(but="2")
 @pytest.mark.parametrize("before", [0, 2])  # as numba begins; as a function is compiled
 def test_an_interrupt_while_llvm_takes_a_module_is_no_crash(tmp_path: Path, before: int) -> None:
-    """llvmlite notes only afterwards that LLVM has the module: it would free it once more."""
+    """llvmlite only notes afterwards that LLVM owns the module: it would free it a second time."""
     file = tmp_path / "interrupted.py"
     file.write_text(_INTERRUPTED)
     ran = subprocess.run(
@@ -279,7 +279,7 @@ def test_an_interrupt_while_llvm_takes_a_module_is_no_crash(tmp_path: Path, befo
 
 
 def test_nothing_goes_round_it() -> None:
-    """A function that numba keeps by itself has none of this."""
+    """A function that numba caches by itself has none of these guarantees."""
     source = Path(__file__).parents[1] / "src" / "threadline"
     importing = {
         file.name

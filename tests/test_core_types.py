@@ -1,4 +1,4 @@
-"""What CI adds to the tests: other processors' rounding, and no test that is skipped."""
+"""The additional runs of CI: the rounding of other processors, and no skipped test."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_core_type_of_the_plain_run_is_not_run_again():
     assert runs(flags, "Zen") == runs(flags)
 
 
-# Of its 128-bit kernels OpenBLAS says that they are those of Katmai.
+# OpenBLAS names its 128-bit kernels after Katmai.
 @pytest.mark.parametrize("core", [core for core in CORE_TYPES[:2] if NEEDS[core] in HERE])
 def test_numpy_says_which_core_type_it_has_picked(core: str):
     asked = "from tools.core_types import own_core_type; print(own_core_type())"
@@ -55,7 +55,7 @@ def test_the_folders_are_there():
 
 
 def test_what_no_other_kernel_changes_is_left_out(tmp_path: Path):
-    """LinuxCNC's own times are waited for once; tests with its interpreter run again."""
+    """LinuxCNC's own times are tested once; tests with its interpreter run again."""
     case = (
         "import pytest\n"
         "def test_plain(): pass\n"
@@ -88,7 +88,7 @@ def test_a_run_with_cores_of_its_own_has_a_worker_for_each():
 def test_runs_go_on_together_and_are_told_one_after_the_other(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
-    """Each waits for a word of the others: one after the other they would wait for ever."""
+    """Each waits for a message of the others: in sequence they would wait for ever."""
     code = (
         "import os, pathlib, sys, time\n"
         f"folder, own = pathlib.Path({str(tmp_path)!r}), os.environ['CORE']\n"
@@ -120,7 +120,7 @@ def suite(folder: Path, ci: str, *words: str) -> subprocess.CompletedProcess[str
 
 @pytest.mark.long(shown_by="test_a_skipped_test_fails_in_ci_alone")
 def test_a_second_run_has_what_the_first_did_not_show(tmp_path: Path):
-    """What passed is left out; what was skipped, also as a whole file, and what failed, runs."""
+    """Passed tests are left out; skipped ones, also whole files, and failed ones run."""
     (tmp_path / "test_all.py").write_text(
         "import os, pytest\n"
         "absent = pytest.mark.skipif(not os.environ.get('CI'), reason='rs274 is absent')\n"

@@ -1,7 +1,7 @@
 """The examples in docstrings run.
 
-One test for each file with examples: pytest's own collector imports and searches all files of the
-package in each of its workers, which is a tenth of all that the tests take.
+There is one test for each file with examples: pytest's own collector imports and searches all files
+of the package in each of its workers, which takes a tenth of the time of all tests.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The tree of errors: codes, text, and what may catch what."""
+"""The tree of errors: codes, texts and base classes."""
 
 from __future__ import annotations
 

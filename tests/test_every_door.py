@@ -1,4 +1,4 @@
-"""Every verb takes every option that means something for it, the same by Python and in a shell."""
+"""Every verb takes every option that applies to it, in Python and in a shell alike."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ SEARCHED = {"fastest": {"shaper", "robust"}, "design": {"feed-forward", "smoothi
 
 
 class PlannedError(Exception):
-    """A verb has come to where the job is read and about to be planned."""
+    """Raised where a verb has read the job and would plan it."""
 
     def __init__(self, job: Any, machine: Any, options: Options) -> None:
         moves = [repr(one) for one in job]
@@ -95,13 +95,13 @@ def planned(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> Non
 
 @pytest.fixture
 def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """Stop every verb where it would plan what it has read; return a folder with the jobs."""
+    """Stop every verb where it would plan its job; return a folder with the jobs."""
     from threadline.cli import compile_, design, equal_, run_
     from threadline.machine.radii import with_radii
     from threadline.proof import pipeline, recorded
     from threadline.search import by_pace, machine_yield
 
-    compared = importlib.import_module("threadline.search.compare")  # its name is a function's
+    compared = importlib.import_module("threadline.search.compare")  # its function has another name
     for module in (pipeline, recorded, compile_, equal_, run_, machine_yield, compared):
         monkeypatch.setattr(module, "plan_job", seen)
     searched = lambda asked: planned(asked.job, asked.machine, asked.options)  # noqa: E731
@@ -121,14 +121,14 @@ def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 
 def seen(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> None:
-    """Stand in for ``plan_job``, which gives the machine the radii of the options."""
+    """Stand-in for ``plan_job``, which gives the machine the radii of the options."""
     from threadline.machine.radii import with_radii
 
     planned(job, with_radii(machine, options.radius), options)
 
 
 def outcome(ask: Callable[[], object]) -> tuple[Any, ...] | str:
-    """Return what a verb is about to plan, or why it refuses, as it is said in Python."""
+    """Return the plan request of a verb, or its refusal in the words of Python."""
     try:
         ask()
     except PlannedError as reached:
@@ -217,7 +217,7 @@ def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str
 
 
 def test_an_option_changes_what_is_read(stopped: Path) -> None:
-    """The walk would not see a verb that ignores dialect, rule of F, radius, offset or needle."""
+    """Otherwise this test would not notice a verb that ignores one of these options."""
     plain = by_python("prove", stopped, "ticks", {})
     for name in ("dialect", "feed-mode", "radius", "offset", "axes"):
         assert by_python("prove", stopped, "ticks", {name: GIVEN[name]}) != plain
@@ -242,7 +242,7 @@ def test_a_robust_search_is_refused_by_its_own_name_and_may_be_none(stopped: Pat
 
 
 def test_the_searches_refuse_what_they_find_themselves(stopped: Path) -> None:
-    """A move list has shapers found for every move."""
+    """For a move list the search finds a shaper for every move."""
     for ask in (by_line, by_python):
         refused = ask("fastest", stopped, "switches", {"shaper": "zv"})
         assert "shaper='zv' does not apply to letter-cycle" in refused
@@ -303,7 +303,7 @@ def test_what_is_made_from_the_table_is_current() -> None:
 
 
 def test_functions_have_the_options_of_the_table_by_name() -> None:
-    """And each function says them all where a shell of Python asks for its signature."""
+    """Each function names them all in its signature."""
     for verb in PYTHON_VERBS:
         signature = inspect.signature(getattr(face, python_name(verb)))
         listed = {one.word: one.default_of(verb) for one in options_for(verb, Door.PYTHON)}
@@ -312,7 +312,7 @@ def test_functions_have_the_options_of_the_table_by_name() -> None:
 
 
 def test_the_table_and_the_options_of_a_plan_fit() -> None:
-    """Every option that a recording says is an attribute of ``Options``, and the reverse."""
+    """Every option in a recording is an attribute of ``Options``, and the reverse."""
     names = {one.name for one in inspect.signature(Options).parameters.values()}
     assert {one.attribute for one, _ in RECORDED} == names
     for one in TABLE:

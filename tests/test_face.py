@@ -1,4 +1,4 @@
-"""``import threadline as tl``: what it has, that its page is true, and that it costs nothing."""
+"""``import threadline as tl``: its content, its page, and the cost of its import."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_page_lists_the_face_and_nothing_else() -> None:
 
 @pytest.mark.long(shown_by="test_every_kind_of_machine_has_the_whole_face")
 def test_the_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a folder that holds the examples; the files that they write lie there."""
+    """They run in a folder that holds the examples, and write their files there."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     found = doctest.testfile(str(PAGE), module_relative=False, encoding="utf-8")
@@ -91,7 +91,7 @@ def test_mistakes_are_told_as_on_the_command_line() -> None:
 
 
 def test_errors_speak_of_arguments() -> None:
-    """No message of the face has an option of the command line in it."""
+    """No message of the face contains an option of the command line."""
     example = ROOT / "examples" / "x-180.prg"
     wrong = [
         ({"smoothing": "40 ms"}, "Give feed_forward=True too"),
@@ -105,12 +105,12 @@ def test_errors_speak_of_arguments() -> None:
 
 
 def test_the_best_is_proved_in_one_call(tmp_path: Path) -> None:
-    """With the words of the search, unless others are given."""
+    """The proof uses the words of the search, unless others are given."""
     machine, job = limits_alone(tmp_path, "G1 X20 A90 F1000\nG1 X0")
     found = tl.fastest(job, machine, level="nominal", radius="A=40 mm")
     proof = found.prove()
     assert proof.passed and proof.plan.options["radius"] == "A=40 mm"
-    shown = repr(found).splitlines()  # and not every try
+    shown = repr(found).splitlines()  # and not every trial
     assert shown[0].startswith(f"fastest: {found.of.best.duration_s:.6g} s at 0.")
     assert shown[0].endswith("limited by the velocity limits of the axes")
     capped = tl.fastest(job, machine, level="nominal", radius="A=40 mm", high="F 2000")
@@ -127,7 +127,7 @@ def test_the_best_is_proved_in_one_call(tmp_path: Path) -> None:
 
 
 def test_a_run_has_columns_for_plots() -> None:
-    """Those of the recording, with units, and of equal length, as a data frame takes them."""
+    """The columns of the recording, with units and of equal length, as a data frame needs them."""
     proof = tl.prove(ROOT / "examples" / "x-180.prg", "lathe-winder", repeats=2)
     first, second = proof.columns(), proof.columns(run=2)
     times_s, load = proof.of.run(1).samples("X.load")
@@ -164,7 +164,7 @@ def _of_kind(kind: str, folder: Path) -> tuple[Path, str, str]:
 def test_every_kind_of_machine_has_the_whole_face(kind: str, tmp_path: Path) -> None:
     """A proof, its files, a judgement of its recording by file and by job, a program, a comparison.
 
-    The judge says of the file what the proof said of the run.
+    The judgement of the file equals the proof's judgement of the run.
     """
     job, name, target = _of_kind(kind, tmp_path)
     machine = tl.load_machine(name)
@@ -188,7 +188,7 @@ def test_every_kind_of_machine_has_the_whole_face(kind: str, tmp_path: Path) -> 
 
 
 def test_the_search_is_chosen_by_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each kind of job has its own, with the machine and the margin that were asked for."""
+    """Each kind of job has its own search, with the given machine and margin."""
     from threadline.search import by_pace
 
     asked = []
@@ -218,7 +218,7 @@ def test_the_search_is_chosen_by_the_job(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_ends_of_tolerances_are_judged_as_on_the_command_line() -> None:
-    """At 39.4 mm/s the machine of the file is in spec, and one with other loads is not."""
+    """At 39.4 mm/s the machine of the file is in spec, and a machine with other loads is not."""
     job = ROOT / "examples" / "x-180.prg"
     words = {"interpolation": "linear", "feed": "39.4 mm/s", "level": "nominal"}
     assert tl.prove(job, "lathe-winder", **words).passed
@@ -242,7 +242,7 @@ def test_a_search_is_asked_to_hold_at_the_ends_of_tolerances(
     job: str, machine: str, search: str, words: dict[str, object], planned: float | None,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """What the search is given is what the command line gives it; the twin judges in its tests."""
+    """The search gets the same as from the command line; tests of the twin test the judgement."""
     from threadline.search import by_pace
 
     given = []
@@ -271,7 +271,7 @@ compare_x = partial(LOOSE.compare, "x.prg", "lathe-winder")
 
 
 def wrong_types() -> list[object]:
-    """Return values that no argument of the face takes."""
+    """Return values that no argument of the face accepts."""
     return [
         -1, 10**400, 1.5, math.nan, b"x", 1j, {"a": 1}, object(), len, np.zeros(3), [1], (1, 2),
         "\0", "\udc80", Path("\0"), ["\0"],
@@ -281,7 +281,7 @@ def wrong_types() -> list[object]:
 def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every function, every argument, every odd value: an InputError of one line."""
+    """Every function, argument and odd value ends in an InputError of one line."""
     monkeypatch.chdir(tmp_path)
     job, machine = ROOT / "examples" / "x-180.prg", "lathe-winder"
     proof = tl.prove(job, machine, level="nominal", interpolation="linear", feed="10 count/tick")
@@ -375,7 +375,7 @@ def test_files_that_cannot_be_used_are_wrong_input(tmp_path: Path) -> None:
 
 
 def test_a_proof_prints_itself_in_ten_lines_worst_first(tmp_path: Path) -> None:
-    job = tmp_path / "<i>.prg"  # what a notebook shows is escaped
+    job = tmp_path / "<i>.prg"  # text in a notebook is escaped
     job.write_text((ROOT / "examples" / "x-180.prg").read_text("utf-8"), "utf-8")
     spec = tmp_path / "tight.spec.toml"
     spec.write_text(
@@ -395,7 +395,7 @@ def test_a_proof_prints_itself_in_ten_lines_worst_first(tmp_path: Path) -> None:
 
 
 def test_the_analysis_of_a_loop_is_that_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
-    """The same content for the axis that was asked for, and for every axis without one."""
+    """The content is the same for one named axis, and for all axes without a name."""
     with pytest.raises(SystemExit):
         main(["analyse", "lathe-winder", "--json"])
     printed = json.loads(capsys.readouterr().out)["axes"]

@@ -1,4 +1,4 @@
-"""``tl.run``: a job over the simulated link from Python, by the door of ``threadline run``."""
+"""``tl.run``: a job over the simulated link from Python, as ``threadline run`` does it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def job(tmp_path: Path) -> Path:
 
 @pytest.mark.waits
 def test_a_run_does_what_its_proof_says_and_is_kept(job: Path, tmp_path: Path) -> None:
-    """By a proof that is at hand, and from another thread, where Python hands no signals."""
+    """With an existing proof, and from another thread, which gets no signals in Python."""
     proved = tl.prove(job, MACHINE, level="nominal")
     proved.write(tmp_path / "p.json")
     store = tmp_path / "runs"
@@ -112,7 +112,7 @@ def test_a_job_out_of_spec_runs_for_a_reason_alone(tmp_path: Path) -> None:
 
 
 def test_what_the_command_says_beside_the_verdict_is_kept(tmp_path: Path) -> None:
-    """Where a hold would spoil the work it waits, which an operator has to know."""
+    """A hold waits if it would spoil the work, and the operator has to know that."""
     job = Path(__file__).parents[1] / "examples" / "helix.gcode"
     run = tl.run(job, MACHINE, speed=0, store=tmp_path / "runs", level="nominal")
     assert any("braking at full speed would shake the load" in note for note in run.notes)

@@ -95,18 +95,18 @@ def test_in_spec_at_65_a_second_only_with_it(proof, seam, machine):
 
 
 def test_loads_are_where_the_trajectory_says(proof, plan):
-    """On the clock of the recording, dead time and previews and all."""
+    """This holds on the clock of the recording, dead time and previews included."""
     for axis, column in (("X", 0), ("Y", 1)):
         times, load = proof.recording.samples(f"{axis}.load")
         wanted = plan.motion.trajectory(times)[:, column]
         # 60 um: whole counts are 3.8 um, a DAC level at rest 22 to 24 counts.
         assert np.abs(load - wanted).max() < 60e-6
         commanded = proof.recording.samples(f"{axis}.commanded")[1]
-        assert np.abs(commanded - wanted).max() > 1e-3  # it leads by what the filter needs
+        assert np.abs(commanded - wanted).max() > 1e-3  # it leads by the filter's time
 
 
 def test_the_needle_keeps_its_time(plan):
-    """Constant needle: its instants are 1/65 s apart to rounding, corners and rests included."""
+    """With a constant needle all instants are 1/65 s apart up to rounding, corners included."""
     down = np.concatenate([run.down_s for run in planned_stitches(plan)])
     np.testing.assert_allclose(np.diff(down), 1 / 65, atol=1e-12)
     assert has_stitches(plan.job)
@@ -114,7 +114,7 @@ def test_the_needle_keeps_its_time(plan):
 
 
 def test_demand_is_that_of_the_run(proof, plan):
-    """What the model needs against what the simulated motor takes; and against rigid friction."""
+    """The model's demand against the current of the simulated motor and against rigid friction."""
     for demand in plan.motion.demands:
         _, current = proof.recording.samples(f"{demand.axis}.current_peak")
         # A DAC level is 3 V at the motor and 1 kHz of references shake it: 3 A.
@@ -136,7 +136,7 @@ def test_more_current_than_there_is_is_said(seam, machine):
 
 
 def test_limits_are_checked_before_anything_is_put_out(seam, machine):
-    """79 stitches of 0.1 in are 7.9 in/s; the axes allow 7.8."""
+    """79 stitches of 0.1 in are 7.9 in/s; the limit of the axes is 7.8 in/s."""
     job = read_job(seam, machine, needle_speed="79 stitch/s")
     with pytest.raises(LimitError, match=r"velocity reaches 0\.2"):
         plan_job(job, machine, AHEAD)
@@ -164,7 +164,7 @@ def test_a_recording_says_how_to_plan_it_again(plan, machine):
 
 
 def test_pictures_are_drawn_against_the_intended(proof, plan):
-    """The report's commanded trace is the plan's trajectory, not what the chip was told."""
+    """The report's commanded trace is the plan's trajectory, not the commands of the chip."""
     traces = collect(proof)
     for column, axis in enumerate("XY"):
         wanted = plan.motion.trajectory(traces.time_s)[:, column]
@@ -172,7 +172,7 @@ def test_pictures_are_drawn_against_the_intended(proof, plan):
 
 
 def test_long_jobs_stream(plan, machine, seam, monkeypatch):
-    """Nothing kept, few rows and samples in hand at once: the same commands to the count."""
+    """Nothing is kept, few rows and samples exist at once, and the commands are the same."""
     monkeypatch.setattr(averaged, "KEPT", 0)
     monkeypatch.setattr(averaged, "CHUNK", 100)
     monkeypatch.setattr(targets, "KEPT", 0)
@@ -188,7 +188,7 @@ def test_long_jobs_stream(plan, machine, seam, monkeypatch):
 
 
 def test_travel_starts_and_ends_at_rest(plan):
-    """The head rests where it is told to sew, and at the end of the plan."""
+    """The head rests at the first point of the seam, and at the end of the plan."""
     sew = next(e for b in plan.commands for e in b.events if e.name == "sew")
     at = np.array([sew.tick * 1e-3])
     np.testing.assert_allclose(plan.motion.trajectory(at)[0], [0.01, 0.005], atol=1e-9)
@@ -200,7 +200,7 @@ def test_travel_starts_and_ends_at_rest(plan):
 
 
 def test_rapid_moves_stay_within_the_current(machine):
-    """The quintic's current by the rigid model at 1000 instants; and its closed-form speed."""
+    """The quintic's current by the rigid model at 1000 instants, and its closed-form speed."""
     way = np.array([[0.1, 0.0], [0.0, 0.05], [1e-4, 0.0]])
     time = rapid_time_s(way, ("X", "Y"), machine)
     u = np.linspace(0, 1, 1001)
@@ -227,7 +227,7 @@ def test_rapid_moves_stay_within_the_current(machine):
 
 
 def test_every_end_of_the_tolerances_is_tried(machine, seam, monkeypatch):
-    """Plans are for the file; what sews them has masses and stiffnesses at their ends."""
+    """Plans are made for the file; the sewing machines' masses and stiffnesses are at the ends."""
     seen = []
 
     def search(asked, grid):
@@ -265,7 +265,7 @@ def test_prove_says_what_the_drives_must_give(capsys, seam):
     names = [c["name"] for c in content["criteria"]]
     assert "shaping_deviation" in names
     smoothing = next(c for c in content["criteria"] if c["name"] == "shaping_deviation")
-    # A quarter of the speed is left when the corner is cut: as in the test of the verdict.
+    # At a cut corner a quarter of the speed is left, as in the test of the verdict.
     assert smoothing["measured"] == pytest.approx(0.13e-3, abs=30e-6)
 
 
@@ -281,7 +281,7 @@ def test_titles_say_what_was_asked_for(capsys, proof, tmp_path, monkeypatch):
 
 
 def test_the_motion_is_told_apart_from_the_table(proof, plan):
-    """The loads stand outside the span that is told, and move half a width inside it."""
+    """The loads stand outside the printed span, and move half a width inside it."""
     content = verdict_json(proof.verdict, plan)
     begin, end = content["motion"]["begin_s"], content["motion"]["end_s"]
     assert content["motion"]["duration_s"] == end - begin
@@ -320,7 +320,7 @@ def test_mistakes_are_said(capsys, seam, tmp_path):
 
 
 def test_a_trace_of_another_controller_is_judged_against_the_table_it_ran(capsys, seam, tmp_path):
-    """A controller that ran the feed-forward table and knows nothing of it: as prove judged it."""
+    """The controller played the feed-forward table without knowing its purpose: same verdict."""
     trace, npz = tmp_path / "trace.csv", tmp_path / "run.npz"
     proving = ("prove", str(seam), "-m", "stitcher", "--feed-forward", "--nominal", "--json")
     _, out, _ = run(capsys, *proving, "--recording", str(npz))
@@ -342,7 +342,7 @@ def test_a_trace_of_another_controller_is_judged_against_the_table_it_ran(capsys
 
 
 def test_a_machine_without_controllers_is_told_so(examples: Path) -> None:
-    """Feed-forward goes in as references of a controller: a stepper has none."""
+    """Feed-forward needs the references of a controller, which a stepper does not have."""
     machine = load_machine("stepper-winder")
     job = read_job(examples / "x-180.prg", machine)
     with pytest.raises(OptionError, match=r"--feed-forward .* stepper-winder has none: drives"):

@@ -1,4 +1,4 @@
-"""Mistakes in files are told in words for people, with line and remedy, and not in pydantic's."""
+"""Mistakes in files are reported in plain words with line and remedy, not in pydantic's words."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_line_the_value_and_the_remedy(text: str, tmp_path: Path) -> None:
 
 
 def test_every_pattern_of_the_schema_is_told_in_words() -> None:
-    """A regular expression is no answer to somebody who winds filaments."""
+    """A regular expression is no message for a user who winds filaments."""
     text = json.dumps(schema())
     found = {json.loads(f'"{part}"') for part in re.findall(r'"(\^[^"]*\$)"', text)}
     assert len(found) == 10

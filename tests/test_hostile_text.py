@@ -1,7 +1,7 @@
-"""Whatever people call their jobs, machines and steps: every output stays the program it was.
+"""Whatever names jobs, machines and steps have: every output stays the same program.
 
-Each target is read by something that is not ours: blark for structured text, an XML parser,
-LinuxCNC's interpreter, an HTML parser, TOML's reader.
+An independent reader reads each target: blark for structured text, an XML parser, LinuxCNC's
+interpreter, an HTML parser, TOML's reader.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _called(text: str) -> Scheduled:
 
 
 def _without_comments(text: str) -> str:
-    """Take comments away as the third edition has them: nested, and of three kinds."""
+    """Remove comments by the rules of the third edition: nested, and of three kinds."""
     code, depth, at = [], 0, 0
     while at < len(text):
         two = text[at : at + 2]
@@ -103,7 +103,7 @@ def _without_comments(text: str) -> str:
 
 @cache
 def _benign() -> tuple[str, list[list[str]]]:
-    """The code of the harmless program, and what blark reads in each of its units."""
+    """The code of the harmless program, and blark's reading of each of its units."""
     text = structured_text(_called("benign")).units
     units = read_in_parts(text).values()
     return _without_comments(text).lower(), [code_of(unit).lines for unit in units]
@@ -111,7 +111,7 @@ def _benign() -> tuple[str, list[list[str]]]:
 
 @EVERY
 def test_structured_text_is_the_same_program(text: str) -> None:
-    """But for the names of its two units, which are made of that text; blark agrees."""
+    """Only the names of its two units differ, which are made of that text; blark agrees."""
     made = structured_text(_called(text)).units
     assert made.isascii()
     units = read_in_parts(made)
@@ -162,7 +162,7 @@ def test_linuxcnc_takes_no_word_of_a_comment(tmp_path: Path) -> None:
         (tmp_path / name).write_text(program, encoding="utf-8")
         said = interpreted(rs274, tmp_path / name)
         assert "PROGRAM_END" in said
-        # The number of the line, the call, and without what it says of comments.
+        # The line number, the call, and the message without the text of comments.
         calls = re.findall(r"\b([A-Z_]+\([^\"]*?\))$", said, re.M)
         return [call for call in calls if not call.startswith(("COMMENT", "MESSAGE"))]
 
@@ -174,7 +174,7 @@ def test_linuxcnc_takes_no_word_of_a_comment(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def benign_table(tmp_path_factory: pytest.TempPathFactory) -> tuple[TickTable, list[str]]:
-    """Commands, and the lines of their file, with the machine's own digest in its head."""
+    """Commands, and the lines of their file, with the machine's own digest in the head."""
     machine = load_machine("lathe-winder")
     job = read_job(EXAMPLES / "x-180.prg", machine)
     table = tick_table(plan_job(job, machine, Options(interpolation="linear")).commands)
@@ -187,7 +187,7 @@ def benign_table(tmp_path_factory: pytest.TempPathFactory) -> tuple[TickTable, l
 def test_heads_of_tables_stay_heads(
     text: str, tmp_path: Path, benign_table: tuple[TickTable, list[str]]
 ) -> None:
-    """A line for each key, and every cell as it was, for readers that split at any line break."""
+    """One line for each key, and every cell unchanged, for readers that split at any line break."""
     table, benign = benign_table
     named = replace(table, job_sha256=table.job_sha256, machine_sha256=text[:128])
     write_table_csv(named, tmp_path / "t.csv")
@@ -209,7 +209,7 @@ def test_json_and_toml_keep_the_text(text: str) -> None:
 
 
 def test_half_a_pair_is_written_as_an_escape() -> None:
-    """As names of files have them that are not UTF-8; no TOML can hold it."""
+    """File names that are not UTF-8 contain it, and TOML cannot hold it."""
     assert tomllib.loads(f"name = {toml_string(chr(0xDCFF))}") == {"name": "\\udcff"}
     assert json.loads(json_line("\udcff")) == "\udcff"
     assert plain("\udcff") == st_comment("\udcff") == "\\udcff"
@@ -226,7 +226,7 @@ class _Tags(HTMLParser):
 
 def _report(text: str, folder: Path) -> tuple[list[tuple[str, tuple[str, ...]]], str]:
     with figure_style():
-        figure = Figure(figsize=(2.4, 1.2))  # inches; what is drawn takes most of the time
+        figure = Figure(figsize=(2.4, 1.2))  # inches; drawing takes most of the time
         panel = figure.add_subplot()
         panel.semilogy([0, 1], [1, 100], label=text)
         panel.set_title(text)

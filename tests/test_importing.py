@@ -1,4 +1,4 @@
-"""Imports that look for no garbage."""
+"""Imports without unneeded modules, and without garbage collections."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ print(begun.count("start"))
 
 
 def test_a_process_begins_without_looking_for_garbage() -> None:
-    """Of the hundred thousand objects of an import, none is looked through, then or later.
+    """The hundred thousand objects of an import are never collected, then or later.
 
-    Where they are, it is looked for garbage some hundred times.
+    Otherwise there are some hundred collections.
     """
     words = import_and_call("threadline.proof.pipeline", "__name__.upper")
     found = subprocess.run(
@@ -61,9 +61,9 @@ print(*sorted(name for name in sys.modules if name.startswith("threadline.")))
 
 
 def test_a_proof_of_a_part_program_imports_what_it_uses(examples: Path) -> None:
-    """Other kinds of work, other files and the drawing of reports are imported where they begin.
+    """Other kinds of work, other files and drawings are imported when they are first used.
 
-    236 modules are imported, fifteen of them for the measures of a winding; a few may come.
+    236 modules are imported, fifteen of them for the measures of a winding; a few may be added.
     """
     words = _PROVE.format(job=str(examples / "x-180.prg"))
     found = subprocess.run(
@@ -114,19 +114,18 @@ def test_a_process_that_reads_a_drawing_loads_the_geometry_alone() -> None:
 def test_what_needs_no_machine_comes_without_the_models_of_machines(
     call: str, foreign: tuple[str, ...]
 ) -> None:
-    """Then a shaper or a motion is there within the first second of a program.
+    """Then a shaper or a motion is ready within the first second of a program.
 
-    Nothing but numpy, numba and what numba needs of scipy is imported beside the files of the
-    subject.
+    Besides the files of the subject, only numpy, numba and numba's part of scipy are imported.
     """
     words = f"import threadline as tl; tl.{call}; import sys; print(*sorted(sys.modules))"
     modules = subprocess.run(
         [sys.executable, "-c", words], capture_output=True, text=True, check=True
     ).stdout.split()
-    # A package without the files in it is empty: it names them and imports none.
+    # A package without its files is empty: it only names them.
     ours = [name.removeprefix("threadline.") for name in modules if name.startswith("threadline.")]
     assert [name for name in ours if name.startswith(tuple(f"{one}." for one in foreign))] == []
-    # The streams of files alone, and no law of motion: the whole packages would take 0.1 s.
+    # The streams of files alone, and no motion law: the whole packages would take 0.1 s.
     assert {"threadline.motion.laws", "threadline.files.commands"}.isdisjoint(modules)
     assert len(ours) < 45
     heavy = {"pydantic", "matplotlib", "typer", "scipy.optimize", "scipy.interpolate"}
@@ -134,7 +133,7 @@ def test_what_needs_no_machine_comes_without_the_models_of_machines(
 
 
 def test_no_name_that_a_package_imports_later_is_the_name_of_its_file() -> None:
-    """The package would have the file by this name as soon as anyone imports the file."""
+    """As soon as anyone imports the file, the package's name would mean the file."""
     source = Path(threadline.__file__).parent
     tables = [file for file in source.rglob("__init__.py") if "= later(" in file.read_text()]
     assert len(tables) > 3

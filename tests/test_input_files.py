@@ -1,4 +1,4 @@
-"""No reader waits for a pipe or swallows a device; what is refused is told once."""
+"""No reader waits for a pipe or reads a device; a refusal is reported once."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
 
 @pytest.mark.parametrize("name", READERS)
 def test_a_pipe_is_refused_and_not_waited_for(name: str, tmp_path: Path) -> None:
-    """Nobody writes into the pipe: a reader that opens it never comes back."""
+    """Nobody writes into the pipe: a reader that opens it would wait for ever."""
     path = tmp_path / name
     os.mkfifo(path)
     with pytest.raises(InputError, match="pipe or a device"):
@@ -56,7 +56,7 @@ def test_a_device_is_refused_and_not_read(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["machine.toml", "spec.toml", "measured.csv"])
 def test_a_huge_file_is_told_once(name: str, tmp_path: Path) -> None:
-    """The error is itself a ValueError, and must not be wrapped as one of reading."""
+    """The error is itself a ValueError, and must not be wrapped as a reading error."""
     path = tmp_path / name
     with path.open("wb") as file:
         file.truncate(1 << 30)
@@ -73,7 +73,7 @@ def test_a_missing_file_is_wrong_input(name: str, tmp_path: Path) -> None:
 
 
 def test_a_pipe_is_not_written_over(tmp_path: Path) -> None:
-    """A finished file takes the place of what was there, which must not be a device."""
+    """A finished file replaces the old one, which must not be a device."""
     pipe = tmp_path / "run.csv"
     os.mkfifo(pipe)
     with pytest.raises(InputError, match="pipe or a device"), atomic_file(pipe):
@@ -83,7 +83,7 @@ def test_a_pipe_is_not_written_over(tmp_path: Path) -> None:
 
 
 def test_the_table_of_formats_names_the_endings_that_its_readers_know() -> None:
-    """The table does not import its readers, so that the endings stand in both."""
+    """The table does not import its readers, so both hold the endings."""
     known = {one.name: one for one in FORMATS}
     assert known["seam"].extensions == seam_job.SUFFIXES
     assert known["embroidery design"].extensions == records.SUFFIXES

@@ -1,4 +1,4 @@
-"""The table of kinds of work is complete, and every kind goes through the same doors."""
+"""The table of kinds of work is complete, and every kind goes through the same functions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WORK = {
 
 
 def test_every_table_has_a_row_for_every_kind() -> None:
-    """What the judge and the reports keep of a kind in their own rooms is there."""
+    """Judge and reports have a row for each kind in their own tables."""
     assert set(KINDS) == set(WORK)
     assert {kind.intent for kind in KINDS.values()} == set(RUNS)
     assert set(RUNS) == set(REPORTS) == set(REPORT_DATA)
@@ -39,7 +39,7 @@ def test_every_table_has_a_row_for_every_kind() -> None:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_one_way_leads_through_the_house(name: str, tmp_path: Path) -> None:
-    """Job to verdict and file by the same functions, and step by step as ``prove`` does it."""
+    """The same functions lead from job to verdict and files, step by step as in ``prove``."""
     file, reference, target = WORK[name]
     machine: Machine = load_machine(reference)
     options = Options()
@@ -80,7 +80,7 @@ def test_another_day_is_another_run_of_the_same_commands(name: str) -> None:
 
 
 def test_a_measure_reads_one_input() -> None:
-    """The plan alone, one run or many: for every form of it the same, but for the travel."""
+    """The plan alone, one run or many: every form reads the same input, except for the travel."""
     mixed = {
         kind.name
         for kind in MEASURES.values()
@@ -118,7 +118,7 @@ def test_a_job_is_planned_or_refused_in_one_line(machine: str, file: str) -> Non
 def test_another_machine_of_the_kind_plays_the_plan(
     name: str, file: str, number: str, tmp_path: Path
 ) -> None:
-    """It differs in a number alone, has a file and a hash of its own, and rings otherwise."""
+    """It differs in one number, has a file and a hash of its own, and rings differently."""
     machine = load_machine(name)
     overlay = tmp_path / "heavy.toml"
     overlay.write_text(f'base = "{name}"\n{number} = "120 kg exact, assumed: heavier"\n')

@@ -1,4 +1,4 @@
-"""How far a verdict reaches: one run, twenty, other machines within the tolerances."""
+"""The levels of a verdict: one run, twenty runs, other machines within the tolerances."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def plan_of(reference: str) -> tuple[Plan, Spec]:
 
 
 def test_twenty_runs_side_by_side_are_twenty_runs_one_after_the_other() -> None:
-    """Each day simulated and judged alone, with the factors drawn again: the same verdict."""
+    """Each day is simulated and judged alone, with the factors drawn again: the same verdict."""
     plan, spec = plan_of("lathe-winder+stiction")
     proof = prove_plan(plan, spec, trials=REPEATED)
     random, days = np.random.default_rng(1994), [simulate(tick_table(plan.commands), plan.machine)]
@@ -74,7 +74,7 @@ def test_twenty_runs_side_by_side_are_twenty_runs_one_after_the_other() -> None:
     assert proof.verdict.level == alone.level == "repeated"
     for mine, theirs in zip(proof.verdict.results, alone.results, strict=True):
         assert (mine.name, mine.axis, mine.status) == (theirs.name, theirs.axis, theirs.status)
-        # Lengths in m, currents in A: what other time steps of the matrix exponential make of them.
+        # Lengths in m, currents in A: the effect of other time steps of the matrix exponential.
         assert mine.measured == pytest.approx(theirs.measured, rel=1e-9, abs=1e-12)
         assert mine.job_line == theirs.job_line
     spread = proof.verdict.result("repeatability")
@@ -85,7 +85,7 @@ def test_twenty_runs_side_by_side_are_twenty_runs_one_after_the_other() -> None:
 
 @pytest.mark.long(shown_by="test_twenty_runs_side_by_side_are_twenty_runs_one_after_the_other")
 def test_twenty_runs_near_a_limit_are_not_believed() -> None:
-    """0.039 mm of 0.045 in the 20 runs of our seed; 1200 runs come to 0.048 mm, which is out."""
+    """0.039 mm of 0.045 mm in the 20 runs of our seed; 1200 runs have 0.048 mm, which is out."""
     machine = load_machine("lathe-winder")
     spec = load_spec(None, machine)
     criteria = tuple(
@@ -109,7 +109,7 @@ def test_twenty_runs_near_a_limit_are_not_believed() -> None:
 
 @pytest.mark.parametrize(("passed", "tried"), [(200, 200), (197, 200), (1, 40), (0, 9)])
 def test_the_bound_of_drawn_machines_is_that_of_the_binomial(passed: int, tried: int) -> None:
-    """At the bound so many passes or more have a chance of 5 %: counted with exact fractions."""
+    """At the bound the chance of so many passes or more is 5 %, by exact fractions."""
     least = Fraction(at_least(passed, tried))
     chance = sum(
         comb(tried, k) * least**k * (1 - least) ** (tried - k) for k in range(passed, tried + 1)
@@ -135,7 +135,7 @@ def test_the_worst_machine_counts_in_twenty_runs_as_it_is_proved_alone() -> None
     assert over.tightest.measured == alone.tightest.measured > repeated.tightest.measured
     spread = over.result("repeatability").measured
     assert spread == max(v.result("repeatability").measured for v in (repeated, alone))
-    # The run that is worst is kept, for a report to draw.
+    # The worst run is kept, so that a report can draw it.
     worst = over.result("contour_error")
     assert worst.run is not None and worst.run > 20 and worst.note.endswith("machine searched")
     assert proof.run(worst.run).runs == 1
@@ -151,7 +151,7 @@ def test_the_worst_of_other_machines_has_the_line_of_its_own_proof() -> None:
     plan, spec = plan_of("lathe-winder")
     within = WithinTolerances(plan, spec)
     parts = within.singles[:8]
-    # The order of the machines is kept, and the last one is left out.
+    # The order of the machines is kept; the last one would be left out.
     found = EachRun.joined([within.judged(parts[4:]), within.judged(parts[:4])])
     found = found.taken(np.array([4, 5, 6, 7, 0, 1, 2]))
     nominal = prove_plan(plan, spec).verdict
@@ -169,7 +169,7 @@ def test_the_worst_of_other_machines_has_the_line_of_its_own_proof() -> None:
 
 
 def test_drawn_machines_that_all_pass_do_not_make_a_pass() -> None:
-    """17.6777 % of the limits: 200 of 200 drawn pass, and machines of the same file reach 118 %."""
+    """With 17.6777 % of the limits 200 of 200 drawn machines pass, and others reach 118 %."""
     words = {"limits": "17.6777 %", "feed": "1000 count/tick"}
     proof = tl.prove(EXAMPLES / "x-180.prg", "lathe-winder", level="over tolerances", **words)
     tolerances = proof.json()["tolerances"]
@@ -179,7 +179,7 @@ def test_drawn_machines_that_all_pass_do_not_make_a_pass() -> None:
 
 
 def test_a_search_tries_first_what_failed_before() -> None:
-    """A search ends at a machine that fails; at the next pace it is the first that is tried."""
+    """A search ends at a failing machine, which is tried first at the next pace."""
     plan, spec = plan_of("lathe-winder")
     suspects: list[np.ndarray] = []
     first = try_plan(plan, spec, TOLERANCES, suspects=suspects).verdict
@@ -187,7 +187,7 @@ def test_a_search_tries_first_what_failed_before() -> None:
     again = try_plan(plan, spec, TOLERANCES, suspects=suspects).verdict
     assert not again.passed and again.tolerances is not None
     assert (again.tolerances.searched, again.tolerances.drawn) == (1, 0)
-    # What passes with suspects is what passes without, to the bit.
+    # A plan that passes with suspects passes without them, to the bit.
     wide = replace(spec, criteria=tuple(replace(c, limit=1.0) for c in spec.criteria if not c.hard))
     hasty = try_plan(plan, wide, Trials(repeats=2, machines=3), suspects=suspects).verdict
     assert hasty == prove_plan(plan, wide, trials=Trials(repeats=2, machines=3)).verdict
@@ -195,7 +195,7 @@ def test_a_search_tries_first_what_failed_before() -> None:
 
 
 class Rugged:
-    """Machines with a criterion that depends on 12 numbers and on pairs of them."""
+    """Machines with a criterion that depends on 12 numbers, and on pairs of them."""
 
     together = True
     replayed = False
@@ -289,7 +289,7 @@ def test_the_file_of_the_worst_machine_gives_its_figure_to_the_bit(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of a search among few machines, whichever it finds; each dead time would ask for a kernel."""
+    """This holds for any machine found in a short search; each dead time would need a kernel."""
     base, exact = EXAMPLES / "stitcher-75-place.toml", 'delay = "3 ms exact, printed"'
     monkeypatch.chdir(tmp_path)
     Path("exact.toml").write_text(f'base = "{base}"\n[drives.x]\n{exact}\n[drives.y]\n{exact}\n')
@@ -352,7 +352,7 @@ def test_the_default_is_repeated_and_levels_exclude_each_other(
 
 
 def test_the_list_of_runs_says_how_far_each_proof_reaches(tmp_path: Path) -> None:
-    """A run is one run; what it was proved by may be one, twenty, or other machines as well."""
+    """A run is one run; its proof may have one run, twenty, or other machines as well."""
     record = RunRecord(
         run="a",
         started="2026-11-23T04:00:00+00:00",
@@ -386,5 +386,5 @@ def test_the_list_of_runs_says_how_far_each_proof_reaches(tmp_path: Path) -> Non
     assert (listed(stopped, tmp_path)[3], listed(stopped, tmp_path)[7]) == (
         "stopped", "by the operator",
     )  # fmt: skip
-    (tmp_path / "proof.json").write_text("[", "utf-8")  # the index is what is left
+    (tmp_path / "proof.json").write_text("[", "utf-8")  # only the index is left
     assert listed(other, tmp_path)[5] == "not passed (over tolerances)"

@@ -1,4 +1,4 @@
-"""A machine of which limits alone are known: limits and time are judged, no place is made up."""
+"""A machine with limits alone: limits and time are judged, and no position is invented."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_a_machine_file_of_limits_alone_is_read(tmp_path: Path) -> None:
 def test_what_has_dynamics_is_refused_beside_limits_alone(
     tmp_path: Path, old: str, new: str, line: int, said: str
 ) -> None:
-    """One line: the key, why, the file and its line, what to do."""
+    """One line: the key, the reason, the file and its line, the remedy."""
     error = broken(tmp_path, old, new)
     assert said in str(error) and "\n" not in str(error)
     assert error.place is not None and error.place.line == line
@@ -139,9 +139,10 @@ def test_a_machine_with_motors_still_needs_bodies(tmp_path: Path) -> None:
 @pytest.mark.parametrize("interpolation", ["auto", "optimal", "firmware"])
 @pytest.mark.parametrize("way_mm", [100.0, 10.0])
 def test_the_time_is_that_of_a_trapezoid(tmp_path: Path, interpolation: str, way_mm: float) -> None:
-    """From rest to rest: s/v + v/a, and 2 sqrt(s/a) where the limit of speed is not reached.
+    """From rest to rest: s/v + v/a, and 2 sqrt(s/a) if the speed limit is not reached.
 
-    Planned rows end on whole ticks, hence the two ticks of 1 ms; firmwares have no such grid.
+    Planned rows end on whole ticks, hence the tolerance of two ticks of 1 ms; firmwares have no
+    such grid.
     """
     v, a, s = 0.1, 0.5, way_mm / 1e3
     expected = s / v + v / a if s >= v * v / a else 2.0 * math.sqrt(s / a)
@@ -171,7 +172,7 @@ def test_the_twin_makes_no_load_up(tmp_path: Path) -> None:
 
 
 def test_the_verdict_says_that_placement_is_not_proven(tmp_path: Path) -> None:
-    """All that asks for a place is not measured, whatever asks; the level has a word of its own."""
+    """No criterion of position is measured, wherever it comes from; the level has its own name."""
     file, job = files(tmp_path, "G1 X100 F6000\nG1 A90 X0")
     machine = load_machine(file)
     spec = tmp_path / "place.toml"
@@ -199,7 +200,7 @@ def test_the_verdict_says_that_placement_is_not_proven(tmp_path: Path) -> None:
 
 
 def test_a_recording_of_the_real_machine_is_judged_by_what_it_holds(tmp_path: Path) -> None:
-    """Loads that somebody measured are places: the level is then that of runs, as ever."""
+    """Measured loads are positions: then the level is the usual one of runs."""
     file, job = files(tmp_path, "G1 X10 F600")
     machine = load_machine(file)
     proof = prove(job, machine, load_spec(None, machine), Options())
@@ -216,14 +217,14 @@ def test_a_recording_of_the_real_machine_is_judged_by_what_it_holds(tmp_path: Pa
 
 
 def test_the_time_of_the_motion_comes_first(tmp_path: Path) -> None:
-    """The time by F alone, which no machine keeps, stands behind it."""
+    """The time by F alone, which no machine can keep, comes after it."""
     text = "\n".join(feed_lines(proof_of(tmp_path, "G1 X20 F600\nG1 X0", Options()).plan))
     match = re.search(r"^Time: +([\d.]+) s .* as planned; ([\d.]+) s by F alone", text, re.M)
     assert match is not None and 4.0 == float(match[2]) < float(match[1])
 
 
 def test_a_plan_of_the_firmware_says_which_limits_it_does_not_keep(tmp_path: Path) -> None:
-    """Its velocity steps at corners, as its setting for them says, so that it is no failure."""
+    """Its velocity steps at corners, as its setting for corners says, so this is no failure."""
     verdict = proof_of(
         tmp_path, "G1 X20 A90 F600\nG1 X0", Options(interpolation="firmware")
     ).verdict
@@ -239,7 +240,7 @@ def test_a_plan_of_the_firmware_says_which_limits_it_does_not_keep(tmp_path: Pat
 def test_limits_that_are_broken_are_out_of_spec(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Chords at programmed times step in velocity, and F may be too fast: exit 1, what failed."""
+    """Chords at programmed times step in velocity, and F may be too fast: exit status 1."""
     file, job = files(tmp_path, "G1 X20 F600")
     verdict = proof_of(tmp_path, "G1 X20 F600", Options(interpolation="linear")).verdict
     assert {r.name for r in verdict.results if r.status is Status.FAILED} == {"acceleration"}
@@ -304,7 +305,7 @@ def test_trials_of_other_machines_are_refused_from_python(tmp_path: Path) -> Non
 def test_the_fastest_optimal_plan_is_that_of_the_limits(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No loop is there that a contour, a reserve or feed-forward could mean anything to."""
+    """Without loops, a contour, a reserve or feed-forward would have no meaning."""
     monkeypatch.setattr(chosen_plans, "_LEAST_PLANS", 2)
     monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 2)
     file, job = files(tmp_path, "G1 X100 F600")
@@ -315,7 +316,7 @@ def test_the_fastest_optimal_plan_is_that_of_the_limits(
 
 
 def test_hostile_files_of_limits_alone_have_one_line_each(tmp_path: Path) -> None:
-    """Random keys of other kinds of machines, put in or left out: read, or refused in a line."""
+    """Random keys of other kinds of machines, added or removed: read, or refused in one line."""
     draw = random.Random(13)
     lines = MACHINE.splitlines()
     others = [
@@ -339,7 +340,7 @@ def test_hostile_files_of_limits_alone_have_one_line_each(tmp_path: Path) -> Non
 def test_seams_are_read_for_machines_without_loops(
     tmp_path: Path, examples: Path, kind: str
 ) -> None:
-    """Two axes whose drives are given positions sew: rigid ones have no mode to wait for."""
+    """Two axes whose drives take positions sew; rigid ones have no mode to wait for."""
     head = MACHINE[: MACHINE.index("[programs]")]
     parts = []
     for name in "XY":
@@ -385,7 +386,7 @@ def test_a_proof_of_limits_alone_is_not_verified_as_in_spec(
 def test_no_lower_acceleration_is_tried_where_none_can_win(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The answer is that of the whole search; a tighter specification is searched in whole."""
+    """The answer equals the whole search's; a tighter specification is searched in whole."""
     machine, job = files(tmp_path, "G1 X20 A90 F1000\nG1 X0\nG1 X30")
     words = {"interpolation": "auto", "level": "nominal"}
     found = tl.fastest(job, machine, **words)  # type: ignore[arg-type]
@@ -404,7 +405,7 @@ def test_no_lower_acceleration_is_tried_where_none_can_win(
 def test_the_feed_is_named_above_which_the_job_gets_no_faster(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A triangle of d at a ends at sqrt(d a); from 0.956 of it on, it lasts 0.1 % longer."""
+    """A triangle of d at a ends at sqrt(d a); with 0.956 of that feed it takes 0.1 % longer."""
     machine, job = files(tmp_path, "G1 X2 F60")
     axis = load_machine(machine).axes["X"]
     peak = math.sqrt(2e-3 * axis.acceleration.si)
@@ -416,7 +417,7 @@ def test_the_feed_is_named_above_which_the_job_gets_no_faster(
     code, out, _ = run(capsys, "fastest", job, "-m", machine, "--interpolation", "auto")
     assert code == 0 and "takes the same time within 0.1 %: above it acceleration" in out
     assert "limited by acceleration, corners and rapid moves; " in out
-    assert "velocity limits" not in out  # of the feed, not of the time
+    assert "velocity limits" not in out  # relative accuracy of the feed, not of the time
 
 
 @pytest.mark.parametrize(
@@ -429,7 +430,7 @@ def test_the_feed_is_named_above_which_the_job_gets_no_faster(
 def test_dwells_limit_a_job_that_waits(
     dwell_s: float, limit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Plotters' files wait 150 ms for the pen, where grbl waits 150 s: both are told."""
+    """Plotter files wait 150 ms for the pen, and grbl waits 150 s: both are reported."""
     machine, job = files(tmp_path, f"G1 X2 F6000\nG4 P{dwell_s:g}\nG1 X0\nG4 P{dwell_s:g}")
     code, out, err = run(capsys, "fastest", job, "-m", machine, "--interpolation", "firmware")
     assert code == 0 and re.search(f"limited by {limit}", out)
@@ -440,9 +441,9 @@ def test_dwells_limit_a_job_that_waits(
 
 
 def test_small_helices_keep_the_acceleration(tmp_path: Path) -> None:
-    """On symmetric pieces a limit is met by the start of a part alone; its rounding set the end.
+    """On symmetric pieces only the begin of a part reached the limit, and rounding decided.
 
-    A pocket's entry of 0.175 mm radius was planned 7 % above the acceleration, and refused.
+    A pocket's entry with a radius of 0.175 mm was planned 7 % above the acceleration, and refused.
     """
     dump = "".join(
         f"${100 + k}={20 if k < 2 else 200}\n${110 + k}={15000 if k < 2 else 600}\n"

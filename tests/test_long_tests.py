@@ -1,4 +1,4 @@
-"""What ``make test`` leaves out: it says so, and something shorter stands for each long test."""
+"""The tests that ``make test`` leaves out: counted, and each with a shorter test in its place."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SUITE = (
 
 
 def test_each_long_test_has_a_shorter_one(request: pytest.FixtureRequest) -> None:
-    """Where the whole suite is collected: a part of it does not have every test that is named."""
+    """Only if the whole suite is collected: a part of it lacks some of the named tests."""
     alone = request.config.stash[UNSHOWN]
     assert not alone, "\n".join(alone)
 
@@ -38,7 +38,7 @@ def test_long_tests_are_left_out_and_counted(tmp_path: Path, words: tuple[str, .
 
 
 def test_a_long_test_that_nothing_stands_for_is_named(tmp_path: Path) -> None:
-    """Nor may a mark name a case that does not exist, or it would choose nothing."""
+    """A mark must not name a missing case either, or it would choose nothing."""
     text = SUITE.replace("'few')", "'fewer')").replace("'test_short'", "'x'")
     (tmp_path / "test_all.py").write_text(text)
     (tmp_path / "test_rule.py").write_text(

@@ -1,4 +1,4 @@
-"""Long turns are asked for as Linux reads them, and are not for processes that are started."""
+"""Long turns are set as Linux reads them, and started processes do not inherit them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.long_turns import LONG_S, ask_for_turns
 
 
 def slice_ms(process: int | str) -> float:
-    """Return the turn of a process as Linux tells it, ms."""
+    """Return the turn of a process by Linux's own report, ms."""
     lines = Path(f"/proc/{process}/sched").read_text(encoding="ascii").splitlines()
     return float(next(line for line in lines if line.startswith("se.slice")).split(":")[1]) * 1e-6
 
@@ -22,7 +22,7 @@ def test_a_turn_is_asked_for_and_given_back() -> None:
     if not sched.exists() or "se.slice" not in sched.read_text(encoding="ascii"):
         return  # another system
     if tuple(int(part) for part in platform.release().split(".")[:2]) < (6, 12):
-        return  # a Linux that gives all the same turns
+        return  # a Linux with the same turns for all
     try:
         assert ask_for_turns(LONG_S)
         assert slice_ms("self") == pytest.approx(1e3 * LONG_S)

@@ -51,7 +51,7 @@ def test_bad_tolerances(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["1e-300 %", "0.09 %", "0 %", "-5 %", "101 %", "5", "5 mm"])
 def test_bad_shares_of_the_limits(text: str) -> None:
-    """With 1e-300 % a trajectory of 1e150 s was looked for, without a word."""
+    """With 1e-300 % a trajectory of 1e150 s was searched, without a message."""
     with pytest.raises(OptionError, match="limits"):
         parse_share(text)
     assert parse_share("0.1 %") == LEAST_SHARE
@@ -89,14 +89,14 @@ def test_missing_options_are_named() -> None:
 
 
 def test_an_unstable_loop_is_refused_before_any_planning(examples: Path) -> None:
-    """Feedback from the stitcher's head goes unstable at a critical gain: its thesis found so."""
+    """Feedback from the stitcher's head becomes unstable at a critical gain, as in its thesis."""
     with pytest.raises(PlanError, match=r"axis X: the loop is UNSTABLE.*0\.6\d+ times the gain"):
         check_loops(load_machine("stitcher+head-feedback"))
     check_loops(load_machine("lathe-winder"))
 
 
 def test_the_share_of_all_runs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It grows from run to run, to the whole at the end of the last: a run is no whole."""
+    """It grows from run to run, and is 1 only at the end of the last run."""
     monkeypatch.setattr(watched, "LONG_S", -1.0)
     machine = load_machine("letter-placer")
     plan = plan_job(read_job(EXAMPLES / "letter-cycle.toml", machine), machine, Options())

@@ -1,4 +1,4 @@
-"""What answers print: a few lines that say the answer, in a notebook a table."""
+"""Printed answers: a few lines with the answer, and a table in a notebook."""
 
 from __future__ import annotations
 

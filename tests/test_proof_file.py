@@ -1,4 +1,4 @@
-"""A proof is a file: what each of its hashes is of, and what is said when one of them differs."""
+"""The file of a proof: the meaning of its hashes, and the message if one differs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def shop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(*words: str) -> tuple[object, str]:
-    """Return exit status and what was told on standard error."""
+    """Return exit status and standard error."""
     stream = io.StringIO()
     with redirect_stdout(io.StringIO()), redirect_stderr(stream), pytest.raises(SystemExit) as left:
         main([*words])
@@ -89,7 +89,7 @@ def test_the_file_says_all_that_the_proof_is_made_from(shop: Path) -> None:
     assert content["commands"] == {"kind": "ticks", "sha256": plan.commands.rows_sha256()}
     names = {criterion["name"] for criterion in content["verdict"]["criteria"]}
     assert {"contour_error", "path_deviation", "velocity"} <= names
-    # By another program's means: JSON with sorted keys and no blanks, without the hash itself.
+    # Computed independently: JSON with sorted keys and no blanks, without the hash itself.
     rest = {key: value for key, value in content.items() if key != "sha256"}
     canonical = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     assert content["sha256"] == hashlib.sha256(canonical.encode()).hexdigest()
@@ -136,7 +136,7 @@ CHANGES: dict[str, tuple[Callable[[Path], Any], str]] = {
 
 @pytest.mark.parametrize("what", CHANGES)
 def test_verify_names_what_changed(shop: Path, what: str) -> None:
-    """A comment of the machine or the specification is no change; of a job its bytes count."""
+    """A comment in the machine or the specification is no change; of a job every byte counts."""
     file = proved(shop, *WINDER)
     mine = shop / "mine.toml"
     mine.write_text("# a comment\n" + mine.read_text())
@@ -157,7 +157,7 @@ def test_verify_names_what_changed(shop: Path, what: str) -> None:
 def test_a_proof_is_verified_from_any_folder(
     shop: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The names in it count from its own folder: a project can be moved as a whole."""
+    """Its paths count from its own folder: a project can be moved as a whole."""
     file = proved(shop, *WINDER)
     moved = tmp_path_factory.mktemp("elsewhere") / "project"
     shutil.copytree(shop, moved)
@@ -243,7 +243,7 @@ def test_what_is_no_proof_is_refused_in_one_line(tmp_path: Path, name: str) -> N
 
 
 def write_again(content: dict[str, Any], file: Path) -> None:
-    """Write a proof that was changed, with the hash of what it says now."""
+    """Write a changed proof with the right hash of its new content."""
     content.pop("sha256", None)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
@@ -261,7 +261,7 @@ OF_ANOTHER_FORM = [
 
 
 def test_a_proof_of_another_form_is_refused_in_one_line(shop: Path) -> None:
-    """Its hash says that it was written so: what wrote it was another program."""
+    """Its hash is right, because another program wrote it so."""
     file = proved(shop, *WINDER)
     proof = file.read_text("utf-8")
     for entry, value in OF_ANOTHER_FORM:
@@ -316,7 +316,7 @@ OVER = {
 
 
 def over(content: dict[str, Any], **changed: float) -> None:
-    """Let a proof say that it holds for machines within the tolerances."""
+    """Make a proof claim that it holds for machines within the tolerances."""
     tolerances = {**OVER, **changed}
     content.update(machines=200, level="over tolerances", tolerances=tolerances)
 
@@ -492,7 +492,7 @@ FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
 
 
 def test_a_proof_that_contradicts_itself_is_refused_by_verify_and_run(shop: Path) -> None:
-    """Its hash is right: whoever changed it wrote a new one. Only the figures are believed."""
+    """Its hash is right, because a forger can write one. Only the figures count."""
     how = (
         "x-180.prg",
         "-m",
@@ -539,7 +539,7 @@ def test_an_entry_of_another_type_is_refused(
 
 
 def test_an_entry_that_stands_in_it_twice_is_refused(shop: Path) -> None:
-    """A program may read the first, a person the other."""
+    """A program may read the first entry, and a person the second."""
     file = proved(shop, *WINDER)
     text = file.read_text()
     assert text.count('  "passed": true') == 1
@@ -550,7 +550,7 @@ def test_an_entry_that_stands_in_it_twice_is_refused(shop: Path) -> None:
 
 
 def test_a_step_that_is_left_out_of_a_proof_is_missed(shop: Path) -> None:
-    """Of each step of a move list the frame has to come to rest."""
+    """In each step of a move list the frame has to come to rest."""
     file = proved(shop, "--nominal", job="letter-cycle.toml", machine="letter-placer")
     proof = file.read_text()
     names = ("settling_time", "residual_vibration", "end_position_error")
@@ -569,7 +569,7 @@ def test_a_step_that_is_left_out_of_a_proof_is_missed(shop: Path) -> None:
 
 
 def test_who_has_the_key_sees_who_signed(shop: Path) -> None:
-    """The signature is an HMAC of the proof without the places of its files: by other means."""
+    """The signature is an HMAC of the proof without its files' paths, computed independently."""
     (shop / "ours.key").write_text("0123456789abcdef\n")
     (shop / "theirs.key").write_text("0123456789abcdeF\n")
     file = proved(shop, *WINDER, "--sign", "ours.key")
@@ -595,7 +595,7 @@ def test_who_has_the_key_sees_who_signed(shop: Path) -> None:
     assert list(shop.glob("runs/*/inputs/*")) and not list(shop.glob("runs/*/*/ours.key"))
     status, said = run("verify", str(file), "--key", "theirs.key")
     assert (status, "its signature is not by this key" in said) == (2, True)
-    # Figures that are possible, and not those that were signed.
+    # Possible figures, but not the signed ones.
     criterion = next(c for c in content["verdict"]["criteria"] if c["measured"])
     criterion["measured"] *= 0.999
     write_again(content, file)

@@ -1,6 +1,6 @@
 """The commands of the README and of docs/commands.md run.
 
-The README's Python does in ``tests/documents/test_one_plan.py``.
+``tests/documents/test_one_plan.py`` runs the README's Python.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SLOW["connect"] = "it needs a controller; tests/live/test_connect.py has some"
 
 
 def commands() -> list[tuple[list[str], int]]:
-    """Return the words of every command of both pages, in order, and what it should exit with."""
+    """Return the words of every command of both pages, in order, and its expected exit status."""
     return [
         (shlex.split(line, comments=True)[1:], int("# out of spec" in line))
         for line in re.findall(r"^threadline .*", SHOWN, re.MULTILINE)
@@ -55,10 +55,10 @@ def test_the_page_of_the_commands_and_the_help_have_the_same_sections() -> None:
 def test_the_commands_of_both_pages_run_in_order_and_write_below_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As written, from a folder that holds the examples and nothing else.
+    """They run as written, from a folder that holds the examples and nothing else.
 
-    The first report is drawn. Of the others test_document, test_verdict of the embroidery and
-    test_command of the analysis draw their kinds in full.
+    Only the first report is drawn. Other tests draw the other kinds in full: test_document,
+    test_verdict of the embroidery and test_command of the analysis.
     """
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(ROOT / "examples")

@@ -1,4 +1,4 @@
-"""What the package needs: what it imports, what it declares, and what the lock holds are one."""
+"""The needs of the package agree: imports, declarations, and the lock."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COME_WITH = {
 
 
 def imported(file: Path) -> set[str]:
-    """Return the packages that a file imports, anywhere in it."""
+    """Return the packages that a file imports anywhere."""
     names: list[str] = []
     for node in ast.walk(ast.parse(file.read_text("utf-8"))):
         if isinstance(node, ast.Import):
@@ -52,12 +52,12 @@ def test_all_that_is_imported_is_declared_and_the_other_way_round() -> None:
     used = set().union(*map(imported, (ROOT / "src").rglob("*.py")))
     used -= {"threadline", *sys.stdlib_module_names}
     declared = {requirement.name for requirement in [*DECLARED, *OF_CLUSTER]}
-    # The server reads the websocket by the package that its option ``ws`` names.
+    # The server reads the websocket with the package that its option ``ws`` names.
     assert {COME_WITH.get(name, name) for name in used} | {"websockets"} == declared
 
 
 def test_the_lower_bounds_are_the_releases_of_the_lock() -> None:
-    """To the feature release: of 2.4.6 it is 2.4."""
+    """Compared up to the feature release: 2.4 for 2.4.6."""
     held = {one.name: one.specifier for one in locked("cluster") if for_the_oldest(one.marker)}
     for requirement in [*DECLARED, *OF_CLUSTER]:
         (bound,), (lock,) = requirement.specifier, held[requirement.name]

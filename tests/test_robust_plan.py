@@ -27,7 +27,7 @@ ROBUST = options_of("auto", None, "0.1 mm", feed_forward=True, robust="100 %")
     shown_by="test_the_machine_as_built_sews_67_stitches_a_second_by_all_that_is_asked"
 )
 def test_a_seam_is_in_spec_on_machines_that_fail_the_plain_plan() -> None:
-    """42 stitches a second by all that is asked, where plain feed-forward is worst."""
+    """42 stitches a second by all criteria, where plain feed-forward is worst."""
     spec = load_spec(None, MACHINE)
     job = read_job(EXAMPLES / "stitcher-robust.seam.toml", MACHINE)
     robust = plan_job(job, MACHINE, ROBUST)
@@ -37,7 +37,7 @@ def test_a_seam_is_in_spec_on_machines_that_fail_the_plain_plan() -> None:
         actual = off_tolerance(MACHINE, mass=mass, stiffness=stiffness)
         assert try_plan(robust, spec, NOMINAL, actual).verdict.passed, (mass, stiffness)
         assert not try_plan(plain, spec, NOMINAL, actual).verdict.passed, (mass, stiffness)
-    # The needle turns evenly, and the way of the whole is the seam's.
+    # The needle turns evenly, and the whole way is the way of the seam.
     assert robust.motion.trajectory(robust.motion.trajectory.duration_s) == pytest.approx(
         plain.motion.trajectory(plain.motion.trajectory.duration_s), abs=1e-9
     )
@@ -47,9 +47,10 @@ def test_a_seam_is_in_spec_on_machines_that_fail_the_plain_plan() -> None:
     shown_by="test_the_machine_as_built_sews_67_stitches_a_second_by_all_that_is_asked"
 )
 def test_a_slower_needle_is_in_spec_on_all_nine_machines_too() -> None:
-    """At some speeds a machine took 2.19 of 2 stitches to its speed.
+    """At some speeds a machine took 2.19 stitches to its speed, and 2 are allowed.
 
-    The plan asked for the speed at the very end of the two stitches; now a little sooner.
+    The plan reached the speed only at the very end of the two stitches; now it does a little
+    sooner.
     """
     spec = load_spec(None, MACHINE)
     file = EXAMPLES / "stitcher-robust.seam.toml"
@@ -60,7 +61,7 @@ def test_a_slower_needle_is_in_spec_on_all_nine_machines_too() -> None:
 
 
 def test_the_machine_as_built_sews_67_stitches_a_second_by_all_that_is_asked() -> None:
-    """On days with the least supply too, where plain feed-forward is out at either."""
+    """Also on days with the least supply, where plain feed-forward is out of spec anyway."""
     spec = load_spec(None, MACHINE)
     job = read_job(EXAMPLES / "stitcher-even.seam.toml", MACHINE)
     plan = plan_job(
@@ -92,7 +93,7 @@ ALONE = options_of("auto", None, "0.1 mm", feed_forward=True, robust="0 %")
 def swung(folder: Path, speed: int, swing: str = "") -> tuple[Plan, float]:
     """Return a plan for the machine of the file, and the largest speed of Y before its leg.
 
-    That is against the direction of the leg, and as a share of the speed of the head.
+    The speed counts against the direction of the leg, as a share of the speed of the head.
     """
     file = folder / "swing.seam.toml"
     file.write_text(SWINGING.format(speed=speed, swing=swing and f'swing = "{swing}"'))
@@ -108,7 +109,7 @@ def swung(folder: Path, speed: int, swing: str = "") -> tuple[Plan, float]:
 def test_a_seam_limits_the_swing_of_its_plan(tmp_path: Path) -> None:
     """Y goes back before the corner, by a fifth of the speed unless the seam says less.
 
-    Fewer swings are fewer stitches from the first movement to the speed: two are asked.
+    Less swing means fewer stitches from the first movement to the speed: two are allowed.
     """
     spec = load_spec(None, MACHINE)
     for speed, limit, least, most, stitches in (

@@ -31,9 +31,9 @@ def planned(job: Path, contour_m: float | None, machine: str = "lathe-winder") -
 def driven(plan: Plan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return times, places of X in m, and levels in V, of a loop that is written out here.
 
-    One inertia behind a winding without a coil: the speed goes to that of the voltage by exp(-t /
-    tau); its way is the exact integral. PD with whole counts, levels of the DAC, and 0 V at the
-    first tick after a reversal, as the thesis describes its card.
+    One inertia behind a winding without inductance: the speed approaches that of the voltage by
+    exp(-t / tau), and the way is the exact integral. PD with whole counts, levels of the DAC, and 0
+    V at the first tick after a reversal, as the thesis describes its card.
     """
     table = tick_table(plan.commands)
     x = table.axes.index("X")
@@ -74,7 +74,7 @@ def driven(plan: Plan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def off_m(plan: Plan) -> float:
-    """Return by how much X leaves its motion at most, in the loop written out here."""
+    """Return the largest distance of X from its motion, in the loop written out here."""
     time_s, places, _ = driven(plan)
     intended = plan.motion.trajectory(time_s)[:, plan.motion.axes.index("X")]
     return float(np.abs(places - intended).max())
@@ -83,7 +83,7 @@ def off_m(plan: Plan) -> float:
 def test_a_table_ends_before_its_load_stands_and_the_load_keeps_its_motion(
     examples: Path,
 ) -> None:
-    """From first row to last, and until the loop has settled, X is within what was allowed."""
+    """From the first row until the loop has settled, X keeps the allowed distance."""
     whole, short = planned(examples / "x-180.prg", np.inf), planned(examples / "x-180.prg", None)
     moves_s = short.motion.moving_s[1] - short.motion.moving_s[0]
     assert whole.duration_s > moves_s + 0.1
@@ -95,7 +95,7 @@ def test_a_table_ends_before_its_load_stands_and_the_load_keeps_its_motion(
     assert off_m(short) < 3e-4
     late = time_s > short.duration_s + 0.2
     assert np.abs(places[late]).max() < STANDS_M
-    # A tenth of the volts is kept, but for counts and levels; the demand of the plan says so.
+    # A tenth of the volts is kept, except for counts and levels; the plan's demand shows it.
     assert np.abs(levels).max() < 9.3
     assert short.motion.demands[short.motion.axes.index("X")].volts <= 9.0 * 1.001
 
@@ -119,7 +119,7 @@ def test_less_leeway_makes_a_longer_table_that_the_load_follows_more_closely(
     ],
 )
 def test_short_moves_and_rests_at_the_end(tmp_path: Path, body: str, ends_late: bool) -> None:
-    """A dwell that the program asks for is not cut off, and a move of a few ticks comes home."""
+    """A programmed dwell is not cut off, and a move of a few ticks arrives."""
     lines = "".join(f"N {10 * k} {line};\n" for k, line in enumerate(body.split("\n"), 1))
     job = tmp_path / "short.prg"
     job.write_text(f"%\nO 1;\n{lines}N 90 M30;\n%\n")
@@ -133,7 +133,7 @@ def test_short_moves_and_rests_at_the_end(tmp_path: Path, body: str, ends_late: 
 
 
 def test_what_is_typed_is_written_down_and_read_again(examples: Path) -> None:
-    """Recordings that say nothing of it are of tables with the rests of their inverses."""
+    """Recordings without this option have tables with the rests of their inverses."""
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)
     options = Options(interpolation="optimal", feed=FAST, feed_forward_s=0.01, contour_m=2e-4)

@@ -1,4 +1,4 @@
-"""Small dense linear programs: what is asked when an answer fails to come."""
+"""Small dense linear programs: the next method if one gives no answer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BELOW = (-np.ones((1, 2)), [-3.0])
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, bool]]:
-    """Have methods fail that are named ahead of the call; list those that were asked."""
+    """Make named methods fail; list the methods that were called."""
     methods: list[tuple[str, bool]] = []
     linprog = optimize.linprog
 

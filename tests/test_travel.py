@@ -1,4 +1,4 @@
-"""What is handed from stage to stage can be sent to another process, and reads the same there."""
+"""Values handed between stages can be sent to another process, and read the same there."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ SOURCE = Path(threadline.__file__).parent
 
 @pytest.fixture(scope="module")
 def elsewhere() -> Iterator[ProcessPoolExecutor]:
-    """A process that was started anew: it has nothing but what it is sent."""
+    """A process that was started anew, which has only what it is sent."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         yield pool
 
 
 def feed(value: Any, digest: Any) -> None:
-    """Put everything in ``value`` into a hash."""
+    """Add the whole content of ``value`` to a hash."""
     if isinstance(value, np.ndarray):
         digest.update(f"{value.dtype} {value.shape}".encode())
         digest.update(np.ascontiguousarray(value).tobytes())
@@ -72,7 +72,7 @@ def feed(value: Any, digest: Any) -> None:
 
 
 def digest_of(items: Any) -> str:
-    """Return the hash of everything that a stream gives."""
+    """Return the hash of all blocks of a stream."""
     digest = hashlib.sha256()
     for item in items:
         feed(item, digest)
@@ -80,7 +80,7 @@ def digest_of(items: Any) -> str:
 
 
 def same_elsewhere(pool: ProcessPoolExecutor, stream: Any) -> list[Any]:
-    """Check that a stream gives there what it gives here; return what came back."""
+    """Check that a stream gives the same blocks there and here; return the copy that came back."""
     found = pool.submit(list, stream).result(timeout=120)
     assert found
     assert digest_of(found) == digest_of(stream)
@@ -223,11 +223,11 @@ def test_a_table_of_a_file_is_read_there_if_it_is_the_same(
     write(table, file)
     read = read_table(file)
     same_elsewhere(elsewhere, read)
-    # Another time of its last change is no other content, neither there nor here.
+    # Another modification time is no other content, neither there nor here.
     status = file.stat()
     os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns - 10**9))
     same_elsewhere(elsewhere, read)
-    # Other content is, though it is as long.
+    # Other content counts, although it has the same length.
     content = file.read_bytes()
     file.write_bytes(content[:-2] + bytes([content[-2] ^ 1]) + content[-1:])
     os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns - 10**9 // 2))
@@ -301,7 +301,7 @@ def classes_with_locked_arrays() -> Iterator[tuple[str, ast.ClassDef]]:
     for file in sorted(SOURCE.rglob("*.py")):
         text = file.read_text(encoding="utf-8")
         if "read_only" not in text:
-            continue  # parsing all that does not say the word takes seconds
+            continue  # parsing everything that lacks the word takes seconds
         for node in ast.walk(ast.parse(text)):
             if not isinstance(node, ast.ClassDef):
                 continue
@@ -315,7 +315,7 @@ def classes_with_locked_arrays() -> Iterator[tuple[str, ast.ClassDef]]:
 
 
 def test_whoever_locks_arrays_keeps_them_locked() -> None:
-    """A class that forgot it would hand out arrays that can be written, in another process."""
+    """A class that forgot this would hand out writable arrays in another process."""
     found = dict(classes_with_locked_arrays())
     assert len(found) > 10
     forgot = [

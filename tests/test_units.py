@@ -26,7 +26,7 @@ from threadline.units import (
 
 @cache
 def pints_own() -> Any:
-    """Return a registry of pint; it takes a third of a second, which no other worker waits for."""
+    """Return a registry of pint; it takes a third of a second, in this worker alone."""
     import pint
 
     return pint.UnitRegistry()
@@ -57,7 +57,7 @@ def pints_own() -> Any:
     ],
 )
 def test_factors_agree_with_pint(unit: str, target: str) -> None:
-    """pint has a table of its own; angles are plain numbers there, so radians drop out."""
+    """pint has its own table; angles are plain numbers there, so radians drop out."""
     pints = unit.replace("krpm", "kilorpm").replace("rev", "turn").replace("N mm", "N*mm")
     plain = target.replace("V*s/rad", "V*s")
     registry = pints_own()
@@ -66,7 +66,7 @@ def test_factors_agree_with_pint(unit: str, target: str) -> None:
 
 
 def test_usual_factors_are_those_of_the_registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the bit, and refused where the registry refuses; no two kinds have one dimension."""
+    """To the bit, and refused where the registry refuses; no two kinds share a dimension."""
     usual = units.usual_factor
     monkeypatch.setattr(units, "usual_factor", lambda *_: None)
     asked = unit_factor.__wrapped__

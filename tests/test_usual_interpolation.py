@@ -1,4 +1,4 @@
-"""Where a machine has a firmware that plans by itself, that is what is proved unless told other."""
+"""On a machine whose firmware plans by itself, the firmware's plan is proved by default."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def asked(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
 def test_the_default_is_of_the_machine(
     job: Path, words: dict, with_firmware: str, without: str
 ) -> None:
-    """Commands for the loads do not come from a firmware."""
+    """Commands for the loads cannot come from a firmware."""
     given = {"interpolation": Options().interpolation, "feed": None, "tolerance": "0.1 mm", **words}
     for machine, expected in ((winder_with_grbl(), with_firmware), (load_machine(PLAIN), without)):
         options = options_of(**given)
@@ -68,7 +68,7 @@ def test_prove_compare_and_fastest_take_it(
 
 
 def test_compile_writes_a_program_of_its_own(job: Path, tmp_path: Path) -> None:
-    """It is to be better than what the firmware makes of the old one: by default it is auto."""
+    """It must be better than the firmware's plan of the old program: the default is auto."""
     machine = str(winder_with_grbl_file(tmp_path))
     rows = {}
     for name, words in (("usual", []), ("auto", ["--interpolation", "auto"])):
@@ -82,7 +82,7 @@ def test_compile_writes_a_program_of_its_own(job: Path, tmp_path: Path) -> None:
 
 
 def test_machines_without_a_path_have_nothing_to_choose() -> None:
-    """The default and auto are both nothing in particular, as recordings say auto of them."""
+    """The default and auto mean nothing in particular there; recordings call it auto."""
     placer = load_machine("letter-placer")
     refuse_axis_options(placer, Options())
     refuse_axis_options(placer, Options(interpolation="auto"))

@@ -1,4 +1,4 @@
-"""Batches that are answered by threads of this computer."""
+"""Batches that threads of this computer answer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Slow:
 
 
 def test_answers_that_nobody_waits_for_end_at_their_next_step() -> None:
-    """An interrupt closes the generator: a part of a long winding takes a minute."""
+    """An interrupt closes the generator: a part of a long winding would take a minute."""
     work = Slow()
     found = answers(work, range(6), threads=2)  # type: ignore[arg-type]
     assert next(found) == 0

@@ -1,4 +1,4 @@
-"""A day that is looked for is worse than days that are drawn, and counts in the verdict."""
+"""A searched day is worse than drawn days, and counts in the verdict."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def planned(machine: str, job: Path, given: dict[str, Word]) -> tuple[Plan, Spec
 
 
 def test_a_limit_that_all_drawn_days_keep_is_broken_by_one_that_is_looked_for() -> None:
-    """The limit lies half-way between the worst of 1200 drawn days and that of the search."""
+    """The limit lies half-way between the worst of 1200 drawn days and the worst searched day."""
     plan, spec = planned("lathe-winder", JOB, FAST)
     only = tuple(one for one in spec.criteria if one.name == "contour_error")
     spec = replace(spec, criteria=only)
@@ -72,9 +72,9 @@ def test_a_limit_that_all_drawn_days_keep_is_broken_by_one_that_is_looked_for() 
 def test_a_machine_whose_days_are_run_one_by_one_has_few_of_them_searched(
     machine: str, job: str, given: dict[str, Word], criterion: str
 ) -> None:
-    """Friction, supply, damping and encoders go to the ends of their ranges, where drawn ones miss.
+    """Friction, supply, damping and encoders go to the ends of their ranges; drawn ones do not.
 
-    The limit lies half-way between the worst of 20 drawn days and that of the search.
+    The limit lies half-way between the worst of 20 drawn days and the worst searched day.
     """
     plan, spec = planned(machine, EXAMPLES / job, given)
     spec = replace(spec, criteria=tuple(one for one in spec.criteria if one.name == criterion))
@@ -105,10 +105,10 @@ def test_scans_and_cylinders_of_an_on_off_machine_are_searched_one_by_one() -> N
 
 
 def test_a_machine_and_its_day_are_searched_together() -> None:
-    """The search over the tolerances passes this plan; machines beside its worst do not.
+    """The search over the tolerances passes this plan; machines near its worst one fail.
 
-    A worst machine that leaves less than half a percent free does not pass, either: the limit is
-    just above the worst then.
+    A worst machine that leaves less than half a percent free does not pass, either: for that the
+    limit is set just above the worst.
     """
     plan, spec = planned("lathe-winder", JOB, SHORT)
     known: list[FloatArray] = []

@@ -1,4 +1,4 @@
-"""All files of a command appear together or none, and none takes the place of what it must not."""
+"""All files of a command appear together or none, and no other file is overwritten."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_files_appear_together(tmp_path: Path) -> None:
 
 
 def test_none_appears_where_a_later_one_fails(tmp_path: Path) -> None:
-    """Neither a file nor the folder made for it; what was there stays."""
+    """Neither a file nor its new folder; the old file stays."""
     (tmp_path / "old").write_text("old")
     with pytest.raises(ZeroDivisionError), together(tmp_path / "made" / "deep" / "a"):
         write(tmp_path / "made" / "deep" / "a")
@@ -52,7 +52,7 @@ def test_none_appears_where_a_later_one_fails(tmp_path: Path) -> None:
 def test_moves_are_undone_where_a_later_one_fails(
     failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each of four moves fails in its turn, one of them of a file that was to go."""
+    """Each of four moves fails in turn; one of them removes a file."""
     for name in ("a", "c"):
         (tmp_path / name).write_text("old")
     moved, replace, unlink = [], Path.replace, Path.unlink
@@ -63,7 +63,7 @@ def test_moves_are_undone_where_a_later_one_fails(
             raise OSError(28, "No space left on device")
 
     def replaces(self: Path, target: Path) -> Path:
-        if self.name != "old":  # what was kept is put back
+        if self.name != "old":  # the saved file is put back
             fails(target)
         return replace(self, target)
 
@@ -109,7 +109,7 @@ def test_an_interrupt_between_the_moves_waits_for_the_last(
 def test_an_interrupt_behind_what_is_made_leaves_nothing_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, makes: str
 ) -> None:
-    """It comes when the file or folder is there, and nobody has noted yet that it is."""
+    """It comes when the file or folder exists, and nothing has recorded that yet."""
     module, name = makes.removesuffix(".mkdir"), makes.rpartition(".")[2]
     owner = Path if module == "pathlib.Path" else tempfile
     make = getattr(owner, name)
@@ -171,7 +171,7 @@ def test_links_are_followed(tmp_path: Path) -> None:
 
 
 def test_read_only_files_and_folders_stay(tmp_path: Path) -> None:
-    """Also where the user could write everything, as root does."""
+    """This also holds if the user could write everything, as root can."""
     kept = tmp_path / "kept"
     kept.write_text("old")
     kept.chmod(0o444)
@@ -215,7 +215,7 @@ def test_a_folder_of_files_appears_file_by_file(tmp_path: Path) -> None:
 
 
 def test_old_figures_go_with_the_page_that_had_them(tmp_path: Path) -> None:
-    """And nothing else goes."""
+    """And no other file goes."""
 
     def report(*names: str) -> list[str]:
         document = Document(

@@ -1,4 +1,4 @@
-"""The winder with a firmware that plans by itself, for what goes through every interpolation."""
+"""The winder with a firmware that plans by itself, for tests over every interpolation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands as a shell sees them: output, exit status, and nothing half-written."""
+"""The commands in a shell: output, exit status, and no half-written file."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_prove_exits_with_one_out_of_spec(
 def test_the_table_of_a_shaped_motion_is_what_was_proved(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The counts written add up to the positions that the simulated machine was commanded."""
+    """The written counts add up to the commanded positions of the simulated machine."""
     common = [examples / "x-180.prg", "-m", "lathe-winder", "--interpolation", "parabolic"]
     shaped = ["--shaper", "zv:12Hz:0.02"]
     table, trace = tmp_path / "table.csv", tmp_path / "run.npz"
@@ -109,7 +109,7 @@ def test_the_table_of_a_shaped_motion_is_what_was_proved(
 def test_fastest_prints_the_command_that_proves_its_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Typed as it stands, it gives the same verdict; the search ends at --high, and says so."""
+    """Typed unchanged, it gives the same verdict; the search ends at --high, and says so."""
     monkeypatch.chdir(tmp_path)
     job = tmp_path / "a job.prg"
     job.write_text("G91\nG1 X10 F1200\nG1 X10\nG1 X-20\nM30\n")
@@ -134,7 +134,7 @@ def test_fastest_prints_the_command_that_proves_its_answer(
 
 
 def few_plans(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a search over the choices of a plan try three careful ones, and two beside them."""
+    """Make a search over the choices of a plan try three careful places, and two more."""
     monkeypatch.setattr(chosen_plans, "_STEPS", 3)
     monkeypatch.setattr(chosen_plans, "_LEAST_PLANS", 2)
     monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 2)
@@ -146,9 +146,9 @@ def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
     examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str], extra: list[str],
 ) -> None:  # fmt: skip
-    """No feed is searched; the limits alone are said, and the report is that of the plan.
+    """No feed is searched; only the limits are printed, and the report shows the plan.
 
-    It is drawn in the first case. What is given stays as it is, and the search chooses the rest.
+    It is drawn in the first case. Given options stay as they are, and the search chooses the rest.
     """
     few_plans(monkeypatch)
     if extra == ["--feed-forward"]:
@@ -175,7 +175,7 @@ def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
 def test_a_margin_is_kept_free_of_every_limit_of_the_specification(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The whole window is in spec; with a fifth kept free it ends where the error is 4/5 of it."""
+    """The whole range is in spec; with a fifth kept free it ends at 4/5 of the error's limit."""
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n")
     words = ["fastest", job, "-m", "lathe-winder", "--interpolation", "linear"]
@@ -199,7 +199,7 @@ def test_a_margin_is_kept_free_of_every_limit_of_the_specification(
 def test_prove_says_how_many_points_auto_added(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One on either side of each of the two corners: a square's three sides."""
+    """A square's three sides have two corners, each with one point on either side."""
     job = tmp_path / "corners.prg"
     job.write_text("O1\nG91 G1 X50 F600\nY50\nX-50\nM30\n")
     _, out, _ = run(capsys, "prove", job, "-m", "lathe-winder")
@@ -225,7 +225,7 @@ def test_prove_names_the_plan_that_keeps_the_loops_on_the_path(
 @pytest.mark.parametrize(
     ("mode", "length_mm"),
     [
-        (None, 100.0),  # of the fastest axis: 1 rad of A at 100 mm
+        (None, 100.0),  # for the fastest axis: 1 rad of A at 100 mm
         ("fastest-axis", 100.0),
         ("base-axes:A", 100.0),  # CADFIL's mode 1
         ("base-axes:A,X", np.hypot(100.0, 50.0)),  # CADFIL's mode 2
@@ -236,7 +236,7 @@ def test_prove_names_the_plan_that_keeps_the_loops_on_the_path(
 def test_what_f_means_can_be_chosen(
     mode: str | None, length_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A move takes its length, counted as the mode says, over F: docs/part-programs.md."""
+    """A move takes its length, counted by the mode, over F: docs/part-programs.md."""
     job, trace = tmp_path / "wind.prg", tmp_path / "wind.npz"
     job.write_text("O1\nG91 G1 A57.29577951 X50 Y20 F600\nM30\n")
     chosen = [] if mode is None else ["--feed-mode", mode]
@@ -300,7 +300,7 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_help_and_face_name_every_target(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of every kind of machine: a target that nobody is told of is used by nobody."""
+    """Every kind of machine is checked: nobody uses a target that is not listed."""
     _, out, _ = run(capsys, "compile", "--help")
     for message in (out, str(compile_job.__doc__)):
         assert set(target_names()) <= set(re.findall(r"\w+", message))

@@ -1,4 +1,4 @@
-"""What commands refuse or doubt before the work: one line, and nothing written."""
+"""Refusals and warnings of commands before the work: one line, and nothing written."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_options_that_do_not_fit_are_refused_before_the_work(
 def test_the_worst_machine_has_a_name_that_commands_take(
     words: list[str], tmp_path: Path, examples: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Otherwise the printed command would name a file that --actual seeks in the library."""
+    """Otherwise the printed command would name a file that --actual looks up in the library."""
     file, winder = tmp_path / "worst.txt", ["-m", "lathe-winder"]
     verb, *level = words
 
@@ -124,7 +124,7 @@ def test_missing_job_exits_with_two(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_refused_job_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The last line leaves the travel: not a byte of the table may be there."""
+    """The last line leaves the travel: not a byte of the table may be written."""
     job = tmp_path / "far.prg"
     job.write_text("%\nO 1;\nN 10 G01 G90 F 600;\nN 20 X 10;\nN 30 X 900;\nN 40 M30;\n%\n")
     out_file = tmp_path / "far.csv"
@@ -182,12 +182,12 @@ def test_a_feed_that_is_not_in_force_is_no_doubt(
     verb, *options = command
     _, _, err = run(capsys, verb, "inches.prg", "-m", "lathe-winder", "--nominal", *options)
 
-    assert "G64 is for other controllers" in err  # its other warnings stay
+    assert "G64 is for other controllers" in err  # the other warnings stay
     assert "normal feed" not in err
 
 
 def test_a_missing_argument_is_described(capsys: pytest.CaptureFixture[str]) -> None:
-    """With --merge the argument JOB takes the files of parts, which its name alone does not say."""
+    """With --merge the argument JOB takes the files of parts, which its name does not tell."""
     code, out, err = run(capsys, "yield", "--merge")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "'JOB': part program" in err and "with --merge, the files of all parts" in err

@@ -1,4 +1,4 @@
-"""``compare`` searches the fastest of each, or says which command does."""
+"""``compare`` searches the fastest of each, or names the command that does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``threadline design``: exit status, JSON, and files with which the work goes on."""
+"""``threadline design``: exit status, JSON, and files for the next steps."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ QUICK = Effort(sample_log2=5, settings_log2=3, proposals=16, rounds=2, trade_rou
 
 @pytest.fixture
 def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a seam and a machine whose belts may change; the search is a short one."""
+    """A folder with a seam and a machine whose belts may change; the search is short."""
     (tmp_path / "corner.seam.toml").write_text(SEAM)
     (tmp_path / "mine.toml").write_text(MACHINE.format(low=1, high=20))
     (tmp_path / "stuck.toml").write_text(MACHINE.format(low=0.9, high=0.95))
@@ -90,7 +90,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 def test_the_work_goes_on_with_what_was_found(
     capsys: pytest.CaptureFixture[str], files: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The files that it writes prove in spec by themselves; the machine as it was does not."""
+    """The written files prove in spec by themselves; the original machine does not."""
     blank_pictures(monkeypatch)
     seam, out = str(files / "corner.seam.toml"), files / "out" / "found.toml"
     out.parent.mkdir()
@@ -115,7 +115,7 @@ def test_the_work_goes_on_with_what_was_found(
     length = next(c for c in spec.criteria if c.name == "stitch_length_error")
     assert length.options["delay"] == pytest.approx(found["needle_delay_s"])
     assert length.limit == pytest.approx(0.05)
-    # At the level of the redesign, which is that of prove.
+    # At the level of the redesign, the same as that of prove.
     again = shlex.split(content["command"])
     assert again == ["threadline", "prove", seam, "-m", str(out)]
     code, text, err = run(capsys, *again[1:], "--json")
@@ -127,7 +127,7 @@ def test_the_work_goes_on_with_what_was_found(
 
 
 def test_none_within_the_bounds(capsys: pytest.CaptureFixture[str], files: Path) -> None:
-    """With softer belts only there is none: exit status 1, what binds, and no file."""
+    """If belts may only be softer there is none: exit status 1, the criterion, and no file."""
     seam, out = str(files / "corner.seam.toml"), files / "found.toml"
     code, text, _ = run(
         capsys, "design", seam, "-m", str(files / "stuck.toml"), "-s", str(PLACE), "-o", str(out)
@@ -168,9 +168,9 @@ def test_wrong_input(
 def test_a_design_is_planned_and_judged_as_a_proof_is_asked_to(
     files: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Limits, a robust plan and other machines that must pass: what is typed back means the same.
+    """Limits, a robust plan and other machines that must pass: typed back, they mean the same.
 
-    The search itself is not what is tested here.
+    The search itself is not tested here.
     """
     given: list[Any] = []
 

@@ -1,4 +1,4 @@
-"""Every command that plans reads a program by the dialect and the radius that are named."""
+"""Every command that plans reads a program by the given dialect and radius."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 def test_without_a_dialect_it_is_guessed_and_said(
     command: str, job: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A dialect that is named is never overruled."""
+    """A given dialect is never overruled."""
     code, _, err = run(capsys, command, job, "-m", "lathe-winder", "--nominal")
     assert code in (0, 1)
     assert "read in the dialect grbl, guessed from the file (it has" in err
@@ -68,15 +68,15 @@ def test_compare_reads_it_as_prove_does(job: Path, capsys: pytest.CaptureFixture
     assert code in (0, 1)
     assert compared["duration_s"] == json.loads(proved)["duration_s"]
     assert compared["duration_s"] == pytest.approx(2 * (20**2 + 180**2) ** 0.5 / 10, abs=0.02)
-    # Where A acts decides what its errors are worth.
+    # The radius of A decides the size of its errors.
     assert compared["criteria"] == json.loads(proved)["criteria"]
 
 
 @pytest.mark.long(shown_by="test_without_a_dialect_it_is_guessed_and_said")
 def test_what_fastest_prints_reads_it_so(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command that it prints proves the same job: with dialect and radius.
+    """The printed command proves the same job, with dialect and radius.
 
-    The search may choose nothing but feed and limits, and ends early: a wider placement than the
+    The search may choose only feed and limits, and ends early: a placement limit wider than the
     machine's own 0.5 mm lets one of its first plans pass.
     """
     text = (

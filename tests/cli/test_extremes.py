@@ -1,4 +1,4 @@
-"""Numbers at the ends of what can be typed are answered, or refused in one line."""
+"""Extreme numbers are answered, or refused in one line."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ def test_modes_far_apart_are_shaped_in_seconds(
 def test_a_move_much_shorter_than_the_period_is_its_own_robust_optimum(
     mode: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """2 sqrt(L / a) = 0.2 s: it rings the mode by less than 1 % of a full step.
+    """In 2 sqrt(L / a) = 0.2 s it rings the mode by less than 1 % of a full step.
 
-    That is (omega T / 2)^2 = (2 pi 0.05 0.1)^2 = 0.1 % at most, for T = 0.2 s.
+    The bound is (omega T / 2)^2 = (2 pi 0.05 0.1)^2 = 0.1 % at most, for T = 0.2 s.
     """
     words = ["shaper", "--mode", mode, "--kind", "zv", *MOVE, "--json"]
     code, out, err = run(words, capsys)

@@ -36,7 +36,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 
 
 def test_intervals_are_of_the_needle(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """15 to 16 stitches a second are a quarter of what the drawing asks for: easy."""
+    """15 to 16 stitches a second are a quarter of the drawing's speed, so they are easy."""
     file = tmp_path / "short.seam.toml"
     file.write_text(SEAM)
     span = ("--low", "15 stitch/s", "--high", "16 stitch/s")
@@ -54,7 +54,7 @@ def test_intervals_are_of_the_needle(capsys: pytest.CaptureFixture[str], tmp_pat
 def test_a_search_that_finds_nothing_says_at_which_level(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """The line under its verdict is that of ``prove``, of feeds as of needle speeds."""
+    """The line below its verdict is the same as in ``prove``, for feeds and needle speeds."""
     seam, program = tmp_path / "short.seam.toml", tmp_path / "turn.prg"
     seam.write_text(SEAM)
     program.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n")
@@ -73,7 +73,7 @@ def test_a_search_that_finds_nothing_says_at_which_level(
 def test_the_share_of_the_limits_can_be_typed_back(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """17.6777 % was printed as 17.7 %, a plan that nobody had tried."""
+    """17.6777 % was printed as 17.7 %, a plan that was never tried."""
     monkeypatch.setattr(least_limits, "_LADDER", (0.176777,))
     monkeypatch.setattr(least_limits, "LEAST_SHARE", 0.17)
     monkeypatch.setattr(least_limits, "_STEP", 0.5)
@@ -84,6 +84,6 @@ def test_the_share_of_the_limits_can_be_typed_back(
         main(["fastest", str(program), *words])
     out = " ".join(capsys.readouterr().out.split())
     share = out.partition(" with ")[2].partition(" of the acceleration")[0]
-    # 0.353554 is the next one up; whichever is the fastest, both rows have all their digits.
+    # The next one is 0.353554; whichever is the fastest, both rows have all their digits.
     assert parse_share(share) in (0.176777, 0.353554)
     assert " 0.176777 100 " in out

@@ -1,4 +1,4 @@
-"""``threadline law``: the table of laws against closed forms of the literature."""
+"""``threadline law``: the table of laws, compared with closed forms of the literature."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def ran(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int | str 
 def test_json_has_the_published_characteristics(
     name: str, cv: float, ca: float, cj: float | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Cv, Ca, Cj by their formulas, to the rounding of floats; null where infinite."""
+    """Cv, Ca, Cj by their formulas, up to the rounding of floats; null if infinite."""
     code, out, err = ran(capsys, name, "--json")
     content = json.loads(out)
     assert (code, err) == (0, "")
@@ -41,7 +41,7 @@ def test_json_has_the_published_characteristics(
 
 
 def test_the_efficiency_is_that_of_the_heat(capsys: pytest.CaptureFixture[str]) -> None:
-    """The cubic law has the least heat, 12; the cycloidal has 2 pi^2 (integral of sin squared)."""
+    """The cubic law has the least heat, 12; the cycloidal law has 2 pi^2 (sin squared)."""
     _, out, _ = ran(capsys, "--json")
     laws = json.loads(out)["laws"]
     assert laws["cubic"]["efficiency"] == pytest.approx(1.0, rel=1e-9)

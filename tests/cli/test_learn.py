@@ -1,4 +1,4 @@
-"""``threadline learn`` as a shell sees it, on the simulated machine and over its link."""
+"""``threadline learn`` in a shell, on the simulated machine and over its link."""
 
 from __future__ import annotations
 
@@ -89,13 +89,13 @@ def test_repeats_are_printed_and_the_table_is_written(
 def test_run_learn_run_over_the_link(
     asked: list[str | Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The machine at the far end is not the one of the file; its runs are out, then in."""
+    """The machine at the far end differs from the file; its runs are out of spec, then in spec."""
     store, table = tmp_path / "runs", tmp_path / "next.npz"
     more: list[str | Path] = [
         "--feed-forward", "--nominal", "--actual", tmp_path / "soft.toml", "--speed", "0",
         "--store", store, "--json",
     ]  # fmt: skip
-    # The plan for the file's machine passes by its proof, or the machine would not move.
+    # The plan passes for the file's machine by its proof, or the machine would not move.
     code, out, _ = run(capsys, "run", *asked, *more)
     answer = json.loads(out)
     assert code == 1

@@ -1,4 +1,4 @@
-"""From the settings of a firmware to proofs of its limits, with two answers of the owner."""
+"""From a firmware's settings to proofs of its limits, with two answers of the owner."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ SETTINGS = {
 def made(
     folder: Path, firmware: str, capsys: pytest.CaptureFixture[str]
 ) -> tuple[Path, dict[str, str]]:
-    """Return a project folder, and what was asked on the way to it with examples."""
+    """Return a project folder, and the questions that were asked with examples."""
     text, turning, _ = SETTINGS[firmware]
     dump = folder / "settings.txt"
     dump.write_text(text)
     words = ("new", f"{firmware}", folder / "mine", "--from", dump, "--limits-only")
     asked: dict[str, str] = {}
     given = ["--set", f"rotary={turning}"]
-    if turning == "A":  # other letters are axes along a line, unless their owner says so
+    if turning == "A":  # other letters are linear axes, unless their owner says otherwise
         code, _, err = run(capsys, *words)
         assert code == 2 and "rotary" in err
     asked["rotary"] = turning
@@ -55,7 +55,7 @@ def test_two_answers_make_a_machine_that_is_proven_for_limits(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """No torque, no mass: the limits are those that the same settings give with all of them."""
+    """No torque, no mass: the limits are the same as with all answers."""
     folder, asked = made(tmp_path, firmware, capsys)
     assert list(asked) == SETTINGS[firmware][2]
     machine = load_machine(folder / "machine.toml")
@@ -72,7 +72,7 @@ def test_two_answers_make_a_machine_that_is_proven_for_limits(
         assert getattr(machine, name).tolist() == getattr(whole, name).tolist(), name
     assert machine.planner == whole.planner and machine.programs == whole.programs
     monkeypatch.chdir(folder)
-    # What the firmware makes of the program steps the speed at corners, by its own setting.
+    # In the firmware's own plan the speed steps at corners, by its own setting.
     for words, name, more in (((), "firmware", set()), (("--interpolation", "auto"), "auto",
                                                         {"acceleration"})):  # fmt: skip
         where = ("prove", "there-and-back.gcode", "-m", "machine.toml", *words)
@@ -96,7 +96,7 @@ def test_the_commands_of_the_project_run(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Every command that the README has, and a program for the firmware: none asks for dynamics."""
+    """Every command in the README, and a program for the firmware: none needs dynamics."""
     folder, _ = made(tmp_path, firmware, capsys)
     monkeypatch.chdir(folder)
     commands = re.findall(r"^threadline +(.*)$", (folder / "README.md").read_text(), re.M)
@@ -113,7 +113,7 @@ def test_the_commands_of_the_project_run(
 def test_settings_without_a_motor_make_a_machine_of_limits_and_say_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The first command makes a machine; one value of a motor, and all others are asked for."""
+    """The first command makes a machine; one value of a motor makes it ask for all others."""
     dump = tmp_path / "printer.cfg"
     dump.write_text(KLIPPER)
     asked = "new", "klipper", tmp_path / "alone", "--from", dump, "--limits-only", "--json"

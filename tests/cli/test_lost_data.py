@@ -1,4 +1,4 @@
-"""No command writes over what it has read, nor leaves some of its files and not the others."""
+"""No command overwrites a file that it has read, or leaves only some of its files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LIBRARY = EXAMPLES.parent / "src" / "threadline" / "machine" / "library"
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a job, a machine on a base of its own with a default specification, a seam."""
+    """A folder with a job, a machine on its own base with a default specification, and a seam."""
     for name in ("x-180.prg", "letter-cycle.toml", "strap.csv", "strap.seam.toml"):
         shutil.copy(EXAMPLES / name, tmp_path)
     shutil.copy(LIBRARY / "lathe-winder.toml", tmp_path / "base.toml")
@@ -107,7 +107,7 @@ def test_standard_output_is_written_to(folder: Path, capfd: pytest.CaptureFixtur
 def test_standard_output_is_written_to_and_not_replaced(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The table alone, the hash goes to standard error; into a pipe and into a file."""
+    """The table alone goes there, into a pipe or a file; the hash goes to standard error."""
     start = [sys.executable, "-m", "threadline", *COMPILE.split()]
     assert run(f"{COMPILE} table.csv", capsys)[0] == 0
     wanted = (folder / "table.csv").read_bytes()

@@ -53,7 +53,7 @@ def test_the_list_for_people_says_the_same(capsys: pytest.CaptureFixture[str]) -
 def test_a_machine_is_printed_as_it_stands(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is printed is a machine file; where it lies is said beside it."""
+    """The output is a machine file; standard error names its place."""
     code, out, err = run(capsys, "machines", "--show", "lathe-winder")
     mine = tmp_path / "mine.toml"
     mine.write_text(out, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What the shell sees when a command does not come to its own end."""
+"""The output in a shell if a command does not end by itself."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_wrong_option_is_told_in_one_line(
 def test_a_value_of_thousands_of_characters_is_cut_in_the_middle(
     value: str, examples: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is wrong stays in front, the remedy behind; all of it in one line of 500 characters."""
+    """The fault stays at the front, the remedy at the end; one line of 500 characters in all."""
     job = ["prove", examples / "x-180.prg", "-m", "lathe-winder"]
     code, out, err = stopped(capsys, *job, "--smoothing", value)
     assert (code, out, err.count("\n")) == (2, "", 1)
@@ -93,7 +93,7 @@ def test_an_interrupt_is_one_line(
 def test_an_interrupt_that_machine_code_returned_with_is_one(
     examples: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Python makes a SystemError of it: "returned a result with an exception set"."""
+    """Python turns it into a SystemError: "returned a result with an exception set"."""
 
     def interrupted(*_: object) -> None:
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
@@ -115,7 +115,7 @@ def test_a_termination_is_one_line_and_leaves_nothing(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """SIGTERM of a time limit, a closed terminal, while the recording is being written."""
+    """SIGTERM from a time limit or a closed terminal, while the recording is being written."""
 
     def terminated(_recording: object, path: Path, **_: object) -> None:
         with staged_file(path) as file:
@@ -127,7 +127,7 @@ def test_a_termination_is_one_line_and_leaves_nothing(
     monkeypatch.setattr(prove, "Share", lambda *_: SimpleNamespace(of=list))
     monkeypatch.setattr(prove, "write_recording", terminated)
 
-    def unanswered(*_: object) -> None:  # instead of the end of all tests
+    def unanswered(*_: object) -> None:  # or all tests would end
         raise AssertionError(f"nothing answers {number}")
 
     outside = signal.signal(number, unanswered)
@@ -159,7 +159,7 @@ def test_a_second_interrupt_does_not_end_the_removing(
             os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(law, "write_law", interrupted)
-    # A job in the background ignores SIGINT, and so does what it starts.
+    # A background job ignores SIGINT, and so do the processes that it starts.
     outside = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         code, out, err = stopped(capsys, "law", "cubic", "--out", tmp_path / "law.csv")
@@ -172,7 +172,7 @@ def test_a_second_interrupt_does_not_end_the_removing(
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_closed_pipe_is_no_error(unbuffered: str) -> None:
-    """Unbuffered, the write fails in the command; else only the last flush does."""
+    """Without a buffer the write fails in the command; otherwise only the last flush does."""
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run(
@@ -218,7 +218,7 @@ def test_an_input_is_never_written_over(
 
 
 def test_errors_are_text_on_stderr_with_json_too(capsys: pytest.CaptureFixture[str]) -> None:
-    """As --help says: one line with the code, and a standard output without a byte."""
+    """As in --help: one line with the code, and not a byte on standard output."""
     for words in (["prove", "none.prg", "-m", "lathe-winder"], ["analyse", "no-such-machine"]):
         with pytest.raises(SystemExit) as stopped:
             main([*words, "--json"])
@@ -247,7 +247,7 @@ def test_the_tab_key_completes_commands_and_options(words: str, offers: str) -> 
 def test_a_shell_without_completion_is_wrong_input(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It would be exit status 1, which means out of spec."""
+    """Otherwise the exit status would be 1, which means out of spec."""
     monkeypatch.setattr("shellingham.detect_shell", lambda: ("tcsh", "/bin/tcsh"))
     with pytest.raises(SystemExit) as ended:
         main(["--install-completion"])

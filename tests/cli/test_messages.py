@@ -1,4 +1,4 @@
-"""Messages of commands: the error alone, warnings after the answer, defects with status 70."""
+"""Messages: an error stands alone, warnings follow the answer, defects have status 70."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def stopped(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[obj
 def test_a_defect_has_a_status_of_its_own_and_keeps_its_traceback(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Status 1 says that a job is out of specification: no crash may say so."""
+    """Status 1 means that a job is out of specification, so a crash must have another one."""
 
     def crashes(*_: object) -> None:
         raise ValueError("math domain\nerror of two lines")
@@ -86,7 +86,7 @@ def test_too_little_memory_is_no_defect(
 def test_an_error_comes_without_the_warnings_before_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The stitcher as built has eight: they came before the error, and hid it."""
+    """The stitcher as built has eight: printed before the error, they hid it."""
 
     def refuses(*_: object) -> None:
         raise PlanError("too fast")
@@ -117,7 +117,7 @@ def test_warnings_come_after_the_answer(capfd: pytest.CaptureFixture[str]) -> No
 def test_a_long_run_says_a_word_every_minute(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Only where no bar is drawn; the minute is a moment here."""
+    """Only if no bar is drawn; a minute is a moment here."""
     monkeypatch.setattr(messages, "EVERY_S", 0.01)
     heard = ""
     with messages.telling():
@@ -130,13 +130,13 @@ def test_a_long_run_says_a_word_every_minute(
 def test_nothing_is_said_while_a_question_waits_for_its_answer(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A line in the middle of a question looks like part of it."""
+    """A line in the middle of a question looks like a part of it."""
 
     heard = []
 
     class Slow(io.StringIO):
         def readline(self, size: int | None = -1) -> str:
-            time.sleep(0.1)  # for a line that was begun before
+            time.sleep(0.1)  # for a line that had begun before
             capsys.readouterr()
             time.sleep(0.3)
             heard.append(capsys.readouterr())
@@ -162,7 +162,7 @@ def test_nothing_is_said_while_a_question_waits_for_its_answer(
 def test_the_first_run_on_a_computer_says_once_that_it_compiles(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool, said: str
 ) -> None:
-    """A function without a cache stands for those of a new computer; the seconds are none here."""
+    """A function without a cache stands for those on a new computer; the seconds are 0 here."""
     monkeypatch.setattr(messages, "LOOK_S", 0.01)
     monkeypatch.setattr(messages, "COMPILING_S", 0.0)
     monkeypatch.setattr(COMPILING, "kept", kept)
@@ -186,7 +186,7 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
 def test_an_error_is_the_last_line_however_slowly_a_word_before_it_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A word of a long run that has begun is finished first: neither behind the error nor in it."""
+    """A message of a long run that has begun is finished first: not after the error, nor in it."""
     began = threading.Event()
     write = messages.note
 
@@ -207,7 +207,7 @@ def test_an_error_is_the_last_line_however_slowly_a_word_before_it_is_written(
     words += ["--target", "csv", "--interpolation", "linear", "-o", tmp_path / "t.csv"]
     with pytest.raises(SystemExit):
         main([str(word) for word in words])
-    time.sleep(0.5)  # for a word that is still being written
+    time.sleep(0.5)  # for a message that is still being written
     out, err = capsys.readouterr()
     *said, error = err.splitlines()
     assert (out, error) == ("", "error: [PLAN] too fast.")
@@ -217,7 +217,7 @@ def test_an_error_is_the_last_line_however_slowly_a_word_before_it_is_written(
 def test_the_word_of_each_minute_says_how_long_it_will_be(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A quarter done in two hours: six are left. Before anything is known of it, no guess."""
+    """A quarter done in two hours: six are left. Without any share there is no guess."""
     now_s = time.monotonic()
     with messages.telling() as telling:
         messages.at_work("simulating", shown=False)
@@ -228,7 +228,7 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
         messages.at_work("simulating", 0.996, shown=False)
         assert telling.doing() == "simulating, nearly done"
     assert not capsys.readouterr().err
-    # A first word that says already that something is done counts from the start of the command.
+    # A first message with a share counts from the start of the command.
     monkeypatch.undo()
     with messages.telling() as telling:
         now_s = time.monotonic()
@@ -238,7 +238,7 @@ def test_the_word_of_each_minute_says_how_long_it_will_be(
 
 
 def test_the_time_left_is_shown_once_it_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A first percent and a share that stands too long tell nothing; the last half tells most."""
+    """A first percent or a share that stands still tells nothing; the last half tells most."""
     clock = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     telling = messages.Telling(since_s=0.0)
@@ -255,7 +255,7 @@ def test_the_time_left_is_shown_once_it_is_known(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_stage_that_names_what_it_is_at_is_one_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half done in an hour: an hour is left, though the last part has only just begun."""
+    """Half done in an hour: an hour is left, although the last part has only just begun."""
     now_s = time.monotonic()
     with messages.telling() as telling:
         messages.at_work("commands of 90 ticks", 0.0, shown=False)
@@ -274,7 +274,7 @@ def test_a_stage_that_names_what_it_is_at_is_one_stage(monkeypatch: pytest.Monke
 def test_a_run_without_a_terminal_says_how_far_it_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No bar is drawn there. What is said comes from the run itself, in blocks of it."""
+    """No bar is drawn there. The messages come from the run itself, block by block."""
     monkeypatch.setattr(messages, "EVERY_S", 0.002)
     monkeypatch.setattr(watched, "LONG_S", 0.0)
     code, _, err = stopped(capsys, *PROVE, "--nominal", "--feed", "0.2 mm/s")
@@ -283,7 +283,7 @@ def test_a_run_without_a_terminal_says_how_far_it_is(
 
 
 def test_standard_streams_that_are_closed_or_full() -> None:
-    """Closed ones get nothing, and the status is the answer; a full one is an error with a name."""
+    """A closed stream gets nothing, and the status is the answer; a full one is a named error."""
     law = [*START, "law", "cubic"]
     shell = {"out": [*law, ">&-"], "err": [*law, "2>&-", ">", os.devnull]}
     for words in shell.values():
@@ -335,7 +335,7 @@ def test_text_of_the_user_neither_marks_up_nor_drives_the_terminal(
 
 
 def test_only_one_file_writes_to_the_streams() -> None:
-    """So that nothing of the user's reaches them unescaped."""
+    """So that no text of the user reaches them unescaped."""
     cli = Path(output.__file__).parent
     for file in cli.glob("*.py"):
         text = file.read_text(encoding="utf-8")
@@ -351,7 +351,7 @@ class Terminal(io.StringIO):
 def test_a_terminal_sees_within_a_second_that_a_command_is_loaded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The word is taken away before anything else is printed, and comes no more."""
+    """The message is removed before anything else is printed, and does not come again."""
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     assert messages.STARTING_S < 1.0
@@ -393,7 +393,7 @@ def test_the_word_comes_before_the_command_is_loaded(tmp_path: Path) -> None:
     ) as running:
         os.close(theirs)
         said = os.read(ours, 100).decode()
-        assert running.poll() is None  # it waits still
+        assert running.poll() is None  # it still waits
         assert said == "starting ..."
         out, _ = running.communicate()
     assert b"lathe-winder" in out
@@ -404,7 +404,7 @@ def test_the_word_comes_before_the_command_is_loaded(tmp_path: Path) -> None:
 def test_a_recording_and_a_report_are_stages_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was judged is simulated again to be written: that is not nearly done."""
+    """The judged run is simulated again for writing, which is far from done."""
     said: dict[str, float] = {}
 
     def noted(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
@@ -440,7 +440,7 @@ def test_a_compilation_says_what_it_is_at(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_the_bar_says_how_far_planning_is_and_no_share_that_nobody_knows() -> None:
-    """A stage of unknown share has no percentage; planning has the motion so far instead."""
+    """A stage without a known share has no percentage; planning shows the motion so far."""
     ours, theirs = pty.openpty()
     program = (
         "import time\n"

@@ -1,4 +1,4 @@
-"""Tables on a terminal that is narrower than they are: nothing is cut off."""
+"""Tables on a narrower terminal: nothing is cut off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A head that does not keep the time of an even needle is told, on standard error."""
+"""An even needle with an uneven head gives a warning on standard error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def prove(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: str, *option
 
 
 def test_an_uneven_needle_is_told(tmp_path, capsys):
-    """The warning is there exactly where the measure is above the limit of a stitch's length."""
+    """The warning is there exactly if the measure exceeds the limit of a stitch's length."""
     error, said = prove(tmp_path, capsys, "")
     assert error > 0.05
     assert "the needle should turn evenly" in said

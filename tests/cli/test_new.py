@@ -1,4 +1,4 @@
-"""A new project works as it is made, and is made whole or not at all."""
+"""A new project works as made, and is made whole or not at all."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_new_project_is_in_spec(
     verdict = json.loads(out)
     assert code == 0
     assert verdict["passed"] is True
-    # The folder's own specification was judged: its limits are those of the verdict.
+    # The folder's own specification was judged: its limits are in the verdict.
     asked = tomllib.loads((folder / "spec.toml").read_text(encoding="utf-8"))["criteria"]
     limited = {row["name"] for row in asked if row.get("limit") not in {None, "machine"}}
     assert limited
@@ -150,7 +150,7 @@ OWNER = (
 def test_a_dump_of_settings_becomes_a_project_in_spec(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ten numbers of its owner and the answer to $$: the project's own command is in spec."""
+    """The owner's ten numbers and the answer to $$: the project's own command is in spec."""
     dump, folder = tmp_path / "settings.txt", tmp_path / "mine"
     dump.write_text(SETTINGS)
     asked = [text.partition("=")[0] for text in OWNER[2:]]
@@ -197,7 +197,7 @@ def test_settings_of_another_kind_are_refused(
 def test_what_was_read_is_shown_with_its_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every number of the settings, what their owner said, and what was assumed."""
+    """Every number: from the settings, from the owner, or assumed."""
     dump = tmp_path / "dump.txt"
     dump.write_text(SETTINGS + "$101=0.000\n")
     words = ["new", "grbl", tmp_path / "mine", "--from", dump, "--limits-only", "--set", "rotary=A"]
@@ -231,7 +231,7 @@ def test_what_a_controller_does_besides_is_told_with_every_proof(
 
 
 class Terminal(io.StringIO):
-    """Somebody at the keys, who types these lines."""
+    """A user at the keys, who types these lines."""
 
     def isatty(self) -> bool:
         return True
@@ -240,7 +240,7 @@ class Terminal(io.StringIO):
 def test_a_terminal_is_asked_for_everything(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An empty answer is the one in brackets; a wrong one is told and asked for again."""
+    """An empty answer takes the value in brackets; a wrong one is refused and asked for again."""
     monkeypatch.chdir(tmp_path)
     Path("dump.txt").write_text(SETTINGS)
     lines = ["grbll", "", "nothing.txt", "dump.txt", "", "", "", "5 kg", "40 mm"]
@@ -306,7 +306,7 @@ def test_a_winder_on_a_firmware_is_named_after_both(
 def test_a_machine_by_its_work_is_sent_to_its_firmware(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], named: str
 ) -> None:
-    """Fresh eyes type what they have; the nearest word of plotter was placer."""
+    """A user types the name of the work; the nearest word to plotter was placer."""
     with pytest.raises(SystemExit) as stopped:
         main(["new", named, str(tmp_path / "mine")])
     said = capsys.readouterr().err
@@ -318,9 +318,9 @@ def test_a_machine_by_its_work_is_sent_to_its_firmware(
 def test_from_a_dump_and_a_plotter_file_to_a_faster_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The command that ``fastest`` prints writes the file, and the file takes less time.
+    """The command printed by ``fastest`` writes a file that takes less time.
 
-    A circle of short chords is planned by its corners: rounding them saves more than any F.
+    The corners of its chords set the speed of a circle: rounding them saves more than any F.
     """
     monkeypatch.chdir(tmp_path)
     dump = "".join(

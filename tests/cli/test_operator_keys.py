@@ -1,4 +1,4 @@
-"""The keys of the operator at a terminal: they are named before the machine moves far."""
+"""An operator at a terminal is told the keys before the machine moves far."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_keys_override_the_feed_in_steps_and_never_stop(
 ) -> None:
     said = pressed(keys, percent, "", asked, capfd)
     assert message in said
-    assert (f"feed {percent} %" in said) is (percent != 100)  # what is in force
+    assert (f"feed {percent} %" in said) is (percent != 100)  # the override in force
 
 
 def test_an_override_that_would_spoil_the_work_is_refused_at_the_key(
@@ -58,7 +58,7 @@ def test_an_override_that_would_spoil_the_work_is_refused_at_the_key(
 def pressed(
     keys: str, percent: int, no_override: str, asked: int | None, capfd: pytest.CaptureFixture[str]
 ) -> str:
-    """Press keys in a run, check what is asked of it; return what is said."""
+    """Press keys in a run, and check the requests; return the messages."""
     ends = os.pipe()
     os.write(ends[1], keys.encode())
     running: Any = SimpleNamespace(

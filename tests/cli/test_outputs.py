@@ -1,4 +1,4 @@
-"""What a command writes is refused before the work, or written whole, or not at all."""
+"""Outputs of a command: refused before the work, or written whole, or not at all."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_what_cannot_be_written_is_refused_before_the_work(
 def test_folders_on_the_way_to_a_file_are_made_and_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For files by the command line and the package alike; the folder of a report was asked for."""
+    """In the command line and the package alike; the folder of a report was named by the user."""
     monkeypatch.chdir(tmp_path)
     for option, place, made in (
         ("-o", "mistyped/deep/x.csv", ["mistyped", "mistyped/deep"]),
@@ -90,7 +90,7 @@ def test_folders_on_the_way_to_a_file_are_made_and_told(
 def test_a_report_that_fails_takes_the_recording_with_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An old recording stays, a new one does not appear, and no file is left between."""
+    """An old recording stays, a new one does not appear, and no temporary file is left."""
 
     def fails(*_: object) -> None:
         raise OSError(28, "No space left on device", "report.html")
@@ -113,7 +113,7 @@ def full(*_: object, **__: object) -> None:
 def test_a_full_disk_names_what_was_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And not the temporary file beside it, which is gone."""
+    """And not its temporary file, which is gone."""
     file, folder = tmp_path / "run.npz", tmp_path / "report"
     monkeypatch.setattr(pdf, "write_pdf", full)
     assert stopped(capsys, "--report", folder) == (
@@ -142,7 +142,7 @@ def test_a_new_project_on_a_full_disk_names_its_folder(
 def test_a_file_to_write_is_named_alike_everywhere(
     option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is a folder here: that is refused before anything else is looked at."""
+    """It is a folder here, and is refused before anything else is checked."""
     folder = tmp_path / "found.toml"
     folder.mkdir()
     seam = JOB.with_name("stitcher-test-path.seam.toml")
@@ -174,7 +174,7 @@ def test_the_folder_of_an_output_is_made_and_taken_away_if_nothing_comes(tmp_pat
 
 
 def test_notes_are_wrapped_well_or_stand_below(capsys: pytest.CaptureFixture[str]) -> None:
-    """A column of 13 characters breaks every note; 40 are enough to wrap one."""
+    """A column of 13 characters breaks every note; 40 characters are enough to wrap one."""
     long = "the recording ends before this point and goes no further than that"
     print_table("a", ["criterion", "axis", "note"], [["x" * 90, "Y", long], ["y", "", ""]])
     narrow = capsys.readouterr().out

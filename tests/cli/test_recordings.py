@@ -1,4 +1,4 @@
-"""Recordings that ``prove`` wrote and traces of others, as ``judge`` takes them back."""
+"""Recordings of ``prove`` and traces of other programs, read back by ``judge``."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_recording_is_judged_as_the_run_was(
 def test_runs_are_judged_by_their_own_plan_and_count_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A copy is no second run, and another feed's plan says nothing of what was run."""
+    """A copy is no second run, and the plan of another feed is no plan of this run."""
     job = tmp_path / "there-and-back.prg"
     job.write_text("%\nO1;\nG1 F2160;\nG91;\nX20;\nX-20;\nM30;\n%\n")
     runs = {}
@@ -117,7 +117,7 @@ def test_a_plot_file_has_a_line_every_n_ticks_as_the_operator_set_it(
 def test_a_trace_of_another_controller_is_judged_or_says_what_it_lacks(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The same run as time, positions and velocities: the same contour error, or none and why."""
+    """The same run as time, positions and velocities: the same contour error, or a reason."""
     common = ["-m", "lathe-winder", "--interpolation", "linear"]
     run_file = tmp_path / "run.npz"
     _, first, _ = run(
@@ -151,7 +151,7 @@ def test_a_trace_of_another_controller_is_judged_or_says_what_it_lacks(
             next(c for c in json.loads(text)["criteria"] if c["name"] == "contour_error")
             for text in (first, second)
         ]
-        if kind == ".load alone":  # 0.19 mm fit between two ticks at the machine's acceleration
+        if kind == ".load alone":  # at the machine's acceleration, 0.19 mm fit between two ticks
             assert contours[1]["status"] == "not-measured"
             assert "A.velocity, X.velocity, Y.velocity at each tick" in contours[1]["note"]
         elif kind:

@@ -41,14 +41,14 @@ def test_one_plan_holds_on_every_machine_and_what_that_costs_is_said(
 ) -> None:
     """The inertia of X is +-5 %: the lag, and with it the error, grows with it.
 
-    That the plan holds is seen on each machine by itself, and that a faster one does not, too.
+    Each machine alone shows that the plan holds, and that a faster plan does not.
     """
     asked = ("fastest", X180, "-m", "lathe-winder", "--interpolation", "linear", *SPAN)
     code, out, _ = run(capsys, *asked, "--robust", "100 %", "--json")
     content = json.loads(out)
     assert code == 0
     answer = content["certainty"]
-    assert answer["machines"] == 3  # no springs: loads as typed, lighter and heavier
+    assert answer["machines"] == 3  # no springs: nominal, lighter and heavier loads
     assert answer["unit"] == "s"
     assert answer["alone"] < answer["best"] == content["duration_s"]
     assert answer["slower"] == pytest.approx(answer["best"] / answer["alone"] - 1.0)
@@ -65,7 +65,7 @@ def test_one_plan_holds_on_every_machine_and_what_that_costs_is_said(
     assert passes(content["best"]) == [True] * 3
     faster = passes(39.4e-3)
     assert faster[0] and not all(faster)
-    # What it prints is typed back: in spec, by the same worst machine.
+    # The printed command is typed back: in spec, by the same worst machine.
     words = shlex.split(content["command"])
     assert words[0] == "threadline"
     code, out, _ = run(capsys, *words[1:])
@@ -143,7 +143,7 @@ def test_the_worst_of_each_criterion_counts() -> None:
 def test_ends_ask_of_a_plan_for_the_file_what_robust_asks(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Where nothing can be planned for other machines, both judge the plan of the file on them."""
+    """If plans are made for the file alone, both judge the file's plan on the other machines."""
     asked = ("fastest", X180, "-m", "lathe-winder", "--interpolation", "linear", *SPAN, "--json")
     answer = [
         json.loads(run(capsys, *asked, option, "100 %")[1]) for option in ("--ends", "--robust")
@@ -155,7 +155,7 @@ def test_ends_ask_of_a_plan_for_the_file_what_robust_asks(
 def test_modes_all_over_a_band_are_judged_one_machine_at_a_time(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The worst of the verdict is the worst of seventeen machines that are proved by themselves."""
+    """The verdict's worst is the worst of seventeen machines that are proved one by one."""
     machine = load_machine("lathe-winder+springy")
     spec, options = load_spec(None, machine), Options(interpolation="linear")
     plan = plan_job(read_job(X180, machine), machine, options)

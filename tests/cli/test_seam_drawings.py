@@ -1,4 +1,4 @@
-"""Drawings as CAD and vector programs write them, from the command line to the verdict."""
+"""Drawings of CAD and vector programs, from the command line to the verdict."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STITCHING = '[stitching]\nstitch_length = "2 mm"\nneedle_speed = "10 stitch/s"\n
 
 
 def drawn(folder: Path) -> Path:
-    """Return a DXF of a spline, of a block that is scaled and turned, and of a text."""
+    """Return a DXF with a spline, a block that is scaled and turned, and a text."""
     drawing = ezdxf.new("R2010")
     drawing.units = ezdxf.units.MM
     space = drawing.modelspace()
@@ -55,7 +55,7 @@ def seam(folder: Path, layer: str) -> str:
 def test_splines_and_blocks_are_sewn(
     layer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Finite errors for each: a spline begins a rounding away from where its program says."""
+    """The errors are finite: a spline begins only a rounding away from its stated point."""
     drawn(tmp_path)
     code, out, err = prove(capsys, seam(tmp_path, layer), "stitcher", "--json")
     assert code in {0, 1}, err
@@ -75,7 +75,7 @@ def test_text_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 def test_unstable_machine_is_named_before_planning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A machine of one's own, based on one of the library, is judged by what that one is."""
+    """A user's machine, based on one of the library, is judged by the base's specification."""
     drawn(tmp_path)
     machine = tmp_path / "mine.toml"
     machine.write_text(
@@ -89,8 +89,8 @@ def test_unstable_machine_is_named_before_planning(
 def test_a_drawing_of_inkscape_is_proven(capsys: pytest.CaptureFixture[str]) -> None:
     """Two contours, a curve and a turned rounded rectangle, in spec with the exact inverse.
 
-    By place and length, in one run: the worst of 20 uses 101 % of the stitch length, and the head
-    takes 2.4 stitches to its speed.
+    This holds by place and length, in one run: the worst of 20 runs uses 101 % of the stitch
+    length, and the head takes 2.4 stitches to its speed.
     """
     job = Path(__file__).parents[2] / "examples" / "yoke.seam.toml"
     place = str(job.with_name("stitcher-place.spec.toml"))
@@ -99,12 +99,12 @@ def test_a_drawing_of_inkscape_is_proven(capsys: pytest.CaptureFixture[str]) -> 
     assert code == 0, err
     content = json.loads(out)
     assert content["passed"] is True
-    # 250 mm of seam at 62.5 mm/s, and two journeys of 40 mm/s.
+    # 250 mm of seam at 62.5 mm/s, and two journeys at 40 mm/s.
     assert content["duration_s"] > 6.0
 
 
 def test_the_head_travels_gently_and_settles(tmp_path: Path) -> None:
-    """The speed of a journey and the rest after it stand in the job, before the first stitch."""
+    """The job states the speed of a journey and the rest after it, before the first stitch."""
     file = tmp_path / "line.seam.toml"
     slow = 'travel_speed = "40 mm/s"\nsettle = "0.3 s"\n'
     contour = '[[contour]]\nunit = "mm"\npoints = [[10, 0], [40, 0]]\n'
@@ -138,11 +138,11 @@ def test_a_journey_left_to_the_program_keeps_the_contour(
             travel, rest, *_ = read_job(file, load_machine("stitcher"))
     file.write_text(plain + contours.replace("10, 0", "0, 0"))
     _, first, *_ = read_job(file, load_machine("stitcher"))
-    assert not isinstance(first, Dwell)  # where the head already is, it does not swing
+    assert not isinstance(first, Dwell)  # at its present place the head does not swing
     assert found["left"] < 5e-4 < found["fast"]
     assert isinstance(travel, Move) and travel.feed is not None
     assert travel.feed.value == pytest.approx(0.5 * 5e-4 * 74.98, rel=1e-3)
-    # The slowest to decay decides: 30.9 Hz at 0.0225 if it swings enough, 11.93 Hz at 0.2.
+    # The slowest decay decides: 30.9 Hz at 0.0225 if it swings enough, 11.93 Hz at 0.2.
     swings = [(74.98, 0.2001), (103.96, 0.12825), (194.33, 0.02249)]
     speed = travel.feed.value
     longest = max(math.log(speed / (w * 5e-5)) / (z * w) for w, z in swings)

@@ -1,4 +1,4 @@
-"""``threadline shaper`` and ``prove --shaper`` as a shell sees them."""
+"""``threadline shaper`` and ``prove --shaper`` in a shell."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def test_a_train_that_the_controller_spoils_is_told(capsys: pytest.CaptureFixtur
         "um-ei", "--tick", "10 ms"
     )
     assert "on these ticks the shaper" not in error_text("um-2ei", "--tick", "1 ms")
-    # 5.05 % at 3.04 Hz were the best by the worst alone, and kept no band of 5 % at all.
+    # By the worst case alone 5.05 % at 3.04 Hz were the best, and kept no band of 5 % at all.
     assert "on these ticks the shaper" not in error_text("um-ei", "--tick", "1 ms")
 
 
 def test_a_move_of_one_impulse_has_nothing_to_round(capsys: pytest.CaptureFixture[str]) -> None:
-    """The train of one impulse leaves the search no freedom, and all of the mode's swing."""
+    """A train of one impulse gives the search no freedom, and leaves the whole swing."""
     words = ["--kind", "um-direct", "--mode", "25 Hz", "--tick", "0.01 s"]
     move = ["--move", "3.33 mm", "--acceleration", "1 m/s^2"]
     code, _, errors = run(capsys, "shaper", *words, *move)
@@ -57,21 +57,21 @@ def made(content: dict[str, list[float]]) -> Shaper:
 
 
 def test_json_of_the_published_shaper(capsys: pytest.CaptureFixture[str]) -> None:
-    """Eq 14 of the paper within the error of its tables, and silence by simulation."""
+    """Eq 14 of the paper within the error of its tables, and no vibration in simulation."""
     code, out, err = run(
         capsys, "shaper", "--mode", "3.04Hz", "--damping", "0.17", "--kind", "um-2ei", "--json"
     )  # fmt: skip
     content = json.loads(out)
     assert (code, err) == (0, "")
     published = [0.0, 0.0427, 0.1309, 0.2219, 0.2607, 0.3869, 0.3963]
-    # The paper's are from tables, which are up to 0.15 ms early.
+    # The paper's times come from tables, which are up to 0.15 ms early.
     assert content["times_s"] == pytest.approx(published, abs=1.5e-4)
     assert content["amplitudes"] == [1, -1, 1, -1, 1, -1, 1]
     assert content["duration_s"] == content["times_s"][-1]
     found = simulated_vibration(made(content), 3.04, 0.17)
     assert content["vibration"] == pytest.approx(found, abs=1e-9)
     assert 0.5 < content["insensitivity"] < 1.0
-    # The misread damping ratio is named with the right one and its cost.
+    # The warning gives the right damping ratio beside the misread one, and the cost.
     assert any("0.0089" in w and "24.8 %" in w for w in content["warnings"])
     assert any("amplifies" in w for w in content["warnings"])
 
@@ -79,9 +79,9 @@ def test_json_of_the_published_shaper(capsys: pytest.CaptureFixture[str]) -> Non
 def test_a_ratio_that_no_eigenvalue_of_a_slow_mode_has_is_not_doubted(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A real part of 0.1 1/s is more than the whole modulus of 0.01 Hz, 0.063 1/s.
+    """A real part of 0.1 1/s exceeds the modulus of 0.01 Hz, 0.063 1/s.
 
-    The shaped move is proved by the simulated oscillator, as any other is.
+    The simulated oscillator proves the shaped move, as for any other mode.
     """
     asked = ["--mode", "0.01Hz", "--damping", "0.1", "--kind", "zvdd"]
     code, out, err = run(
@@ -95,7 +95,7 @@ def test_a_ratio_that_no_eigenvalue_of_a_slow_mode_has_is_not_doubted(
 def test_a_doubted_ratio_is_that_of_the_named_eigenvalue(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The eigenvalue that the warning prints has the mode's modulus and the printed ratio."""
+    """The printed eigenvalue has the mode's modulus and the printed ratio."""
     _, out, _ = run(capsys, "shaper", "--mode", "0.1Hz", "--damping", "0.1", "--json")
     (said,) = json.loads(out)["warnings"]
     found = re.search(r"eigenvalue (\S+) \+- (\S+)j 1/s has the ratio (\S+),", said)
@@ -107,7 +107,7 @@ def test_a_doubted_ratio_is_that_of_the_named_eigenvalue(
 
 
 def test_si_without_a_band_holds_a_fifth_to_either_side(capsys: pytest.CaptureFixture[str]) -> None:
-    """The vibration of the simulated oscillator stays within 5 % over 0.8 ... 1.2 of its mode."""
+    """The simulated oscillator vibrates by at most 5 % over 0.8 ... 1.2 of its mode."""
     code, out, _ = run(
         capsys, "shaper", "--mode", "3 Hz", "--damping", "0.01", "--kind", "si", "--json"
     )  # fmt: skip
@@ -118,10 +118,10 @@ def test_si_without_a_band_holds_a_fifth_to_either_side(capsys: pytest.CaptureFi
 
 
 def test_a_band_of_nothing_is_the_frequency_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    """A robust move over no band is the time-optimal one, but for the ringing it is allowed.
+    """A robust move over no band is the time-optimal one, except for the allowed ringing.
 
     A hundredth of a step, which the time-optimal move does not use, saves 66 us here: the bound of
-    200 us is far from the 162 ms that a fifth to either side costs.
+    200 us is far below the 162 ms that a fifth to either side costs.
     """
     words = ["shaper", "--mode", "3.04Hz", "--tick", "10 ms", "--json"]
     move = ["--move", "200 mm", "--acceleration", "1 m/s^2"]
@@ -251,7 +251,7 @@ def test_a_shaped_proof_says_what_it_costs_and_is_judged_again_the_same(
 
 
 def test_x_and_y_of_a_printer_have_a_mode_each(capsys: pytest.CaptureFixture[str]) -> None:
-    """One section with both axes as each alone has it; Klipper's own 0.1 is no suspicion."""
+    """One section holds both axes, each as if alone; Klipper's own 0.1 causes no warning."""
     sections = []
     for modes in (["45Hz:0.1"], ["58Hz:0.1"], ["45Hz:0.1", "58Hz:0.1"]):
         words = [w for mode in modes for w in ("--mode", mode)]

@@ -1,4 +1,4 @@
-"""The program's first moments: what is imported when, and an interrupt before anything runs."""
+"""The start of the program: imports, and an interrupt before anything runs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 def test_an_interrupt_while_importing_is_one_line(
     name: str, signal: str, status: int, said: str
 ) -> None:
-    """Of the command line, of a command, and inside a package that the command needs."""
+    """While the command line, a command, or a package that the command needs is imported."""
     done = run(INTERRUPTING.format(name=name, signal=signal))
     assert (done.returncode, done.stdout) == (status, "")
     assert done.stderr == f"error: {said}; nothing was left half-written\n"
@@ -70,7 +70,7 @@ def test_interrupts_on_top_of_each_other_are_one_line(name: str) -> None:
 
 
 def test_an_interrupt_after_the_line_of_another_says_nothing() -> None:
-    """Behind the command, while the interpreter ends."""
+    """After the command, while the interpreter ends."""
     done = run(
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -87,7 +87,7 @@ def test_an_interrupt_after_the_line_of_another_says_nothing() -> None:
 
 
 def test_an_interrupt_behind_the_files_says_that_they_are_there(tmp_path: Path) -> None:
-    """While a command tells of what it wrote: nothing of that is taken back."""
+    """While a command reports its files: they stay."""
     done = run(
         "import os, signal, sys, time\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -104,7 +104,7 @@ def test_an_interrupt_behind_the_files_says_that_they_are_there(tmp_path: Path) 
 @pytest.mark.parametrize("then", ["time.sleep(60)", "raise RuntimeError('no object')"])
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_an_interrupt_that_a_call_of_machine_code_drops_is_answered(name: str, then: str) -> None:
-    """As numba's compiler does: it calls Python, which drops what is raised there, and fails."""
+    """Like numba's compiler: it calls Python, drops the raised exception, and fails."""
     done = run(
         "import ctypes, os, signal, sys, time\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -121,7 +121,7 @@ def test_an_interrupt_that_a_call_of_machine_code_drops_is_answered(name: str, t
 
 
 def test_help_imports_nothing_heavy() -> None:
-    """``threadline --help`` needs typer and no array: that is what makes it answer at once."""
+    """``threadline --help`` needs typer and no array, so it answers at once."""
     done = run(
         "import sys\n"
         "from threadline.cli.main import main\n"
@@ -136,7 +136,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_the_help_of_a_command_lists_its_options_by_purpose() -> None:
-    """An operator finds what the job needs without reading all that a planner may choose."""
+    """An operator finds the options of the job without reading all planning options."""
     lines = CliRunner().invoke(app, ["prove", "--help"]).output.splitlines()
     titles = [line for line in lines if line.endswith(":") and not line.startswith(" ")]
     assert titles == [
@@ -157,7 +157,7 @@ def test_the_help_of_a_command_lists_its_options_by_purpose() -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_of_the_table_is_there(name: str) -> None:
-    """The module adds one command, with that name, a help and an example in it."""
+    """The module adds one command with this name, a help and an example."""
     app = typer.Typer()
     import_module(f"threadline.cli.{COMMANDS[name].module}").register(app)
     (command,) = app.registered_commands
@@ -167,7 +167,7 @@ def test_every_command_of_the_table_is_there(name: str) -> None:
 
 
 def test_the_module_runs_as_the_command_does() -> None:
-    """``python -m threadline`` where the scripts of the environment are not on the path."""
+    """``python -m threadline`` if the scripts of the environment are not on the path."""
     made = subprocess.run(
         [sys.executable, "-m", "threadline", "law", "cubic", "--json"],
         capture_output=True,
@@ -179,7 +179,7 @@ def test_the_module_runs_as_the_command_does() -> None:
 
 
 def test_the_machines_of_the_library_are_read_without_a_registry_of_units() -> None:
-    """To load it takes a quarter of a second of each process of the program."""
+    """Loading it takes a quarter of a second in each process of the program."""
     done = run(
         "import sys\n"
         "from threadline.machine.load import library_names, load_machine\n"
@@ -209,10 +209,10 @@ UNUSED = {
 
 
 def test_a_module_loads_no_library_that_it_seldom_uses() -> None:
-    """Pictures and statistics take a second to load; a trace that is read is compiled by nobody.
+    """Pictures and statistics take a second to load; reading a trace compiles nothing.
 
-    Of scipy a proof has only its linear algebra: special functions and filters took a third of its
-    start. All in one process: what a module loads is seen at it, or at the one above it.
+    A proof uses only the linear algebra of scipy: special functions and filters took a third of its
+    start. All checks run in one process: a load is charged to the module, or to one before it.
     """
     done = run(
         "import sys\n"
@@ -286,7 +286,7 @@ def test_a_command_that_plans_nothing_loads_nothing_that_does(
 
 
 def test_no_garbage_is_looked_for_among_what_is_imported() -> None:
-    """Neither while a command is imported nor afterwards; what it makes itself is collected."""
+    """Neither while a command is imported nor afterwards; its own objects are collected."""
     done = run(
         "import gc\n"
         "passes = []\n"
@@ -294,7 +294,7 @@ def test_no_garbage_is_looked_for_among_what_is_imported() -> None:
         "from threadline.cli import lazy\n"
         "from threadline.cli.main import app\n"
         "from typer.main import get_command\n"
-        "gc.collect()\n"  # else the pass that the objects before are nearly due for is counted
+        "gc.collect()\n"  # or a collection that earlier objects have nearly caused would count
         "passes.clear()\n"
         "real = lazy.import_module\n"
         "lazy.import_module = lambda name: (real(name), print(passes))[0]\n"
@@ -308,7 +308,7 @@ def test_no_garbage_is_looked_for_among_what_is_imported() -> None:
     ("environment", "counted"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")]
 )
 def test_matrices_are_multiplied_by_one_thread(environment: dict[str, str], counted: str) -> None:
-    """Unless the shell says otherwise: results do not hang on the number of cores."""
+    """Unless the shell says otherwise: results do not depend on the number of cores."""
     done = run(
         "import os, sys\n"
         "os.environ.pop('OPENBLAS_NUM_THREADS', None)\n"
@@ -322,7 +322,7 @@ def test_matrices_are_multiplied_by_one_thread(environment: dict[str, str], coun
 
 
 def test_the_shells_backend_of_drawings_is_none_of_ours() -> None:
-    """A report is drawn into files, and matplotlib fails of a backend that it does not know."""
+    """A report is drawn into files, and matplotlib fails with an unknown backend."""
     done = run(
         "import os, sys\n"
         "os.environ['MPLBACKEND'] = 'foo'\n"

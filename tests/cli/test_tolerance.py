@@ -1,4 +1,4 @@
-"""An interpolation that does not keep the tolerance says by how much, on standard error."""
+"""An interpolation that exceeds the tolerance says by how much, on standard error."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_compile_and_compare_say_it_too(tmp_path: Path, capsys: pytest.CaptureFi
 def test_fastest_says_it_of_the_plan_that_it_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Once, of the plan whose feed is printed: ``prove`` with that feed says the same."""
+    """Once, for the plan of the printed feed: ``prove`` with this feed says the same."""
     job = tmp_path / "corner.prg"
     job.write_text(CORNER)
     anything = tmp_path / "anything.spec.toml"
@@ -114,7 +114,7 @@ def test_fastest_says_it_of_the_plan_that_it_found(
 def test_fastest_of_a_seam_says_it_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever the needle speed: the search itself is not what is tested here."""
+    """This holds for every needle speed; the search itself is not tested here."""
     seam, speed_hz = tmp_path / "corner.seam.toml", 12.0
     seam.write_text(SEAM)
     passed = Fastest(

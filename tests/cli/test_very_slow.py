@@ -1,4 +1,4 @@
-"""Motion that is planned for minutes: people are told how far it is, or what makes it so long."""
+"""Motion whose planning takes minutes: the progress, or the reason, is reported."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_how_far_the_planning_has_come(interpolation: str, said: str) -> None:
 def test_the_share_of_a_program_that_is_written_only_grows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The program is written and read back, once or twice: one share for all of it."""
+    """The program is written and read back, once or twice: one share for everything."""
     reports: list[str] = []
     shares: list[float] = []
     reach = WritingSoFar.reach
@@ -64,7 +64,7 @@ def test_the_share_of_a_program_that_is_written_only_grows(
 def test_a_jerk_that_takes_ages_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The winder's 10.5 m/s^2 would take three hundred years to come at 1e-9 m/s^3."""
+    """The winder's 10.5 m/s^2 would take three hundred years at 1e-9 m/s^3."""
     machine = tmp_path / "slow.toml"
     machine.write_text('base = "lathe-winder"\n[path]\njerk = "1e-9 m/s^3 exact, assumed"\n')
     assert proved(str(machine), "auto") == 2

@@ -1,4 +1,4 @@
-"""``threadline yield`` as a command: what it tells while it works."""
+"""``threadline yield`` as a command: its messages while it works."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"
 def test_every_stage_of_a_yield_tells_how_far_it_is(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A share where the number of machines is known, else how many were tried."""
+    """A share if the number of machines is known, otherwise the number of tried machines."""
     reports: list[tuple[str, float]] = []
 
     @contextmanager
@@ -61,7 +61,7 @@ def test_every_stage_of_a_yield_tells_how_far_it_is(
 def test_a_wish_that_so_few_machines_cannot_prove_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """p^n = 2.5 %: 367 of 367 say 99.0 %, 366 of 366 a little less."""
+    """p^n = 2.5 %: 367 of 367 prove 99.0 %, 366 of 366 a little less."""
     words = ["yield", str(JOB), "-m", "lathe-winder", "--at-least", "99 %"]
     with pytest.raises(SystemExit) as ended:
         main([*words, "--variants", "366"])
@@ -73,7 +73,7 @@ def test_a_wish_that_so_few_machines_cannot_prove_is_refused(
 
 @pytest.mark.parametrize("variants", [3, 40])
 def test_what_goes_one_by_one_is_not_asked_of_thousands(variants: int) -> None:
-    """As many machines as were drawn tell the yields with halved tolerances."""
+    """As many machines as are drawn give the yields with halved tolerances."""
     asked: list[int] = []
 
     class OneByOne:
@@ -109,7 +109,7 @@ def test_what_goes_one_by_one_is_not_asked_of_thousands(variants: int) -> None:
 def test_a_yield_says_its_level_and_what_it_leaves_as_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Over the table and under it, with what is proven of all machines rounded down."""
+    """Above the table and below it; the proven share of all machines is rounded down."""
     machine, job = tmp_path / "mine.toml", tmp_path / "turn.prg"
     machine.write_text(
         'base = "lathe-winder"\nname = "mine"\n[tolerances]\nexclude = ["drives.*"]\n',
@@ -137,10 +137,10 @@ REQUIRED = '[[criteria]]\nname = "{}"\nlimit = "0.1 mm"\nrequired = {}\n'
 @pytest.mark.parametrize(
     ("name", "required", "status", "said"),
     [
-        # Of many runs of one machine: a yield has one of each.
+        # It compares many runs of one machine: a yield has one run of each.
         ("repeatability", "true", 2, "repeatability is required, and is of many runs of one"),
         ("repeatability", "false", 0, "compares runs of one machine: repeatability"),
-        # Of stitches, of which a part program has none.
+        # It needs stitches, which a part program does not have.
         ("seam_error", "true", 1, "seam_error is required, and was not measured"),
         ("seam_error", "false", 0, "4 of 4 machines in spec"),
     ],
@@ -169,7 +169,7 @@ def test_what_is_not_measured_is_not_passed_over(
 
 
 def test_machines_that_ring_without_bound_count_in_the_distribution() -> None:
-    """One of four: half of all come to 2 at most, and no number is what 99 % of them come to."""
+    """One of four: half of all have at most 2, and no number bounds 99 % of them."""
     values = np.array([1.0, np.inf, 3.0, 2.0])
     row = CriterionRow(
         name="contour_error", axis="", step="", limit=4.0, unit="m", required=True, hard=False,

@@ -1,4 +1,4 @@
-"""The independent search judges by every criterion that a claim rests on."""
+"""The independent search judges by every criterion of a claim."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decision records: each has a number of its own, which its title says."""
+"""Decision records: each has its own number, which its title repeats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A figure of a verdict stands in a document with the level that it is of."""
+"""Every figure of a verdict in a document stands with the level of the verdict."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DOCUMENTS = [ROOT / "docs" / "yield.md"]  # the validation pages have a column f
 
 
 def tables(text: str) -> Iterator[tuple[int, str, str]]:
-    """Yield the line, the table, and the text of its own between it and what stands before it."""
+    """Yield the line, the table, and the text between it and the heading or table before it."""
     lines = text.splitlines()
     at, begin = 0, 0
     while at < len(lines):
@@ -65,11 +65,11 @@ def test_every_table_of_what_is_judged_says_its_level(document: Path) -> None:
 
 
 def test_a_reader_of_the_readme_cannot_take_a_nominal_figure_for_a_proven_one() -> None:
-    """A paragraph, or a remark on a command, with a figure of a machine says the level of it."""
+    """A paragraph, or a remark on a command, with a figure of a machine names its level."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     readme += "\n\n" + (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     remarks = re.findall(r"^threadline .*?  (#.*)", readme, re.MULTILINE)
-    # A picture and the words under it are one.
+    # A picture and its caption count as one.
     paragraphs = re.split(r"\n\s*\n(?!\*)", re.sub(r"```.*?```", "", readme, flags=re.DOTALL))
     of_machines = [p for p in (*paragraphs, *remarks) if FIGURE.search(p)]
     assert of_machines

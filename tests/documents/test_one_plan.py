@@ -1,7 +1,7 @@
-"""What three documents say of one plan, the slowest of those that they show: it is made once.
+"""Three documents about one plan, the slowest that they show: it is made once.
 
-The README's Python, a row of docs/validation-winder.md and one of docs/interpolations.md ask for
-the same: ``cone-dome-cylinder.prg`` on ``lathe-winder`` by ``optimal``. Each does all else as ever.
+The README's Python, a row of docs/validation-winder.md and one of docs/interpolations.md use
+``cone-dome-cylinder.prg`` on ``lathe-winder`` by ``optimal``. Everything else is computed as usual.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 class Asked:
-    """A job, a machine and options: equal where all that a plan is made of is equal."""
+    """A job, a machine and options: equal if everything that affects a plan is equal."""
 
     def __init__(self, job: pipeline.Job, machine: pipeline.Machine, options: Options) -> None:
         self.all = (job, machine, options)
@@ -47,15 +47,15 @@ def plan_of(asked: Asked) -> Plan:
 
 @pytest.fixture
 def planned_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Make a plan once for all who ask for the same."""
+    """Make a plan once for all who request the same."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(pipeline, "plan_job", lambda *told: plan_of(Asked(*told)))
     yield
-    assert plan_of.cache_info().currsize == 1  # they did ask for the same
+    assert plan_of.cache_info().currsize == 1  # they did request the same
 
 
 def word_and_error_mm(said: str) -> tuple[str, float]:
-    """Return the level of the answer, and the error that stands below it."""
+    """Return the level of the answer, and the error printed below it."""
     first, second, *_ = said.splitlines()
     return first, float(second.split()[2])
 
@@ -83,7 +83,7 @@ def test_the_python_of_the_readme_runs(
 def test_the_python_of_the_readme_runs_and_says_that_the_job_is_in_spec(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """One question, one function; it says the level of its answer."""
+    """One question, one function; the answer states its level."""
     exec(compile(code_of_the_readme(), "README.md", "exec"), {})
     word, error_mm = word_and_error_mm(capsys.readouterr().out)
     assert word == "in spec (repeated)"

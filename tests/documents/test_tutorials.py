@@ -1,6 +1,6 @@
-"""Every command of the tutorials runs and answers what its page shows; every example runs.
+"""Every command of the tutorials runs and answers as its page shows; every example runs.
 
-A page shows some lines of an answer, of which it may leave out the end. A number agrees where it
+A page shows some lines of an answer, and may leave out the end of a line. A number agrees if it
 differs by no more than one in its last digit.
 """
 
@@ -27,7 +27,7 @@ NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
 def commands_of(block: str) -> list[tuple[list[str], int]]:
-    """Return the words of each command of a block, and the exit status that its remark tells."""
+    """Return the words of each command of a block, and the exit status in its remark."""
     return [
         (shlex.split(line, comments=True)[1:], int("# out of spec" in line))
         for line in block.splitlines()
@@ -35,7 +35,7 @@ def commands_of(block: str) -> list[tuple[list[str], int]]:
 
 
 def answer(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) -> str:
-    """Return what a command prints; it has to end with that exit status."""
+    """Return the output of a command; it has to end with this exit status."""
     with pytest.raises(SystemExit) as stopped:
         main(words)
     output = capsys.readouterr()
@@ -44,13 +44,13 @@ def answer(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) ->
 
 
 def shows(page: str, said: str) -> bool:
-    """Whether a line of a page is the beginning of a line that was printed."""
+    """Return whether a line of a page is the beginning of a printed line."""
     wanted, found = page.split(), said.split()
     return len(wanted) <= len(found) and all(map(same, wanted, found))
 
 
 def same(wanted: str, found: str) -> bool:
-    """Whether two words are equal: numbers to one in the last digit, of others all but a comma."""
+    """Return whether words agree: numbers to one in the last digit, others except for a comma."""
     if NUMBER.fullmatch(wanted) and NUMBER.fullmatch(found):
         return abs(float(wanted) - float(found)) <= 1.01 * 10.0 ** -len(wanted.partition(".")[2])
     return wanted.rstrip(",;") == found.rstrip(",;")
@@ -64,7 +64,7 @@ def test_a_tutorial_runs_and_shows_what_its_commands_answer(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In order, in a folder that holds the examples; pictures are drawn by other tests."""
+    """In order, in a folder that holds the examples; other tests draw the pictures."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     blank_pictures(monkeypatch)
@@ -95,7 +95,7 @@ def test_an_example_runs_and_prints_something(
 
 
 def run_notebook(file: Path) -> None:
-    """Run the code of a notebook, which is kept without outputs, cell by cell."""
+    """Run the code of a notebook, which is stored without outputs, cell by cell."""
     names: dict[str, object] = {}
     for number, cell in enumerate(json.loads(file.read_text(encoding="utf-8"))["cells"]):
         if cell["cell_type"] == "code":

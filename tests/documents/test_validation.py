@@ -1,6 +1,6 @@
-"""The validation pages say what their commands answer: the rows whose command is quick.
+"""The validation pages agree with the answers of their commands: the rows with a quick command.
 
-``python -m tools.validation --check --long`` compares the others, too. All together take half a
+``python -m tools.validation --check --long`` also compares the others. All together take half a
 minute of processor time.
 """
 
@@ -46,7 +46,7 @@ def at_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 @pytest.mark.parametrize("command", dict.fromkeys(row.command for row in QUICK), ids=str)
 def test_rows_have_the_figures_that_their_command_answers(command: str) -> None:
-    """To the digits that are printed; the verdict and the level are those of the answer."""
+    """The printed digits agree; verdict and level are those of the answer."""
     wrong = [
         f"{row.page.name}:{row.line}: {row.claim}: {text}"
         for row in QUICK

@@ -1,4 +1,4 @@
-"""A machine and an executor in one process, on the machine's own time: nothing waits for a wall."""
+"""A machine and an executor in one process, on the machine's own time, without real time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ for _end in NEVER_READY:
 
 
 class Wire:
-    """Stands in for a connection: what is sent is done at once, through the same bytes."""
+    """Stand-in for a connection: a sent message is executed at once, through the same bytes."""
 
     def __init__(
         self, machine: Machine, start: np.ndarray | None = None, fault: SimFault | None = None
@@ -34,7 +34,7 @@ class Wire:
         self._answers: deque[Message] = deque()
         self.lost = False
         self.group = GROUP
-        self.mute = False  # nothing that is sent arrives any more
+        self.mute = False  # messages do not arrive any more
         self.sent: list[Message] = []
         self.before_play: Callable[[], None] = lambda: None
         counts = np.zeros(len(machine.axes), dtype=np.int64) if start is None else start
@@ -92,7 +92,7 @@ def table_of_counts(
 
 
 def there_and_back(peak: float = 10.0, cruise: int = 200) -> np.ndarray:
-    """Return rows that speed up to ``peak`` counts per tick, go on, come back; A turns along."""
+    """Return rows that accelerate to ``peak`` counts per tick, cruise and return; A turns along."""
     up = peak * (0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 60)))
     speed = np.concatenate([up, np.full(cruise, peak), up[::-1]])
     speed = np.concatenate([speed, -speed])
@@ -101,7 +101,7 @@ def there_and_back(peak: float = 10.0, cruise: int = 200) -> np.ndarray:
 
 
 class Bench:
-    """An executor at a machine."""
+    """An executor with a machine."""
 
     def __init__(
         self,
@@ -141,7 +141,7 @@ class Bench:
         return np.concatenate([block.samples[name] for block in self.kept.blocks])
 
     def commanded(self) -> np.ndarray:
-        """(n, axes) counts commanded at the ticks of the run."""
+        """Return (n, axes) commanded counts at the ticks of the run."""
         machine = winder()
         return np.stack(
             [

@@ -166,7 +166,7 @@ class GrblModel(threading.Thread):
             self._say(WELCOME)
 
     def _plan(self) -> None:
-        """Take lines into the planner while it has room; a line is answered then."""
+        """Take lines into the planner while it has room; a line is answered when it enters."""
         while b"\n" in self.rx and len(self.blocks) < self.room:
             line, _, rest = bytes(self.rx).partition(b"\n")
             if line == b"M0" and not self._passed_stop():
@@ -223,7 +223,7 @@ class GrblModel(threading.Thread):
         self._say("ok")
 
     def _jog(self, words: str) -> str:
-        """Plan a jog, which leaves feed and modes alone; return an error, or nothing."""
+        """Plan a jog, which leaves feed and modes unchanged; return an error, or nothing."""
         if self.state not in {"Idle", "Jog"}:
             return "error:8"
         found = re.fullmatch(r"G21G90G53([XYZA])(-?[\d.]+)F([\d.]+)", words)
@@ -241,7 +241,7 @@ class GrblModel(threading.Thread):
         return ""
 
     def _take_move(self, line: str) -> str:
-        """Plan a move, a rapid at the slowest of the axes' rates; return an error, or nothing."""
+        """Plan a move, a rapid at the slowest of its axes' rates; return an error, or nothing."""
         if (motion := re.search(r"G0*([01])(?!\d)", line)) is not None:
             self.rapid = motion[1] == "0"
         target = self.target.copy()

@@ -40,8 +40,8 @@ from threadline.machine import Machine
 
 
 def end_hal() -> None:
-    """End a HAL that a test has left, with whatever it had killed."""
-    if not in_use(HAL_KEY):  # seconds less, each time
+    """End a HAL that a test has left, with every process that it had killed."""
+    if not in_use(HAL_KEY):  # less than a second each time
         remove_left()
         return
     subprocess.run(words_to_end(), cwd="/", capture_output=True, check=False)
@@ -55,7 +55,7 @@ def end_hal() -> None:
 
 @contextlib.contextmanager
 def hal_alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Have HAL for this test alone; LinuxCNC refuses root, who is somebody else then."""
+    """Reserve HAL for this test; LinuxCNC refuses root, so it runs as another user then."""
     if shutil.which("halcmd") is None:
         pytest.skip("no LinuxCNC here (linuxcnc-uspace)")
     if os.geteuid() == 0:
@@ -79,22 +79,22 @@ P = ParamSpec("P")
 
 
 class SleptError(AssertionError):
-    """This computer slept in a run."""
+    """This computer slept during a run."""
 
 
 def refuse_slept(ended: tuple[RunEnd, str] | None) -> None:
-    """Raise where a run ended because nobody had the processor.
+    """Raise if a run ended because the process got no processor time.
 
-    The whole reason is looked at: of a comparison that fails, pytest tells the first 240 letters.
+    The whole reason is checked: for a failed comparison pytest shows only the first 240 letters.
     """
     if ended is not None and ended[0] is RunEnd.FAULT and any(one in ended[1] for one in SLEPT):
         raise SleptError(ended[1])
 
 
 def awake(test: Callable[P, None]) -> Callable[P, None]:
-    """Begin a test again, in a folder of its own, where this computer slept in it.
+    """Repeat a test in a new folder if this computer slept during it.
 
-    That HAL brakes then is right, and is tested by itself; what is tested here comes after it.
+    HAL is right to brake then, and other tests cover that.
     """
 
     @functools.wraps(test)
@@ -113,8 +113,8 @@ def awake(test: Callable[P, None]) -> Callable[P, None]:
             else:
                 return
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
-                del slept  # and with it what the test had open
+                warnings.simplefilter("ignore", ResourceWarning)  # a failing test closes nothing
+                del slept  # and closes everything that the test had open
                 gc.collect()
             end_hal()
 
@@ -123,14 +123,14 @@ def awake(test: Callable[P, None]) -> Callable[P, None]:
 
 @contextlib.contextmanager
 def unhurried(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let ticks come late without a fault: HAL has no real time here, and others are at work."""
+    """Allow late ticks without a fault: HAL has no real time here, and other programs run."""
     monkeypatch.setattr("threadline.live.guards.LATE_IN_A_ROW", 1 << 30)
     monkeypatch.setattr("threadline.live.guards.LATE_PERIODS", 1e9)
     yield
 
 
 class Recorded(HalSession):
-    """Writes down what HAL told its drives, to the very end."""
+    """Records the commands from HAL to its drives, to the very end."""
 
     box: Path
 
@@ -146,7 +146,7 @@ class Recorded(HalSession):
 
 
 def left_samples(machine: Machine) -> np.ndarray:
-    """Return what the sampler still holds, where nobody reads it any more; as ``told_in``."""
+    """Return the records that the sampler still holds unread; as ``told_in``."""
     axes, tick_s = len(machine.axes), float(machine.tick_clock.period_s)
     depth = int(hal_session.SAMPLED_S / tick_s) + 100
     fifo = HalFifo(SAMPLER_KEY, depth, "ss" + "ff" * axes)
@@ -156,7 +156,7 @@ def left_samples(machine: Machine) -> np.ndarray:
 
 
 def told_in(box: Path, axes: int) -> np.ndarray:
-    """Return (n, 1 + axes): number of the record, counts told, as the black box has them."""
+    """Return (n, 1 + axes) record numbers and commanded counts, as the black box has them."""
     return np.frombuffer(box.read_bytes()).reshape(-1, 1 + axes)
 
 
@@ -164,7 +164,7 @@ def told_in(box: Path, axes: int) -> np.ndarray:
 def bridge(
     machine: Machine, start: np.ndarray, box: Path, *, plant: bool
 ) -> Iterator[SimpleNamespace]:
-    """Start the process in front of HAL as a fork of this one; yield our end and its number."""
+    """Start the process in front of HAL as a fork; return this end of the link and its number."""
     ours, theirs = socket.socketpair()
     pid = os.fork()
     if not pid:
@@ -193,7 +193,7 @@ def execute(
     *,
     may_stand_still: bool = False,
 ) -> tuple[Executor, Kept]:
-    """Run a table to its end; a computer that slept is an error, unless a test makes it sleep."""
+    """Run a table to its end; a sleep of the computer is an error unless a test causes it."""
     kept, desk = Kept(), Desk()
     executor = Executor(Connection(end), machine, desk, kept, speed=1.0)
     executor.connect()

@@ -1,7 +1,7 @@
-"""``kill -9`` of an executor and of its machine, for every kind of work that has rows or turns.
+"""``kill -9`` of an executor and of its machine, for every kind of work with rows or turns.
 
-Processes are forks of this one, so that nothing has to be imported anew. What the machine did is in
-its black box, to the very end.
+Processes are forks of this one, so that nothing has to be imported anew. A black box records the
+motion of the machine to the very end.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def case(name: str) -> Case:
 
 
 def child(work: Callable[[], object]) -> int:
-    """Fork; do the work in the child and end it."""
+    """Fork; run the function in the child, and end the child."""
     pid = os.fork()
     if pid:
         return pid
@@ -82,9 +82,9 @@ def child(work: Callable[[], object]) -> int:
 
 
 def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
-    """Serve as a simulated machine; write all channels, and the tick of what was heard last.
+    """Serve as a simulated machine; write all channels, and the tick of the last message heard.
 
-    The position is that after the last sample, in the units of the machine's commands.
+    The position belongs to the instant after the last sample, in units of the machine's commands.
     """
     reports: dict[str, list[np.ndarray]] = {}
     seen: dict[str, Any] = {"heard": 0}
@@ -112,13 +112,13 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
 
 @contextmanager
 def forked_link(_program: str, request: tuple[Any, ...]) -> Iterator[Connection]:
-    """Stand in for ``process_link`` of a simulated machine, which is told the same bytes."""
+    """Stand-in for ``process_link`` of a simulated machine, which gets the same bytes."""
     ours, theirs = socket.socketpair()
     words = pickle.dumps(request)
 
     def machine_only() -> None:
         ours.close()
-        sim_process.serve(theirs, *pickle.loads(words))  # of ours
+        sim_process.serve(theirs, *pickle.loads(words))  # messages of this process
 
     machine = child(machine_only)
     theirs.close()
@@ -134,7 +134,7 @@ def forked_link(_program: str, request: tuple[Any, ...]) -> Iterator[Connection]
 def execute(
     end: socket.socket, which: Case, at_tick: Callable[[int], object]
 ) -> tuple[Executor, Kept]:
-    """Run a case to its end, or to that of the link."""
+    """Run a case to its end, or to the end of the link."""
     kept, desk = Kept(), Desk()
     executor = Executor(Connection(end), which.machine, desk, kept, speed=0.0)
     executor.connect()
@@ -164,7 +164,7 @@ def kill_executor(which: Case, tick: int, box: Path) -> dict[str, np.ndarray]:
     machine, executor = child(machine_only), child(executor_only)
     ours.close()
     theirs.close()
-    os.close(here)  # ours: where the run ends before, nothing is read
+    os.close(here)  # killed by this test: if the run ends before, nothing is read
     assert os.read(there, 1) == b"!"
     os.kill(executor, signal.SIGKILL)
     os.waitpid(executor, 0)
@@ -175,7 +175,7 @@ def kill_executor(which: Case, tick: int, box: Path) -> dict[str, np.ndarray]:
 
 
 def kill_machine(which: Case, tick: int) -> tuple[Executor, Kept]:
-    """Kill the machine's process at a tick; return the executor and what it kept."""
+    """Kill the machine's process at a tick; return the executor and its recording."""
     ours, theirs = socket.socketpair()
 
     def machine_only() -> None:
@@ -193,7 +193,7 @@ def kill_machine(which: Case, tick: int) -> tuple[Executor, Kept]:
 
 
 def beside(points: np.ndarray, path: np.ndarray) -> float:
-    """Return how far the worst of (n, axes) points is from the segments of a path, (m, axes)."""
+    """Return the largest distance of (n, axes) points from the segments of a path, (m, axes)."""
     begin, way = path[:-1], np.diff(path, axis=0)
     long = np.maximum((way * way).sum(axis=1), 1e-30)
     worst = 0.0

@@ -1,4 +1,4 @@
-"""Nothing moves but what a proof is a proof of, and what is run is judged as it was proved."""
+"""Only proved commands move the machine, and a run is judged as its proof was."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_an_override_with_a_word_is_taken(override: str | None) -> None:
 
 
 def test_the_remedy_is_of_the_kind_of_work(tmp_path: Path) -> None:
-    """Cylinders have neither a feed nor a needle to be slower."""
+    """Cylinders have neither a feed nor a needle that could be slower."""
     placer, file = load_machine("letter-placer"), tmp_path / "cycle.proof.json"
     job = open_job(EXAMPLES / "letter-cycle.toml", placer, Options())
     found = prove_plan(plan_job(job, placer, Options()), load_spec(None, placer))
@@ -142,7 +142,7 @@ def test_a_stop_that_nobody_answers_is_refused(tmp_path: Path) -> None:
 
 
 def test_rows_beyond_travel_or_speed_are_never_sent() -> None:
-    """Whatever they come from: the executor looks at each row itself."""
+    """The executor checks each row itself, whatever its origin."""
     start = np.array([0, 27000, 0])  # 12 mm before the end of X
     bench = Bench(start=start).ready()
     rows = np.zeros((400, 3), np.int64)
@@ -175,7 +175,7 @@ def test_another_machine_or_start_is_refused() -> None:
 def test_the_command_runs_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The machine in its own process; a run and a proof record the same to the bit."""
+    """The machine runs in its own process; a run and a proof record the same to the bit."""
     job, proof = EXAMPLES / "x-180.prg", tmp_path / "p.json"
     how = ("-m", "lathe-winder", "--interpolation", "linear")
     proved, ran = tmp_path / "proved.npz", tmp_path / "ran.npz"
@@ -222,8 +222,8 @@ def answer_of(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[o
 def test_a_run_is_judged_again_by_what_it_was_proved_by(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A turning point missed by 3 mm: by the machine's own specification it is out."""
-    # Nobody looks at these reports; the test above has one drawn.
+    """The turning point is missed by 3 mm, out of spec by the machine's own specification."""
+    # Nobody looks at these reports; the test above draws one.
     monkeypatch.setattr(report_, "write_report", lambda _, folder: folder / "report.html")
     spec, store = tmp_path / "coarse.toml", tmp_path / "runs"
     spec.write_text(

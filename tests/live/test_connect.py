@@ -1,7 +1,7 @@
-"""``threadline connect`` against controllers that answer as their firmwares do.
+"""``threadline connect`` against controllers that answer like their firmwares.
 
-What they say is from logs of real ones: grbl 1.1h, FluidNC 3.7, Marlin 2.1, RepRapFirmware 3.4; and
-from Moonraker's document of ``/printer/objects/query``.
+The answers come from logs of real controllers (grbl 1.1h, FluidNC 3.7, Marlin 2.1, RepRapFirmware
+3.4) and from Moonraker's documentation of ``/printer/objects/query``.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ SECTIONS = {
 
 
 def unknown(firmware: str, line: str) -> str:
-    """Return what a firmware answers to a line that it does not know."""
+    """Return the answer of a firmware to an unknown line."""
     return f'echo:Unknown command: "{line}"\nok' if firmware == "marlin" else "error:20"
 
 
@@ -72,7 +72,7 @@ def unknown(firmware: str, line: str) -> str:
 def controller(
     answers: Mapping[str, str], *, firmware: str = "grbl", banner: str = "", status: str = ""
 ) -> Iterator[tuple[str, list[str]]]:
-    """Run a controller behind a TCP port; yield its address and the lines that it has heard."""
+    """Run a controller behind a TCP port; yield its address and the received lines."""
     heard: list[str] = []
     server = socket.create_server(("127.0.0.1", 0))
 
@@ -114,7 +114,7 @@ def _answer(
 
 
 def _received(receive: Callable[[int], bytes]) -> bytes:
-    """Return what comes; nothing where the other end is gone."""
+    """Return received bytes; nothing if the other end is gone."""
     try:
         return receive(1024)
     except OSError:
@@ -123,7 +123,7 @@ def _received(receive: Callable[[int], bytes]) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What a command said, and its exit status."""
+    """Return the output of a command, and its exit status."""
 
     exit_code: int
     stdout: str
@@ -160,7 +160,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_settings_come_from_the_controller_and_make_a_machine(
     ran: Callable[..., Done], kind: str, answers: Mapping[str, str], axis: str, rate: str
 ) -> None:
-    """The file is what ``threadline new`` reads, by the command that is printed."""
+    """``threadline new`` reads the file by the printed command."""
     with controller(answers, firmware="grbl" if "$I" in answers else "marlin") as (address, heard):
         done = ran("connect", address, "--json")
     assert done.exit_code == 0, done.stderr
@@ -175,11 +175,11 @@ def test_settings_come_from_the_controller_and_make_a_machine(
     made = ran(*answer["new"].split()[1:], *answered)
     assert made.exit_code == 0, made.stderr
     text = Path("my-machine/machine.toml").read_text(encoding="utf-8")
-    assert ("corner_axes = true" in text) == (kind == "marlin")  # 2.1.2, as M115 says
+    assert ("corner_axes = true" in text) == (kind == "marlin")  # from the answer to M115
 
 
 def test_a_serial_line_is_read(ran: Callable[..., Done], tmp_path: Path) -> None:
-    """Over a pseudo terminal, at a speed that has no name in termios."""
+    """The line is a pseudo terminal, at a speed that has no name in termios."""
     ours, theirs = pty.openpty()
     heard: list[str] = []
     threading.Thread(
@@ -207,7 +207,7 @@ def moonraker(status: int, content: object) -> Iterator[str]:
             self.wfile.write(json.dumps(content).encode())
 
         def log_message(self, *_: object) -> None:
-            """Say nothing."""
+            """Write no log."""
 
     with HTTPServer(("127.0.0.1", 0), Handler) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
@@ -217,14 +217,14 @@ def moonraker(status: int, content: object) -> Iterator[str]:
 
 
 def test_klipper_is_asked_through_moonraker(ran: Callable[..., Done]) -> None:
-    """Included files are in it: Klipper tells the configuration that it has put together."""
+    """Included files are in the answer: Klipper sends its combined configuration."""
     answer = {"result": {"status": {"configfile": {"config": SECTIONS}}}}
     with moonraker(200, answer) as url:
         done = ran("connect", url)
     assert done.exit_code == 0, done.stderr
     text = Path("printer.cfg").read_text()
     assert "[stepper_x]\nmicrosteps: 16\nrotation_distance: 40\n" in text
-    assert "gcode: \n    G28\n    G1 X5" in text  # a value of several lines stays one
+    assert "gcode: \n    G28\n    G1 X5" in text  # a value with several lines stays one value
 
 
 @pytest.mark.parametrize(

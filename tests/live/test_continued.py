@@ -1,4 +1,4 @@
-"""After a loss of power: home, confirm, approach, and the rest of what was executed."""
+"""After a loss of power: home, confirm, approach, and do the rest of the job."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ JOBS = {
     "letter-placer": ("letter-cycle.toml", "5 s", "um-zv"),
     "schiffli-frame": ("", "5 s", None),
 }
-SHORT: list[Path] = []  # the design of the frame, where its fixture wrote it
+SHORT: list[Path] = []  # the design of the frame, written by its fixture
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _short_design(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Forty stitches of two to eight millimetres, for the frame to sew."""
+    """Return forty stitches of two to eight millimetres for the frame."""
     ways = np.random.default_rng(4).integers(20, 81, (40, 2)) * np.array([1, -1])
     SHORT[:] = [tmp_path_factory.mktemp("design") / "forty.exp"]
     SHORT[0].write_bytes(ways.astype(np.int8).tobytes())
@@ -64,11 +64,11 @@ def run(
     confirmed: Callable[[], bool | None] = lambda: True,
     asked: Cause | None = None,
 ) -> tuple[tuple[RunEnd, str], Recording, Wire]:
-    """Run a plan, or the rest of it, on a machine that was just switched on."""
+    """Run a plan, or its rest, on a machine that was just switched on."""
     machine = plan.machine
     found = None if fault is None else parse_fault(f"{fault}", machine)
     wire, kept = Wire(machine, run_kind_of(machine).start(plan.commands), found), Kept()
-    wire.group = group_ticks(machine, 0.0)  # as the process of a machine has it
+    wire.group = group_ticks(machine, 0.0)  # as the process of the machine has it
     with closing(Desk()) as desk:
         if asked is not None:
             desk.ask(asked)
@@ -81,7 +81,7 @@ def run(
 
 @cache
 def broken_off(name: str) -> tuple[Recording, int]:
-    """Return the recording of a run that lost its power, and what it had executed."""
+    """Return the recording of a run that lost its power, and the last executed operation."""
     plan = planned(name)
     (ended, why), recording, _ = run(plan, fault=f"power-loss@{JOBS[name][1]}")
     assert (ended, why) == (RunEnd.FAULT, "the link is gone")
@@ -91,7 +91,7 @@ def broken_off(name: str) -> tuple[Recording, int]:
 
 @cache
 def rest_of(name: str) -> tuple[Continued, Recording, Wire]:
-    """Return the rest of a run that was broken off, the recording of that, and what was sent."""
+    """Return the rest of a broken-off run, its recording, and its sent rows."""
     plan = planned(name)
     again = continued(plan, broken_off(name)[1], at_rest=False)
     (ended, why), recording, wire = run(plan, again)
@@ -108,7 +108,7 @@ def test_what_was_executed_is_read_from_the_trace(name: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", ["lathe-winder", "stepper-winder"])
 def test_axes_are_moved_there_and_do_the_rest_row_by_row(name: str) -> None:
-    """Home, approach and rest add up to the whole; no row of the rest is skipped or repeated."""
+    """Home, approach and rest add up to the whole: no row is skipped or repeated."""
     plan = planned(name)
     machine, table = plan.machine, tick_table(plan.commands)
     again, recording, wire = rest_of(name)
@@ -123,7 +123,7 @@ def test_axes_are_moved_there_and_do_the_rest_row_by_row(name: str) -> None:
     assert (commanded[0] == whole[rest.left_out]).all()
     assert (rest.begins == whole[rest.left_out]).all()
     assert (commanded[-1] == whole[-1]).all()
-    # Behind the start from rest, every position of the table in its order, one a tick.
+    # After the start from rest, every position of the table follows in order, one a tick.
     moving = [int(np.flatnonzero((way != whole[-1]).any(axis=1))[-1]) for way in (commanded, whole)]
     count = moving[0] - 300  # a start takes 256 ticks at most
     assert count > 500
@@ -135,7 +135,7 @@ def test_axes_are_moved_there_and_do_the_rest_row_by_row(name: str) -> None:
     clock = recording.channels[0].clock
     begins_s = first[clock.name] * float(clock.period_s)
     assert begins_s == pytest.approx(rest.left_out * float(table.clock.period_s), abs=1e-9)
-    # From rest within the limit of acceleration; rounding to whole counts is 2 in a second step.
+    # From rest within the acceleration limit; rounding to counts is 2 in a second difference.
     tick_s = float(table.clock.period_s)
     hardest = np.abs(np.diff(commanded[:200], 2, axis=0)).max(axis=0)
     own = np.abs(np.diff(whole, 2, axis=0)).max(axis=0)
@@ -152,7 +152,7 @@ def test_the_rest_alone_proves_nothing_of_the_whole(name: str) -> None:
     plan = planned(name)
     again, recording, _ = rest_of(name)
     spec = load_spec(None, plan.machine)
-    if name == "letter-placer":  # of a cycle every switching has to be seen
+    if name == "letter-placer":  # in a cycle every switching has to be recorded
         with pytest.raises(RecordingError, match=r"begins at .*, the motion before"):
             judge([recording], plan, spec)
     else:
@@ -175,7 +175,7 @@ def test_a_frame_comes_there_with_its_needle_up() -> None:
 
 
 def test_the_cycle_begins_again_where_nothing_was_held() -> None:
-    """A letter that hung on the vacuum has fallen: it is cut anew; the knife rests before."""
+    """A letter on the vacuum has fallen, so it is cut anew; the knife rests before."""
     plan = planned("letter-placer")
     schedule = switch_schedule(plan.commands)
     names = list(schedule.outputs)
@@ -195,7 +195,7 @@ def test_the_cycle_begins_again_where_nothing_was_held() -> None:
     assert (sent.levels[:, others] == schedule.levels[:, others]).all()
     assert schedule.levels[~before][0, work].any()  # the step of the cut
     assert not schedule.levels[before][-1, work].any()
-    # At the end of the cycle nothing is held: it begins again where it was.
+    # At the end of the cycle nothing is held, so it begins again at its last operation.
     last = int(schedule.operation[-1])
     assert continued(plan, last, at_rest=False).rest.operation == last
 
@@ -276,7 +276,7 @@ def test_where_commands_are_beside_the_path_it_begins_at_a_rest() -> None:
     anywhere = continued(plan, last, at_rest=False).rest
     at_rest = continued(plan, last, at_rest=True).rest
     assert at_rest.left_out < anywhere.left_out
-    # 50 ms at 1 ms; 0 is the beginning, before which everything rests.
+    # 50 ms at 1 ms; index 0 is the begin, before which everything rests.
     if at_rest.left_out:
         assert not rows[at_rest.left_out - 50 : at_rest.left_out].any()
     assert at_rest.operation == operations[at_rest.left_out]
@@ -358,7 +358,7 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
 
 
 def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_path: Path) -> None:
-    """The run is looked for first: where it is not there, no key would help."""
+    """The run is looked up first: if it does not exist, no key would help."""
     plan = planned("lathe-winder")
     write_proof(prove_plan(plan, load_spec(None, plan.machine)), tmp_path / "a.proof.json")
     folder = tmp_path / "runs"

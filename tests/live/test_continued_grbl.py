@@ -1,4 +1,4 @@
-"""The rest of a job on a controller with grbl: lines from one on that was executed before."""
+"""The rest of a job on a controller with grbl: the interrupted line and all later lines."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ UNITS = np.array([np.pi / 180.0, 1e-3])
 
 
 class Loses(GrblModel):
-    """A controller whose link is lost, and whose power, when X comes by a place."""
+    """A controller that loses link and power when X passes a place."""
 
     def _move(self, left_s: float) -> None:
         if self.at[0] > LOST_MM and self.client is not None:
@@ -55,7 +55,7 @@ def helix() -> Plan:
 def run(
     model: GrblModel, capsys: pytest.CaptureFixture[str], job: Path, *words: str
 ) -> tuple[int, dict[str, Any]]:
-    """Run a job by the command; return its exit status, and what it said."""
+    """Run a job by the command; return its exit status and its output."""
     model.start()
     with pytest.raises(SystemExit) as ended:
         main(["run", str(job), "-m", "stepper-winder", "--nominal", "--json", "--link",
@@ -96,7 +96,7 @@ def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(
     assert [sent[k].decode() for k in works[2:]] == whole[2 - len(works) :]
     kept = tmp_path / "runs" / output["run"] / "sent" / "program.nc"
     assert kept.read_bytes().splitlines() == [sent[k] for k in works]
-    # Where the lines begin it was brought axis by axis, and stood.
+    # The axes moved one by one to the begin of the lines, and stood there.
     begins = np.array(read_start(tmp_path, output["run"])) / UNITS
     moved = np.array(model.moved_to)[:, [3, 0]]
     there = np.flatnonzero(np.abs(moved - begins).max(axis=1) < 0.02)
@@ -110,7 +110,7 @@ def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(
     )
     assert abs(x[0]) < 1e-9
     assert (a[-1], x[-1]) == (pytest.approx(POINTS[-1][0]), pytest.approx(POINTS[-1][1]))
-    # A never turns back, by more than it goes in a sample: nothing is there twice.
+    # A never turns back by more than one sample's motion: no motion is repeated.
     assert (np.diff(a) >= -3000.0 / 60.0 * 0.01).all()
     assert len(x) > len(read_recording(Path(output["trace"])).samples("X.commanded")[1])
     operations = recording.samples("operation")[1]
@@ -118,7 +118,7 @@ def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(
 
 
 def written(job: Path) -> list[str]:
-    """Return the lines that the whole job is sent as."""
+    """Return the lines of the whole job as they are sent."""
     options = Options()
     program, _ = written_program(plan_job(open_job(job, MACHINE, options), MACHINE, options))
     return [line.decode().strip() for line in program.lines]
@@ -130,7 +130,7 @@ def read_start(folder: Path, run_: str) -> list[float]:
 
 
 def test_a_line_is_the_one_under_way_when_its_operation_began() -> None:
-    """Instants of the plan put the ends of lines to where the rows of the table are then."""
+    """Plan times show that each line ends where the rows of the table are at that time."""
     plan = helix()
     program, _ = written_program(plan)
     table = tick_table(plan.commands)
@@ -156,7 +156,7 @@ def test_a_line_is_the_one_under_way_when_its_operation_began() -> None:
 
 
 def test_a_spindle_that_ran_runs_again_before_anything_moves(tmp_path: Path) -> None:
-    """The rest of a job behind M3 begins with M3, and behind M5 with M5; before both with none."""
+    """The rest after M3 begins with M3, after M5 with M5, and before both with neither."""
     job = tmp_path / "spindle.gcode"
     job.write_text("G1 F3000\nA20 X10\nM3\nA40 X20\nM5\nA80 X40\nM30\n", "utf-8")
     options = Options(dialect="grbl")
@@ -177,7 +177,7 @@ def test_a_spindle_that_ran_runs_again_before_anything_moves(tmp_path: Path) -> 
 
 
 def _modes(lines: Iterable[bytes]) -> dict[str, bytes]:
-    """Return the modes that lines leave, by a reader of a few words."""
+    """Return the modes after some lines, from a small reader."""
     found = {"motion": b"G1", "spindle": b"M5", "power": b"", "coolant": b"M9"}
     for word in re.findall(rb"(?<![A-Z0-9])[GMS][0-9.]+", b" ".join(lines)):
         kind = {b"G0": "motion", b"G1": "motion", b"M8": "coolant", b"M9": "coolant"}.get(word)
@@ -189,9 +189,9 @@ def _modes(lines: Iterable[bytes]) -> dict[str, bytes]:
 
 
 def test_the_rest_of_a_job_begins_in_the_modes_of_its_place(tmp_path: Path) -> None:
-    """G0 or G1, laser, its S and the coolant: as the whole program has left them there.
+    """The rest begins with the modes of the whole program there: G0 or G1, laser, S and coolant.
 
-    A change of the tool is a stop for who sends the program, and the zero is set once.
+    At a change of the tool the sender stops, and the zero is set only once.
     """
     job = tmp_path / "laser.gcode"
     job.write_text(

@@ -53,7 +53,7 @@ def program(text: str = LINES) -> Program:
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy computer does not get the model its processor: what is tested is not how fast."""
+    """Allow for a busy computer, which gives the model little processor time."""
     monkeypatch.setattr(grbl_run, "POLL_S", 0.03)
     monkeypatch.setattr(grbl_run, "SILENCE_S", 3.0)
 
@@ -100,7 +100,7 @@ def test_a_program_is_run_whole_and_its_reports_are_a_recording() -> None:
         assert not model.overflowed
         assert model.heard.count(b"G1 ") == 60
         np.testing.assert_allclose(model.at, [300.0, 0.0, 0.0, 600.0], atol=1e-9)
-        # What was taken is not what was done: the planner holds most of what was answered.
+        # Taken lines are not done lines: the planner holds most of the answered ones.
         executed, answered = np.array(ahead).T
         assert (np.diff(executed) >= 0).all()
         assert (executed <= answered).all()
@@ -153,7 +153,7 @@ def test_the_time_of_a_run_goes_on_within_a_line() -> None:
 
 
 def test_a_hold_after_the_last_line_is_refused_and_the_run_ends() -> None:
-    """A feed hold would leave the controller in Hold with nothing to go on with."""
+    """A feed hold then would leave the controller in Hold with nothing to resume."""
     model = GrblModel(settings(), faster=4.0)
     with meeting(model) as (one, desk, kept):
         ready(one, program())
@@ -166,7 +166,7 @@ def test_a_hold_after_the_last_line_is_refused_and_the_run_ends() -> None:
 
 
 def test_a_hold_of_the_controller_itself_is_one_of_the_run() -> None:
-    """M0, or its own button: nothing goes on before the operator says so."""
+    """After M0 or its own button, nothing goes on before the operator says so."""
     model = GrblModel(settings(), faster=4.0)
     with meeting(model) as (one, desk, kept):
         ready(one, program())
@@ -224,7 +224,7 @@ def test_what_goes_wrong_stops_it_and_is_a_fault(text: str, said: str) -> None:
 
 @pytest.mark.parametrize("how", ["closed", "silent"])
 def test_a_lost_link_is_a_fault_and_what_runs_out_is_bounded(how: str) -> None:
-    """grbl goes on by its own buffer: as long as was said before, and no longer."""
+    """grbl executes its buffer: as long as was stated before, and no longer."""
     model = GrblModel(settings())
     slow = program(LINES.replace("F6000", "F1200"))
     goes_s, _ = runs_out(slow, BLOCKS)
@@ -269,7 +269,7 @@ def test_who_moves_already_is_not_sent_anything_that_moves() -> None:
      (123, 2.0, "the acceleration of A")],
 )  # fmt: skip
 def test_a_controller_of_another_machine_is_refused(number: int, factor: float, said: str) -> None:
-    """Its settings are the limits that it plans by: those of the machine file, or slower."""
+    """grbl plans by its settings: they must equal the machine file's limits, or be slower."""
     wrong = settings()
     wrong[number] *= factor
     model = GrblModel(wrong)
@@ -320,7 +320,7 @@ def test_reports_that_are_none() -> None:
 
 
 def test_what_runs_out_is_planner_and_receive_buffer() -> None:
-    """15 blocks and the one under way, and 128 characters: 6 lines of 19 to 21."""
+    """15 blocks, the block under way, and 128 characters: 6 lines of 19 to 21 characters."""
     goes_s, way_m = runs_out(program(), BLOCKS)
     each_s = 60.0 * np.hypot(5.0, 10.0) / 6000.0
     assert goes_s == pytest.approx((BLOCKS + 1 + 7) * each_s, rel=0.05)
@@ -376,7 +376,7 @@ def test_a_stop_while_it_homes_resets_it_at_once() -> None:
 
 
 def test_a_planner_of_more_blocks_is_said_to_run_out_longer(tmp_path: Path) -> None:
-    """The controller tells how many blocks it holds; the program has 40, mostly of 1 mm."""
+    """The controller reports how many blocks it holds; the program has 40, mostly of 1 mm."""
     job = tmp_path / "zigzag.gcode"
     moves = "".join(f"X{1 + k % 2} A{k % 4}\n" for k in range(40))
     job.write_text(f"G21\nG90\nG1 F600\n{moves}M30\n", "utf-8")
@@ -396,7 +396,7 @@ def test_a_planner_of_more_blocks_is_said_to_run_out_longer(tmp_path: Path) -> N
 
 
 def test_the_command_records_and_judges(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Without a load there is no proof of where it was: required criteria are not measured."""
+    """Without a load its position is not proven: required criteria are not measured."""
     job = tmp_path / "short.gcode"
     job.write_text("G21\nG90\nG1 X20 A40 F3000\nX40 A60\nM30\n", "utf-8")
     model = GrblModel(settings())

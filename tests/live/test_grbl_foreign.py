@@ -1,4 +1,4 @@
-"""Controllers that speak grbl badly: what they say ends in one line, and a stop is always heard."""
+"""Controllers with faulty grbl: each fault is one line, and a stop always gets through."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from threadline.live.grbl_words import settings_of, status_of
 from threadline.live.port import Port
 from threadline.live.states import Cause, Desk, Kept, State
 
-SOON_S = 60.0  # on a busy computer; without an end it would be for ever
+SOON_S = 60.0  # for a busy computer; without this limit the wait never ends
 
 
 class Saying(GrblModel):
-    """A controller that answers a line of its own kind with something else."""
+    """A controller that answers one kind of line with something else."""
 
     def __init__(self, asked: str, *says: str) -> None:
         super().__init__(settings())
@@ -49,14 +49,14 @@ class Deaf(GrblModel):
 
 
 class Idle(GrblModel):
-    """A controller that answers every line and moves by none."""
+    """A controller that answers every line and does not move."""
 
     def _take_move(self, line: str) -> None:
         pass
 
 
 class Few(GrblModel):
-    """A controller that reports one axis alone from the first line on."""
+    """A controller that reports a single axis from the first line on."""
 
     def _at_once(self, byte: int) -> None:
         if byte == ord("?") and b"G1" in self.heard:
@@ -67,7 +67,7 @@ class Few(GrblModel):
 
 @contextmanager
 def flooding(content: bytes) -> Iterator[str]:
-    """Have the address of something that sends the same for ever, and listens to nothing."""
+    """Yield the address of a program that sends the same for ever, and reads nothing."""
     server = socket.create_server(("127.0.0.1", 0))
 
     def send() -> None:
@@ -121,7 +121,7 @@ def test_the_receive_buffer_is_read_wherever_it_stands(says: tuple[str, str]) ->
 
 
 def test_settings_that_are_texts_are_no_numbers() -> None:
-    """Some controllers list the address and the name of their network among them."""
+    """Some controllers list their network's address and name among the settings."""
     found = settings_of(
         ["$100=250.000 (x, step/mm)", "$110=1.2.3", "$74=a house", "$302=192.168.5.1", "$5=."]
     )
@@ -158,7 +158,7 @@ def test_who_never_ends_is_left(content: bytes) -> None:
 
 @pytest.mark.parametrize("content", [b"x" * 4096, b"[MSG:x]\n" * 512])
 def test_who_never_ends_is_listened_to_for_a_while(content: bytes) -> None:
-    """The operator, who may have asked for a stop, is heard in between."""
+    """The operator, who may have asked for a stop, is served in between."""
     with flooding(content) as address:
         port, desk = Port(address), Desk()
         one = grbl_run.GrblRun(Controller(port, MACHINE), desk, Kept())

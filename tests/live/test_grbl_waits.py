@@ -1,4 +1,4 @@
-"""What a controller with grbl waits for, what its numbers mean, and a computer that slept."""
+"""Waits of a controller with grbl, the meaning of its numbers, and a computer that slept."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def moving(model: GrblModel) -> Callable[[], bool]:
-    """Return whether more than a few lines were taken, and many are still to be."""
+    """Return whether more than a few lines were accepted, and many are still to be sent."""
     return lambda: model.heard.count(b"G1") > 8
 
 
-# --- what its numbers mean -----------------------------------------------------------------
+# --- the meaning of its numbers ------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -77,11 +77,11 @@ def test_settings_that_say_the_usual_are_taken() -> None:
     model = GrblModel(settings() | {10: 255.0, 13: 0.0})
     with meeting(model) as (one, _, _):
         one.controller.meet()
-    assert b"$$" in model.heard and b"$I" in model.heard  # they were asked for, and let pass
+    assert b"$$" in model.heard and b"$I" in model.heard  # these settings were read, and accepted
 
 
 def test_a_small_receive_buffer_is_not_overflowed() -> None:
-    """It is told by $I, and counted into; a smaller one than any line of a jog is refused."""
+    """Its size is read by $I and respected; a buffer smaller than a jog's line is refused."""
     model = GrblModel(settings(), faster=4.0, characters=48)
     with meeting(model) as (one, _, _):
         ready(one, program())
@@ -103,7 +103,7 @@ def test_a_line_that_is_longer_than_its_buffer_is_refused() -> None:
         assert b"G1" not in model.heard
 
 
-# --- what it waits for ---------------------------------------------------------------------
+# --- waits ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_a_state_in_which_no_run_goes_on_ends_it(state: str, says: str) -> None:
     with meeting(model) as (one, _, _):
         ready(one, program())
         go_on(one, moving(model))
-        one.controller.brakes_s = 0.0  # what does not tell that it stands is reset soon
+        one.controller.brakes_s = 0.0  # a controller that does not report rest is reset soon
         model.state = state
         go_on(one)
         assert one.ended is not None
@@ -174,7 +174,7 @@ def test_its_own_button_lets_it_go_on() -> None:
 
 
 class Silent(GrblModel):
-    """A controller that takes no line of a program."""
+    """A controller that accepts no line of a program."""
 
     def _take_move(self, line: str) -> None:
         pass
@@ -238,7 +238,7 @@ def test_the_clock_counts_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def slept(one: GrblRun, model: GrblModel) -> bytes:
-    """Let a run go on to its end after a sleep; return what the controller heard since."""
+    """Let a run go on to its end after a sleep; return the bytes that the controller got."""
     heard = len(model.heard)
     go_on(one)
     assert one.ended is not None
@@ -250,7 +250,7 @@ def slept(one: GrblRun, model: GrblModel) -> bytes:
 def test_nothing_that_moves_is_sent_after_this_process_stood_still(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Answers wait to be read, by which it would be sent more; it holds, and drops what it has."""
+    """Unread answers would allow more lines; it holds instead, and the controller drops lines."""
     monkeypatch.setattr(grbl_run, "SILENCE_S", 0.5)
     model = GrblModel(settings(), blocks=4)
     with meeting(model) as (one, _, _):
@@ -267,7 +267,7 @@ def test_nothing_that_moves_is_sent_after_this_process_stood_still(
 def test_nothing_that_moves_is_sent_after_the_computer_slept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The clock that Python calls monotonic stands in a sleep."""
+    """Python's monotonic clock stands still in a sleep."""
     if not hasattr(time, "CLOCK_BOOTTIME"):
         pytest.skip("this system has no clock that counts sleep")
     model = GrblModel(settings(), blocks=4)
@@ -321,12 +321,12 @@ def test_no_run_begins_on_what_was_heard_long_ago(monkeypatch: pytest.MonkeyPatc
         assert b"G1" not in model.heard
 
 
-# --- where it stands -----------------------------------------------------------------------
+# --- its position --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("approach", [False, True])
 def test_a_run_is_repeated_by_an_approach(approach: bool) -> None:
-    """Without switches it stands where the run before has ended, which is elsewhere."""
+    """Without switches it stands at the end of the previous run, which is another place."""
     options = Options()
     plan = plan_job(open_job(EXAMPLES / "helix.gcode", MACHINE, options), MACHINE, options)
     model = GrblModel(settings(), faster=20.0)
@@ -380,7 +380,7 @@ STOPS = "G1 X300 F6000\nM0\nG1 X200\nM0\nG1 X100\n"
 
 @pytest.mark.parametrize("passed", [True, False])
 def test_stops_of_the_program_are_passed_only_when_asked(passed: bool) -> None:
-    """Otherwise it stands at the first M0 until the operator goes on."""
+    """Otherwise it stands at the first M0 until the operator resumes."""
     model = GrblModel(settings(), faster=4.0)
     with meeting(model) as (plain, desk, kept):
         one = GrblRun(plain.controller, desk, kept, pass_stops=passed)
@@ -396,7 +396,7 @@ def test_stops_of_the_program_are_passed_only_when_asked(passed: bool) -> None:
 
 
 def test_a_hold_by_the_button_before_a_stop_stays() -> None:
-    """The M0 is the first line without an answer, but the machine has not come to it."""
+    """The M0 is the first line without an answer, but the machine has not reached it."""
     model = GrblModel(settings(), faster=0.5)
     with meeting(model) as (plain, desk, kept):
         one = GrblRun(plain.controller, desk, kept, pass_stops=True)
@@ -410,7 +410,7 @@ def test_a_hold_by_the_button_before_a_stop_stays() -> None:
         assert b"~" not in model.heard
 
 
-# --- what is changed at the controller -----------------------------------------------------
+# --- changes at the controller -------------------------------------------------------------
 
 
 def noted(kept: Kept) -> list[tuple[str, str]]:
@@ -418,7 +418,7 @@ def noted(kept: Kept) -> list[tuple[str, str]]:
 
 
 def test_an_override_set_at_the_controller_is_written_down() -> None:
-    """Grbl v1.1 Interface: ``Ov:`` of a report is feed, rapids and spindle in percent."""
+    """Grbl v1.1 Interface: ``Ov:`` in a report is feed, rapids and spindle in percent."""
     model = GrblModel(settings(), faster=2.0)
     with meeting(model) as (one, _, kept):
         ready(one, program())
@@ -439,7 +439,7 @@ def test_an_override_set_at_the_controller_is_written_down() -> None:
 
 @pytest.mark.parametrize("percent", [10, 37, 99])
 def test_an_override_of_the_operator_is_stepped_to_and_read_back(percent: int) -> None:
-    """Equal bytes that come together count as one; it is noted once, where it is reached."""
+    """Equal bytes that arrive together count as one; the override is recorded once reached."""
     model = GrblModel(settings())
     with meeting(model) as (one, desk, kept):
         ready(one, program())
@@ -485,7 +485,7 @@ def test_an_override_from_before_a_run_is_one_of_it_unless_a_reset_ended_it(last
         until = time.monotonic() + PATIENCE_S
         while model.told_overrides != model.overrides and time.monotonic() < until:
             one.stand(0.05)
-        for _ in range(5):  # it reads the report
+        for _ in range(5):  # the link reads the report
             one.stand(0.05)
         if not lasts:
             model._say("ALARM:1")
@@ -505,7 +505,7 @@ def test_holds_and_overrides_of_the_controller_are_named_in_the_verdict(
     job.write_text("G21\nG90\nG1 X200 A40 F3000\nX400 A60\nM30\n", "utf-8")
 
     class Turned(GrblModel):
-        """Somebody turns its knob, presses its hold button, and lets it go on."""
+        """A controller whose knob is turned, and whose hold button is pressed and released."""
 
         held_s = 0.0
 

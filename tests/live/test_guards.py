@@ -1,4 +1,4 @@
-"""Each guard trips on its fault, in time and by its name, and none trips on a sound machine."""
+"""Each guard trips at its fault, in time and with its name, and none trips without a fault."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ AT = 200  # at 10 counts per tick, on the way out
     ("kind", "where", "said", "within_ticks"),
     [
         # Twice the lag of 29 ms at 36 mm/s and 1 mm are 3.1 mm of following error, 2.1 mm more
-        # than a sound machine has: 58 ms, and the report that says so.
+        # than a sound machine has: that takes 58 ms, and the report after it.
         ("stuck-encoder", "X", "the encoder of X stands still while the axis should move", 12 + 10),
         ("encoder-jump", "A", "the encoder of A jumps by 2", 5),
         ("unheeded-reversal", "Y", "the output of Y changed its sign", 5),
@@ -56,13 +56,13 @@ def test_a_fault_brakes_on_the_path(kind: str, where: str, said: str, within_tic
     assert abs(counts[-1, 0] - counts[-1, 1]) <= 1
     events = [event.kind for block in bench.kept.blocks for event in block.events]
     assert events.count("fault") == 1
-    # It is recorded until it has settled, as any other end.
+    # The recording goes on until the machine has settled, as at any other end.
     assert len(counts) - tripped > 100
     assert [state for _, state, _, _ in bench.kept.log].count(State.FAULT) == 1
 
 
 def report_of(commanded: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
-    """Return a report of an X that is told and reads such positions, m, at ticks of 5 ms."""
+    """Return a report of X with these commands and readings, m, at ticks of 5 ms."""
     return {"X.commanded": commanded, "X.measured": read, "X.voltage": np.zeros(len(commanded))}
 
 
@@ -81,7 +81,7 @@ def test_an_axis_that_falls_behind_is_a_fault_at_twice_its_lag_and_1_mm() -> Non
 
 
 def test_a_reading_beyond_the_travel_is_a_fault() -> None:
-    """The travel of X ends at 0.5 m; 2 mm are left to the loop."""
+    """The travel of X ends at 0.5 m; 2 mm are allowed for the loop."""
     for reaches, trips in ((0.5019, False), (0.5021, True)):
         places = np.linspace(reaches - 1e-4, reaches, 5)
         found = Guards(winder()).trip(0, report_of(places, places), False, 0.0)
@@ -89,7 +89,7 @@ def test_a_reading_beyond_the_travel_is_a_fault() -> None:
 
 
 def test_what_was_not_homed_does_not_run_and_what_jogs_does_not_either() -> None:
-    """Neither enabling nor a jog leads to a run: only homing and rest do."""
+    """Neither enabling nor a jog leads to a run: homing and rest are needed."""
     bench = Bench()
     bench.executor.enable()
     with pytest.raises(CommandError, match="'start' is not possible while the machine is enabled"):
@@ -99,15 +99,15 @@ def test_what_was_not_homed_does_not_run_and_what_jogs_does_not_either() -> None
     with pytest.raises(CommandError, match="'start' is not possible while the machine is jogging"):
         bench.executor.start(TABLE)
     begun = [message for message in bench.wire.sent if message.kind == "begin"]
-    assert len(begun) == 1  # the jog
+    assert len(begun) == 1  # end the jog
 
 
 def test_a_new_connection_moves_nothing() -> None:
-    """Whoever comes after an executor that died finds a machine at rest, and has to home it."""
+    """A new executor, after one died, finds a machine at rest and has to home it."""
     bench = Bench().ready()
     bench.executor.start(TABLE)
     bench.go_on(AT)
-    bench.wire.machine.play(100)  # nobody is there: it has braked by its tail
+    bench.wire.machine.play(100)  # nobody sends any more: the machine has braked by its tail
     stands = bench.wire.machine.position.copy()
     bench.wire._answers.clear()
     bench.wire.machine.greet()
@@ -134,7 +134,7 @@ def test_a_pressed_emergency_stop_is_told_and_nothing_starts_while_it_is() -> No
     assert [event.name for event in events if event.kind == "fault"] == [
         "the emergency stop is pressed"
     ]
-    assert bench.wire.machine.standing  # it holds nothing that could go on when it is let out
+    assert bench.wire.machine.standing  # nothing is left to go on when it is released
     executor.reset()
     with pytest.raises(LinkFaultError, match="refused: the emergency stop is pressed"):
         executor.enable()
@@ -194,7 +194,7 @@ def test_a_sound_machine_trips_nothing(job: str, machine: str, options: dict[str
 
 
 def test_a_drive_that_a_real_switch_cuts_is_a_fault() -> None:
-    """The switch of the twin, at 20 mm, cuts the drive's supply: not an injected reading."""
+    """The twin's switch at 20 mm cuts the drive's supply; no reading is injected."""
     machine = winder()
     switch = machine.inputs["x_high"]
     near = replace(machine, inputs={"x_high": replace(switch, at=replace(switch.at, si=0.02))})
@@ -203,12 +203,12 @@ def test_a_drive_that_a_real_switch_cuts_is_a_fault() -> None:
     bench.go_on()
     assert bench.executor.ended == (RunEnd.FAULT, "the limit switch x_high is hit")
     assert bench.channel("X.load").max() >= 0.02
-    # The lag of 1.1 mm, a report of 0.9 mm and braking; the load coasts, for its drive is cut.
+    # The lag of 1.1 mm, a report of 0.9 mm and braking; the load coasts without its drive.
     assert bench.channel("X.commanded").max() <= 0.0235
 
 
 def test_the_lag_is_the_models() -> None:
-    """A ramp through the twin lags by what the guard believes: 29.35 ms on X."""
+    """A ramp through the twin lags by the guard's value: 29.35 ms on X."""
     rows = np.zeros((600, 3), np.int64)
     rows[:, 1] = 10
     recording = simulate(table_of_counts(rows), winder())

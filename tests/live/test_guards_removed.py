@@ -1,4 +1,4 @@
-"""Take a guard away, and the test that the table of hazards names for it fails."""
+"""Remove a guard: the test that the table of hazards names for it fails."""
 
 from __future__ import annotations
 
@@ -58,17 +58,17 @@ BY_SWITCH = ("switch-hit", "x_high", "the limit switch x_high is hit", 5)
 
 
 def attribute(owner: object, name: str, value: object) -> Take:
-    """Return what puts something else in the place of a guard."""
+    """Return a patch that replaces a guard."""
     return lambda monkeypatch: monkeypatch.setattr(owner, name, value)
 
 
 def transition(state: State, cause: Cause, after: State) -> Take:
-    """Return what allows a transition that there is not."""
+    """Return a patch that allows a transition outside the table."""
     return attribute(states, "TRANSITIONS", {**states.TRANSITIONS, (state, cause): after})
 
 
 def with_proof(test: Callable[[Proof, Path], None]) -> None:
-    """Call a test with a proof of a job, and the file that it was written to."""
+    """Call a test with a proof of a job, and with the file of the proof."""
     options = Options(interpolation="linear")
     job = open_job(test_checked.EXAMPLES / "x-180.prg", winder(), options)
     plan = plan_job(job, winder(), options)
@@ -80,7 +80,7 @@ def with_proof(test: Callable[[Proof, Path], None]) -> None:
 
 
 def in_turn(desk: Desk) -> Cause | None:
-    """Take commands in the order in which they came, a stop behind the others."""
+    """Take commands in their order, a stop after the others."""
     asked: deque[Cause] = desk._asked
     if asked:
         return asked.popleft()
@@ -89,23 +89,23 @@ def in_turn(desk: Desk) -> Cause | None:
 
 
 def without_end(one: JogAhead, until: int) -> Message:
-    """Jog as on an axis without an end."""
+    """Jog as if the axis had no end."""
     one._low, one._high = -np.inf, np.inf
     return _extend(one, until)
 
 
 def held_anywhere(one: Executor, commands: Commands, **options: bool) -> None:
-    """Begin a run that is held wherever it is."""
+    """Begin a run in which a hold takes effect anywhere."""
     _start(one, commands, **{**options, "hold_at_rest": False})
 
 
 def unconfirmed(*given: object) -> object:
-    """Approach without asking anybody."""
+    """Approach without a confirmation."""
     return _moved_to_begin(*given[:-1], lambda: True)  # type: ignore[arg-type]
 
 
 def with_patch(test: Callable[..., None]) -> Callable[[], None]:
-    """Return a call of a test of jumps that patches something itself."""
+    """Return a call of a test of jumps that patches the code itself."""
 
     def call() -> None:
         with pytest.MonkeyPatch.context() as monkeypatch:
@@ -115,7 +115,7 @@ def with_patch(test: Callable[..., None]) -> Callable[[], None]:
 
 
 def inner(test: Callable[..., None]) -> Callable[..., None]:
-    """Return the test of one example of a test of many, none of which is looked for."""
+    """Return the test of one example of a property test, without a search for examples."""
     found: Callable[..., None] = test.hypothesis.inner_test  # type: ignore[attr-defined]
     return found
 
@@ -132,12 +132,12 @@ def with_folder(test: Callable[[Path], None]) -> Callable[[], None]:
 
 
 def ends_unseen(one: Executor, _why: str) -> None:
-    """Take a link that is gone for the end of a run."""
+    """Take a lost link for the end of a run."""
     one.over = True
 
 
 def from_a_whole_row(one: Ahead) -> None:
-    """Start again at the row behind the place where it stands."""
+    """Start again at the row after the stop."""
     one._places[-1] = np.floor(one._places[-1]) + 1.0
     _start_again(one)
 
@@ -310,8 +310,8 @@ def test_without_the_guard_its_test_fails(guard: str, monkeypatch: pytest.Monkey
     take_away, test = GUARDS[guard]
     take_away(monkeypatch)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
-        # Without the end of travel of a jog the guard of rows ends it first: it cannot be renewed.
+        warnings.simplefilter("ignore", ResourceWarning)  # a failing test closes nothing
+        # Without the end of travel of a jog, the guard of rows ends the jog first: no renewal.
         with pytest.raises((AssertionError, pytest.fail.Exception, LinkFaultError, CommandError)):
             test()
         gc.collect()

@@ -1,4 +1,4 @@
-"""LinuxCNC's HAL behind an executor: the real one, headless, as a user who is not root."""
+"""LinuxCNC's HAL behind an executor: the real one, headless, as another user than root."""
 
 from __future__ import annotations
 
@@ -44,20 +44,20 @@ from threadline.machine import Machine, load_machine
 
 ZERO = np.zeros(3, np.int64)
 ROWS = there_and_back(peak=10.0, cruise=60)  # 36 mm/s on X; 1.8 s in all
-LEAD_TICKS = 4  # 20 ms: reports are that old in real time
+LEAD_TICKS = 4  # 20 ms, the age of reports in real time
 X_M = winder().counts_per_unit[1]
 LIBRARY = Path(machine_package.__file__).parent / "library" / "lathe-winder.toml"
 
 
 @pytest.fixture(autouse=True)
 def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """No two of these tests at a time."""
+    """Run one of these tests at a time."""
     with hal_alone(monkeypatch), unhurried(monkeypatch):
         yield
 
 
 def winder_at_1_ms(folder: Path) -> Machine:
-    """Return the winder's three axes at a tick of 1 ms, for a fifo alone."""
+    """Return the winder's three axes at a tick of 1 ms, for the fifo alone."""
     text = LIBRARY.read_text("utf-8").replace('servo = "5 ms exact', 'servo = "1 ms exact')
     file = folder / "fast.toml"
     file.write_text(text, "utf-8")
@@ -66,7 +66,7 @@ def winder_at_1_ms(folder: Path) -> Machine:
 
 @awake
 def test_3000_ticks_of_three_axes_at_1_ms_and_none_is_lost(tmp_path: Path) -> None:
-    """Refills of 25 rows, each with a tail that the next replaces: HAL plays the rows alone."""
+    """Refills have 25 rows, each with a tail that the next one replaces: HAL plays rows alone."""
     steps = np.random.default_rng(1994).integers(-30, 31, (3000, 3))
     rows = np.cumsum(steps, axis=0).astype(np.float64)
     hal = HalSession(winder_at_1_ms(tmp_path), ZERO, plant=False)
@@ -85,7 +85,7 @@ def test_3000_ticks_of_three_axes_at_1_ms_and_none_is_lost(tmp_path: Path) -> No
                     "this computer slept"
                 )
                 sent += len(part)
-            if sent == len(rows):  # it ends here: no tail any more
+            if sent == len(rows):  # the table ends here: no tail any more
                 hal.replace(first + sent, rows[-1:])
                 sent += 1
             found.append(hal.samples())
@@ -105,10 +105,10 @@ def test_3000_ticks_of_three_axes_at_1_ms_and_none_is_lost(tmp_path: Path) -> No
 
 
 def test_a_program_runs_and_is_labelled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The real command, to the end: it is not called proven, and says what was at the far end."""
+    """The command runs to the end: the run is not called proven, and its far end is named."""
     job = Path(__file__).parents[2] / "examples" / "x-180.prg"
     store = ["--store", str(tmp_path / "runs")]
-    for _ in range(5):  # exit status 3: the processor was taken away for a tenth of a second
+    for _ in range(5):  # exit status 3: the process got no processor for a tenth of a second
         with pytest.raises(SystemExit) as ended:
             main(["run", str(job), "-m", "lathe-winder", "--link", "hal:plant", "--json",
                   "--interpolation", "b-spline", "--feed", "40count/tick", "--override", "a test",
@@ -130,7 +130,7 @@ def test_a_program_runs_and_is_labelled(tmp_path: Path, capsys: pytest.CaptureFi
 
 @awake
 def test_hold_resume_and_stop(tmp_path: Path) -> None:
-    """A hold leaves no row out: the run ends where the table does, on its path all the way."""
+    """A hold skips no row: the run ends where the table does, always on its path."""
     reports = []
 
     def at_tick(executor: Executor, desk: Desk) -> None:
@@ -150,11 +150,11 @@ def test_hold_resume_and_stop(tmp_path: Path) -> None:
     assert a[-1] == np.abs(ROWS[:, 1]).sum()
     measured = np.concatenate([block.samples["X.measured"] for block in kept.blocks])
     commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
-    lag_s = 0.0294  # of X, as docs/safety.md has it
+    lag_s = 0.0294  # of X, as in docs/safety.md
     assert np.abs(measured - commanded).max() == pytest.approx(
         0.036 * lag_s, abs=2.0 / X_M
     )  # a count of rounding each way
-    # It tells which instant of the plan each tick has: there the table is where HAL told X to be.
+    # The trace has the plan time of each tick, at which the table is where HAL commanded X.
     ticks = plan_ticks(kept.blocks, len(commanded))
     places = np.append(0, np.cumsum(ROWS[:, 1]))
     meant = np.interp(np.minimum(ticks, len(ROWS)), np.arange(len(places)), places)
@@ -163,7 +163,7 @@ def test_hold_resume_and_stop(tmp_path: Path) -> None:
 
 
 def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return counts of X and A; A turns a count for each of X, there and back."""
+    """Return counts of X and A; A turns one count for each of X, forth and back."""
     counts = told_in(box, 3)
     a, x = counts[:, 1], counts[:, 2]
     way = np.cumsum(np.abs(np.diff(x, prepend=0.0)))
@@ -172,7 +172,7 @@ def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ends_at_rest(box: Path) -> bool:
-    """Return whether the rows themselves come to rest, and not HAL that holds the last of them."""
+    """Return whether the rows themselves come to rest, without HAL holding the last one."""
     commanded = told_in(box, 3)
     fresh = commanded[np.diff(commanded[:, 0], prepend=-1.0) > 0, 1:]
     return bool((fresh[-3:] == fresh[-1]).all())
@@ -180,7 +180,7 @@ def ends_at_rest(box: Path) -> bool:
 
 @awake
 def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> None:
-    """At 36 mm/s within 2 mm of command, as docs/safety.md states; the rest begins at home."""
+    """At 36 mm/s within 2 mm of command, as in docs/safety.md; the rest begins at home."""
     at = list[int]()
 
     def at_tick(executor: Executor, desk: Desk) -> None:
@@ -192,7 +192,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
         executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
     assert executor.ended == (RunEnd.STOPPED, "stopped by the operator")
     on_path(tmp_path / "box")
-    # Asked for so late that its first tick was past, it came again, further ahead.
+    # Its first tick was past when it arrived, so it was sent again for a later tick.
     assert executor._lead == LEAD_TICKS, "this computer slept"
     commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
     assert np.abs(np.diff(commanded[at[0] :])).sum() <= 2e-3
@@ -225,7 +225,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
     moved = np.diff(references[: there + 1], axis=0) != 0.0
     assert (moved.sum(axis=1) <= 1).all()  # one axis after the other
     assert (moved.any(axis=0) == (np.array(begins) != 0)).all()
-    # The trace begins with the work, at its instant of the whole table.
+    # The trace begins with the work, at its time in the whole table.
     work = next(block for block in more.blocks if len(block.samples["X.commanded"]))
     assert work.first_tick["servo"] == rest.left_out
     assert work.samples["operation"][0] == rest.operation
@@ -234,7 +234,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
 @pytest.mark.parametrize("gone", [False, True])
 @awake
 def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None:
-    """72 mm/s on X: within 26 mm of its last renewal, and of the last word of an executor."""
+    """72 mm/s on X: within 26 mm of its last renewal, and of the executor's last message."""
     box, desk, renewed_at = tmp_path / "box", Desk(), 0
     with bridge(winder(), ZERO, box, plant=False) as far:
         link = Connection(far.end)
@@ -250,7 +250,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
             executor.renew()
             renewed_at = int(executor.stands[1])
         if gone:
-            link.close()  # without a word
+            link.close()  # without a message
         else:
             while not executor.over:
                 executor.step()
@@ -268,7 +268,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
 @pytest.mark.parametrize("tick", np.random.default_rng(15).integers(5, 300, 10).tolist())
 @awake
 def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
-    """HAL plays the tail that it holds: within 5 mm of path at 36 mm/s, and on it."""
+    """HAL plays the tail that it holds: within 5 mm of path at 36 mm/s, and on the path."""
     x = killed(tick, tmp_path, "executor")
     assert np.abs(np.diff(x)).sum() <= 5e-3 * X_M
 
@@ -277,13 +277,13 @@ def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("tick", np.random.default_rng(16).integers(5, 300, 10).tolist())
 @awake
 def test_kill_the_process_in_front_of_hal(tick: int, tmp_path: Path) -> None:
-    """The same without anybody who fills the fifo: it runs empty at rest."""
+    """The same without the process that fills the fifo: the fifo runs empty at rest."""
     x = killed(tick, tmp_path, "bridge")
     assert np.abs(np.diff(x)).sum() <= 5e-3 * X_M
 
 
 def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
-    """Kill a process at a tick; return the counts of X that HAL told from there on."""
+    """Kill a process at a tick; return the counts of X that HAL commanded from then on."""
     box = folder / "box"
     with bridge(winder(), ZERO, box, plant=False) as far:
         there, here = os.pipe()
@@ -297,12 +297,12 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
         pid = child(run)
         try:
             far.end.close()
-            os.close(here)  # ours: where the run ends before, nothing is read
+            os.close(here)  # killed by this test: if the run ends before, nothing is read
             assert os.read(there, 1) == b"!", "this computer slept, and the run ended before"
             os.kill(pid if whom == "executor" else far.pid, signal.SIGKILL)
             seen = len(told_in(box, 3)) if box.exists() else 0
             if whom == "bridge":
-                time.sleep(1.0)  # longer than what the fifo holds
+                time.sleep(1.0)  # longer than the content of the fifo
                 with box.open("ab") as more:
                     more.write(left_samples(winder()).tobytes())
                 os.waitpid(far.pid, 0)
@@ -320,7 +320,7 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
 @pytest.mark.parametrize("tick", np.random.default_rng(17).integers(5, 300, 10).tolist())
 @awake
 def test_kill_hal(tick: int, tmp_path: Path) -> None:
-    """It is a loss of power: the executor says so, in the state of a fault."""
+    """For the executor this is a loss of power; it reports so, in the state of a fault."""
     killed_it = []
 
     def at_tick(executor: Executor, _desk: Desk) -> None:
@@ -332,7 +332,7 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
         executor, kept = execute(
             far.end, winder(), table_of_counts(ROWS), at_tick, may_stand_still=True
         )
-    assert killed_it, executor.ended  # or HAL was kept off the processor before
+    assert killed_it, executor.ended  # or HAL got no processor before
     assert executor.state is State.FAULT
     assert executor.ended is not None
     assert executor.ended[0] is RunEnd.FAULT
@@ -365,7 +365,7 @@ def test_an_underrun_is_seen(tmp_path: Path) -> None:
 
 
 def test_a_sampler_that_runs_over_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Samples that are lost are a fault, and nothing is recorded behind it."""
+    """Lost samples are a fault, and nothing is recorded after them."""
     monkeypatch.setattr(hal_session, "SAMPLED_S", -0.4)  # room for 20 records
     reports: list[Message] = []
     hal = HalSession(winder(), ZERO, plant=False)
@@ -374,7 +374,7 @@ def test_a_sampler_that_runs_over_is_seen(monkeypatch: pytest.MonkeyPatch) -> No
         for kind in ("enable", "home", "begin"):
             rows.take(Message(kind))
         for _ in range(5):
-            time.sleep(0.4)  # four times as long as there is room for, where HAL has a processor
+            time.sleep(0.4)  # four times the size of the fifo, if HAL gets the processor
             rows.go_on(0.4)
             if events := reports[-1].head.get("events", []):
                 break
@@ -385,13 +385,13 @@ def test_a_sampler_that_runs_over_is_seen(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_row_that_is_about_to_be_played_is_not_replaced() -> None:
-    """What is refused changes nothing; the executor begins to brake later then."""
+    """A refusal changes nothing; the executor then begins to brake later."""
     hal = HalSession(winder(), ZERO, plant=False)
     try:
         hal.fill()
         try:
             replaced = hal.replace(hal.taken + 1, np.full((5, 3), 1e6))
-        except LinkFaultError as late:  # it was tried, and HAL was faster
+        except LinkFaultError as late:  # the replacement was tried, and HAL was faster
             pytest.fail(str(late))
         assert not replaced
         time.sleep(0.1)

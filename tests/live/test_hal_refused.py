@@ -1,4 +1,4 @@
-"""What LinuxCNC's HAL is not asked for, or not trusted with; one line each."""
+"""Refusals before and at LinuxCNC's HAL, one line each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ZERO = np.zeros(3, np.int64)
 
 @pytest.fixture(autouse=True)
 def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """No two tests of HAL at a time."""
+    """Run one test of HAL at a time."""
     with hal_alone(monkeypatch):
         yield
 
@@ -56,7 +56,7 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_another_layout_of_the_fifo_is_refused(tmp_path: Path) -> None:
-    """Nothing is written into memory that is not what it is taken for."""
+    """Nothing is written into memory with another layout than expected."""
     hal = HalSession(winder(), ZERO, plant=False)
     try:
         with pytest.raises(LinkFaultError, match="differs from LinuxCNC"):
@@ -66,7 +66,7 @@ def test_another_layout_of_the_fifo_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_run_for_which_nobody_had_the_processor_is_begun_again() -> None:
-    """However long its reason is: a comparison that fails shows the beginning of it alone."""
+    """This works for a long reason, too: a failed comparison shows only the begin of it."""
     reason = f"the machine was to go {'on ' * 200}, and the refills came too late"
     begun = []
 

@@ -1,6 +1,7 @@
-"""What comes back from HAL is compared with what was sent; a HAL that is silent is a fault.
+"""HAL's answers are compared with the sent records, and a silent HAL is a fault.
 
-HAL is played here, so that it can do what it never should: tell its drives something else.
+A stand-in plays HAL, so that it can fail in ways in which HAL never should: it commands its drives
+something else.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ ZERO = np.zeros(3, dtype=np.int64)
 
 
 class Played:
-    """Stands in for a running HAL: it plays each record as it was told, or as ``told`` makes it."""
+    """Stand-in for a running HAL: it plays each record as sent, or as changed by ``told``."""
 
     def __init__(self, told: Callable[[np.ndarray], np.ndarray]) -> None:
         self._told, self.end, self.lost = told, 0, 0
@@ -51,13 +52,13 @@ class Played:
 
 
 def heard(hal: Played, reports: int, after: Callable[[], None] = lambda: None) -> list[Message]:
-    """Begin a run on it, and return what is told in a number of reports."""
+    """Begin a run, and return the commanded counts in a number of reports."""
     reported: list[Message] = []
     rows = HalRows(winder(), ZERO, reported.append, cast(HalSession, hal), plant=False)
     for kind in ("enable", "home", "begin"):
         rows.take(Message(kind))
     rows.take(Ahead(table_of_counts(there_and_back()), winder()).extend(60))
-    for _ in range(20):  # those before the run rest
+    for _ in range(20):  # the records before the run rest
         rows.go_on(0.06)
         if len([one for one in reported if one.kind == "report"]) >= reports:
             break
@@ -80,14 +81,14 @@ def test_what_hal_tells_as_it_was_sent_is_no_fault() -> None:
 
 
 def test_a_count_that_was_not_sent_is_a_fault() -> None:
-    """One count, of one axis, from a place on that is reached."""
+    """One count of one axis is wrong from some place on."""
     reports = heard(Played(lambda places: places + (places[:, 1:2] > 20) * [0, 0, 1]), 6)
     assert faults(reports) == ["HAL's commands to the drives differ from the sent rows by 1 counts"]
 
 
 @pytest.mark.parametrize("dies", ["at once", "in motion"])
 def test_a_hal_that_is_silent_is_a_fault(dies: str) -> None:
-    """At the sixth look, 60 ms after each other, that is 0.3 s."""
+    """At the sixth look, with 60 ms between two looks, HAL was silent for 0.3 s."""
     hal = Played(lambda places: places)
 
     def die() -> None:

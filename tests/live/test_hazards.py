@@ -1,4 +1,4 @@
-"""Each hazard in the table of docs/safety.md has a guard, and tests that are there."""
+"""Each hazard in the table of docs/safety.md has a guard, and tests that exist."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_hazard_has_a_guard_and_tests(hazard: str, guard: str, tests: list[str
 
 
 def test_every_file_of_live_tests_stands_in_the_table() -> None:
-    """A test of a guard that no hazard names is forgotten when its guard is looked for."""
+    """A test that no hazard names would be forgotten when its guard is reviewed."""
     named = {test for _, _, tests in hazards() for test in tests}
     here = {f"tests/live/{file.name}" for file in Path(__file__).parent.glob("test_*.py")}
     about_others = {

@@ -1,4 +1,4 @@
-"""Runs that were held and halted are judged as the run that nobody held, by what they record."""
+"""A held and halted run is judged like a run without a hold, from its recorded plan times."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPEC = load_spec(None, winder())
 
 
 def plan_of(folder: Path) -> Plan:
-    """Return the plan, in which the loads follow: the motors are told something else."""
+    """Return a plan in which the loads follow, so that the motors' commands differ."""
     job = folder / "there.prg"
     job.write_text(PROGRAM, "utf-8")
     return plan_job(read_job(job, winder()), winder(), Options(feed_forward_s=0.04))
@@ -36,7 +36,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 @pytest.fixture(scope="module")
 def held(plan: Plan) -> Recording:
-    """A run that is held on its way there and back, and whose stop is answered after a second."""
+    """A run that is held on its way forth and back; its stop is answered after a second."""
     bench = Bench().ready()
     bench.executor.start(plan.commands, loads_follow=True)
     for tick in (130, 720):
@@ -60,7 +60,7 @@ def verdict(plan: Plan, held: Recording) -> Verdict:
 
 
 def alike(ours: Verdict, other: Verdict) -> bool:
-    """Say whether two verdicts have the same lines with the same answers."""
+    """Return whether two verdicts have the same lines with the same results."""
     statuses = [[(r.name, r.axis, r.status) for r in one.results] for one in (ours, other)]
     return statuses[0] == statuses[1] and ours.passed == other.passed
 
@@ -69,7 +69,7 @@ def test_it_is_judged_as_the_run_that_nobody_held(plan: Plan, verdict: Verdict) 
     assert verdict.passed
     assert alike(verdict, judge([simulate(plan.commands, winder())], plan, SPEC))
     ahead = verdict.result("progress_error")
-    assert ahead.note == "ahead"  # and that is told
+    assert ahead.note == "ahead"  # the verdict mentions the hold
     assert ahead.measured == pytest.approx(8e-3 * 29.4e-3, rel=0.2)
 
 
@@ -94,7 +94,7 @@ def test_every_file_keeps_the_record(
 
 
 def test_what_the_load_does_in_a_hold_is_judged(plan: Plan, held: Recording) -> None:
-    """A load that slips by 0.6 mm while it stands is out of spec, as it is at any other time."""
+    """A load that slips by 0.6 mm during a hold is out of spec, as at any other time."""
     blocks = []
     for block in held:
         first, load = block.first_tick["servo"], block.samples["X.load"].copy()

@@ -1,4 +1,4 @@
-"""What a hold would leave is computed before the start; beyond the limit it waits for a rest."""
+"""The error of a hold is computed before the start; beyond a limit the hold waits for a rest."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_motors_that_are_told_the_path_leave_nothing() -> None:
 def test_it_is_the_distance_of_the_rows_from_the_path(
     job: str, machine: str, options: dict[str, object]
 ) -> None:
-    """Against every place of the table and every one of 40 000 of the path, one by one."""
+    """Every place of the table is compared with each of 40 000 points of the path."""
     plan = planned(job, machine, **options)
     timed, table = plan.motion.timed, tick_table(plan.commands)
     assert timed is not None
@@ -64,7 +64,7 @@ def test_it_is_the_distance_of_the_rows_from_the_path(
         for place in places[:: max(len(places) // 400, 1)]
     )
     found = hold_deviation_m(plan)
-    # A 400th of the places may miss the worst by little; points of the path lie 0.03 mm apart.
+    # A 400th of the places misses the worst by little; points of the path are 0.03 mm apart.
     assert worst - 3e-5 <= found <= worst * 1.05 + 3e-5
 
 
@@ -74,7 +74,7 @@ def test_the_stitchers_feed_forward_may_not_be_held_anywhere() -> None:
 
 
 def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
-    rows = there_and_back(40.0, cruise=100)  # it turns in 8 rows: too short for a rest
+    rows = there_and_back(40.0, cruise=100)  # X reverses within 8 rows: too short for a rest
     rows = np.concatenate([rows, np.zeros((12, 3), np.int64), rows])
     bench = Bench().ready()
     bench.executor.start(table_of_counts(rows), hold_at_rest=True)
@@ -86,7 +86,7 @@ def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
         "it goes on to the next rest and stands there"
     ]
     counts = bench.commanded()
-    # It has played the first half as it is, and stands in the rest behind it.
+    # It has played the first half unchanged, and stands in the rest after it.
     half = np.cumsum(rows[: len(rows) // 2], axis=0)
     assert counts[899].tolist() == half[-1].tolist()
     assert np.array_equal(counts[1 : len(half) + 1], half)
@@ -97,7 +97,7 @@ def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
 
 
 def test_a_hold_in_a_rest_stands_there() -> None:
-    """What brakes behind what was sent is not played: it would be rows that nobody wants."""
+    """Braking rows after the sent rows are not played: they would be unwanted motion."""
     rows = there_and_back(40.0, cruise=100)
     rows = np.concatenate([rows, np.zeros((200, 3), np.int64), rows])
     bench = Bench().ready()
@@ -113,7 +113,7 @@ def test_a_hold_in_a_rest_stands_there() -> None:
 
 
 def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> None:
-    """At 36 mm/s the motor is a lag of 29.4 ms ahead of its load, which comes there in a hold."""
+    """At 36 mm/s the motor is 29.4 ms ahead of its load, which catches up in a hold."""
     plan = planned("x-180.prg", "lathe-winder", feed_forward_s=0.04)
     meant, table = plan.motion.of_loads, tick_table(plan.commands)
     assert meant is not None
@@ -122,7 +122,7 @@ def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> 
     at = meant(TICK_S * np.arange(1, len(rows) + 1))
     worst = np.linalg.norm((commanded - at) * plan.machine.radius_m, axis=1).max()
     assert hold_ahead_m(plan) == pytest.approx(worst)
-    assert 36e-3 * 29.4e-3 < worst < 2e-3  # most of all where it turns
+    assert 36e-3 * 29.4e-3 < worst < 2e-3  # most of all at the reversal
     spec = load_spec(None, plan.machine)
     assert hold_waits(plan, spec, leaves_m=1e-6)
     words = hold_words(plan, 1e-4, waits=True)
@@ -141,7 +141,7 @@ def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> 
 
 @pytest.mark.parametrize(("rest", "long"), [(0, False), (1, False), (2, True), (40, True)])
 def test_whether_there_is_a_rest_is_known_before(rest: int, long: bool) -> None:
-    """Against the executor: it stands before the end where the plan says that it can."""
+    """Compared with the executor: it stands before the end if the plan says that it can."""
     rows = there_and_back(40.0, cruise=30)
     whole = np.concatenate([np.zeros((30, 3), np.int64), rows, np.zeros((rest, 3), np.int64), rows])
     table = table_of_counts(whole)
@@ -153,11 +153,11 @@ def test_whether_there_is_a_rest_is_known_before(rest: int, long: bool) -> None:
     plan = planned("x-180.prg", "lathe-winder", interpolation="linear")
     known = rests_within(replace(plan, commands=table))
     assert bool(bench.commanded()[-1, 0] < whole[:, 0].sum()) is known
-    assert known is long  # 50 ms, with the rows about it that have no count
+    assert known is long  # 50 ms, with the surrounding rows without counts
 
 
 def test_braking_that_shakes_the_load_out_of_spec_is_foreseen() -> None:
-    """Steppers told the path itself: a hold stands on it, and its braking shakes the belt."""
+    """Steppers play the path itself: a hold is on it, but its braking shakes the belt."""
     plan = planned("helix.gcode", "stepper-winder")
     spec = load_spec(None, plan.machine)
     assert hold_deviation_m(plan) == 0.0
@@ -176,9 +176,9 @@ def test_braking_that_shakes_the_load_out_of_spec_is_foreseen() -> None:
 
 
 def test_what_a_hold_was_foreseen_to_do_is_what_it_does() -> None:
-    """The executor brakes the simulated machine at its fastest row: the same error, from its trace.
+    """The executor brakes the simulated machine at the fastest row: its trace has this error.
 
-    Nothing of the prediction is used but the row.
+    The test uses only the row from the prediction.
     """
     plan = planned("helix.gcode", "stepper-winder")
     spec = load_spec(None, plan.machine)
@@ -203,7 +203,7 @@ def test_what_a_hold_was_foreseen_to_do_is_what_it_does() -> None:
 
 
 def test_a_hold_that_stays_in_spec_is_left_alone() -> None:
-    """The same machine with limits of 5 mm, and a winder whose loops damp what braking does."""
+    """The same machine with limits of 5 mm, and a winder whose loops damp the braking."""
     plan = planned("helix.gcode", "stepper-winder")
     spec = load_spec(None, plan.machine)
     wide = replace(
@@ -215,7 +215,7 @@ def test_a_hold_that_stays_in_spec_is_left_alone() -> None:
 
 
 def test_what_fails_without_a_hold_is_no_fault_of_holds() -> None:
-    """Of a plan that is out of specification by itself, and run with an override."""
+    """A plan that is out of specification by itself is run with an override."""
     plan = planned("helix.gcode", "stepper-winder")
     spec = load_spec(None, plan.machine)
     hard = replace(spec, criteria=tuple(replace(c, limit=c.limit and 1e-6) for c in spec.criteria))

@@ -1,4 +1,4 @@
-"""Homing takes its time and can be stopped; a braking that a machine refuses comes again."""
+"""Homing takes time and can be stopped; a refused braking command is sent again."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def in_real_time() -> Iterator[Connection]:
 
 
 def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Asked for once homing was begun, which lasts three times as long as it does elsewhere."""
+    """The stop comes after the begin of homing, which lasts three times as long here."""
     homing_s = 3.0 * sim_process.HOMING_S
     monkeypatch.setattr(sim_process, "HOMING_S", homing_s)
     desk, kept = Desk(), Kept()
@@ -66,7 +66,7 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
         ]  # fmt: skip
         assert executor.state is State.ENABLED
         began = time.monotonic()
-        executor.home()  # nothing is left of the stop
+        executor.home()  # nothing of the stop is left
         assert time.monotonic() - began >= homing_s
         assert executor.state is State.IDLE
         executor.close()
@@ -77,7 +77,7 @@ def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
     desk, kept, sent = Desk(), Kept(), list[str]()
 
     class Slow(Wire):
-        """Does not answer before somebody stops it."""
+        """A link that answers only after somebody stops it."""
 
         def send(self, message: Message) -> None:
             sent.append(message.kind)
@@ -102,7 +102,7 @@ def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
 
 @pytest.mark.parametrize("cause", [Cause.HOLD, Cause.STOP])
 def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
-    """The tick was past when it came: nothing is lost, and it brakes at the next report."""
+    """Its tick was past when it arrived: nothing is lost, and it brakes at the next report."""
     bench = Bench().ready()
     refused = list[int]()
     takes = bench.wire.machine.take
@@ -127,7 +127,7 @@ def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
         bench.go_on()
         assert bench.executor.ended == (RunEnd.COMPLETED, "")
         commanded = bench.commanded()
-        assert np.array_equal(commanded[-1], ROWS.sum(axis=0))  # no row is left out
+        assert np.array_equal(commanded[-1], ROWS.sum(axis=0))  # no row is skipped
         assert (commanded[100:110] == commanded[100]).all()
     else:
         bench.go_on()
@@ -141,7 +141,7 @@ def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
 
 
 def test_positions_from_before_homing_are_forgotten() -> None:
-    """A frame goes home: what it reported where it stood before is not where it stands now."""
+    """A frame goes home: the reported place before homing is not its place now."""
     bench = Bench().ready()
     bench.executor.latest = {"X.commanded": 0.06, "X.load": 0.06, "door.input": 1.0}
     bench.executor.home()
@@ -150,7 +150,7 @@ def test_positions_from_before_homing_are_forgotten() -> None:
 
 
 def test_what_a_machine_tells_with_its_answer_to_homing_is_known() -> None:
-    """The positions from before are forgotten all the same."""
+    """Earlier positions are still forgotten."""
     bench = Bench().ready()
     bench.wire.machine._at_home_samples = lambda: {"X.load": np.zeros(1), "door.input": np.ones(1)}
     bench.executor.latest = {"X.commanded": 0.06, "X.load": 0.06, "door.input": 0.0}

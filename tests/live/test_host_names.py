@@ -1,4 +1,4 @@
-"""Addresses as they are typed: which can be one, before anything is looked up or connected."""
+"""Addresses as typed: checked before anything is looked up or connected."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_whoever_dies_it_stops_within_10_mm(tick: int, share: float) -> None:
 
 
 def test_letting_go_brakes_now() -> None:
-    """Not after the 100 ms that are held: v^2 / 2a and what the jerk adds, 0.25 + 0.18 mm."""
+    """The 100 ms in the link are not played: v^2 / 2a and the jerk's share, 0.25 + 0.18 mm."""
     bench = jogged()
     bench.go_on(40)
     at = bench.wire.machine.position[1]
@@ -110,7 +110,7 @@ def test_it_stops_at_the_end_of_its_travel(share: float) -> None:
 
 @pytest.mark.parametrize("axis", ["A", "X", "Y"])
 def test_it_keeps_acceleration_and_jerk(axis: str) -> None:
-    """By differences of what is sent, tail included; rounding adds half a count, doubled each."""
+    """By differences of the sent rows, tail included; rounding adds half a count, doubled each."""
     machine = winder()
     k = machine.axis_names.index(axis)
     limits = CountLimits.of(machine)
@@ -163,7 +163,7 @@ def test_a_move_ends_on_its_count(count: int) -> None:
     assert bench.executor.state is State.IDLE
     assert bench.wire.machine.position.tolist() == [0, count, 0]
     to_count(bench, "X", 0)
-    bench.executor.start(table_of_counts(there_and_back()))  # it stands where that begins
+    bench.executor.start(table_of_counts(there_and_back()))  # the run begins there
     bench.go_on()
     assert bench.executor.state is State.IDLE
 
@@ -171,9 +171,9 @@ def test_a_move_ends_on_its_count(count: int) -> None:
 @pytest.mark.parametrize("how", ["move", "stop", "let go", "lease"])
 @pytest.mark.parametrize("axis", ["A", "X", "Y"])
 def test_who_is_idle_after_it_stands_where_it_is_told(axis: str, how: str) -> None:
-    """The loop lags by 29 ms, 20 counts at the manual feed: what is taught then is the place.
+    """The loop lags by 29 ms, 20 counts at the manual feed: the taught place is the true one.
 
-    The 0.01 N of friction that hold the simulated loops back are less than a count of any axis.
+    The friction of 0.01 N that holds the simulated loops back is less than a count of any axis.
     """
     bench, k = Bench().ready(), winder().axis_names.index(axis)
     if how == "move":
@@ -194,7 +194,7 @@ def test_who_is_idle_after_it_stands_where_it_is_told(axis: str, how: str) -> No
 @settings(max_examples=15)
 @given(st.integers(1, 120), st.sampled_from(["stop", "let go", "lease", "dead"]))
 def test_a_move_ends_as_a_jog_does(tick: int, how: str) -> None:
-    """By a stop, by letting go, by the tail, by its lease (18.1 + 1.8 + 0.43 mm): never later."""
+    """By a stop, let-go, the tail or its lease (18.1 + 1.8 + 0.43 mm): never later."""
     bench = Bench().ready()
     bench.executor.move("X", 3000)
     while bench.executor.tick < tick:
@@ -227,7 +227,7 @@ def test_a_move_keeps_the_travel() -> None:
 @pytest.mark.parametrize("tick", [15, 40, 65])
 @pytest.mark.parametrize("between", [False, True])
 def test_who_lets_go_twice_has_let_go(tick: int, between: bool) -> None:
-    """Also where both come when the machine has gone on, which refuses what begins in its past."""
+    """This also holds if both come late, when the machine refuses what begins in its past."""
     bench = jogged()
     executor = bench.executor
     while executor.tick < tick:
@@ -235,7 +235,7 @@ def test_who_lets_go_twice_has_let_go(tick: int, between: bool) -> None:
         executor.step()
     if between:
         executor.let_go()
-    if executor._owes_go:  # the machine goes on, and has not told yet
+    if executor._owes_go:  # the machine goes on, and has not reported yet
         executor._owes_go = False
         executor._link.send(Message("go"))
     executor.let_go()
@@ -251,10 +251,10 @@ def test_who_lets_go_twice_has_let_go(tick: int, between: bool) -> None:
 def test_a_first_motion_to_where_it_stands_ends_in_real_time(
     how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As "all axes to 0" behind a homing: its rows are none, and it was never over.
+    """After homing, "all axes to 0" has no rows to play, and once it never ended.
 
     A busy computer plays ticks late. The guard against that has tests of its own, in
-    ``test_guards``, and does not decide here.
+    ``test_guards``, and is off here.
     """
     monkeypatch.setattr("threadline.live.guards.LATE_IN_A_ROW", 1 << 30)
     monkeypatch.setattr("threadline.live.guards.LATE_PERIODS", 1e9)

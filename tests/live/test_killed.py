@@ -31,7 +31,7 @@ SPEED = 20.0  # 7.2 s of machine in 0.36 s
 
 
 def child(work: object) -> int:
-    """Fork; do the work in the child and end it."""
+    """Fork; run the function in the child, and end the child."""
     pid = os.fork()
     if pid:
         return pid
@@ -43,7 +43,7 @@ def child(work: object) -> int:
 
 
 class Watched(SimRows):
-    """A machine with a black box: what it commands and where its load is, to the very end."""
+    """A machine with a black box: it records commands and the load's place to the very end."""
 
     box: dict[str, list[float]]
 
@@ -90,7 +90,7 @@ def execute(end: socket.socket, at_tick: Callable[[int], None]) -> tuple[Executo
 
 @pytest.fixture(scope="module", autouse=True)
 def warm() -> None:
-    """Build the twin here, so that every fork has it."""
+    """Compile the twin here, so that every fork has it."""
     SimRows(winder(), np.zeros(3, np.int64), lambda _: None)
 
 
@@ -102,7 +102,7 @@ def some_ticks() -> list[int]:
 @pytest.mark.long(but=("989", "51", "326"))
 @pytest.mark.parametrize("tick", some_ticks())
 def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
-    """The machine brakes by what it holds: at 36 mm/s within 5 mm of path, and on it."""
+    """The machine brakes by the rows that it holds: at 36 mm/s within 5 mm of path, on it."""
     ours, theirs = socket.socketpair()
     there, here = os.pipe()
     box = tmp_path / "black-box"
@@ -118,7 +118,7 @@ def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
     machine, executor = child(machine_only), child(executor_only)
     ours.close()
     theirs.close()
-    os.close(here)  # ours: where the run ends before, nothing is read
+    os.close(here)  # killed by this test: if the run ends before, nothing is read
     assert os.read(there, 1) == b"!"
     os.kill(executor, signal.SIGKILL)
     os.waitpid(executor, 0)
@@ -127,12 +127,12 @@ def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
     kept = json.loads(box.read_text("utf-8"))
     assert kept["held"] == [0.0]
     x, load, a = (np.array(kept[name]) for name in ("x", "load", "a"))
-    alone = slice(int(kept["heard"][0]), None)  # nothing was heard since
+    alone = slice(int(kept["heard"][0]), None)  # no message came since
     assert len(x) >= tick
     # 20 rows at 36 mm/s are 3.6 mm, and braking 0.1 mm; the load lags by 1.1 mm more.
     assert np.abs(np.diff(x[alone])).sum() <= 3.75e-3
     assert np.abs(np.diff(load[alone])).sum() <= 5e-3
-    # On the path: A has turned a count for each of X, there and back, within a count of each.
+    # On the path: A has turned a count for each of X, forth and back, within a count of each.
     counts = winder().counts_per_unit
     assert a[-1] * counts[0] == pytest.approx(np.abs(np.diff(x)).sum() * counts[1], abs=2.0)
 
@@ -140,7 +140,7 @@ def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
 @pytest.mark.long(but=("989", "51", "326"))
 @pytest.mark.parametrize("tick", some_ticks())
 def test_kill_the_machines_process(tick: int) -> None:
-    """The executor says so at once, in the state of fault, with all that it was told till then."""
+    """The executor reports it at once, in the state of a fault, with all reports until then."""
     ours, theirs = socket.socketpair()
 
     def machine_only() -> None:

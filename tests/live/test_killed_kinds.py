@@ -30,17 +30,17 @@ from threadline.twin.stitching import simulate_stitching
 
 DEPTH_S = 0.1
 LONGEST = 2500  # ticks
-RESTS_MS = 50  # between two turns the frame rests for longer, and within one it never does
+RESTS_MS = 50  # between two turns the frame rests for longer, and within a turn never as long
 
 
 def some_ticks(name: str) -> list[int]:
-    """Return ten moments of a run, with a fixed seed; of a long one, of its beginning."""
+    """Return ten moments of a run, with a fixed seed; of a long run, near its begin."""
     return random.Random(name).sample(range(5, min(case(name).ticks, LONGEST)), 10)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def warm() -> None:
-    """Build the twins here, so that every fork has them."""
+    """Compile the twins here, so that every fork has them."""
     for name in ("steppers", "cylinders", "step-tables"):
         which = case(name)
         simulated_of(which.machine)(which.machine, which.start, lambda _: None).play(10)
@@ -56,7 +56,7 @@ def left_alone(name: str, heard: int) -> int:
 @pytest.mark.long(but=("0", "1", "2"))
 @pytest.mark.parametrize("k", range(10))
 def test_steppers_brake_along_their_path(k: int, tmp_path: Path) -> None:
-    """Within what the link holds and 0.1 s of braking; on the path within a count of each axis."""
+    """Within the rows of the link and 0.1 s of braking; on the path within a count of each axis."""
     which = case("steppers")
     box = kill_executor(which, some_ticks("steppers")[k], tmp_path / "box.npz")
     assert box["standing"]
@@ -68,7 +68,7 @@ def test_steppers_brake_along_their_path(k: int, tmp_path: Path) -> None:
     moved = np.flatnonzero(np.diff(commanded, axis=0).any(axis=1))
     heard = int(box["heard"])
     assert not len(moved) or moved[-1] <= left_alone("steppers", heard) + 100
-    # Rounding, one count on each of two axes, of the point and of the row.
+    # Rounding: one count on each of two axes, of the point and of the row.
     assert (
         beside(np.unique(commanded[heard:], axis=0), rows[max(heard - 200, 0) : heard + 500]) <= 2.0
     )
@@ -77,7 +77,7 @@ def test_steppers_brake_along_their_path(k: int, tmp_path: Path) -> None:
 @pytest.mark.long(but=("0", "1", "2"))
 @pytest.mark.parametrize("k", range(10))
 def test_valves_are_off(k: int, tmp_path: Path) -> None:
-    """Every output, 100 ms and a report after the last message, and to the end."""
+    """Every output is off 100 ms and a report after the last message, and to the end."""
     which = case("cylinders")
     box = kill_executor(which, some_ticks("cylinders")[k], tmp_path / "box.npz")
     assert box["standing"]
@@ -90,13 +90,13 @@ def test_valves_are_off(k: int, tmp_path: Path) -> None:
 @pytest.mark.long(but=("0", "1", "2"))
 @pytest.mark.parametrize("k", range(10))
 def test_the_frame_rests_between_two_turns(k: int, tmp_path: Path) -> None:
-    """It ends where a turn of the design ends, at the latest a window after 100 ms."""
+    """The frame stops at the end of a turn, at the latest a window after 100 ms."""
     which = case("step-tables")
     box = kill_executor(which, some_ticks("step-tables")[k], tmp_path / "box.npz")
     assert box["standing"]
     commanded = np.stack([box[f"{name}.commanded"] for name in which.machine.axes], axis=1)
     whole, rests = kept_whole(), rests_of_whole()
-    # Where it stands after the last sample: the last step of a turn can be due at that instant.
+    # Its place after the last sample: the last step of a turn may come at that instant.
     stands = box["position"] / played(which.commands).steps_per_unit + commanded[0]
     assert tuple(np.round(stands, 9)) in rests
     moved = np.flatnonzero(np.diff(commanded, axis=0).any(axis=1))
@@ -104,13 +104,13 @@ def test_the_frame_rests_between_two_turns(k: int, tmp_path: Path) -> None:
     assert (
         not len(moved) or moved[-1] <= left_alone("step-tables", int(box["heard"])) + slowest_window
     )
-    # No stitch is torn: what was commanded is what the whole design commands, up to there.
+    # No stitch is torn: the commands equal the whole design's commands up to there.
     assert np.array_equal(commanded[: len(moved) and moved[-1]], whole[: len(moved) and moved[-1]])
 
 
 @cache
 def kept_whole() -> np.ndarray:
-    """(n, axes) positions commanded by the whole design."""
+    """Return (n, axes) commanded positions of the whole design."""
     which = case("step-tables")
     recording = simulate_stitching(played(which.commands), which.machine)
     return np.stack([recording.samples(f"{name}.commanded")[1] for name in "XY"], axis=1)
@@ -118,7 +118,7 @@ def kept_whole() -> np.ndarray:
 
 @cache
 def rests_of_whole() -> set[tuple[float, ...]]:
-    """Positions at which the frame rests for ``RESTS_MS`` and longer."""
+    """Return the positions at which the frame rests for ``RESTS_MS`` or longer."""
     whole = kept_whole()
     still = ~np.diff(whole, axis=0).any(axis=1)
     rested = np.convolve(still, np.ones(RESTS_MS), "valid") == RESTS_MS
@@ -129,7 +129,7 @@ def rests_of_whole() -> set[tuple[float, ...]]:
 @pytest.mark.parametrize("k", range(10))
 @pytest.mark.parametrize("name", ["steppers", "cylinders", "step-tables"])
 def test_kill_the_machines_process(name: str, k: int) -> None:
-    """The executor says so at once, in the state of a fault, with all that it was told."""
+    """The executor reports it at once, in the state of a fault, with all reports until then."""
     tick = some_ticks(name)[k]
     executor, kept = kill_machine(case(name), tick)
     assert executor.ended == (RunEnd.FAULT, "the link is gone")
@@ -141,8 +141,8 @@ def test_kill_the_machines_process(name: str, k: int) -> None:
 
 @pytest.mark.parametrize("k", range(10))
 def test_kill_the_program_that_feeds_grbl(k: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It runs out what it holds, as long as was said before, and stands at the end of a line."""
-    monkeypatch.setattr(grbl_run, "SILENCE_S", 10.0)  # of a busy computer, not of the controller
+    """grbl executes its buffer, as long as was stated, and stands at the end of a line."""
+    monkeypatch.setattr(grbl_run, "SILENCE_S", 10.0)  # margin for a busy computer
     line = random.Random(k).randrange(1, 40)
     model = GrblModel(settings(), faster=10.0)
     there, here = os.pipe()
@@ -162,7 +162,7 @@ def test_kill_the_program_that_feeds_grbl(k: int, monkeypatch: pytest.MonkeyPatc
 
     pid = child(feed)  # before there is a thread
     model.start()
-    os.close(here)  # ours: where the run ends before, nothing is read
+    os.close(here)  # killed by this test: if the run ends before, nothing is read
     assert os.read(there, 1) == b"!"
     os.kill(pid, signal.SIGKILL)
     os.waitpid(pid, 0)

@@ -1,4 +1,4 @@
-"""Take a guard of links, cylinders, frames, grbl or HAL away, and the test named for it fails."""
+"""Remove a guard of links, cylinders, frames, grbl or HAL: the test named for it fails."""
 
 from __future__ import annotations
 
@@ -53,17 +53,17 @@ _ask_status, _ask, _guards, _hal = (
 
 
 def always_idle(one: Controller) -> Status:
-    """Take a controller to stand, whatever it tells."""
+    """Take a controller for standing, whatever it reports."""
     return dataclasses.replace(_ask_status(one), state="Idle")
 
 
 def looks_alone(one: GrblRun) -> None:
-    """Note when it was looked, however long that is since the last time."""
+    """Note the time of a look, however long ago the last one was."""
     one._looked_s = clock_s()
 
 
 def deaf(one: Controller, line: bytes, timeout_s: float, _stopped: object = None) -> list[str]:
-    """Ask without heeding a stop; what takes a minute ends after a second."""
+    """Ask without heeding a stop; a query of a minute ends after a second."""
     return _ask(one, line, min(timeout_s, 1.0))
 
 
@@ -74,31 +74,31 @@ def needing_nothing(one: ScanGuards, machine: object) -> None:
 
 
 def without_lead(one: HalSession, *arguments: object, **options: object) -> None:
-    """Take any row that waits in HAL for one that can be replaced."""
+    """Take any waiting row in HAL for a row that can be replaced."""
     _hal(one, *arguments, **options)  # type: ignore[arg-type]
     one._lead = -10
 
 
 def beside_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Take any place for one on the lines; ten lines are enough then."""
+    """Take any place for a place on the lines; ten lines are enough then."""
     monkeypatch.setattr(grbl_run, "OFF_PATH_M", 1e9)
     monkeypatch.setattr(test_grbl, "LINES", "".join(test_grbl.LINES.splitlines(keepends=True)[:10]))
 
 
 def silence_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait for a silent controller for ever; a test does not."""
+    """Wait for a silent controller for ever; the test does not."""
     monkeypatch.setattr(grbl_run, "SILENCE_S", 1e9)
     monkeypatch.setattr(test_grbl, "PATIENCE_S", 2.5)
 
 
 def darkness_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Heed no broken beam; the run, of 900 scans, does not end then."""
+    """Heed no broken beam; the run of 900 scans does not end then."""
     monkeypatch.setattr(scan_guards, "FREE", frozenset())
     monkeypatch.setattr(bench, "LONGEST_TICKS", 2_000)
 
 
 def trusting(one: hal_rows._Played, part: Part) -> dict[str, np.ndarray]:
-    """Take what comes back from HAL for what it was sent."""
+    """Take HAL's answers for the sent records."""
     found = one._sampled(len(part.travelled))
     one._tick += len(part.travelled)
     return {"commanded": found.commanded, "read": np.rint(found.read)}
@@ -113,7 +113,7 @@ def of_settings(number: int, factor: float, said: str) -> Callable[[], None]:
 
 
 def with_patch(test: Callable[[pytest.MonkeyPatch], None]) -> Callable[[], None]:
-    """Return a call of a test that patches something itself."""
+    """Return a call of a test that patches the code itself."""
 
     def call() -> None:
         with pytest.MonkeyPatch.context() as monkeypatch:
@@ -252,7 +252,7 @@ def test_without_the_guard_its_test_fails(guard: str, monkeypatch: pytest.Monkey
     take_away(monkeypatch)
     failed = (AssertionError, pytest.fail.Exception)
     with warnings.catch_warnings(), ExitStack() as around:
-        warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
+        warnings.simplefilter("ignore", ResourceWarning)  # a failing test closes nothing
         if getattr(test, "__module__", "") == "tests.live.test_hal":
             around.enter_context(hal_alone(monkeypatch))
             around.enter_context(unhurried(monkeypatch))

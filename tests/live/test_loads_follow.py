@@ -1,4 +1,4 @@
-"""Feed-forward tells motors what loads need: faster rows than a load may go are no fault of it."""
+"""Feed-forward moves motors faster than the limit of their loads, which is no fault."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def fastest_row(plan: Plan) -> float:
 @pytest.mark.long(shown_by="tests/live/test_checked.py::test_the_command_runs_what_it_proves")
 @pytest.mark.usefixtures("forked_machine")
 def test_a_seam_at_67_stitches_a_second_runs_as_it_was_proved() -> None:
-    """Its rows ask for twice what the loads may do; they do it, to the bit, and are judged so."""
+    """Its rows have twice the loads' limits; they are played to the bit, and judged so."""
     plan = planned()
     machine = plan.machine
     tick_s = float(machine.tick_clock.period_s)
@@ -61,7 +61,7 @@ def test_a_seam_at_67_stitches_a_second_runs_as_it_was_proved() -> None:
     assert verdicts[0].results == verdicts[1].results
     assert verdicts[1].passed
     speeds = [one.measured for one in verdicts[1].results if one.name == "velocity"]
-    # Of the loads, which the plan keeps within their limits.
+    # Limits of the loads, which the plan keeps.
     assert max(one for one in speeds if one is not None) < machine.velocity_limit.max()
 
 
@@ -75,7 +75,7 @@ def test_without_feed_forward_the_limit_of_the_load_is_that_of_the_rows() -> Non
 
 
 def of_one_motor(machine: Machine) -> float:
-    """Return what X can be told by textbook: full voltage, against back EMF and damping."""
+    """Return the closed form for X: full voltage, against back EMF and damping."""
     drive, body = machine.motors["x"], machine.bodies["x_motor"]
     assert body.damping is not None
     volts = drive.amplifier.gain.si * machine.controller_of("X").dac.range.si
@@ -87,7 +87,7 @@ def of_one_motor(machine: Machine) -> float:
 def test_no_row_is_faster_than_a_motor_can_turn() -> None:
     machine = load_machine("stitcher")
     expected = of_one_motor(machine)
-    # Both are closed forms of the same constants; what differs is rounding.
+    # Both are closed forms with the same constants; they differ by rounding.
     assert fastest(machine, "X") == pytest.approx(expected, rel=1e-6)
     tick_s, start = float(machine.tick_clock.period_s), np.zeros(2, np.int64)
     most = int(expected * machine.counts_per_unit[0] * tick_s)

@@ -1,4 +1,4 @@
-"""A report of many ticks is guarded as one of each tick, and is asked for in a quiet run alone."""
+"""A report with many ticks is guarded like one for each tick, and used in quiet runs alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TICKS = 900
 
 
 def followed(chance: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return what X is told and reads: a filtered walk, whose encoder sticks somewhere."""
+    """Return commands and readings of X: a filtered walk, whose encoder sticks somewhere."""
     scale = winder().counts_per_unit[1]
     speeds = np.repeat(chance.uniform(-0.036, 0.036, TICKS // 30), 30)
     commanded = np.rint(np.cumsum(speeds) * 0.005 * scale) / scale
@@ -30,7 +30,7 @@ def followed(chance: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def tripped(samples: dict[str, np.ndarray], length: int) -> tuple[int, str]:
-    """Return the report in which the guards trip, as its first tick, and what they say."""
+    """Return the first tick of the report in which the guards trip, and their words."""
     guards = Guards(winder())
     for first in range(0, TICKS, length):
         part = {name: values[first : first + length] for name, values in samples.items()}
@@ -44,13 +44,13 @@ def test_reports_of_any_length_trip_at_the_same_tick(seed: int) -> None:
     samples = followed(np.random.default_rng(seed))
     at, why = tripped(samples, 1)
     if seed == 0:
-        assert why  # or nothing is compared
+        assert why  # otherwise nothing is compared
     for length in (5, 18, 60):
         assert tripped(samples, length) == (at - at % length if why else TICKS, why), length
 
 
 def spoiled(chance: np.random.Generator, kind: str) -> dict[str, np.ndarray]:
-    """Return samples of X that one guard has to trip at, somewhere, and no other before it."""
+    """Return samples of X at which one guard has to trip, and no other guard before it."""
     samples = {"X.voltage": np.full(TICKS, 1.0), **followed(np.random.default_rng(3))}
     samples["X.measured"] = samples["X.commanded"].copy()
     at = int(chance.integers(2, TICKS - 1))
@@ -71,7 +71,7 @@ def spoiled(chance: np.random.Generator, kind: str) -> dict[str, np.ndarray]:
 def test_one_call_for_all_ticks_judges_as_the_guards_that_say_which(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Either way alone, each guard by itself: the same report, the same words."""
+    """For each guard alone, both ways give the same report and the same words."""
     chance = np.random.default_rng(7)
     for _ in range(8):
         samples = spoiled(chance, kind)
@@ -90,7 +90,7 @@ def test_one_call_for_all_ticks_judges_as_the_guards_that_say_which(
 
 
 class Asked(Bench):
-    """Notes how many ticks the executor asks for, and its state then."""
+    """Notes how many ticks the executor requests, and its state then."""
 
     def __init__(self, speed: float = 0.0) -> None:
         super().__init__()
@@ -112,7 +112,7 @@ class Asked(Bench):
 def test_many_ticks_are_asked_for_in_a_run_alone() -> None:
     bench = Asked().ready()
     many = int(MANY_S / 0.005)
-    assert many * 0.005 < DEPTH_S  # what it holds is never used up
+    assert many * 0.005 < DEPTH_S  # the link's rows are never used up
     bench.executor.jog("X", 0.02)
     bench.go_on(20)
     bench.executor.let_go()
@@ -138,7 +138,7 @@ def test_many_ticks_are_asked_for_in_a_run_alone() -> None:
 
 
 def test_a_slow_machine_is_looked_at_as_often_as_before() -> None:
-    """At twice real time a report of many ticks would keep a stop waiting for 45 ms."""
+    """At twice real time a report with many ticks would delay a stop by 45 ms."""
     bench = Asked(2.0).ready()
     bench.executor.start(table_of_counts(there_and_back()))
     bench.go_on()
@@ -157,9 +157,9 @@ def test_a_stop_of_the_program_is_met_as_with_short_reports() -> None:
 def played_one_by_one(
     rows: np.ndarray, lates: dict[int, float], fault: SimFault | None = None
 ) -> list[tuple[int, int, int, int, tuple[str, ...]]]:
-    """Play rows tick by tick, reported in fives; return what the reports say.
+    """Play rows tick by tick, reported in fives; return the content of the reports.
 
-    Their first tick, the tick after them, late ticks, samples of X, and their events' kinds.
+    The content is the first tick, the tick after, late ticks, samples of X, and kinds of events.
     """
     bench = Bench(fault=fault).ready()
     executor, machine = bench.executor, bench.wire.machine
@@ -189,7 +189,7 @@ SHORT = np.tile([0, 1, 0], (17, 1))
 
 
 def test_ticks_are_reported_together_but_what_is_urgent_at_once() -> None:
-    """Each tick once, in order; a late tick is counted alone, as if each had its own report."""
+    """Each tick comes once, in order; a late tick is counted as if each had its own report."""
     quiet = played_one_by_one(SHORT, {})
     assert [one[:4] for one in quiet[:3]] == [(0, 5, 0, 5), (5, 10, 0, 5), (10, 15, 0, 5)]
     late = played_one_by_one(SHORT, {2: 0.4, 7: 0.6, 8: 0.6, 10: 0.3})
@@ -209,7 +209,7 @@ def test_ticks_are_reported_together_but_what_is_urgent_at_once() -> None:
 
 
 def test_a_standstill_is_reported_at_once() -> None:
-    """The rows and their tail end within a report; what is asked for at rest comes after it."""
+    """Rows and tail end within a report, and commands at rest come after it."""
     found = played_one_by_one(SHORT[:7], {})
     held = [one[1] for one in found]
     assert 7 in held  # the machine stands from here on, three ticks before a report is due
@@ -218,7 +218,7 @@ def test_a_standstill_is_reported_at_once() -> None:
 def test_a_stop_in_real_time_counts_the_ticks_since_the_last_report(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A report that is 25 ms old is 5 ticks old: the rows that brake begin 4 ticks after those."""
+    """A report 25 ms old is 5 ticks old: the braking rows begin 4 ticks after those."""
     bench = Bench().ready()
     executor = bench.executor
     executor.start(table_of_counts(there_and_back()))
@@ -232,6 +232,6 @@ def test_a_stop_in_real_time_counts_the_ticks_since_the_last_report(
     refill = bench.wire.sent[sent]
     assert refill.kind == "refill"
     assert refill.head["first"] == executor.tick + 5 + 4
-    # After a sleep of the computer it is no later than what was sent.
+    # After a sleep of the computer it is no later than the sent rows.
     monkeypatch.setattr("threadline.live.executor.clock_s", lambda: now_s + 3600.0)
     assert executor._soonest <= executor.tick + 20 + 4

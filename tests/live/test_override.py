@@ -1,4 +1,4 @@
-"""A run whose feed is overridden plays its table slower, whole, on its path, within every limit."""
+"""An overridden run plays its table slower: whole, on its path, within every limit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def events(bench: Bench, kind: str) -> list[Event]:
 
 
 def check_whole(bench: Bench) -> None:
-    """Check counts, path, limits and the recorded times of a run of ``ROWS`` that is over."""
+    """Check counts, path, limits and the recorded times of a finished run of ``ROWS``."""
     assert bench.executor.ended == (RunEnd.COMPLETED, "")
     counts = bench.commanded()
     assert counts[-1].tolist() == ROWS.sum(axis=0).tolist()
@@ -95,7 +95,7 @@ def test_a_change_of_rate_keeps_every_limit(
 @pytest.mark.long(only="10")
 @pytest.mark.parametrize("percent", [10, 37, 50, 99])
 def test_a_slower_run_takes_longer_and_tells_it_in_a_few_events(percent: int) -> None:
-    """From its second row on; an event for each tick would be hundreds to thousands."""
+    """From its second row on; one event for each tick would be hundreds to thousands."""
     bench = Bench().ready()
     bench.executor.start(table_of_counts(ROWS))
     bench.go_on(5)
@@ -104,7 +104,7 @@ def test_a_slower_run_takes_longer_and_tells_it_in_a_few_events(percent: int) ->
     check_whole(bench)
     ticks = plan_ticks(bench.kept.blocks, len(bench.commanded()))
     arrived = int(np.argmax(ticks >= len(ROWS) - 1e-6))
-    # 25 rows were sent; it changes in 100 ticks, by the mean of both rates; the rest is slow.
+    # 25 rows were sent; the rate changes in 100 ticks, on average the mean of both; then slow.
     rate = percent / 100.0
     slow = (len(ROWS) - 25 - 100 * (1.0 + rate) / 2.0) / rate
     assert arrived == pytest.approx(125 + slow, abs=2.0)
@@ -112,7 +112,7 @@ def test_a_slower_run_takes_longer_and_tells_it_in_a_few_events(percent: int) ->
     assert [(e.name, e.value) for e in events(bench, "override")] == [
         (f"feed {percent} %", percent / 100.0)
     ]
-    # Behind the last row the plan goes on with the clock, as in any other run.
+    # After the last row the plan goes on with the clock, as in any other run.
     assert np.diff(ticks[arrived + 1 :]) == pytest.approx(1.0)
 
 
@@ -152,7 +152,7 @@ def test_a_run_back_at_the_whole_feed_plays_the_rows_of_its_table() -> None:
 
 
 def test_an_override_that_was_braked_away_is_told_when_it_is_played() -> None:
-    """Asked for and sent ahead, then cut off by a hold before it was played."""
+    """It was requested and sent ahead, then a hold cut it off before it was played."""
     bench = Bench().ready()
     bench.wire.group = 1
     bench.executor.start(table_of_counts(ROWS))
@@ -178,7 +178,7 @@ def test_more_or_less_than_was_proven_is_refused(percent: int, words: str) -> No
     bench.go_on(100)
     with pytest.raises(CommandError, match=words):
         bench.executor.override(percent)
-    bench.desk.override(percent)  # and by the desk it is written down, and changes nothing
+    bench.desk.override(percent)  # at the desk such an override is recorded, and changes nothing
     bench.go_on()
     assert [text for *_, cause, text in bench.kept.log if cause is Cause.OVERRIDE] == [
         f"an override of {percent} % is not within the 10 to 100 % that the proof covers"

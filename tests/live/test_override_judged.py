@@ -1,4 +1,4 @@
-"""An overridden run is judged by the plan's time; one that would spoil the work is refused."""
+"""An overridden run is judged by the plan's time; a run that it would spoil is refused."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 @pytest.fixture(scope="module")
 def overridden(plan: Plan) -> Recording:
-    """A run at 70 % from its way there on, at 30 % on its way back, and held there."""
+    """A run at 70 % on its way forth, and at 30 % with a hold on its way back."""
     bench = Bench().ready()
     bench.executor.start(plan.commands, loads_follow=True)
     bench.go_on(60)
@@ -125,7 +125,7 @@ def zigzag(folder: Path) -> tuple[Plan, Spec]:
 
 
 def test_a_rate_that_meets_a_mode_is_foreseen_and_named(tmp_path: Path) -> None:
-    """And it is what the executor then does on the simulated machine, in its own recording."""
+    """The executor's own recording on the simulated machine shows the same."""
     plan, spec = zigzag(tmp_path)
     assert judge([simulate(plan.commands, plan.machine)], plan, spec).result(
         "contour_error"
@@ -149,7 +149,7 @@ def test_a_rate_that_meets_a_mode_is_foreseen_and_named(tmp_path: Path) -> None:
 
 
 def test_slower_rows_that_jerk_an_axis_beyond_its_limit_are_refused(tmp_path: Path) -> None:
-    """Of 12.5 nm a count: 4 m/s^2 in one tick is far beyond 200 m/s^3, and in 80 counts nothing."""
+    """With 12.5 nm a count, 4 m/s^2 in a tick exceeds 200 m/s^3; with 12.5 um it is no count."""
     plan, spec = zigzag(tmp_path)
     assert override_exceeds(plan) == 100
     fine = 1000.0 * plan.machine.axes["X"].counts.si

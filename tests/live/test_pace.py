@@ -1,4 +1,4 @@
-"""A machine tells which instant of the plan it plays, where that isn't the one of its clock."""
+"""A machine reports the plan time that it plays if its clock shows another one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CLOCK: Clock = load_machine("lathe-winder").tick_clock
 
 
 def plan_ticks(blocks: list[RecordingBlock], number: int) -> np.ndarray:
-    """Return the plan's time at each tick as it is read block by block, in ticks."""
+    """Return the plan time of each tick, in ticks, read block by block."""
     reader, found = PlanClock(CLOCK), []
     for block in blocks:
         reader.take(block.events)
@@ -30,7 +30,7 @@ def plan_ticks(blocks: list[RecordingBlock], number: int) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_axes_are_told_where_the_table_is_at_the_plans_time(seed: int) -> None:
-    """Of every tick of runs with holds at random, some while they brake or rise, or with a stop."""
+    """In runs with random holds, some while it brakes or starts, and some with a stop."""
     rng = np.random.default_rng(seed)
     bench = Bench().ready()
     bench.executor.start(table_of_counts(ROWS))
@@ -45,7 +45,7 @@ def test_the_axes_are_told_where_the_table_is_at_the_plans_time(seed: int) -> No
     bench.go_on()
     counts = bench.commanded()
     ticks = plan_ticks(bench.kept.blocks, len(counts))
-    along = np.minimum(ticks, len(ROWS))  # behind the last row the clock goes on
+    along = np.minimum(ticks, len(ROWS))  # after the last row the clock goes on
     wanted = [np.interp(along, np.arange(len(PLACES)), PLACES[:, k]) for k in range(3)]
     assert np.abs(counts - np.stack(wanted, axis=1)).max() <= 0.5 + 1e-6
     assert (np.diff(ticks) >= 0.0).all()
@@ -78,7 +78,7 @@ def test_what_is_played_when_refills_stop_is_told_too() -> None:
 
 
 def test_any_places_come_back_to_the_bit() -> None:
-    """Places by chance, in reports of any length; the reader is asked in other pieces."""
+    """Random places, in reports of any length; the reader asks in other pieces."""
     rng = np.random.default_rng(5)
     steps = rng.choice([0.0, 0.0, 0.0, 0.25, 0.8, 1.0, 1.0, 1.0, 1.0], size=600)
     steps[100:160], steps[300:400] = 0.0, 1.0
@@ -90,7 +90,7 @@ def test_any_places_come_back_to_the_bit() -> None:
         at += n
     reader, found = PlanClock(CLOCK), [0.0]
     unheld = np.arange(3.0)
-    assert reader.at(unheld)[0] is unheld  # to the bit, and for nothing
+    assert reader.at(unheld)[0] is unheld  # to the bit, and without extra events
     for first in range(1, len(places) + 1, 37):
         last = min(first + 37, len(places) + 1)
         reader.take([event for event in events if first <= event.tick < last])

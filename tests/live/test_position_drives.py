@@ -1,4 +1,4 @@
-"""Machines whose drives are told positions run as they are simulated, to the bit."""
+"""Machines whose drives take positions run as simulated, to the bit."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_rows_in_pieces_of_any_length_give_the_same_bits() -> None:
 
 
 def test_a_belt_that_falls_slack_ends_the_run_there() -> None:
-    """Nothing is known behind it, neither in the simulation nor of the run."""
+    """Nothing is known after that, in the simulation and in the run."""
     machine = load_machine("stepper-winder")
     link = machine.links["x_belt"]
     assert link.preload is not None
@@ -104,7 +104,7 @@ def test_a_stepper_has_no_encoder_to_fail() -> None:
 def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The machine in a process beside this one, and the same judge."""
+    """The machine is in a separate process, and the judge is the same."""
     how = (str(EXAMPLES / "helix.gcode"), "-m", "stepper-winder", "--nominal", "--json")
     verdicts, recordings = [], []
     for words in (("prove",), ("run", "--speed", "0", "--store", str(tmp_path / "runs"))):

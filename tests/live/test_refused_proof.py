@@ -1,4 +1,4 @@
-"""Why a proof that is out of specification is not run: each criterion that is lacking, once."""
+"""The reasons why a proof out of specification is not run: each missing criterion once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def test_a_criterion_of_every_step_is_named_once(tmp_path: Path) -> None:
-    """X rings too much in several steps; what is not measured and not required lacks nothing."""
+    """X rings too much in several steps; an optional criterion need not be measured."""
     machine = load_machine("letter-placer")
     plan = plan_job(
         open_job(EXAMPLES / "letter-cycle.toml", machine, Options()), machine, Options()
@@ -31,6 +31,6 @@ def test_a_criterion_of_every_step_is_named_once(tmp_path: Path) -> None:
     with pytest.raises(ProofError) as refused:
         check_runnable(file, plan, load_spec(None, machine), None)
     job, _, named = str(refused.value).partition(" is out of specification: ")
-    assert job.endswith(f"] {plan.job.name}")  # no proof file that nobody wrote
+    assert job.endswith(f"] {plan.job.name}")  # without a proof file to name
     words = named.partition(". Shape its moves")[0].split(", ")
     assert words == [" ".join(one).strip() for one in dict.fromkeys(failed)][:4]

@@ -1,4 +1,4 @@
-"""What a simulated machine needs in its first tick is loaded before it greets."""
+"""A simulated machine loads everything for its first tick before it greets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ JOBS = {
     "schiffli-frame": "rosette.dst",
     "stepper-winder": "x-180.prg",
 }
-# The machine has the main thread, for it handles signals; the executor has another.
+# The machine has the main thread, because it handles signals; the executor has another.
 PROGRAM = """
 import gc, socket, sys, threading
 from pathlib import Path
@@ -65,7 +65,7 @@ for told in sys.argv[1:]:
     executor.join()
 """
 
-# As the process of a machine begins, which has imported nothing else.
+# Like the process of a machine, which has imported nothing else.
 SERVES = """
 import pickle, socket, sys
 from threadline.live.sim_process import serve
@@ -80,7 +80,7 @@ for told in pickle.load(sys.stdin.buffer):
 
 
 def test_a_process_that_knows_nothing_else_serves_each_kind() -> None:
-    """Each is told to it through a pipe, and greets."""
+    """Each machine is sent to the process through a pipe, and greets."""
     machines = [load_machine(name) for name in ("lathe-winder", *JOBS, "stitcher")]
     requests = [(one, np.zeros(len(one.axes), np.int64), 0.0, None) for one in machines]
     done = subprocess.run(
@@ -92,7 +92,7 @@ def test_a_process_that_knows_nothing_else_serves_each_kind() -> None:
 
 @pytest.mark.long(shown_by="test_a_process_that_knows_nothing_else_serves_each_kind")
 def test_nothing_is_loaded_once_time_counts() -> None:
-    """To load its machine code takes a third of a second, and a tick 10 ms at most."""
+    """Loading machine code takes a third of a second, and a tick takes at most 10 ms."""
     arguments = [f"{name}={EXAMPLES / job}" for name, job in JOBS.items()]
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, *arguments], capture_output=True, check=False, timeout=600

@@ -1,4 +1,4 @@
-"""A schedule of valves runs as it is simulated; it stops, holds at its rests, and switches off."""
+"""A schedule of valves runs as simulated; it stops, holds at its rests, and switches off."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from threadline.verdict import Criterion, Result, Spec, judge
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ACROSS = 370  # scan in which X moves across, with the letter held
-LEFT_ALONE_SCANS = 10 + 3  # what is held, and a report
+LEFT_ALONE_SCANS = 10 + 3  # the sent scans, and a report
 
 
 @cache
@@ -54,14 +54,14 @@ def bench(fault: SimFault | None = None) -> Bench:
 
 
 def cycle(recording: Recording) -> Result:
-    """Return what is found of the time of the cycle."""
+    """Return the results of the cycle time."""
     asked = Criterion(name="cycle_time", limit=None)
     results = judge([recording], planned(), Spec(name="time", criteria=(asked,))).results
     return next(result for result in results if result.name == "cycle_time")
 
 
 def outputs(made: Bench) -> np.ndarray:
-    """(samples, outputs) what was on, every millisecond."""
+    """Return (samples, outputs) states, every millisecond."""
     return np.stack([made.channel(name) for name in placer().outputs], axis=1)
 
 
@@ -87,7 +87,7 @@ def test_a_stop_switches_everything_off_at_the_next_scan(scan: int) -> None:
     on = outputs(made).any(axis=1)
     assert on[10 * at - 1]
     assert not on[10 * at :].any()
-    # Cylinders may stand anywhere: it must be homed before anything else.
+    # Cylinders may stand anywhere: the machine must be homed before anything else.
     assert made.executor.state is State.ENABLED
     with pytest.raises(CommandError, match="'start' is not possible"):
         made.executor.start(planned().commands)
@@ -109,14 +109,14 @@ def test_a_hold_stands_at_the_next_rest_with_the_letter_held(scan: int) -> None:
     made.desk.ask(Cause.RESUME)
     made.go_on()
     assert made.executor.ended == (RunEnd.COMPLETED, "")
-    # Every switching of the schedule comes once and in its order: it was only later.
+    # Every switching of the schedule comes once, in order, only later.
     switched = outputs(made)
     whole = np.stack([simulated().samples(name)[1] for name in placer().outputs], axis=1)
     for rows in (switched, whole):
         assert rows.any()
     changes = [rows[1:][np.diff(rows, axis=0).any(axis=1)].tolist() for rows in (switched, whole)]
     assert changes[0] == changes[1]
-    # The hold is the operator's: the cycle takes the time that it takes without one.
+    # The operator asked for the hold: the cycle time is the time without it.
     took = [cycle(one) for one in (made.kept.recording(planned()), simulated())]
     assert took[0].measured == pytest.approx(took[1].measured, abs=1e-9)
     later_s = (len(switched) - len(whole)) * 1e-3
@@ -135,7 +135,7 @@ def test_a_hold_after_the_last_scan_is_refused_and_the_run_ends() -> None:
 
 
 def test_a_hold_lasts_longer_than_a_wait_may() -> None:
-    """A minute without its contact is a fault of a wait, and none of a hold."""
+    """A minute without its contact is a fault in a wait, and no fault in a hold."""
     made = bench()
     made.go_on(ACROSS)
     made.desk.ask(Cause.HOLD)
@@ -163,7 +163,7 @@ def test_where_refills_stop_it_switches_off_by_itself(scan: int) -> None:
 
 
 def test_a_wait_that_is_not_met_while_nobody_refills_switches_off_too() -> None:
-    """The time is that of the machine, not of the schedule, which stands at a wait."""
+    """The machine's clock counts, not the schedule's, which stands at a wait."""
     made = bench()
     made.go_on(355)  # waits for z_is_up from scan 355 on
     made.wire.mute = True
@@ -227,7 +227,7 @@ def test_a_row_for_both_sides_of_a_cylinder_is_never_sent() -> None:
 def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The machine in a process beside this one, and the same judge."""
+    """The machine is in a separate process, and the judge is the same."""
     how = (str(EXAMPLES / "letter-cycle.toml"), "-m", "letter-placer", "--nominal", "--json")
     how = (*how, "--shaper", "um-zv")
     verdicts, recordings = [], []

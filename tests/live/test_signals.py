@@ -1,4 +1,4 @@
-"""Signals of a shell, to the program as it is run: a first one brakes, and the run is kept."""
+"""Signals of a shell to the real program: the first one brakes, and the run is kept."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ main(sys.argv[2:])  # a script without a guard: the machine's process does not r
 
 
 def as_a_program(number: int, words: list[str], folder: Path) -> tuple[int, str]:
-    """Return the exit status of the command in an interpreter of its own, and what it wrote."""
+    """Run the command in an interpreter of its own; return its exit status and its output."""
     script = folder / "starts.py"
     script.write_text(STARTS, "utf-8")
     done = subprocess.run(
@@ -50,11 +50,11 @@ def as_a_program(number: int, words: list[str], folder: Path) -> tuple[int, str]
 
 
 def as_a_fork(number: int, words: list[str], folder: Path) -> tuple[int, str]:
-    """Return the same of the command in a fork of this process, which has imported everything."""
+    """Run it in a fork of this process, which has imported everything; return the same."""
     out = folder / "out"
 
     def command_only() -> None:
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which a shell may have the tests ignore
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a shell may let the tests ignore them
         with out.open("w", encoding="utf-8") as written, redirect_stdout(written):
             sys.argv[1:] = [str(number), *words]
             try:
@@ -95,7 +95,7 @@ def test_a_signal_stops_on_the_path_and_keeps_the_run(
 @pytest.mark.long(shown_by="test_a_signal_stops_on_the_path_and_keeps_the_run")
 @pytest.mark.usefixtures("forked_machine")
 def test_a_terminal_that_is_closed_stops_on_the_path_and_keeps_the_run(tmp_path: Path) -> None:
-    """Neither its keys, nor the bar that is drawn on it, nor what is printed in the end fails."""
+    """Neither its keys, nor its progress bar, nor the last printed line fails."""
     store = tmp_path / "runs"
     words = ["run", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--nominal",
              "--speed", "2", "--store", str(store)]  # fmt: skip

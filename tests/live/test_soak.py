@@ -1,4 +1,4 @@
-"""A short run of the long soak, so that it stays runnable: a minute of machine, and eight kills."""
+"""A short run of the long soak test, so that it stays runnable: one minute, and eight kills."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_a_minute_and_eight_kills_leave_nothing_wrong(tmp_path: Path) -> None:
 def test_a_trace_that_ends_too_early_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A trace that may lose nothing, not even time that has yet to come, ends too early."""
+    """With a negative allowance for lost time, every trace ends too early."""
     monkeypatch.setattr(soak, "LOST_S", -1e9)
     (message,) = soak.kill(1, tmp_path)
     assert "kill 0 of the executor of lathe-winder: the trace ends at" in message

@@ -1,4 +1,4 @@
-"""Every transition is in one table, printed in the document, and the executor keeps to it."""
+"""One table has every transition; the document prints it, and the executor keeps to it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_document_prints_the_table() -> None:
 
 
 def test_a_hold_after_the_last_row_is_refused_and_the_run_ends() -> None:
-    """Its machine only settles: a hold would leave it holding what is over, for good."""
+    """The machine only settles: a hold would keep it holding a finished run for good."""
     made = Bench().ready()
     made.executor.start(TABLE)
     while made.executor.ended is None:
@@ -51,7 +51,7 @@ def test_a_hold_after_the_last_row_is_refused_and_the_run_ends() -> None:
 
 
 def test_safe_by_construction() -> None:
-    """A stop and a fault are taken everywhere; a start needs idle, and idle needs homing."""
+    """A stop and a fault are possible in every state; a start needs idle, idle needs homing."""
     for state in State:
         assert (state, Cause.STOP) in TRANSITIONS
         assert TRANSITIONS[state, Cause.FAULT] is State.FAULT
@@ -60,7 +60,7 @@ def test_safe_by_construction() -> None:
         State.ENABLED, State.IDLE,
     }  # fmt: skip
     assert TRANSITIONS[State.FAULT, Cause.RESET] is State.DISABLED
-    # No way from off, or from a fault, to motion that does not pass homing.
+    # Every way from off, or from a fault, to motion passes homing.
     reached, edge = set(), {State.DISABLED, State.FAULT}
     while edge:
         reached |= edge
@@ -73,7 +73,7 @@ def test_safe_by_construction() -> None:
 
 
 class Walk(RuleBasedStateMachine):
-    """Commands at any time: the executor is where the table says, and moves only when it may."""
+    """Commands at any time: the executor has the table's state, and moves only when allowed."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What a machine holds always ends at rest, on the path, within the limits of every axis."""
+"""The rows in a machine always end at rest, on the path, within the limits of every axis."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from threadline.twin import simulate
 
 ROWS = there_and_back()
 PLACES = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(ROWS, axis=0)])
-# A count of the table and one of what is made of it: half a count each, four times so in the
+# A count of the table and one of its derived rows: half a count each, four times so in the
 # second difference.
 ROUNDING = 4.0
 
 
 def off_path(counts: np.ndarray) -> float:
     """Return the largest distance, in counts, from a chord of the table, the same for all axes."""
-    # A turns one count for each of X there and back, so that it says how far along it is.
+    # A turns one count for each of X, forth and back, so it shows the place along the path.
     along = counts[:, 0].astype(float)
     x = np.interp(along, PLACES[:, 0], PLACES[:, 1])
     y = np.interp(along, PLACES[:, 0], PLACES[:, 2])
@@ -46,7 +46,7 @@ def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
 
 
 def test_no_more_than_a_tenth_of_a_second_is_held() -> None:
-    """Of rows that are wanted; behind them there is nothing but the tail."""
+    """This counts wanted rows; after them there is only the tail."""
     bench = Bench().ready()
     held: list[int] = []
     machine = bench.wire.machine
@@ -59,7 +59,7 @@ def test_no_more_than_a_tenth_of_a_second_is_held() -> None:
 
 @pytest.mark.parametrize("tick", [70, 130, 250])
 def test_where_refills_stop_at_speed_it_brakes_within_the_limits(tick: int) -> None:
-    """At 144 mm/s a standstill at once would be three times the acceleration of X."""
+    """At 144 mm/s a standstill at once would take three times the acceleration of X."""
     bench = Bench().ready()
     bench.executor.start(table_of_counts(there_and_back(peak=40.0, cruise=100)))
     bench.go_on(tick)
@@ -77,7 +77,7 @@ def test_where_refills_stop_at_speed_it_brakes_within_the_limits(tick: int) -> N
 @settings(max_examples=25)
 @given(st.integers(1, len(ROWS) - 1))
 def test_where_refills_stop_it_brakes_on_the_path(tick: int) -> None:
-    """At any instant: within the limits, on the path, within 100 ms and the way of braking."""
+    """At any instant: within the limits, on the path, within 100 ms and the braking distance."""
     bench = Bench().ready()
     bench.executor.start(table_of_counts(ROWS))
     bench.go_on(tick)
@@ -113,7 +113,7 @@ def test_braking_and_rising_keep_every_limit(place: float, peak: float) -> None:
     again = rise(window, float(ends[-1]), limits)
     assert again[-1] == round(again[-1])
     back = np.concatenate([[ends[-1]] * 3, again, again[-1] + np.arange(1, 4)])
-    # Each table asks for less than the limit of every axis by itself.
+    # Each table needs less than the limit of every axis.
     for places in (whole, back):
         counts = np.rint(window.counts(places))
         asked = np.abs(np.diff(counts, 2, axis=0)).max(axis=0)
@@ -124,7 +124,7 @@ def test_braking_and_rising_keep_every_limit(place: float, peak: float) -> None:
 @settings(max_examples=20)
 @given(st.lists(st.integers(0, 260), min_size=1, max_size=4), st.booleans())
 def test_hold_and_resume_skip_no_row_and_repeat_none(ticks: list[int], early: bool) -> None:
-    """At any instants, again and again, also while it brakes: the sums are those of the table."""
+    """At any instants, repeatedly, also while it brakes: the sums equal the table's."""
     bench = Bench().ready()
     bench.executor.start(table_of_counts(ROWS))
     for tick in ticks:
@@ -140,7 +140,7 @@ def test_hold_and_resume_skip_no_row_and_repeat_none(ticks: list[int], early: bo
     assert bench.executor.ended == (RunEnd.COMPLETED, "")
     counts = bench.commanded()
     assert counts[-1].tolist() == ROWS.sum(axis=0).tolist()
-    # A never turns back in this table: a row that was repeated or skipped would show in it.
+    # A never turns back in this table: a repeated or skipped row would show in it.
     assert (np.diff(counts[:, 0]) >= 0).all()
     assert np.abs(np.diff(counts[:, 0])).max() <= 11
     assert off_path(counts) <= 1.0
@@ -160,7 +160,7 @@ def test_a_stop_is_ahead_of_what_is_held_and_what_was_asked(tick: int) -> None:
     assert bench.executor.state is State.IDLE
     assert bench.executor.ended == (RunEnd.STOPPED, "stopped by the operator")
     counts = bench.commanded()
-    # It does not play the 20 rows that were held: 4 ticks at 10 counts brake within the limits.
+    # It does not play the 20 held rows: 4 ticks at 10 counts brake within the limits.
     assert counts[-1, 0] - counts[min(at, len(counts) - 1), 0] <= 4 * 10
     causes = [cause for _, _, cause, _ in bench.kept.log]
     assert causes[causes.index(Cause.STOP) :] == [Cause.STOP, Cause.AT_REST]

@@ -1,4 +1,4 @@
-"""An embroidery frame runs as it is simulated; a turn always ends at rest."""
+"""An embroidery frame runs as simulated; a turn always ends at rest."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def planned() -> Plan:
 
 @cache
 def sewn() -> StepPlay:
-    """The first turns of the design, as a program of its own, in two blocks."""
+    """Return the first turns of the design, as a program of its own, in two blocks."""
     commands = played(planned().commands)
     block = next(iter(commands))
     parts = []
@@ -70,7 +70,7 @@ def bench(fault: SimFault | None = None) -> Bench:
 
 
 def commanded(made: Bench) -> np.ndarray:
-    """(samples, 2) m."""
+    """Return (samples, 2) positions, m."""
     return np.stack([made.channel(f"{name}.commanded") for name in "XY"], axis=1)
 
 
@@ -97,7 +97,7 @@ def test_a_stop_lets_the_turn_under_way_end_and_no_more(tick: int) -> None:
     places = commanded(made)
     moved = np.flatnonzero(np.diff(places, axis=0).any(axis=1))
     assert not len(moved) or moved[-1] <= at + window()
-    # It stands on a point of the design: where the simulation rests, too.
+    # It stands on a point of the design, where the simulation rests, too.
     whole = np.stack([simulated().samples(f"{n}.commanded")[1] for n in "XY"], axis=1)
     assert (np.abs(whole - places[-1]).max(axis=1) < 1e-12).any()
 
@@ -114,7 +114,7 @@ def test_hold_and_resume_sew_every_stitch_once(ticks: list[int]) -> None:
         made.desk.ask(Cause.RESUME)
     made.go_on()
     assert made.executor.ended == (RunEnd.COMPLETED, "")
-    # The same steps in the same order: the places between them, each once.
+    # The same steps in the same order: each place between them comes once.
     whole = np.stack([simulated().samples(f"{n}.commanded")[1] for n in "XY"], axis=1)
     ends = [places[-1] for places in (commanded(made), whole)]
     assert np.array_equal(*ends)
@@ -166,7 +166,7 @@ def test_turns_beyond_the_travel_are_never_sent() -> None:
 def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The machine in a process beside this one, and the same judge."""
+    """The machine is in a separate process, and the judge is the same."""
     how = (str(EXAMPLES / "rosette.dst"), "-m", "schiffli-frame", "--nominal", "--json")
     verdicts, recordings = [], []
     for words in (("prove",), ("run", "--speed", "0", "--store", str(tmp_path / "runs"))):

@@ -1,4 +1,4 @@
-"""Messages come back as they were sent; whatever else comes is refused in one line."""
+"""Messages come back as sent; any other bytes are refused in one line."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_other_bytes_are_refused(content: bytes) -> None:
 
 @given(st.data())
 def test_a_damaged_message_is_refused_or_reads(data: st.DataObject) -> None:
-    """One byte changed: a fault of the link, or another message of the same form; no crash."""
+    """One changed byte is a fault of the link, or another message of the same form; no crash."""
     rows = np.arange(6, dtype=np.int64).reshape(2, 3)
     whole = bytearray(Message("refill", {"first": 3, "events": []}, {"counts": rows}).encoded())
     at = data.draw(st.integers(4, len(whole) - 1))

@@ -1,4 +1,4 @@
-"""What tests of a proved cycle share: its machine, its recording altered, the command line."""
+"""Helpers for tests of a proved cycle: its machine, its altered recording, the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Operations of the first cycle only: what is planned, judged, written and refused."""
+"""Operations of the first cycle only: planned, judged, written and refused."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def measured(answer: dict[str, object], name: str) -> float:
     shown_by="test_the_fastest_steady_cycle_is_in_spec_with_what_each_cycle_leaves_for_the_next"
 )
 def test_the_soft_start_is_left_out_of_further_cycles(listed: Path) -> None:
-    """The ramp alone is saved; the swing that the first cycle leaves counts in the second."""
+    """Only the ramp is saved; the swing left by the first cycle counts in the second."""
     whole, steady = proved(CYCLE), proved(listed)
     cycle_s = measured(steady, "cycle_time")
     assert math.isclose(cycle_s, measured(whole, "cycle_time") - RAMP_S, abs_tol=1e-9)
@@ -72,7 +72,7 @@ def test_the_soft_start_is_left_out_of_further_cycles(listed: Path) -> None:
     shown_by="test_the_fastest_steady_cycle_is_in_spec_with_what_each_cycle_leaves_for_the_next"
 )
 def test_the_program_begins_further_cycles_behind_the_soft_start(listed: Path) -> None:
-    """Run against pistons that are not the twin's: the air stays on, and nothing is forbidden."""
+    """It runs with independent pistons: the air stays on, and nothing is forbidden."""
     machine = load_machine("letter-placer")
     plan = plan_job(read_job(listed, machine), machine, Options(shaper="um-zv"))
     single = plan.scheduled.single
@@ -135,9 +135,9 @@ wait = "x_is_left"
 def test_the_fastest_steady_cycle_is_in_spec_with_what_each_cycle_leaves_for_the_next(
     tmp_path: Path,
 ) -> None:
-    """The list as written is proved again: both of its cycles are in spec, and it says how many.
+    """The written list is proved again: both of its cycles are in spec, and it says how many.
 
-    A cycle that was searched alone rang 15 % beyond the limit in the second one.
+    A cycle that was searched alone rang 15 % beyond the limit in the second cycle.
     """
     file, best = tmp_path / "there.toml", tmp_path / "best.toml"
     file.write_text(THERE_AND_BACK, "utf-8")

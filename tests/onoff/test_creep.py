@@ -1,4 +1,4 @@
-"""A cylinder that stops short of its end switch creeps to it: in the plan, the twin, the judge."""
+"""A cylinder that stops short of its end switch creeps to it, in plan, twin and judge."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_a_switch_that_is_out_of_reach_ends_it_in_the_time_of_the_list() -> None
 
 
 def test_what_it_rings_is_what_was_planned() -> None:
-    """An opening rings as planned, beside what the slower stroke leaves: a tenth of the limit."""
+    """An opening rings as planned, beside the slower stroke's ringing: a tenth of the limit."""
     (across,) = [
         f.value
         for f in residual_vibration(crept(), {"after": 0.0, "window": 1.0})
@@ -85,7 +85,7 @@ def test_what_it_rings_is_what_was_planned() -> None:
 
 
 def test_the_ringing_of_an_opening_is_that_of_its_equations() -> None:
-    """Against an exact discretisation of the sliding cylinder by scipy, step by step."""
+    """Compared with scipy's exact discretisation of the sliding cylinder, step by step."""
     machine, level, open_s = planned().machine, 0.493, 0.02
     plant, pole = cylinder_equations(machine, "X"), step_ringing(machine, "X").pole
     rates, size = plant.sliding()[0], len(plant.states)
@@ -181,7 +181,7 @@ def test_what_opens_is_in_the_hash_and_on_the_wire() -> None:
 
 
 def test_every_further_cycle_creeps_as_the_program_does(tmp_path: Path) -> None:
-    """The list ends with a move whose switch is awaited where the next cycle begins."""
+    """The list ends with a move whose switch is awaited at the begin of the next cycle."""
     text = CYCLE.read_text().replace(
         'valve = "main_air"', 'valve = "main_air"\nfirst_cycle_only = true'
     )

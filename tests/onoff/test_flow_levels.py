@@ -1,4 +1,4 @@
-"""Commands of flow controls that hold over a band, against an integrator and a closed form."""
+"""Commands of flow controls that hold over a band, by an integrator and a closed form."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def flow_move(most: float, band: np.ndarray = BAND, dwell: int = 2) -> FlowMove:
 
 
 def integrated(ticks: tuple[int, ...], levels: tuple[float, ...], pole: complex) -> float:
-    """Return the amplitude behind a command by DOP853, over that of one step of level 1."""
+    """Return the amplitude after a command by DOP853, relative to one step of level 1."""
 
     def rates(u: float) -> Any:
         return lambda _, x: [x[1], abs(pole) ** 2 * (u - x[0]) + 2.0 * pole.real * x[1]]
@@ -94,9 +94,9 @@ def test_slower_valves_take_longer_or_as_long() -> None:
 
 
 def test_the_bound_without_a_band_is_the_time_optimum() -> None:
-    """One frequency, next to nothing may ring: the proved optimum of another program, rounded up.
+    """One frequency and almost no allowed ringing: another program's proved optimum, rounded up.
 
-    The bound may fall short of the distance by a fifth of a scan: it can be one scan shorter.
+    The bound may fall short of the distance by a fifth of a scan, so it can be one scan shorter.
     """
     one = flow_move(1e-3, np.ones(1))
     exact = time_optimal_s(46.5 * SCAN_S, POLE) / SCAN_S
@@ -113,8 +113,8 @@ def test_nothing_is_found_where_there_is_no_room() -> None:
 def test_a_quick_mode_of_a_gantry_has_commands_that_are_not_symmetric() -> None:
     """10.9 Hz, 300 ms of flow, valves that rest 20 ms, a step of flow rings 7.7 times the limit.
 
-    An integer program of symmetric commands ended without one 3 scans above the bound of 70 scans.
-    The command is judged by an integrator at frequencies between the searched ones.
+    An integer program for symmetric commands found none within 3 scans above the bound of 70 scans.
+    An integrator judges the command at frequencies between the searched ones.
     """
     turning = 2.0 * np.pi * 10.9 * (-0.021 + 1j)
     move = FlowMove(
@@ -141,7 +141,7 @@ def test_a_quick_mode_of_a_gantry_has_commands_that_are_not_symmetric() -> None:
 
 
 def test_levels_that_two_sets_of_flow_controls_make_keep_the_dwell_too() -> None:
-    """Two alike: a level of 0.5 names the first of them, whichever the search had opened."""
+    """Two are alike: a level of 0.5 names the first, whichever of them the search had opened."""
     alike = Valves(flows=(0.5, 0.5))
     assert alike.apart((0, 2, 6, 9), (0.5, 1.0, 0.5, 0.0)) == 4
     move = FlowMove(

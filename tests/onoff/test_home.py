@@ -1,4 +1,4 @@
-"""The order of the way home that a move list says: kept, or refused with its line."""
+"""The order of homing in a move list: kept, or refused with its line."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def compiled(text: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> tup
 
 
 def test_a_list_that_says_it_is_brought_home_so(tmp_path: Path) -> None:
-    """Without a word Z comes last, as it moves last; the list's own order goes before that.
+    """By default Z comes last, because it moves last; the list's own order goes before that.
 
     The slide of this machine may move with the lift anywhere.
     """
@@ -118,7 +118,7 @@ def test_an_order_that_brings_nothing_home_is_refused(
 def test_a_home_that_no_contact_tells_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The way home of X could not end: its switch at 0 is gone from the machine file."""
+    """Homing of X could not end: its switch at 0 is missing in the machine file."""
     machine = tmp_path / "blind.toml"
     library = Path(__import__("threadline.machine").machine.__file__).parent / "library"
     text = (library / "letter-placer.toml").read_text(encoding="utf-8")
@@ -160,9 +160,9 @@ home = ["Z", "X"]
 def test_a_homing_list_brings_pistons_home_from_wherever_they_stand(
     tmp_path: Path, places: list[tuple[float, float]]
 ) -> None:
-    """The program of a list that only brings home, scan by scan on pistons that start anywhere.
+    """The program of a list that only homes, scan by scan, with pistons that start anywhere.
 
-    In its cycle and in its way home: the lift first, X only with the lift truly up, both slowly.
+    In its cycle and in its homing: the lift first, X only once the lift is really up, both slowly.
     """
     machine = load_machine("letter-placer")
     file, out = tmp_path / "home.toml", tmp_path / "home.st"
@@ -276,7 +276,7 @@ def test_shared_addresses_are_refused(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_an_end_switch_beyond_the_stroke_is_refused(
     old: str, new: str, always: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Always on at X: the way home would end, and the cycle begin, with X anywhere."""
+    """It is always on at X: homing would end, and the cycle begin, with X anywhere."""
     text = (LIBRARY / "letter-placer.toml").read_text(encoding="utf-8")
     machine = tmp_path / "beyond.toml"
     new = new.replace(" mm", " mm exact, assumed")
@@ -353,9 +353,9 @@ def main_or_exit(words: list[str]) -> None:
 def test_what_an_interlock_needs_at_home_comes_home_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """X needs z_is_up: Z first, though the list moves Z last; the other order is refused.
+    """X needs z_is_up: Z first, although the list moves Z last; the other order is refused.
 
-    With both away the way home then ends at the start; X first would stand still for ever.
+    If both are away, homing then ends at the start; X first would wait for ever.
     """
     machine = load_machine("letter-placer")
     file, out = tmp_path / "list.toml", tmp_path / "free.st"

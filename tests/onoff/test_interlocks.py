@@ -1,4 +1,4 @@
-"""Interlocks of the machine file: steps that contradict them, and levels out of order, refused."""
+"""Interlocks of the machine file: contradicting steps and wrong levels are refused."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def with_x_locked(folder: Path, needs: str) -> str:
 def test_a_cylinder_moves_only_where_its_interlock_holds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Out with the lift down, or while it moves; with it up the example is proved."""
+    """A move with the lift down, or moving, is refused; with the lift up the example is proved."""
     machine = "letter-placer"
     out = '[[operation]]\nmove = { X = "200 mm" }\n'
     both = '[[operation]]\nmove = { X = "200 mm", Z = "100 mm" }\n'

@@ -1,4 +1,4 @@
-"""The letter placer's equations against the facts and scipy, by hand from the paper's numbers."""
+"""The letter placer's equations, compared with scipy, by hand from the paper's numbers."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Twin:
 
 
 def by_hand(reaction: float) -> tuple[np.ndarray, np.ndarray]:
-    """A and b of y, z, w and their rates for a force on the head; Newton's law, by hand."""
+    """Return A and b of y, z, w and their rates for a force on the head; Newton's law, by hand."""
     a = np.zeros((6, 6))
     a[:3, 3:] = np.eye(3)
     a[3] = [-(K1 + K2) / M1, K2 / M1, 0, -B1 / M1, 0, 0]
@@ -87,7 +87,7 @@ def test_frequency_and_damping_of_the_model() -> None:
 
 
 def residual_um(a: np.ndarray, force: np.ndarray, row: np.ndarray) -> float:
-    """Amplitude of the table after 200 mm of bang-bang at 1 m/s2, exact between switchings."""
+    """Return the table's amplitude after 200 mm of bang-bang at 1 m/s2, exactly."""
     half = math.sqrt(0.2)
     n = len(a)
     full = np.zeros((n + 1, n + 1))
@@ -134,7 +134,7 @@ def measured_stroke(reference: str) -> tuple[float, float, float, np.ndarray]:
 
 
 def test_valve_drive_follows_the_data_sheet() -> None:
-    """0.79 s, 0.43 and 0.33 m/s and 0.38 J to the digits that are printed."""
+    """0.79 s, 0.43 and 0.33 m/s and 0.38 J, to the printed digits."""
     time_s, fastest, last, speeds = measured_stroke("letter-placer+data-sheet")
     assert time_s == pytest.approx(0.79, abs=0.005)
     assert fastest == pytest.approx(0.43, abs=0.005)
@@ -145,14 +145,14 @@ def test_valve_drive_follows_the_data_sheet() -> None:
 
 
 def test_speed_at_full_flow_is_nearly_a_ramp_without_a_plateau() -> None:
-    """Of a triangle 10 % of the time lies above 90 % of the peak; at 20 % flow it is half."""
+    """A triangle is above 90 % of its peak for 10 % of the time; at 20 % flow it is half."""
     _, fastest, _, speeds = measured_stroke("letter-placer+full-flow")
     assert np.mean(speeds > 0.9 * fastest) < 0.25
     assert np.argmax(speeds) > 0.9 * len(speeds)
 
 
 def test_twin_agrees_with_an_independent_integration() -> None:
-    """Rigid beam, the rest by hand, LSODA at 1e-9; 1e-3 of the peak covers the beam's give."""
+    """A rigid beam, the rest by hand, LSODA at 1e-9; 1e-3 of the peak covers the beam's give."""
     machine = load_machine("letter-placer")
     plain = replace(machine.cylinders["X"], air_ramp=None)
     machine = replace(machine, cylinders={"X": plain, "Z": machine.cylinders["Z"]})
@@ -190,7 +190,7 @@ def test_twin_agrees_with_an_independent_integration() -> None:
 
 
 def test_ringing_of_a_step_is_that_of_the_twin() -> None:
-    """The residue of the slowest mode against the twin's own frame, long after a step."""
+    """The residue of the slowest mode equals the twin's frame motion, long after a step."""
     machine = load_machine("letter-placer")
     plain = replace(machine.cylinders["X"], air_ramp=None, stroke=Quantity(
         si=10.0, unit="m", tolerance_si=0.0, provenance=machine.cylinders["X"].stroke.provenance
@@ -206,7 +206,7 @@ def test_ringing_of_a_step_is_that_of_the_twin() -> None:
     wanted = (ringing.amplitude_m * np.exp(ringing.pole * times)).real
     found = np.array(frame[2000:])
     rest = found - wanted
-    # What is left is the slow push of the steady drag, b2 v / K1 = 24 um, which hardly changes.
+    # The rest is the slow push of the steady drag, b2 v / K1 = 24 um, which hardly changes.
     assert np.ptp(rest) < 0.01 * np.ptp(wanted)
 
 
@@ -219,7 +219,7 @@ def test_valves_excite_a_slower_mode_than_a_free_piston() -> None:
 
 @pytest.mark.parametrize("lag_s", [1e-15, 1e-12, 1e-6])
 def test_a_fast_valve_hides_no_mode(lag_s: float, tmp_path: Path) -> None:
-    """The lag of a valve is before the cylinder, and no part of what rings; it was a traceback."""
+    """The lag of a valve is before the cylinder, and rings nothing; once it was a traceback."""
     file = tmp_path / "fast.toml"
     file.write_text(f'base = "letter-placer"\ncylinders.X.lag = "{lag_s} s exact, assumed"\n')
     as_built = flow_mode(load_machine("letter-placer"), "X")

@@ -1,4 +1,4 @@
-"""``prove`` and ``judge`` of a move list: every step measured, the valves' limits kept."""
+"""``prove`` and ``judge`` of a move list: every step is measured, and valve limits are kept."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def until(commands: SwitchSchedule, tick: int) -> SwitchSchedule:
 def test_shaped_cycle_is_in_spec_and_the_unshaped_and_the_misread_one_are_not(
     cycle: Path, tmp_path: Path
 ) -> None:
-    """Exit codes 0 and 1; a recording that was written is judged the same."""
+    """Exit status 0 and 1; a written recording is judged the same."""
     trace = tmp_path / "run.npz"
     words = ["prove", str(cycle), "-m", TRIMMED, "--json", "--nominal"]
     code, text = run(*words, "--shaper", "zv", "--recording", str(trace))
@@ -58,7 +58,7 @@ def test_shaped_cycle_is_in_spec_and_the_unshaped_and_the_misread_one_are_not(
             if c["name"] == "residual_vibration"}  # fmt: skip
     assert code == 1
     assert rows["X", "across"]["status"] == "failed"
-    # 24.7 % of what the unshaped stroke leaves, by the facts; whole scans and lag move it a little.
+    # By the facts, 24.7 % of the unshaped stroke's ringing; whole scans and lag change it a little.
     unshaped = json.loads(run(*misread)[1])["criteria"]
     (other,) = [c for c in unshaped if (c["axis"], c.get("step")) == ("X", "across")
                 and c["name"] == "residual_vibration"]  # fmt: skip
@@ -66,9 +66,9 @@ def test_shaped_cycle_is_in_spec_and_the_unshaped_and_the_misread_one_are_not(
 
 
 def test_residual_of_a_step_is_the_ringing_that_a_fit_finds(shaped: Proof) -> None:
-    """The frame's amplitude after "across" by a fitted sine, the later steps cut off.
+    """The frame's amplitude after "across" by a fitted sine, without the later steps.
 
-    Half the peak-to-peak of a window counts the rest of the motion too: 15 % and 2 um.
+    Half the peak-to-peak of a window contains the rest of the motion, too: 15 % and 2 um.
     """
     machine, commands = shaped.plan.machine, shaped.plan.commands
     (end,) = [e.tick for e in commands.events if e.name == "leave"]
@@ -125,7 +125,7 @@ def test_steps_are_told_with_their_lines(shaped: Proof, cycle: Path) -> None:
 
 
 def test_every_stroke_ends_where_the_job_says(shaped: Proof) -> None:
-    """The last target of X is where it began: forward and back again, each within a millimetre."""
+    """The last target of X is its start: forward and back again, each within a millimetre."""
     ends = [r for r in shaped.verdict.results if r.name == "end_position_error"]
     assert {r.axis for r in ends} == {"X", "Z"}
     assert len([r for r in ends if r.axis == "X"]) >= 2
@@ -140,7 +140,7 @@ def test_every_stroke_ends_where_the_job_says(shaped: Proof) -> None:
 
 
 def test_cycle_time_is_the_schedule_and_its_waits(shaped: Proof) -> None:
-    """None comes late: 903 scans of 10 ms. Half a second without air in a wait adds as much."""
+    """No wait is late: 903 scans of 10 ms. Half a second without air in a wait adds as much."""
     measured = shaped.verdict.result("cycle_time").measured
     assert measured == pytest.approx(9.03, abs=1e-9)
 
@@ -171,7 +171,7 @@ def test_a_broken_beam_is_no_cycle(shaped: Proof) -> None:
 def test_limits_of_the_valves_are_judged(shaped: Proof, name: str) -> None:
     """A valve that opens for 10 ms, opposite valves together, both levels with a third one.
 
-    X is too far open as well, by less than its tolerance less than Z.
+    X is too far open as well, by a smaller share of its tolerance than Z.
     """
     assert shaped.verdict.result(name).status is Status.PASSED
 
@@ -204,7 +204,7 @@ def test_limits_of_the_valves_are_judged(shaped: Proof, name: str) -> None:
 
 
 def test_a_dwell_that_is_kept_is_told_in_words(shaped: Proof) -> None:
-    """No negative time: 0 too short, and how long the quickest valve rested of what it needs."""
+    """No negative time: 0 too short, and the shortest rest of a valve beside the needed one."""
     result = shaped.verdict.result("switching_dwell")
     assert result.measured == 0.0
     assert " ms; it needs 20 ms" in result.note
@@ -212,9 +212,9 @@ def test_a_dwell_that_is_kept_is_told_in_words(shaped: Proof) -> None:
 
 
 def test_flow_controls_of_a_closed_valve_are_no_level(shaped: Proof) -> None:
-    """All that lets Z down opens while no air goes that way: too much of nothing is not over.
+    """Every flow control for Z down opens while no air flows: this exceeds no level.
 
-    The two flow controls sum to 1; the judge is given 0.6 for one of them, as above.
+    The two flow controls sum to 1; the judge gets 0.6 for one of them, as above.
     """
     machine = shaped.plan.machine
     way = machine.cylinders["Z"].forward

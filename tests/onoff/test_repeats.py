@@ -43,7 +43,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 
 
 def test_another_day_differs_in_friction_and_stiffness_alone() -> None:
-    """The machine that runs is the plan's with two factors, and the speed of its flows stays."""
+    """The running machine differs from the plan's by two factors; the speed of its flows stays."""
     plan = plan_of(f"{OWN}+hysteresis")
     machine = plan.machine
     _, day = kind_of(machine).days(plan.commands, machine, 2, np.random.default_rng(3))
@@ -67,7 +67,7 @@ def test_another_day_differs_in_friction_and_stiffness_alone() -> None:
 
 
 def test_runs_are_held_one_by_one() -> None:
-    """Four times as many runs, judged together, take no more memory: one at a time is held."""
+    """Four times as many runs, judged together, take no more memory: one at a time is kept."""
     plan = plan_of(OWN)
     spec = load_spec(None, plan.machine)
 
@@ -84,20 +84,21 @@ def test_runs_are_held_one_by_one() -> None:
         finally:
             tracemalloc.stop()
 
-    judge(days(1), plan, spec)  # compiled, which takes several times as long while memory is traced
-    peak(1)  # what is made once
+    judge(days(1), plan, spec)  # compiled first: slow while memory is traced
+    peak(1)  # created once
     assert peak(12) < 1.3 * peak(3)
 
 
 def test_repeatability_is_the_spread_of_where_pistons_stand() -> None:
-    """By numpy from the recordings: at the end of each move's quiet, the farthest from the mean."""
+    """By numpy from the recordings: at the end of each move's rest, the farthest from the mean."""
     plan = plan_of(f"{OWN}+hysteresis")
     spec = Spec(name="", criteria=(Criterion(name="repeatability", options={"recordings": 3.0}),))
     random = np.random.default_rng(5)
     days = kind_of(plan.machine).days(plan.commands, plan.machine, 4, random)[1:]
     result = judge(days, plan, spec).result("repeatability")
 
-    # X stands behind "across" until "return" begins: look at it while Z goes down to leave. It
+    # X stands from the end of "across" to "return": its place is read while Z goes down to leave.
+    # It
     # still creeps by a tenth of a micrometre from there to the instant that the judge looks at.
     steps = {e.name: e for e in plan.scheduled.commands.events if e.kind == "tool"}
     leaves_s = steps["leave"].tick * float(plan.commands.clock.period_s) + 0.5
@@ -127,12 +128,12 @@ def test_repeats_are_drawn_from_a_fixed_seed_and_the_worst_counts() -> None:
 def test_shapers_stand_side_by_side(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Unless told otherwise; one that its valves cannot follow is listed, and why."""
+    """By default; a shaper that the valves cannot follow is listed with the reason."""
     blank_pictures(monkeypatch)
     folder = tmp_path / "report"
     words = ["compare", CYCLE, "-m", "letter-placer", "--shaper", "none, zv, um-zv"]
     code, out, _ = run(capsys, *words, "--report", folder)
-    assert code == 1  # unshaped is out of spec
+    assert code == 1  # the unshaped cycle is out of spec
     rows = [line.split() for line in out.splitlines()]
     assert ["um-zv", "8.730", "8.730", "0.073"] in [row[:4] for row in rows]
     assert ["zv", "refused"] in rows
@@ -158,9 +159,9 @@ def test_what_means_nothing_to_it_is_refused(capsys: pytest.CaptureFixture[str])
 def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A slow piston stops short of a switch that stands farther out: that is no error of input.
+    """A slow piston stops short of a switch farther out: that is no error of input.
 
-    It creeps to it unless the list forbids that.
+    It creeps to the switch unless the list forbids that.
     """
     machine = load_machine("letter-placer")
     file = tmp_path / "list.toml"
@@ -197,7 +198,7 @@ def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
     assert result.note == f"1 of 3 machines within the tolerances never end: {stuck[0]}"
     assert verdict.machines == 3 and not verdict.passed
     assert verdict.tolerances is not None and verdict.tolerances.share is None
-    # What the others come to is told all the same.
+    # The results of the other runs are still reported.
     assert verdict.result("residual_vibration").measured is not None
 
 

@@ -1,4 +1,4 @@
-"""What the report of an on/off machine says: a broken beam, the net, the figures in its page."""
+"""The report of an on/off machine: a broken beam, the net, and the figures on its page."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def across(folder: Path, shaper: str) -> tuple[Scheduled, ScheduledMove]:
 
 @pytest.mark.parametrize("shaper", ["none", "zv", "um-zv"])
 def test_twin_rings_after_a_broken_beam_as_the_residues_say(tmp_path: Path, shaper: str) -> None:
-    """The picture is made of residues of one mode; the twin knows nothing of them.
+    """The picture shows residues of one mode; the twin does not know them.
 
-    2 % of the worst: the air's damping builds up over the first 10 mm in the twin alone.
+    The bar is 2 % of the worst: the air's damping builds up over the first 10 mm in the twin alone.
     """
     scheduled, move = across(tmp_path, shaper)
     sweep, (instants, found) = move_sweep(scheduled, move, breaks=7)
@@ -66,7 +66,7 @@ def test_twin_rings_after_a_broken_beam_as_the_residues_say(tmp_path: Path, shap
 
 
 def test_unit_magnitude_halves_what_a_broken_beam_leaves(tmp_path: Path) -> None:
-    """Why UM: worst of the instants, shaped against unshaped, by the twin alone."""
+    """The reason for UM: the worst of all instants, shaped against unshaped, by the twin alone."""
     scans = np.arange(5, 60, 12)
     worst = {}
     for shaper in ("none", "um-zv"):
@@ -76,7 +76,7 @@ def test_unit_magnitude_halves_what_a_broken_beam_leaves(tmp_path: Path) -> None
 
 
 def test_unbroken_end_of_a_sweep_is_the_residual_of_the_shaper() -> None:
-    """Behind the move nothing is left of ZV; over-pressure exceeds the level by its 100 %."""
+    """After the move ZV leaves nothing; over-pressure exceeds the level by its 100 %."""
     machine = load_machine("letter-placer")
     mode = FlexibleMode(*flow_mode(machine, "X"))
     ringing = step_ringing(machine, "X")
@@ -107,13 +107,13 @@ def test_break_figure_has_a_panel_for_every_shaper_and_the_circles_of_the_twin()
 
 
 def test_petri_net_has_a_bar_for_every_place(examples: Path) -> None:
-    """Rows of four; a bar carries the time of its own place, or the input with its timeout.
+    """Rows of four; a bar shows the time of its own place, or the input with its timeout.
 
-    The net's own times count on from the last input: on the way down 10 ms behind the wait, then
-    the impulses of the shaper, 0.172 s or 180 ms on the scan, so that the first level lasts 170 ms.
-    Every page has place 0, and the way back to it beside each of its rows. Behind the 55 places of
-    the cycle come the five of the way home: air, then each cylinder on its way and pressed there.
-    Six places of the cycle, by which a cylinder creeps, stand below the place that waits.
+    The net's own times count from the last input: on the way down 10 ms after the wait, then the
+    impulses of the shaper, 0.172 s or 180 ms on the scan, so that the first level lasts 170 ms.
+    Every page has place 0, and the way back to it beside each of its rows. After the 55 places of
+    the cycle come the five of homing: air, then each cylinder on its way and pressed there. Six
+    places of the cycle, in which a cylinder creeps, stand below the place that waits.
     """
     machine = load_machine(TRIMMED)
     scheduled = compile_schedule(

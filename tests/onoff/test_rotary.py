@@ -1,7 +1,7 @@
 """A rotary cylinder: two pistons on a rack swivel an arm on a springy column.
 
 The equations are Newton's law by hand, with the numbers of ``examples/swivel.toml``, integrated by
-scipy. The stiffness of the air is that of two chambers with adiabatic changes, by numerical
+scipy. The stiffness of the air belongs to two chambers with adiabatic changes, by numerical
 differentiation of p V^1.4, not by the formula of the program.
 """
 
@@ -49,7 +49,7 @@ def changed(folder: Path, *pairs: tuple[str, str]) -> Path:
 
 
 def chambers_n_m_rad() -> float:
-    """Stiffness of the air in the middle of 180 deg: two chambers of 16 cm^2 in all, 6 bar."""
+    """Return the air's stiffness in the middle of 180 deg: two chambers, 16 cm^2, 6 bar."""
     area, pinion, absolute = 2 * 8e-4, 0.015, 5e5 + 101_325.0
     half = area * pinion * math.radians(180.0) / 2.0  # m^3 of each chamber
 

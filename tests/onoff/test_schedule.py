@@ -1,4 +1,4 @@
-"""Move lists, and schedules made of them: levels, valves, refusals, the cycle on the twin."""
+"""Move lists and their schedules: levels, valves, refusals, the cycle on the twin."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def cycle(examples: Path, reference: str, shaper: str, **mode: object) -> Schedu
 
 
 def x_levels(commands: SwitchSchedule) -> dict[int, float]:
-    """Level of X to the right from each tick on, by the flows that the paper sets."""
+    """Return the level of X to the right from each tick on, by the flows of the paper."""
     columns = [commands.outputs.index(n) for n in ("x_right", "x_right_a1", "x_right_a2")]
     found, last = {}, 0.0
     for tick, row in zip(commands.ticks, commands.levels, strict=True):
@@ -58,7 +58,7 @@ def test_convolved_shaper_keeps_to_the_unshaped_level_and_the_dwell(examples: Pa
 
 
 def test_a_dwell_of_0_changes_no_switching(examples: Path, tmp_path: Path) -> None:
-    """It was refused, and would have taken a scan."""
+    """A dwell of 0 was refused, and would have taken a scan."""
     machine = load_machine(TRIMMED)
     text = (examples / "letter-cycle.toml").read_text()
     still = tmp_path / "still.toml"
@@ -155,7 +155,7 @@ def test_wrong_move_lists_are_refused_with_their_line(
     ],
 )
 def test_waits_that_no_move_ends_are_refused(tmp_path: Path, wait: str, message: str) -> None:
-    """A program for the PLC would stop at them with a fault in every cycle."""
+    """A program for the PLC would stop there with a fault in every cycle."""
     file = tmp_path / "m.toml"
     file.write_text(
         '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { Z = "50 mm" }\n'
@@ -180,7 +180,7 @@ def test_an_input_that_nothing_moves_goes_when_its_end_is_waited_for(tmp_path: P
     made = compile_schedule(read_job(file, machine), machine)
     recording = simulate_switching(made.commands, machine, SwitchOptions(after_s=0.1))
     times, held = recording.samples("letter_held")
-    # The first wait takes its own scan, the dwell five: it goes at 60 ms.
+    # The first wait takes its own scan, the dwell five: it goes off at 60 ms.
     assert (held[times < 0.06] == 1).all()
     assert (held[times >= 0.06] == 0).all()
     with pytest.raises(RecordingError, match="'letter_held' did not become off within 60 s"):
@@ -196,7 +196,7 @@ def ringing_after_cycle(made: Scheduled) -> float:
 
 
 def test_shaped_cycle_ends_still_and_the_unshaped_one_does_not(examples: Path) -> None:
-    """A quarter of the way to 0 is far above what friction, lag and 10 ms scans leave."""
+    """A quarter of the way to 0 is far above the effect of friction, lag and 10 ms scans."""
     unshaped = ringing_after_cycle(cycle(examples, TRIMMED, "none"))
     shaped = ringing_after_cycle(cycle(examples, TRIMMED, "zv"))
     assert unshaped > 1e-3
@@ -214,7 +214,7 @@ def test_waits_hold_the_schedule_until_the_piston_is_there(examples: Path) -> No
 
 
 def test_a_wait_may_be_for_an_input_to_go(tmp_path: Path) -> None:
-    """``is`` and ``timeout`` are what they say; without them it waits for true, and longer."""
+    """``is`` and ``timeout`` are applied; the default waits for true, and longer."""
     file = tmp_path / "w.toml"
     file.write_text(
         '[[operation]]\nwait = "x_is_right"\nis = false\ntimeout = "250 ms"\n'

@@ -56,7 +56,7 @@ def plain(machine: Machine, delay_s: str) -> Machine:
 @pytest.mark.parametrize("delay_s", ["0.1234567", "1e-7", "0.02", "0.20050000001"])
 @pytest.mark.parametrize("scan_s", [Fraction(1, 100), Fraction(73, 10_000)])
 def test_any_dead_time_arrives_where_it_should(delay_s: str, scan_s: Fraction) -> None:
-    """Against DOP853 on the plant's own matrices, restarted where each level arrives."""
+    """Compared with DOP853 on the plant's own matrices, restarted where each level arrives."""
     machine = plain(load_machine("letter-placer"), delay_s)
     half, full = ("x_right", "x_right_a1"), ("x_right", "x_right_a1", "x_right_a2")
     commands = schedule(machine, scan_s, [(0, half), (11, full), (23, ())], 30)
@@ -81,7 +81,7 @@ def test_any_dead_time_arrives_where_it_should(delay_s: str, scan_s: Fraction) -
 
 
 def test_a_dead_time_of_many_digits_costs_nothing_more() -> None:
-    """As many samples as with a round one; one of too many is refused, with both numbers."""
+    """It has as many samples as a round one; a time with too many is refused, with both numbers."""
     base = load_machine("letter-placer")
     commands = schedule(base, Fraction(1, 100), [(0, ("x_right", "x_right_a1"))], 20)
     for delay_s in ("0.2", "0.1234567"):
@@ -93,7 +93,7 @@ def test_a_dead_time_of_many_digits_costs_nothing_more() -> None:
 
 
 def test_a_long_recording_streams() -> None:
-    """Five minutes are 0.3 million samples of 36 channels: 87 MB, were they kept."""
+    """Five minutes are 0.3 million samples of 36 channels: 87 MB if they were kept."""
     machine = load_machine("letter-placer")
     commands = schedule(machine, Fraction(1, 100), [(0, ("x_right", "x_right_a1"))], 30_000)
     recording = simulate_switching(commands, machine)
@@ -124,7 +124,7 @@ def test_the_recording_is_the_same_when_it_is_read_again_and_elsewhere() -> None
 
 
 def test_variants_do_what_machines_with_their_numbers_do() -> None:
-    """Masses, springs, dead times, speeds, flows, air and switches, all drawn at once."""
+    """Masses, springs, dead times, speeds, flows, air and switches are all drawn at once."""
     machine = load_machine("letter-placer+hysteresis")
     wait = Event(tick=60, kind="wait", operation=0, name="x_is_right", value=1)
     rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (110, ("x_left", "x_left_a2"))]
@@ -176,7 +176,8 @@ def test_a_cushion_throttles_the_way_in_and_not_the_way_out() -> None:
     """Back from its end a piston passes 150 mm at nearly the same instant, with or without one.
 
     At 0.27 m/s the 22 mm of the cushion take 80 ms; a flow throttled to 42 % would take 190 ms, 110
-    more. What is left is a bounce of the piston as it comes off, which the cushion does take up.
+    more. The remaining difference is a bounce of the piston as it comes off, which the cushion
+    absorbs.
     """
     rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (180, ("x_left", "x_left_a1"))]
     strokes = []
@@ -211,8 +212,8 @@ GANTRY = Frame(4.0, 12.0, 56.3e3, 20.0, 12e3, 90.0, 0.04)
 def stopped_frame(of: Frame, speed: float, restitution: float) -> tuple[list[float], float]:
     """Return the table at every ms, m, and how far the piston comes off its stop, m, by hand.
 
-    Two masses with the cylinder fixed to the table; the stop only pushes, and its force is that of
-    the whole balance, the table's acceleration included.
+    Two masses with the cylinder fixed to the table; the stop only pushes, and its force is the
+    force of the whole balance, the table's acceleration included.
     """
     head, table = of.head, of.table
     step = 1e-5
@@ -278,7 +279,7 @@ def as_machine(of: Frame, speed: float) -> Machine:
 def test_a_piston_stays_at_its_stop_as_at_one_that_does_not_spring_back(
     of: Frame, speed: float
 ) -> None:
-    """Held against two masses by hand whose stop only pushes, over 1.2 s behind the impact."""
+    """Compared with two masses by hand whose stop only pushes, over 1.2 s after the impact."""
     machine = as_machine(of, speed)
     rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (47, ())]
     frame = simulate_switching(schedule(machine, Fraction(1, 100), rows, 190), machine)
@@ -296,7 +297,7 @@ def test_a_piston_stays_at_its_stop_as_at_one_that_does_not_spring_back(
 
 
 def test_a_piston_that_the_frame_pulls_off_its_stop_comes_off() -> None:
-    """Gently pressed, on a light frame, it leaves the stop as the two masses do, and comes back."""
+    """Pressed gently, on a light frame, it leaves the stop as the two masses do, and comes back."""
     rows = [(0, ("x_right", "x_right_a1", "x_right_a2")), (47, ())]
     machine = as_machine(GANTRY, 0.425)
     run = simulate_switching(schedule(machine, Fraction(1, 100), rows, 190), machine)
@@ -307,7 +308,7 @@ def test_a_piston_that_the_frame_pulls_off_its_stop_comes_off() -> None:
 
 @pytest.mark.parametrize("step", ["", 'step = "back"\n'])
 def test_moves_before_a_named_step_are_judged(tmp_path: Path, step: str) -> None:
-    """A list that names no step, or its first one late, has a step from its beginning."""
+    """A list that names no step, or its first one late, has a step from its begin."""
     file = tmp_path / "list.toml"
     file.write_text(
         'name = "list"\n[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { X = "200 mm" }\n'

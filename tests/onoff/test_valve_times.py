@@ -67,10 +67,10 @@ def with_times(machine: Machine, opens: str, closes: str) -> Machine:
 
 @pytest.mark.parametrize(("opens", "closes"), [("0.0137", "0.0311"), ("0.03", "0.004")])
 def test_each_flow_comes_and_goes_in_its_own_time(opens: str, closes: str) -> None:
-    """Against DOP853 on the plant's own matrices, restarted wherever a flow opens or closes.
+    """Compared with DOP853 on the plant's matrices, restarted where a flow opens or closes.
 
-    At scan 11 one flow control gives way to the other: for as long as one closes later than the
-    other opens both are open, or neither.
+    At scan 11 one flow control gives way to the other: as long as one closes later than the other
+    opens, both are open, or neither.
     """
     machine = with_times(plain(load_machine("letter-placer"), "0.1"), opens, closes)
     first, then = ("x_right", "x_right_a1"), ("x_right", "x_right_a2")
@@ -99,7 +99,7 @@ def test_each_flow_comes_and_goes_in_its_own_time(opens: str, closes: str) -> No
 
 
 def test_a_broken_beam_lets_through_what_has_not_closed_yet() -> None:
-    """The piston goes on for as long as its valves take to close, at its speed."""
+    """The piston goes on at its speed for as long as its valves take to close."""
     base = load_machine("letter-placer")
     row = ("x_right", "x_right_a1", "x_right_a2")
     went = []
@@ -135,7 +135,7 @@ def test_commands_are_shorter_by_what_the_flow_lasts_longer(shaper: str, example
 
 
 def test_what_a_command_leaves_is_known_in_closed_form(tmp_path: Path) -> None:
-    """Levels with a gap: the twin's ringing to 3 %, that without the times is half of it."""
+    """Levels with a gap: the twin's ringing to 3 %; without the valve times it is half."""
     machine = load_machine(UNEQUAL)
     file = tmp_path / "gap.toml"
     file.write_text(
@@ -170,7 +170,7 @@ def test_a_valve_is_not_switched_again_before_it_has_closed(tmp_path: Path) -> N
 
 
 def test_the_next_step_waits_for_the_valves_of_the_way_that_was_gone(tmp_path: Path) -> None:
-    """Those of the way back close at once here: 25 ms less than those of the way there."""
+    """The valves of the way back close at once here: 25 ms less than those of the way forth."""
     machine = load_machine(UNEQUAL)
     cylinder = machine.cylinders["X"]
     quick = replace(cylinder, back=replace(cylinder.back, closes=None))
@@ -188,9 +188,9 @@ def test_the_next_step_waits_for_the_valves_of_the_way_that_was_gone(tmp_path: P
 def integrated(
     switchings: list[tuple[float, float]], pole: complex, band: FloatArray
 ) -> FloatArray:
-    """Return the amplitudes behind changes of the level by DOP853, over those of one step.
+    """Return the amplitudes after changes of the level by DOP853, relative to one step.
 
-    All of the (n,) ``band`` at once: a step costs the interpreter what it costs for one.
+    All of the (n,) ``band`` is integrated at once: a step takes the interpreter as long as for one.
     """
     poles = pole * band
     state, level = np.zeros(2 * len(poles)), 0.0
@@ -248,7 +248,7 @@ def test_a_command_for_a_band_knows_when_its_flows_come(scans: int) -> None:
 def test_the_robust_cycle_of_such_a_machine_is_in_spec_all_over_the_band(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The twin lets each flow come in its own time there, too; compile takes what is found."""
+    """The twin lets each flow come in its own time there, too; compile accepts the found list."""
     machine = load_machine(UNEQUAL)
     spec = load_spec(None, machine)
     down = tmp_path / "down.toml"

@@ -1,4 +1,4 @@
-"""Cycles that were recorded in part, or by hand: what is measured of them, and what is not."""
+"""Cycles that were recorded in part, or by hand: measured and not measured results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from threadline.verdict.switch_run import SwitchRun
 def test_a_table_made_by_hand_is_judged_as_the_recording_is(
     cycle: Path, shaped: Proof, tmp_path: Path
 ) -> None:
-    """Outputs, an input and frames as columns of a spreadsheet: what was proved comes out."""
+    """Outputs, an input and frames as columns of a spreadsheet: the result equals the proof."""
     switched = shaped.plan.commands.outputs
     samples = shaped.recording.samples_of([*switched, "x_is_left", "X.frame", "Z.frame"])
     columns = {f"{name}.output": samples[name][1] for name in switched}
@@ -44,7 +44,7 @@ def test_a_table_made_by_hand_is_judged_as_the_recording_is(
         if result.name in ("residual_vibration", "cycle_time", "switching_order"):
             made = found[result.name, result.axis, result.step or None]
             assert made["measured"] == pytest.approx(result.measured, abs=1e-8), result
-    code, text = run(*words)  # a plan without the shaper is not what this machine was told
+    code, text = run(*words)  # a plan without the shaper is not the plan of this run
     assert code == 1
     criteria = json.loads(text)["criteria"]
     assert [c["name"] for c in criteria if c["status"] == "failed"] == ["switching_order"]
@@ -53,7 +53,7 @@ def test_a_table_made_by_hand_is_judged_as_the_recording_is(
 def test_how_long_the_cycle_waits_at_its_end_is_not_known_without_the_contact(
     shaped: Proof,
 ) -> None:
-    """The last switching begins the way back; the cycle ends when x_is_left says so."""
+    """The last switching begins the way back; the cycle ends when x_is_left turns on."""
     criterion = Criterion(name="cycle_time", limit=1e3, required=True)
     spec = replace(shaped.spec, criteria=(criterion,))
     assert judge([shaped.recording], shaped.plan, spec).passed
@@ -73,7 +73,7 @@ def test_how_long_the_cycle_waits_at_its_end_is_not_known_without_the_contact(
 
 
 def test_frames_and_pistons_without_a_sample_are_not_measured(shaped: Proof) -> None:
-    """A channel that is named and empty is as good as none."""
+    """A channel that is named and empty counts as missing."""
 
     def empty(samples: dict[str, Any]) -> None:
         samples["Z.frame"] = samples["Z.load"] = np.empty(0)
@@ -86,7 +86,7 @@ def test_frames_and_pistons_without_a_sample_are_not_measured(shaped: Proof) -> 
 
 
 def cut(recording: Recording, name: str, begin: int, end: int) -> Recording:
-    """Return a recording in three blocks, in the second of which a channel has no samples."""
+    """Return a recording in three blocks; in the second one a channel has no samples."""
     (whole,) = recording
 
     def part(first: int, last: int | None, *, without: bool) -> RecordingBlock:
@@ -105,7 +105,7 @@ def cut(recording: Recording, name: str, begin: int, end: int) -> Recording:
 
 @pytest.mark.parametrize("axis", ["X", "Z"])
 def test_ringing_that_was_cut_out_is_not_measured(shaped: Proof, axis: str) -> None:
-    """3 mm at 3 Hz on one frame for 0.2 s; those 0.2 s are cut out of its channel, or of all."""
+    """3 mm at 3 Hz on one frame for 0.2 s, which are cut out of its channel, or of all channels."""
     run = SwitchRun(shaped.recording, shaped.plan)
     step = max(run.steps, key=lambda s: np.subtract(*run.quiet_s(s, axis)[::-1]))
     begin = round(1e3 * run.quiet_s(step, axis)[0]) + 50
@@ -148,7 +148,7 @@ def test_blocks_of_a_cycle_that_go_back_are_refused(shaped: Proof) -> None:
 def test_a_recording_that_ends_before_the_cycle_measures_what_it_came_to(
     shaped: Proof, name: str
 ) -> None:
-    """Cut off 0.1 s before its end: the last step of X is not known, those before it are."""
+    """Cut 0.1 s before its end: the last step of X is unknown, the steps before it are not."""
     run = SwitchRun(shaped.recording, shaped.plan)
     count = round(1e3 * (run.end_s - 0.1))
 
@@ -247,8 +247,8 @@ def test_what_rings_is_measured_though_the_cylinder_moves_again_at_once(
 ) -> None:
     """By place and speed in 20 ms, against half the peak-to-peak of a second: 3 % and 8 um.
 
-    A piston at rest still has 2 % of its speed, and what slows it pushes the frame by 17 um at
-    most. A live machine may wait there for an input that on the simulated one comes at once.
+    A piston at rest still has 2 % of its speed, and its braking pushes the frame by 17 um at most.
+    A live machine may wait there for an input that comes at once on the simulated one.
     """
 
     def out_of(proof: Proof) -> float:
@@ -266,7 +266,7 @@ def test_what_rings_is_measured_though_the_cylinder_moves_again_at_once(
 
 
 def test_what_is_required_and_cannot_be_measured_is_not_proven(tmp_path: Path) -> None:
-    """X goes back before it has come to rest: nobody knows what would ring there."""
+    """X goes back before it has come to rest, so its ringing is unknown."""
     proof = of_pick(tmp_path, 10, 'rest = "100 ms"\n', "zv")
     results = [
         r for r in proof.verdict.results if (r.name, r.axis, r.step) == (MEASURED, "X", "out")

@@ -1,4 +1,4 @@
-"""A panel whose owner and machine are threads or forks of the test, and an operator at it."""
+"""A panel for tests, with an operator; its owner and machine are threads or forks of the test."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ CASES = {
 
 @cache
 def proven(folder: Path, machine: str = "lathe-winder") -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the words and the figures of a program, proven once for all tests."""
+    """Return the words and the figures of a program; the proof is made once for all tests."""
     asked = CASES[machine]
     if asked.program.startswith("there."):
         text = PROGRAM if asked.program.endswith(".prg") else GCODE
@@ -84,14 +84,14 @@ def proven(folder: Path, machine: str = "lathe-winder") -> tuple[dict[str, Any],
 
 
 class Known(Calculation):
-    """A calculation that has found what it found before."""
+    """A calculation that returns the figures found before."""
 
     def begin(self, asked: Calculate, tell: Any) -> None:
         words, found = proven(self._folder, self._machine.name)
         tell(self._taken(dict(found), words))
 
     async def preview(self, program: str) -> bytes | str:
-        """Return it as ever, but from this process, which has all that it needs loaded."""
+        """Prepare as usual, but in this process, which has everything loaded."""
         try:
             return json.dumps(preview(self._folder, program, self._machine)).encode()
         except ThreadlineError as error:
@@ -99,7 +99,7 @@ class Known(Calculation):
 
 
 class KnownGuide(MachineGuide):
-    """A guide that is made once for all tests, by a process of its own as ever."""
+    """A guide that a separate process makes once for all tests."""
 
     made: ClassVar[dict[str, MachineGuide]] = {}
 
@@ -139,7 +139,7 @@ def own_here(
 
 
 def own_at(server: socket.socket, link: str, folder: Path, machine: Machine) -> None:
-    """Own what is at the far end of a link, which is not simulated here."""
+    """Own a machine whose link does not lead to a simulated one."""
     to = Connection(server)
     serve_owned(to, Owned(machine, None, folder, folder / "runs", 1.0, link))
     to.close()
@@ -204,7 +204,7 @@ def served(
 
 
 class Operator:
-    """Somebody at a websocket, of which it needs ``send_text`` and ``receive_text``."""
+    """A client at a websocket, with the two methods that a panel uses."""
 
     def __init__(self, socket: Any, name: str = "Anna", token: str = "") -> None:
         self.socket, self.heard = socket, list[dict[str, Any]]()
@@ -234,17 +234,17 @@ class Operator:
         """Wait for a state; a jog is not renewed meanwhile."""
         end = time.monotonic() + 60.0
         while self.hear()["type"] != "state" or self.state["state"] not in states:
-            assert time.monotonic() < end, str(self.state)  # all of it: a text is told whole
+            assert time.monotonic() < end, str(self.state)  # the whole text is compared
             assert self.state.get("state") not in {"fault", "gone"}, str(self.state)
         return self.state
 
     def wait(self, until: Callable[[dict[str, Any]], bool]) -> None:
-        """Wait for what is seen in a state, and keep control meanwhile."""
+        """Wait until a state meets a condition, and keep control meanwhile."""
         while self.until("state") and not until(self.state):
             self.say(type="alive", lease=self.lease)
 
     def catch_up(self, client: TestClient) -> Operator:
-        """Read what was sent meanwhile, up to a state that is later than now."""
+        """Read the waiting messages, up to a state that is sent after this call."""
         seq = client.get("/api/state").json()["seq"]
         while self.until("state")["seq"] <= seq:
             pass
@@ -263,9 +263,9 @@ class Operator:
         return self._number
 
     def act(self, what: str, **words: Any) -> str:
-        """Give a command on the state of now; return why it is refused, or nothing.
+        """Give a command on a fresh state; return why it is refused, or nothing.
 
-        Where the computer is so busy that the state was old before it was acted on, look again.
+        If a busy computer makes the state too old before the command arrives, look again.
         """
         for _ in range(20):
             self.until("state")
@@ -279,7 +279,7 @@ class Operator:
     def ready(self) -> Operator:
         self.take().see("disabled")
         for what in ("enable", "home"):
-            self.take()  # to begin LinuxCNC can outlast the lease on a busy computer
+            self.take()  # on a busy computer LinuxCNC may take longer than the lease to start
             why = self.act(what)
             assert not why, why
         self.see("idle")
@@ -303,7 +303,7 @@ def operator(client: TestClient, name: str = "Anna", token: str = "") -> Iterato
 
 
 def child(work: Callable[[], None]) -> int:
-    """Fork; do the work in the child and end it."""
+    """Fork; run the function in the child, and end the child."""
     pid = os.fork()
     if pid:
         return pid

@@ -1,6 +1,6 @@
 """The page in a browser, as an operator uses it.
 
-With ``THREADLINE_PICTURES`` set to something, pictures of it go to ``reports/panel``.
+If ``THREADLINE_PICTURES`` is set, pictures of the page go to ``reports/panel``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if not (PAGE / "index.html").exists():
 from playwright.sync_api import Browser, Locator, Page, expect  # noqa: E402
 from playwright.sync_api import TimeoutError as WaitedTooLong  # noqa: E402
 
-expect.set_options(timeout=60_000)  # a busy computer is slow, and what never comes is a failure
+expect.set_options(timeout=60_000)  # a busy computer is slow, and waiting in vain is a failure
 SHOTS = Path(__file__).parents[2] / "reports" / "panel"
 PICTURES = bool(os.environ.get("THREADLINE_PICTURES"))
 SIZE = {"width": 1280, "height": 800}
@@ -44,7 +44,7 @@ def opened(browser: Browser, plant: Plant, machine: str = "lathe-winder") -> Pag
 
 
 def shot(page: Page, name: str) -> None:
-    """Take pictures of a desk, a tablet and a phone, where somebody wants to look at them."""
+    """Take pictures of a desk, a tablet and a phone, if somebody wants to see them."""
     if not PICTURES:
         return
     SHOTS.mkdir(parents=True, exist_ok=True)
@@ -72,7 +72,7 @@ def calculate(page: Page) -> None:
 
 
 def state(page: Page, name: str) -> None:
-    """Wait for a state, whatever reason is told with it."""
+    """Wait for a state, with any reason."""
     expect(page.locator("#state")).to_have_text(re.compile(rf"{name}(:|$)"), timeout=60_000)
 
 
@@ -86,13 +86,13 @@ def ready(page: Page) -> None:
 def press_until(page: Page, text: str, names: str) -> None:
     """Press a button until one of some states is shown.
 
-    A command is refused where the state that its sender has seen is older than half a second, as on
-    a busy computer it is.
+    A command is refused if the state seen by its sender is older than half a second, which happens
+    on a busy computer.
     """
     shown = page.locator("#state")
     wanted = re.compile(rf"({names})(:|$)")
     for _ in range(40):
-        with suppress(WaitedTooLong):  # it cannot be pressed any more, as the state came late
+        with suppress(WaitedTooLong):  # the state came late, and the button is grey by now
             page.get_by_role("button", name=text, exact=True).click(timeout=1_000)
         with suppress(AssertionError):
             expect(shown).to_have_text(wanted, timeout=5_000)
@@ -105,12 +105,12 @@ def x_mm(page: Page) -> float:
 
 
 def moved_on(page: Page, from_mm: float) -> None:
-    """Wait until X is shown elsewhere: farther away than a loop that settles goes."""
+    """Wait until X has moved farther than a settling loop moves it."""
     page.wait_for_function(f"from => Math.abs({SHOWN_X} - from) > 1.0", arg=from_mm)
 
 
 def reached(page: Page, where: str) -> bool:
-    """Wait a while until X is shown in a place, told as a comparison; return whether it is."""
+    """Wait a while until the shown X meets a comparison; return whether it does."""
     try:
         page.wait_for_function(f"() => {SHOWN_X} {where}", timeout=5_000)
     except WaitedTooLong:
@@ -119,7 +119,7 @@ def reached(page: Page, where: str) -> bool:
 
 
 def to_zero(page: Page, ask: Callable[[], None]) -> None:
-    """Ask for X at zero, again where a busy computer has renewed the move too late."""
+    """Send X to zero, again if a busy computer has renewed the move too late."""
     for _ in range(20):
         ask()
         if reached(page, "== 0"):
@@ -130,7 +130,7 @@ def to_zero(page: Page, ask: Callable[[], None]) -> None:
 
 
 def stands(page: Page) -> float:
-    """Wait until X is shown where it was in ten looks at what is fresh; return where, in mm."""
+    """Wait until X is the same in ten fresh states; return it in mm."""
     return float(page.evaluate(
         f"""async () => {{
           const seen = [];
@@ -147,7 +147,7 @@ def stands(page: Page) -> float:
 
 
 def looks(page: Page, number: int) -> None:
-    """Look at what is fresh, a number of times: whatever was asked for before has begun then."""
+    """Wait for a number of fresh states: by then every earlier request has begun."""
     page.evaluate(
         """async (number) => {
           for (let seen = 0; seen < number;) {
@@ -161,10 +161,10 @@ def looks(page: Page, number: int) -> None:
 
 
 def jog_until(page: Page, key: str, enough: Callable[[], bool]) -> None:
-    """Hold a key until it is enough; let it go, and stay until the machine is idle.
+    """Hold a key until a condition is met; release it, and wait until the machine is idle.
 
-    On a busy computer a jog ends because it was renewed too late, perhaps before anyone looked; the
-    key is pressed again then.
+    On a busy computer a jog may end because it was renewed too late, perhaps before anyone looked;
+    then the key is pressed again.
     """
     for _ in range(20):
         page.keyboard.down(key)
@@ -177,10 +177,10 @@ def jog_until(page: Page, key: str, enough: Callable[[], bool]) -> None:
 
 
 def held_and_let_go(page: Page, label: str, far: float, axis: str = "X") -> None:
-    """Hold a button by the mouse until an axis is shown that far (mm or degrees) away; let it go.
+    """Hold a button with the mouse until an axis has moved so far (mm or degrees); release it.
 
-    On a busy computer a jog ends because it was renewed too late; it is held again then, so what
-    ends the jog that counts is the hand.
+    On a busy computer a jog may end because it was renewed too late. Then the button is held again,
+    so that releasing the button ends the last jog.
     """
     page.get_by_label(f"{label} while held").hover()
     for _ in range(20):
@@ -204,7 +204,7 @@ def held_and_let_go(page: Page, label: str, far: float, axis: str = "X") -> None
 
 
 def begin_jog(page: Page, key: str) -> None:
-    """Hold a key that is seen to jog; it is pressed again as ``jog_until`` does."""
+    """Hold a key until the machine jogs; it is pressed again as in ``jog_until``."""
     for _ in range(20):
         page.keyboard.down(key)
         try:

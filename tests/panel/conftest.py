@@ -34,18 +34,18 @@ processor with each window as the page takes to open. And what Playwright tells 
 
 @pytest.fixture(autouse=True)
 def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulate holds and overrides in the test: to begin a process takes seconds, for each start.
+    """Simulate holds and overrides in this process: starting another takes seconds for each run.
 
-    ``test_run_work`` tries the process.
+    ``test_run_work`` tests the other process.
     """
     monkeypatch.setattr(kept_runs, "interventions_apart", interventions)
 
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give processes that read for the panel minutes: on a busy computer to begin takes seconds.
+    """Allow minutes for processes that read for the panel: a busy computer starts them slowly.
 
-    Tests of what takes too long set limits of their own.
+    Tests of the time limits set limits of their own.
     """
     monkeypatch.setattr(drawn, "LONGEST_S", 300.0)
     monkeypatch.setattr(calculation, "PREVIEW_S", 300.0)
@@ -53,9 +53,9 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
-    """A browser; one with a view in three dimensions where the module has ``SPACE``.
+    """A browser, with a view in three dimensions if the module has ``SPACE``.
 
-    Without a graphics card that view takes half of the time of a page.
+    Without a graphics card this view takes half of the time of a page.
     """
     from playwright.sync_api import sync_playwright
 
@@ -72,7 +72,7 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
 
 @pytest.fixture
 def plant(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Plant]:
-    """A winder, or the machine and the speed, or the token too, that the test names."""
+    """A winder, or the machine, the speed and the token that the test names."""
     name, speed, *token = getattr(request, "param", ("lathe-winder", SPEED))
     machine = load_machine(name)
     proven(tmp_path, name)

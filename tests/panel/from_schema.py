@@ -1,4 +1,4 @@
-"""Values that a JSON schema allows; it knows the words that pydantic and FastAPI write."""
+"""Values that a JSON schema allows, for the keywords that pydantic and FastAPI use."""
 
 from __future__ import annotations
 

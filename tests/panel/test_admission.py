@@ -1,4 +1,4 @@
-"""Who is let in, and what a request may do: host, origin, token, uploads, malformed messages."""
+"""Admission of clients, and the limits of a request: host, origin, token, uploads, bad messages."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         {"origin": "http://evil.example"},
         {"origin": "null"},
         {"origin": "http://127.0.0.1:9999"},
-        {"host": "evil.example", "origin": "http://evil.example"},  # a name bent to 127.0.0.1
+        {"host": "evil.example", "origin": "http://evil.example"},  # a name redirected to 127.0.0.1
         {"host": "127.0.0.1.evil.example"},
     ],
 )
@@ -67,12 +67,12 @@ def test_a_form_of_another_site_without_origin_is_refused(client: TestClient) ->
 
 
 def test_no_get_changes_anything(client: TestClient) -> None:
-    """Each path is asked by GET and HEAD; none but those that only read answers."""
+    """Each path is requested by GET and HEAD; only the read-only ones answer."""
     for path in ("/api/stop", "/api/programs/a.prg", "/api/enable", "/api/live"):
         assert client.get(path).status_code in {404, 405, 426}, path
         assert client.head(path).status_code in {404, 405, 426}, path
     while client.get("/api/state").json()["state"] == "connecting":
-        time.sleep(0.05)  # the owner of the machine comes up by itself
+        time.sleep(0.05)  # the owner starts the machine by itself
     for path in ("/api/state", "/api/programs", "/api/runs", "/api/schema"):
         before = client.get("/api/state").json()["state"]
         assert client.get(path).status_code == 200
@@ -162,7 +162,7 @@ def test_no_message_enables_a_machine_without_control(client: TestClient, conten
 def test_the_published_schema_is_that_of_the_program(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: tuple[str, ...]
 ) -> None:
-    """Whether or not the page was built."""
+    """With or without a built page."""
     (page := tmp_path / "page").mkdir()
     for name in files:
         (page / name).write_text("the page", "utf-8")
@@ -230,12 +230,12 @@ def test_bytes_that_act_at_once_are_refused_with_their_line(tmp_path: Path, byte
         take_program(tmp_path, "a.gcode", content, overwrite=False)
     frame = load_machine("schiffli-frame")
     assert program_names(tmp_path, frame) == []
-    take_program(tmp_path, "a.dst", content, overwrite=False)  # an embroidery design is no text
+    take_program(tmp_path, "a.dst", content, overwrite=False)  # an embroidery design is not text
     assert program_names(tmp_path, frame) == ["a.dst"]
 
 
 def test_jobs_of_the_machine_are_offered_and_no_other_files(tmp_path: Path) -> None:
-    """Machines and specifications are TOML, too; a drawing is sewn by what a seam file says."""
+    """Machines and specifications are TOML, too; a drawing is sewn through a seam file."""
     for name in (
         "a.seam.toml", "a.svg", "a.dxf", "a.csv", "a.prg", "a.dst", "a.json", ".a.prg",
     ):  # fmt: skip
@@ -260,12 +260,15 @@ def test_jobs_of_the_machine_are_offered_and_no_other_files(tmp_path: Path) -> N
     assert upright.tool is not None
     bare = Tool(radius=upright.tool.radius)
     upright = replace(upright, axes={**upright.axes, "Y": upright.axes["A"]}, tool=bare)
-    assert program_names(tmp_path, upright) == ["a.prg", "job.txt"]  # nothing to sew with
+    assert program_names(tmp_path, upright) == [
+        "a.prg",
+        "job.txt",
+    ]  # without a seam file
 
 
 @pytest.mark.parametrize("to", ["../secret.prg", "a.prg", "b.prg", "nowhere.prg"])
 def test_links_are_not_followed(tmp_path: Path, to: str) -> None:
-    """Neither out of the folder nor in it, nor one that leads to itself."""
+    """A link is not followed out of the folder, within it, or to itself."""
     project = tmp_path / "project"
     project.mkdir()
     for file in (tmp_path / "secret.prg", project / "b.prg"):
@@ -315,7 +318,7 @@ def test_an_upload_asks_before_it_overwrites(tmp_path: Path) -> None:
 def test_no_file_outside_of_the_project_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, words: dict[str, str]
 ) -> None:
-    """Neither for what a program names nor for what an option does; nothing of it is told."""
+    """Neither a program nor an option can name such a file, and no message shows its content."""
     project = tmp_path / "project"
     project.mkdir()
     secret = tmp_path / "secret.csv"
@@ -344,7 +347,7 @@ def test_no_file_outside_of_the_project_is_read(
 
 
 def test_what_the_project_holds_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The guard lets everything in the folder through, however the folder is named."""
+    """The guard allows every file in the folder, however the folder is named."""
     project = tmp_path / "project"
     project.mkdir()
     (tmp_path / "other-name").symlink_to(project)
@@ -362,7 +365,7 @@ def test_what_the_project_holds_is_read(tmp_path: Path, monkeypatch: pytest.Monk
         assert plan.duration_s > 1.0
 
 
-# --- who connects and does not finish a request -------------------------------------------
+# --- clients that connect and do not finish a request -------------------------------------
 
 
 async def answering(_: Any, receive: Any, send: Any) -> None:
@@ -375,7 +378,7 @@ async def answering(_: Any, receive: Any, send: Any) -> None:
 
 @contextmanager
 def listening(app: Any = answering) -> Iterator[tuple[str, int]]:
-    """Serve an application by connections that are dropped."""
+    """Serve an application through connections that are dropped in time."""
     own = socket.create_server(("127.0.0.1", 0))
     config = uvicorn.Config(
         app, http=PromptHttp, ws=PromptWebsocket, lifespan="off", log_level="critical"
@@ -401,9 +404,9 @@ def sent(address: tuple[str, int], content: bytes) -> socket.socket:
 
 
 def dropped(one: socket.socket) -> bytes:
-    """Return what comes until a connection is closed by the other side, and close it."""
+    """Return the data until the other side closes a connection, and close it."""
     came = b""
-    with one, suppress(ConnectionResetError):  # it was closed with something unread
+    with one, suppress(ConnectionResetError):  # the other side closed it with unread data
         while more := one.recv(4096):
             came += more
     return came
@@ -444,7 +447,7 @@ def test_a_slow_body_is_taken_and_one_without_end_is_not(monkeypatch: pytest.Mon
 
 
 def test_a_stop_gets_through_past_many_half_requests(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The oldest is dropped where there is one more than are kept; time drops none here."""
+    """Beyond the most connections the oldest is dropped; the time limit drops none here."""
     monkeypatch.setattr(admission, "HALF_OPEN_S", 600.0)
     monkeypatch.setattr(admission, "MOST_HALF_OPEN", 20)
     with listening() as address:
@@ -465,7 +468,7 @@ SOCKET = (
 def test_a_websocket_without_a_hello_is_dropped_in_time(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It never answers the close, either."""
+    """It does not answer the close, either."""
     monkeypatch.setattr(admission, "HELLO_S", 0.3)
     with listening(client.app) as address:
         began_s = time.monotonic()
@@ -476,7 +479,7 @@ def test_a_websocket_without_a_hello_is_dropped_in_time(
 def test_only_so_many_websockets_may_be_without_a_hello(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The oldest is closed where there is one more than are kept; time closes none here."""
+    """Beyond the most websockets the oldest is closed; the time limit closes none here."""
     monkeypatch.setattr(admission, "HELLO_S", 600.0)
     monkeypatch.setattr(admission, "MOST_WITHOUT_HELLO", 5)
     with listening(client.app) as address:

@@ -1,4 +1,4 @@
-"""Circuits that the panel tells, against those counted along the rows of the table."""
+"""The number of circuits on the panel, compared with the circuits along the rows of the table."""
 
 from __future__ import annotations
 

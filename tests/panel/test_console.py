@@ -28,7 +28,7 @@ WRITTEN = "home the machine"
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy computer does not get the model its processor."""
+    """Allow for a busy computer, which gives the model no processor time."""
     monkeypatch.setattr(grbl_run, "SILENCE_S", 3.0)
 
 
@@ -78,7 +78,7 @@ def test_questions_what_switches_off_and_settings_are_sent_as_grbl_reads_them() 
 
 
 def test_settings_are_told_in_words_beside_the_values_of_the_machine_file() -> None:
-    """Steps must be equal; a speed may be lower; a travel may differ, and is marked."""
+    """Steps must be equal, a speed may be lower, and a different travel is only marked."""
     texts = {number: f"{value:.3f}" for number, value in settings().items()}
     texts |= {10: "2", 13: "0", 3: "9", 22: "1", 1: "255", 77: "4", 20: "0"}
     texts[100] = f"{1.01 * settings()[100]:.3f}"
@@ -151,13 +151,13 @@ def typed(anna: Operator, line: str) -> str:
 
 
 def said(anna: Operator, kind: str = "heard") -> list[str]:
-    """Return the lines that the console has shown so far."""
+    """Return the console lines shown so far."""
     lines = [one for told in anna.heard if told["type"] == "console" for one in told["lines"]]
     return [one["text"] for one in lines if one["kind"] == kind]
 
 
 def boards(anna: Operator) -> list[dict[int, dict[str, Any]]]:
-    """Return the settings, by number, of each time that they were read."""
+    """Return the settings by number, for each time that they were read."""
     told = [one["settings"] for one in anna.heard if one["type"] == "board"]
     return [{row["number"]: row for row in rows} for rows in told]
 
@@ -165,7 +165,7 @@ def boards(anna: Operator) -> list[dict[int, dict[str, Any]]]:
 def test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared(
     tmp_path: Path,
 ) -> None:
-    """A question changes nothing; a lower speed is taken after a reset, a higher one is not."""
+    """A question changes nothing; after a reset a lower speed is accepted, not a higher one."""
     model = GrblModel(settings())
     right = settings()[RATE_X]
     with grbl(tmp_path, model) as anna:
@@ -175,7 +175,7 @@ def test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared(
         full = {"blocks": 0, "of_blocks": 15, "characters": 0, "of_characters": 128}
         assert anna.state["board"] == full
         assert boards(anna)[0][RATE_X]["mark"] == "same"
-        assert "[AXS:4:XYZA]" in said(anna)  # it was asked as the link was made
+        assert "[AXS:4:XYZA]" in said(anna)  # the settings were read when the link was made
         assert typed(anna, "$I") == ""
         wait(anna, lambda: said(anna).count("[AXS:4:XYZA]") == 2)
         assert said(anna, "typed") == ["$I"]
@@ -196,7 +196,7 @@ def test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared(
 
 
 def test_a_board_for_another_machine_is_a_fault_that_the_console_mends(tmp_path: Path) -> None:
-    """Every difference is seen at once; nothing moves before they are corrected and compared."""
+    """All differences are shown at once; nothing moves before they are corrected and compared."""
     wrong = settings() | {100: 10.0, 123: 1e6}
     model = GrblModel(wrong)
     with grbl(tmp_path, model, ready=False) as anna:
@@ -219,7 +219,7 @@ def test_a_board_for_another_machine_is_a_fault_that_the_console_mends(tmp_path:
 def test_a_line_that_is_not_answered_is_a_fault(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its answer would be taken for the answer to another line."""
+    """The next answer would be taken for the missing one."""
     model = GrblModel(settings())
     with grbl(tmp_path, model) as anna:
         monkeypatch.setattr(model, "_do", lambda _: None)

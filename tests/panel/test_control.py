@@ -1,4 +1,4 @@
-"""Control over the machine: two clients never have it at once, whatever they do and whenever."""
+"""Control over the machine: two clients never have it at once, whatever they do at any time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEPS = st.lists(
 
 
 class Model:
-    """What two people would say: who has control, until when, who waits for it since when."""
+    """A plain model of control: its holder, its end, and the asking client with its time."""
 
     def __init__(self) -> None:
         self.holder: int | None = None
@@ -138,7 +138,7 @@ def test_leases_cannot_be_guessed() -> None:
 def test_a_state_may_be_acted_on_for_half_a_second() -> None:
     client = Client(1, "Anna")
     client.show(7, "seven")
-    client.show(8, "eight")  # which replaces it: a slow client sees no old states
+    client.show(8, "eight")  # the next state replaces it: a slow client gets no old states
     assert asyncio.run(client.next_text(lambda: 10.0)) == "eight"
     assert client.saw(8, 10.0 + SEEN_S)
     assert not client.saw(8, 10.01 + SEEN_S)

@@ -1,4 +1,4 @@
-"""Drawings of the panel: what is read of files, what is written, and outlines of text."""
+"""Drawings of the panel: reading and writing files, and outlines of text."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SHAPES = [
 
 
 def test_what_is_written_is_read_again() -> None:
-    """Shape by shape; a circle may begin elsewhere, and an arc runs counter-clockwise."""
+    """Every shape is compared; a circle may begin elsewhere, and an arc runs counter-clockwise."""
     found = opened("a.dxf", dxf(SHAPES))["shapes"]
     assert [one["kind"] for one in found] == [shape.kind for shape in SHAPES]
     for one, shape in zip(found[:2], SHAPES, strict=False):
@@ -56,7 +56,7 @@ def test_drawings_of_the_examples_can_be_edited(name: str) -> None:
 
 
 def test_looks_fills_and_leaders_are_entities_of_a_dxf() -> None:
-    """As ezdxf reads them; fills and leaders lie on layers of their own, and are not sewn."""
+    """ezdxf reads them; fills and leaders lie on layers of their own, and are not sewn."""
     made = dxf(
         [
             Shape(kind="line", points=[(0, 0), (30, 0)], style="dashdot"),
@@ -100,7 +100,7 @@ def test_looks_fills_and_leaders_are_entities_of_a_dxf() -> None:
 
 
 def test_the_hole_of_a_letter_is_not_filled() -> None:
-    """One hatch with two rings; both are filled again when it is opened."""
+    """The hatch has two rings, and the drawing that is opened again has two fills."""
     rings = outlines(Lettering(text="O", height_mm=10.0))
     made = dxf([Shape(**ring, fill="solid") for ring in rings])
     (hatch,) = ezdxf.read(io.StringIO(made.decode())).modelspace().query("HATCH")
@@ -115,7 +115,7 @@ STYLES = ["solid", "dashed", "dotted", "dashdot"]
 
 
 def test_styles_of_lines_come_back_from_a_dxf() -> None:
-    """Of whatever they are, and by line types that the file has."""
+    """Every kind of shape keeps its style, through line types of the file."""
     points = {
         "line": [(0, 0), (30, 40)], "polygon": [(0, 0), (10, 0), (10, 5)],
         "circle": [(5, 6), (5, 9)],
@@ -163,7 +163,7 @@ def test_line_types_of_layers_blocks_and_other_programs() -> None:
     ("", "solid"),
 ])  # fmt: skip
 def test_styles_of_lines_of_an_svg(look: str, style: str) -> None:
-    """As they are written, and as a group hands them down."""
+    """A style may be written at a shape, or inherited from a group."""
     head = b'<svg xmlns="http://www.w3.org/2000/svg" width="9mm" height="9mm" viewBox="0 0 9 9">'
     line = b'<path d="M 1 1 L 8 8" stroke="#000"'
     own = opened("a.svg", b"".join((head, line, b" ", look.encode(), b"/></svg>")))
@@ -172,7 +172,7 @@ def test_styles_of_lines_of_an_svg(look: str, style: str) -> None:
 
 
 def test_fills_and_leaders_of_another_program_are_kept_where_they_fit() -> None:
-    """In inches; a label that its leader names; a fill of nothing that was drawn is left out."""
+    """In inches; a leader keeps its label, and a fill without a drawn outline is left out."""
     document = ezdxf.new(units=ezdxf.units.IN)
     space = document.modelspace()
     space.add_lwpolyline([(0, 0), (2, 0), (2, 1), (0, 1)], close=True)
@@ -248,7 +248,7 @@ def svg(*elements: str) -> bytes:
 
 
 def test_large_drawings_are_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    """7 MB of 150 000 paths took a minute of the panel, and 6 MB of curves some GB of memory."""
+    """7 MB with 150 000 paths took the panel a minute, and 6 MB of curves some GB of memory."""
     made: list[int] = []
     pieces = Subpath.pieces
 
@@ -262,7 +262,7 @@ def test_large_drawings_are_refused_before_they_are_made(monkeypatch: pytest.Mon
         opened("a.svg", svg(*[path] * 6000))
     assert len(made) == 5000
     curves = "".join(f"C1 2 3 4 {k % 7} 5" for k in range(7000))
-    with pytest.raises(JobError, match="more than 400000 points as it would be edited"):
+    with pytest.raises(JobError, match="more than 400000 points for editing"):
         opened("a.svg", svg(f'<path stroke="red" d="M0 0{curves}"/>'))
     document = ezdxf.new(units=ezdxf.units.MM)
     for k in range(5001):
@@ -274,10 +274,10 @@ def test_large_drawings_are_refused_before_they_are_made(monkeypatch: pytest.Mon
 
 
 def test_a_number_behind_a_comma_is_read_without_a_look_at_all_before() -> None:
-    """A path of a few MB took hours: all before a number was copied, for each number."""
+    """A path of a few MB took hours, because all text before each number was copied."""
 
     class Text(str):
-        """Tells how much of it is copied."""
+        """A text that counts its copied characters."""
 
         copied = 0
 
@@ -311,7 +311,7 @@ def test_a_drawing_that_takes_too_long_is_given_up(
 
 
 def test_a_process_ends_with_who_waits_for_it(tmp_path: Path) -> None:
-    """A thread could not be ended, and the panel waited for it at its own end."""
+    """A thread could not be killed, and the panel had to wait for it at its end."""
     told = tmp_path / "told"
     words = f"import os, time; open({str(told)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
 

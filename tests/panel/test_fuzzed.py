@@ -1,4 +1,4 @@
-"""The panel against its own schemas: every message that they allow, and what is none.
+"""The panel against its own schemas: all allowed messages, and wrong ones.
 
 The schema is read from the documentation, not from the program.
 """
@@ -33,9 +33,9 @@ FUZZED = settings(
 
 
 async def answer_here(*words: str, sent: bytes, longest_s: float) -> tuple[int, bytes, bytes]:
-    """What the process that reads a drawing answers; ``test_drawn.py`` starts such processes."""
+    """Stand-in for the process that reads a drawing; ``test_drawn.py`` starts such processes."""
     if "\0" in words[-1]:
-        raise ValueError("embedded null byte")  # as no process can be given
+        raise ValueError("embedded null byte")  # no process accepts such an argument
     status, said = drawings.answered(words[-2], words[-1], sent)
     return status, said, said
 
@@ -53,7 +53,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     (folder / "there.prg").write_text(PROGRAM, "utf-8")
     with served(folder) as found:
         with operator(found) as anna:
-            anna.see("disabled")  # the machine is there
+            anna.see("disabled")  # the machine has started
         yield found
 
 
@@ -65,7 +65,7 @@ def messages(*but: str) -> st.SearchStrategy[Any]:
 
 
 def heard(anna: Operator, count: int = 3) -> None:
-    """Read a few messages, each of which has to be one of the protocol."""
+    """Read a few messages; each must be a message of the protocol."""
     for _ in range(count):
         ANSWERS.validate_python(anna.hear())
 
@@ -89,7 +89,7 @@ def test_every_message_of_the_schema_is_taken_and_moves_nothing_without_a_lease(
 def test_every_command_of_one_in_control_is_answered_once(
     client: TestClient, command: dict[str, Any]
 ) -> None:
-    """From disabled; what would begin a process of its own has tests of its own."""
+    """The machine is disabled; commands that start a process have tests of their own."""
     if command["what"] in {"reconnect", "calculate"}:
         return
     with operator(client) as anna:
@@ -105,7 +105,7 @@ def test_every_command_of_one_in_control_is_answered_once(
 
 @st.composite
 def spoiled(draw: st.DrawFn) -> Any:
-    """A message of the schema without a word that it needs, or with one of another kind or name."""
+    """A message of the schema with a missing field, or a field of another kind or name."""
     message = draw(messages())
     how = draw(st.sampled_from(["less", "more", "other"]))
     needs = sorted(set(message) & {"type", "lease", "seen", "number", "command", "word", "name"})
@@ -142,7 +142,7 @@ REQUESTS = [(path, method) for path, item in HTTP["paths"].items() for method in
 def test_every_request_is_answered_as_it_is_described(
     client: TestClient, path: str, method: str, data: st.DataObject
 ) -> None:
-    """No answer is an error of the server; and none that is not in the description."""
+    """No answer is an error of the server, and the description has every answer."""
     described = HTTP["paths"][path][method]
     filled = path
     for one in described.get("parameters", ()):
@@ -160,7 +160,7 @@ def test_every_request_is_answered_as_it_is_described(
         method.upper(), filled, headers=headers, content=content, params=query or None
     )
     known = {int(code) for code in described["responses"]}
-    # A name with a slash, or an empty one, is another path: the page's, or none.
+    # A name with a slash, or an empty one, is another path: a path of the page, or none.
     assert answer.status_code in known | {404, 405, 307}, (filled, answer.text)
     assert client.get("/api/state").json()["state"] == "disabled"
 
@@ -179,5 +179,5 @@ def test_the_description_has_every_request_and_no_get_changes_anything() -> None
     }  # fmt: skip
     assert {path for path, method in REQUESTS if method != "get"} == {
         "/api/programs/{name}", "/api/stop",
-        "/api/drawing/shapes", "/api/drawing/dxf", "/api/drawing/text",  # which keep nothing
+        "/api/drawing/shapes", "/api/drawing/dxf", "/api/drawing/text",  # these two keep nothing
     }  # fmt: skip

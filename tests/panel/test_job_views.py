@@ -1,4 +1,4 @@
-"""What the page draws of a job: before it is calculated, and over the time of its plan."""
+"""The views of a job: before it is calculated, and over the time of its plan."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_the_programmed_path_and_its_lines_are_those_of_the_job(folder: Path) ->
         wanted = [job.start[k], *(one.target[k] for one in moves)]
         assert before.planned[name] == pytest.approx(wanted, abs=1e-6)
     assert before.text == (folder / "there.prg").read_text("utf-8").splitlines()
-    # There and back at one speed: the second line begins half way.
+    # There and back at one speed: the second line begins at half of the time.
     assert figures.lines.line == [5, 6]
     assert figures.lines.times_s == pytest.approx([0.0, figures.duration_s / 2], abs=0.02)
 
@@ -66,7 +66,7 @@ def test_the_programmed_path_and_its_lines_are_those_of_the_job(folder: Path) ->
 def test_the_worst_stitch_is_the_one_of_the_verdict(
     folder: Path, machine: str, criterion: str, words: str
 ) -> None:
-    """Its share of the limit, and the time at which it is sewn, within a stitch."""
+    """Its share of the limit, and the time at which it is sewn, to one stitch."""
     before, figures = shown(folder, machine)
     stitches = figures.stitches
     assert stitches is not None
@@ -107,7 +107,7 @@ def test_a_long_program_is_thinned(folder: Path) -> None:
 
 
 def test_a_preview_is_read_by_anyone_and_says_why_there_is_none(folder: Path) -> None:
-    """A process of its own reads the program, as it may take long or end."""
+    """A separate process reads the program, because reading may take long or crash."""
     proven(folder, "lathe-winder")
     (folder / "bad.prg").write_text("%\nG01 X nonsense;\n%\n", "utf-8")
     own = Calculation(load_machine("lathe-winder"), None, folder, folder)
@@ -125,7 +125,7 @@ def test_a_preview_is_read_by_anyone_and_says_why_there_is_none(folder: Path) ->
 def test_the_page_is_sent_compressed_and_kept_by_its_hash(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A browser that takes no compression gets it plain; nothing without a hash is kept."""
+    """A browser without compression gets it uncompressed; a file without a hash is not kept."""
     assets = tmp_path / "page" / "assets"
     assets.mkdir(parents=True)
     (assets.parent / "index.html").write_text("the page", "utf-8")

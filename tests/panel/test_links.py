@@ -38,7 +38,7 @@ MANUAL_MM_S = 40.0
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A model that a busy computer keeps from the processor is not a link that is lost."""
+    """Give a model without processor time more time: on a busy computer the link is not lost."""
     monkeypatch.setattr(grbl_run, "SILENCE_S", 3.0)
 
 
@@ -74,12 +74,12 @@ def started(anna: Operator) -> None:
     assert anna.act("calculate", program="there.gcode") == ""
     proof = anna.until("state")["proven"]["proof"]
     assert anna.act("start", proof=proof, override=None) == ""
-    # To check a start can outlast the lease of control on a busy computer: nothing renews it then.
+    # On a busy computer the check of a start may outlast the lease of control, which nobody renews.
     anna.take().wait(lambda state: state["state"] == "running")
 
 
 def moved_by(anna: Operator, there: Callable[[], bool], what: str, **words: str) -> None:
-    """Ask for a move until it is there: again where a busy computer has renewed it too late."""
+    """Send a move until it arrives: again if a busy computer has renewed it too late."""
     end = time.monotonic() + 60.0
     while anna.until("state")["state"] != "idle" or not there():
         assert time.monotonic() < end, anna.state
@@ -91,7 +91,7 @@ def moved_by(anna: Operator, there: Callable[[], bool], what: str, **words: str)
 
 @pytest.mark.long(shown_by=RUN_ON_GRBL)
 def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
-    """Held and resumed where it stands; what is kept says what was sent, and proves no more."""
+    """The hold takes effect at once; the kept run shows the sent lines, and proves no more."""
     model = GrblModel(settings(), faster=0.5)
     with grbl(project, model) as anna:
         welcome = next(one for one in anna.heard if one["type"] == "welcome")
@@ -125,7 +125,7 @@ def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
 
 @pytest.mark.long(shown_by=RUN_ON_GRBL)
 def test_a_run_on_grbl_is_stopped_and_its_rest_done(project: Path) -> None:
-    """After homing and a confirmation, from the line on that was under way."""
+    """After homing and a confirmation, the rest begins with the line that was interrupted."""
     model = GrblModel(settings(), faster=0.5)
     with grbl(project, model) as anna:
         started(anna)
@@ -143,7 +143,7 @@ def test_a_run_on_grbl_is_stopped_and_its_rest_done(project: Path) -> None:
         assert anna.act("continue", run=run, proof=proof) == ""
         wait(anna, lambda: anna.state["rest"] is not None)
         assert "the work begins again at line 4 of the job" in anna.state["rest"]["notes"][0]
-        assert "the run begins at" in anna.act("start-rest")  # it stands elsewhere
+        assert "the run begins at" in anna.act("start-rest")  # the machine stands elsewhere
         begins = [float(at) for at in re.findall(r"to (-?[0-9.]+)", anna.state["rest"]["notes"][0])]
         assert begins == pytest.approx([40.0, 20.0], abs=0.5)  # where the second line begins
         there = pytest.approx(begins, abs=0.01)
@@ -162,15 +162,15 @@ def test_a_run_on_grbl_is_stopped_and_its_rest_done(project: Path) -> None:
 
 
 def test_a_jog_on_grbl_ends_where_nobody_renews_it(project: Path) -> None:
-    """What the controller is sent ahead is so little that it stands by itself soon enough."""
+    """So little is sent ahead that the machine soon comes to rest by itself."""
     model = GrblModel(settings())
     with grbl(project, model) as anna:
-        for _ in range(20):  # a busy computer may cancel it before the model has a processor
+        for _ in range(20):  # a busy computer may cancel it before the model gets a processor
             there = model.at[0]
             assert anna.act("jog", axis="X", share=1.0) == ""
             anna.see("idle")
             assert "nobody has renewed its lease" in anna.state["why"]
-            # 250 ms of lease, and what was on its way: a report, and the steps of the model.
+            # 250 ms of lease, then a report on its way, and the steps of the model.
             assert model.at[0] - there <= MANUAL_MM_S * (0.25 + 0.35)
             assert b"\x85" in model.heard
             assert model.ahead_s <= AHEAD_S + 1e-6
@@ -178,7 +178,7 @@ def test_a_jog_on_grbl_ends_where_nobody_renews_it(project: Path) -> None:
                 break
         else:
             pytest.fail("20 jogs did not move it")
-        for _ in range(20):  # one that was renewed too late has ended by itself
+        for _ in range(20):  # a jog that was renewed too late has ended by itself
             there = model.at[0]
             assert anna.act("jog", axis="X", share=0.5) == ""
             for _ in range(8):
@@ -204,15 +204,15 @@ def test_a_step_on_grbl_is_as_long_as_asked_and_stays_in_the_travel(project: Pat
 
 
 def test_a_link_that_is_lost_in_a_jog_leaves_a_controller_that_stands(project: Path) -> None:
-    """It runs out what it holds, which ends at rest, and nobody sends more."""
+    """The controller executes its buffer, which ends at rest, and nobody sends more."""
     model = GrblModel(settings())
     with grbl(project, model) as anna:
         assert anna.act("jog", axis="X", share=1.0) == ""
         anna.until("state")
         assert model.client is not None
-        model.stuck = True  # no report comes any more
+        model.stuck = True  # no more report comes
         wait(anna, lambda: anna.state["state"] in {"fault", "idle"})
-        wait(anna, lambda: not (model.blocks or model.rx))  # run out
+        wait(anna, lambda: not (model.blocks or model.rx))  # the motion in the buffer
         time.sleep(0.05)  # the step under way
         at = model.at[0]
         time.sleep(0.3)
@@ -221,7 +221,7 @@ def test_a_link_that_is_lost_in_a_jog_leaves_a_controller_that_stands(project: P
 
 
 def jog_on(address: str, moves: int) -> None:
-    """Jog X and renew it, as the panel's process does for a held key; say when it moves."""
+    """Jog X and renew it, as the panel's process does for a held key; report when X moves."""
     desk = Desk()
     one = GrblOperated(Controller(Port(address), STEPPER), desk, Kept())
     one.connect()
@@ -238,7 +238,7 @@ def jog_on(address: str, moves: int) -> None:
 
 
 def test_kill_the_process_that_jogs_on_grbl() -> None:
-    """At 10 random moments: the controller runs out no more than it was sent ahead, and stands."""
+    """At 10 random moments: the controller executes only the motion in its buffer, and stands."""
     chance = random.Random(1989)
     for _ in range(10):
         model, (there, here) = GrblModel(settings()), os.pipe()
@@ -258,7 +258,7 @@ def test_kill_the_process_that_jogs_on_grbl() -> None:
         stood = model.at[0]
         time.sleep(0.05)
         assert model.at[0] == stood
-        assert 0.0 <= stood - killed_mm <= MANUAL_MM_S * 0.2 + 0.5  # a step of the model
+        assert 0.0 <= stood - killed_mm <= MANUAL_MM_S * 0.2 + 0.5  # one step of the model
         assert 0.0 < model.ahead_s <= 0.2 + 1e-6
         model.close()
 
@@ -277,7 +277,7 @@ def test_an_alarm_at_rest_is_a_fault_and_a_reset_leaves_it(project: Path) -> Non
 
 
 def test_homing_of_grbl_is_seen_and_stopped(project: Path) -> None:
-    """The panel goes on to tell while the controller homes, and a stop resets it."""
+    """The panel keeps reporting while the controller homes, and a stop resets it."""
     model = GrblModel(settings() | {22: 1.0})
     model.homing_s = 30.0
     with grbl(project, model, ready=False) as anna:
@@ -308,7 +308,7 @@ def test_a_controller_that_does_not_answer_is_said(project: Path) -> None:
 def test_hal_is_homed_jogged_run_held_and_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A loopback is said to be one: nothing is measured, and the verdict proves nothing."""
+    """The panel says that a loopback measures nothing, and the verdict proves nothing."""
     with hal_alone(monkeypatch), unhurried(monkeypatch):
         proven(tmp_path)
         link, machine = "hal:loopback", winder()

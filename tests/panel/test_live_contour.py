@@ -1,4 +1,4 @@
-"""The contour error of a run, while it goes on: the judge's measure, from the same samples."""
+"""The contour error of a run while it goes on: the judge's measure on the same samples."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from threadline.report.traces import contour_along
 from threadline.verdict import load_spec
 
 LIMIT_M = 0.5e-3
-SMALL = 7  # samples of a report, which need not fit the pieces
+SMALL = 7  # samples of a report; they need not fill whole pieces
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_it_is_the_error_that_the_judge_measures_at_its_samples(proof: Proof) ->
 
 
 def test_it_is_known_while_the_run_goes_on(proof: Proof) -> None:
-    """What came so far is measured without its end: a report is no older than lag and a piece."""
+    """Samples are measured during the run: a report is at most the lag and a piece old."""
     live = LiveContour.of(proof.plan, proof.spec, proof.recording.channels)
     assert live is not None
     count = [0]
@@ -92,7 +92,7 @@ def test_it_is_known_while_the_run_goes_on(proof: Proof) -> None:
 
 
 def test_what_a_link_does_not_measure_is_not_told(proof: Proof) -> None:
-    """Without the position of the load the encoder is read; without it there is no error."""
+    """Without the load's position the encoder is read; without an encoder there is no error."""
     kinds = (ChannelKind.LOAD, ChannelKind.TOOL)
     encoders = tuple(c for c in proof.recording.channels if c.kind not in kinds)
     live = LiveContour.of(proof.plan, proof.spec, encoders)

@@ -1,4 +1,4 @@
-"""The guide to the machine in the panel: what the command writes, only read, and printable."""
+"""The guide to the machine in the panel: the same as from the command, read-only, and printable."""
 
 from __future__ import annotations
 

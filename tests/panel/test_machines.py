@@ -49,7 +49,7 @@ def refuses_jogs(anna: Operator) -> None:
 
 
 def test_a_client_is_told_what_cylinders_there_are(project: Path) -> None:
-    """With the outputs of both ways and the end switches, so that they can be drawn at rest."""
+    """The cylinders come with the outputs of both ways and the end switches."""
     with served(project, machine=machine("letter-placer")) as client, operator(client) as anna:
         (welcome,) = (one for one in anna.heard if one["type"] == "welcome")
     x, z = welcome["cylinders"]
@@ -65,7 +65,7 @@ def test_a_client_is_told_what_cylinders_there_are(project: Path) -> None:
 
 
 def test_a_homed_placer_tells_pistons_contacts_and_outputs_before_any_run(project: Path) -> None:
-    """Homing brings the cylinders to their starts: what is so is known, and shown, from then on."""
+    """Homing moves the cylinders to their starts; from then on their state is known and shown."""
     with served(project, machine=machine("letter-placer")) as client, operator(client) as anna:
         before = anna.see("disabled")
         assert {at["load"] for at in before["axes"].values()} == {None} and not before["signals"]
@@ -92,7 +92,7 @@ def verdict(anna: Operator) -> dict[str, str]:
 
 
 def test_the_placers_cycle_with_a_hold(project: Path) -> None:
-    """It holds where no cylinder moves, and tells how far it has gone; signals are seen."""
+    """The hold takes effect where no cylinder moves; progress and signals are shown."""
     name = "letter-placer"
     with served(project, SPEED, machine=machine(name)) as client, operator(client) as anna:
         started(anna, name, project)
@@ -139,7 +139,7 @@ def test_an_embroidery_frame_sews_stops_and_begins_again_at_home(project: Path) 
         proof = anna.state["proven"]["proof"]
         anna.take()  # judging on a busy computer can outlast the lease
         assert "the frame stands at" in anna.act("start", proof=proof)
-        anna.allows("home")  # what was refused is put aside
+        anna.allows("home")  # a refused run is put aside
         assert anna.act("home") == ""
         anna.see("idle")
         assert anna.act("start", proof=proof) == ""
@@ -150,7 +150,7 @@ def test_an_embroidery_frame_sews_stops_and_begins_again_at_home(project: Path) 
 
 @pytest.mark.long(shown_by="test_the_placers_cycle_with_a_hold")
 def test_a_seam_is_sewn_with_a_hold(project: Path) -> None:
-    """Its loads follow, so that it holds at the next rest of the seam."""
+    """The loads follow, so a hold takes effect at the next rest of the seam."""
     name = "stitcher"
     with served(project, SPEED, machine=machine(name)) as client, operator(client) as anna:
         started(anna, name, project)

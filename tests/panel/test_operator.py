@@ -1,4 +1,4 @@
-"""The panel as its operators use it: one has control, the others watch, and all may stop."""
+"""The panel as its operators use it: one has control, the others watch, and all can stop."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def started(anna: Operator) -> Operator:
 
 
 def stands(anna: Operator) -> float:
-    """Wait until neither X nor the time of the run goes on any more; return where X is, in mm."""
+    """Wait until neither X nor the time of the run advances; return X in mm."""
     seen: list[tuple[float, float]] = []
     end = time.monotonic() + 60.0
     while len(seen) < 10 or seen[-1] != pytest.approx(seen[-10], abs=1e-9):
@@ -93,7 +93,7 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         assert anna.act("hold") == ""
         anna.see("holding")
         held = stands(anna)
-        # The plan is there at the time that is told: braking took rows of it, and ticks more.
+        # The plan is at the shown time: braking took fewer rows than ticks.
         figures, told = proven(project)[1], anna.state["progress"]
         meant = np.interp(told["time_s"], figures["times_s"], figures["planned"]["X"])
         assert held == pytest.approx(1e3 * meant, abs=0.02)
@@ -105,7 +105,7 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         anna.see("idle")
         assert anna.state["progress"]["ended"] == "stopped"
         assert {"type": "said", "text": "stopped by Ben (2)", "wrong": False} in anna.heard
-        # It goes on with nothing by itself: only a new start from where the run begins does.
+        # Nothing goes on by itself: only a new start from the begin of the run moves.
         for _ in range(10):
             assert anna.until("state")["state"] == "idle"
         proof = anna.state["proven"]["proof"]
@@ -127,12 +127,12 @@ def test_the_feed_is_overridden_by_who_has_control_within_what_was_proven(projec
         assert anna.state["feed_percent"] == 100
         assert anna.act("override-feed", percent=50) == ""
         anna.wait(lambda state: state["feed_percent"] == 50)
-        assert anna.state["why"] == ""  # it is shown by itself
+        assert anna.state["why"] == ""  # the page shows the override by itself
         while anna.state["state"] == "running" and anna.state["progress"]["time_s"] < 2.0:
             anna.until("state")
             anna.say(type="alive", lease=anna.lease)
         done, at = anna.state["progress"]["time_s"], anna.state["time_s"]
-        assert done < at  # of the plan, and by the clock
+        assert done < at  # by the time of the plan, and by the clock
         anna.see("idle")
         while not anna.until("state")["progress"]["verdict"]:
             pass
@@ -174,7 +174,7 @@ def test_only_a_fresh_state_is_acted_on(project: Path) -> None:
         anna.state["seq"] = seen
         anna.ask("jog", axis="X", share=1.0)
         assert "older than 0.5 s" in anna.until("answer")["text"]
-        anna.state["seq"] = 10**9  # one that was never sent
+        anna.state["seq"] = 10**9  # a state that was never sent
         anna.ask("jog", axis="X", share=1.0)
         assert "older than 0.5 s" in anna.until("answer")["text"]
         anna._number = 0  # a command that comes twice
@@ -195,14 +195,15 @@ def test_a_jog_ends_where_nobody_renews_it(project: Path) -> None:
 
 
 def test_a_connection_that_ends_lets_go(project: Path) -> None:
-    """At a fifth of real time: Ben has more than a second until the lease of his jog ends it."""
+    """At a fifth of real time Ben's jog would have a lease of more than a second."""
     with served(project, 0.2) as client, operator(client) as anna:
         with operator(client, "Ben") as ben:
             ben.ready()
             assert ben.act("jog", axis="X", share=1.0) == ""
             began = ben.until("state")["axes"]["X"]["commanded"]
         anna.catch_up(client).see("idle")
-        # Let go, not run out: well under the 18 mm of the lease beyond what Ben had seen.
+        # It was let go, not run out: X is well under the 18 mm of a lease beyond the last seen
+        # place.
         assert anna.x_mm() - 1e3 * began <= 12.0
         assert anna.until("state")["control"]["client"] is None
 
@@ -220,10 +221,10 @@ def test_moves_to_zero_need_somebody_to_the_end(project: Path) -> None:
             at = [abs(w["commanded"]) for w in anna.state["axes"].values()]
             if anna.state["state"] == "idle" and max(at) < 1e-9:
                 break
-            # What a busy computer has renewed too late has ended, and is asked for again.
+            # A move that a busy computer renewed too late has ended, and is sent again.
             anna.ask("zero" if "zero" in anna.state["allowed"] else "renew")
         assert max(at) < 1e-9
-        # And without anybody: the first axis ends by its lease, and no other begins.
+        # Without renewals the first axis ends by its lease, and no other axis begins.
         for axis in ("X", "X", "Y"):
             assert anna.act("jog", axis=axis, share=1.0) == ""
             anna.see("idle")
@@ -239,15 +240,15 @@ def test_moves_to_zero_need_somebody_to_the_end(project: Path) -> None:
 
 
 def test_steps_are_as_long_as_asked_and_need_somebody_to_the_end(project: Path) -> None:
-    """1 mm is done within the lease; of 50 mm no more than the lease lasts."""
+    """A step of 1 mm ends within the lease; a step of 50 mm goes only as far as the lease."""
     with served(project, SPEED) as client, operator(client) as anna:
         anna.ready()
         for by, at_mm in ((1e-3, 1.0), (-1e-3, 0.0)):
             before = anna.x_mm()
             assert anna.act("step", axis="X", by=by) == ""
             moved(anna, before)
-            assert anna.x_mm() == pytest.approx(at_mm, abs=0.5 / 55.358)  # a count
-            # Idle is said once the loop stands, at any speed of the simulation.
+            assert anna.x_mm() == pytest.approx(at_mm, abs=0.5 / 55.358)  # one count
+            # The machine is idle once the loop has settled, at any speed of the simulation.
             assert 1e3 * anna.state["axes"]["X"]["measured"] == pytest.approx(at_mm, abs=0.03)
         assert anna.act("step", axis="X", by=0.05) == ""
         moved(anna, anna.x_mm())
@@ -258,14 +259,14 @@ def test_steps_are_as_long_as_asked_and_need_somebody_to_the_end(project: Path) 
 
 
 def moved(anna: Operator, from_mm: float) -> None:
-    """Wait until X stands elsewhere: a step is answered before it begins."""
+    """Wait until X stands elsewhere, because a step is answered before it begins."""
     end = time.monotonic() + 60.0
     while anna.until("state")["state"] != "idle" or anna.x_mm() == from_mm:
         assert time.monotonic() < end, anna.state
 
 
 def why_of(anna: Operator, by: float) -> str:
-    """Ask for a step that cannot be, and return what is said of it."""
+    """Send an impossible step, and return the refusal."""
     assert anna.act("step", axis="X", by=by) == ""
     return str(anna.until("said")["text"])
 
@@ -321,7 +322,7 @@ def test_a_stop_does_not_take_the_reason_of_a_fault_away(tmp_path: Path) -> None
 def test_a_stop_before_it_begins_ends_a_start(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A stop while a start is checked is not lost, and nothing moves afterwards."""
+    """A stop during the check of a start is not lost, and nothing moves afterwards."""
     heard, check, stop = threading.Event(), kept_runs.check_halts, Owner._stop
 
     def checked(*given: Any, **named: Any) -> None:
@@ -355,7 +356,7 @@ def test_a_stop_by_request(project: Path) -> None:
 
 
 def test_a_stop_by_two_ways_is_told_once(project: Path) -> None:
-    """Whichever comes first; every one of them stops, and the next stop is told again."""
+    """Whichever comes first is reported; both stop, and the next stop is reported again."""
     with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
         anna.see("disabled")
         sent = {"x-stop": f"{ben.number}/1"}
@@ -389,7 +390,7 @@ def test_uploads_undo_what_was_proven(project: Path) -> None:
 
 
 def test_a_calculation_in_a_process_of_its_own(project: Path) -> None:
-    """The request as the panel writes it, and the answer as it reads it."""
+    """The panel writes the request and reads the answer as usual."""
     words, found = proven(project)
     told = {**words, "folder": str(project), "machine": "lathe-winder", "par": None, "spec": None}
     done = subprocess.run(

@@ -35,15 +35,15 @@ from tests.panel.test_panel_killed import Plant
 
 
 def told_mm(plant: Plant) -> float:
-    """Return where X is commanded to be: at rest the time of this machine stands still."""
+    """Return the commanded X: at rest the time of this machine stands still."""
     with urllib.request.urlopen(f"http://127.0.0.1:{plant.port}/api/state") as answer:
         return 1e3 * float(json.load(answer)["axes"]["X"]["commanded"])
 
 
 def written_at_rest(page: Page) -> set[str]:
-    """Return the names of what the page writes, or writes anew, within a second in which it looks.
+    """Return the elements that the page writes, or rewrites, within the second of this check.
 
-    It begins after two messages of the machine, so that what has just ended was told.
+    It begins after two messages of the machine, so that the end of the previous action was shown.
     """
     looks(page, 3)
     return set(page.evaluate(
@@ -72,13 +72,13 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     page.wait_for_timeout(400)
     assert x_mm(page) == pytest.approx(let_go, abs=0.1)  # nothing is commanded
     to_zero(page, lambda: press(page, "Zero all"))
-    # That a renewal came when the move had ended is no news.
+    # A renewal that comes after the end of the move is no news.
     expect(page.locator("#log")).not_to_contain_text("there is no jog")
 
     calculate(page)
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     shot(page, "2-calculated")
-    assert written_at_rest(page) <= {"age"}  # else the page is laid out and drawn all the time
+    assert written_at_rest(page) <= {"age"}  # otherwise the page is laid out and drawn all the time
     press(page, "Start")
     state(page, "running")
     moved_on(page, 0.0)
@@ -92,7 +92,7 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     expect(page.locator("#progress-text")).to_contain_text("stopped")
     shot(page, "4-stopped")
 
-    part(page, "Review")  # what was broken off is done from there on, after a confirmation
+    part(page, "Review")  # the rest begins at the interrupted line, after a confirmation
     expect(page.locator("#kept")).to_contain_text("stopped", timeout=60_000)
     press(page, "Continue")
     expect(page.locator("#rest-notes")).to_contain_text("the work begins again at line")
@@ -109,7 +109,7 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
 
 
 def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> None:
-    """Keys move nothing before the operator says so; a second key ends what the first began."""
+    """Keys move nothing before they are armed; a second key ends the jog of the first."""
     page = opened(browser, plant)
     ready(page)
     page.keyboard.down("ArrowRight")
@@ -129,14 +129,14 @@ def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> Non
     turned = page.locator("#at-A").inner_text()
     page.keyboard.up("q")
     page.wait_for_timeout(700)
-    assert page.locator("#at-A").inner_text() == turned  # though PgUp is still down
+    assert page.locator("#at-A").inner_text() == turned  # although PgUp is still held
     page.keyboard.up("PageUp")
 
     page.locator("#step").select_option("1")
     page.get_by_role("heading", name="Machine").click()
     page.keyboard.press("ArrowLeft")
     until, stepped = time.monotonic() + 60.0, pytest.approx(there - 1.0, abs=0.5 / 55.358)
-    while told_mm(plant) != stepped:  # to half a count
+    while told_mm(plant) != stepped:  # within half a count
         assert time.monotonic() < until, told_mm(plant)
     stands(page)
     assert told_mm(plant) == stepped
@@ -164,7 +164,7 @@ class Armed:
 
 
 def test_keys_that_were_not_armed_would_move_it(browser: Browser, plant: Plant) -> None:
-    """Without that guard the test above fails at its first key."""
+    """Without the guard the test above fails at its first key."""
     with pytest.raises(AssertionError, match=r"assert \d+\.\d+ == 0\.0"):
         test_jogs_by_keys_while_they_are_held(cast(Browser, Armed(browser)), plant)
 
@@ -223,7 +223,7 @@ def test_without_the_server_everything_is_stale(browser: Browser, plant: Plant) 
 def test_a_server_that_is_gone_is_told_at_once_and_until_it_is_back(
     browser: Browser, plant: Plant
 ) -> None:
-    """The state from before is not shown again while there is no connection."""
+    """The old state is not shown again while there is no connection."""
     page = opened(browser, plant)
     ready(page)
     page.evaluate(
@@ -257,7 +257,7 @@ def test_the_feed_of_a_run_is_overridden_by_buttons_and_keys(
     press(page, "Start")
     state(page, "running")
     expect(page.locator("#feed-percent")).to_have_text("")
-    expect(faster).to_be_disabled()  # 100 % is the most that was proven
+    expect(faster).to_be_disabled()  # more than 100 % was not proven
     slower.click()
     expect(page.locator("#feed-percent")).to_have_text("at 90 %")
     slower.focus()

@@ -1,4 +1,4 @@
-"""What is done wrong at the page, or against it: one clear message each, and a safe machine."""
+"""Mistakes at the page, and attacks on it: one clear message each, and a safe machine."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def messages(page: Page) -> list[str]:
 
 
 def test_two_browsers_want_control(browser: Browser, plant: Plant) -> None:
-    """Who asks is told what became of it, and who loses control hears to whom."""
+    """The asking client is told the result, and the other client is told who gets control."""
     one, other = opened(browser, plant), opened(browser, plant)
     press(one, "Take control")
     press(other, "Ask for control")
@@ -48,7 +48,7 @@ def test_two_browsers_want_control(browser: Browser, plant: Plant) -> None:
     press(other, "Ask for control")
     press(one, "Give control")
     expect(other.locator("#toasts")).to_contain_text("you have control now")
-    assert "control has passed" not in " ".join(messages(one))  # its operator has given it
+    assert "control has passed" not in " ".join(messages(one))  # its operator has agreed
     one.set_viewport_size(SIZE)  # type: ignore[arg-type]
     expect(one.get_by_role("button", name="Ask for control", exact=True)).to_be_visible()
     one.close()
@@ -56,7 +56,7 @@ def test_two_browsers_want_control(browser: Browser, plant: Plant) -> None:
 
 
 def test_files_that_are_no_programs(browser: Browser, plant: Plant, tmp_path: Path) -> None:
-    """Each is refused, or told to be no program of this machine; the chosen program stays."""
+    """Each is refused, or named as no program of this machine; the chosen program stays."""
     files = tmp_path / "elsewhere"
     files.mkdir()
     (files / "long.prg").write_bytes(b"N 10 A 20 X 60;\n" * (9 * 1024 * 1024 // 16))
@@ -84,7 +84,7 @@ def test_files_that_are_no_programs(browser: Browser, plant: Plant, tmp_path: Pa
 def test_a_start_before_homing_and_a_page_that_is_loaded_again(
     browser: Browser, plant: Plant
 ) -> None:
-    """The first is grey and says why; the second takes control again, holds and resumes."""
+    """The start is grey and says why; the reloaded page takes control again, holds and resumes."""
     page = opened(browser, plant)
     press(page, "Take control")
     press_until(page, "Enable", "enabled")
@@ -111,7 +111,7 @@ def test_a_start_before_homing_and_a_page_that_is_loaded_again(
 
 @pytest.mark.parametrize("plant", [("lathe-winder", 0.25)], indirect=True)
 def test_the_connection_is_cut_in_a_run(browser: Browser, plant: Plant) -> None:
-    """The page says so and greys what it knows; the run goes on, and another browser stops it."""
+    """The page says so and greys old values; the run goes on, and another browser stops it."""
     context = browser.new_context(viewport=SIZE)  # type: ignore[arg-type]
     page = context.new_page()
     page.add_init_script(

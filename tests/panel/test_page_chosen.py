@@ -1,4 +1,4 @@
-"""The page in a browser: what starts is what is chosen, and what is said is seen on every part."""
+"""The page in a browser: only the chosen program starts, and messages are shown on every part."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_what_is_not_chosen_any_more_does_not_start(
     for one in motions:
         expect(one).to_be_enabled()
 
-    page.reload()  # it forgets what was chosen, and chooses what was calculated
+    page.reload()  # the page forgets the choice, and chooses the calculated program
     expect(page.locator("#figures")).to_contain_text("there.prg")
     expect(chosen).to_have_value("there.prg")
     press(page, "Take control")
@@ -65,7 +65,7 @@ def test_what_is_not_chosen_any_more_does_not_start(
 def test_a_panel_that_begins_anew_has_calculated_nothing(
     browser: Browser, plant: Plant, tmp_path: Path
 ) -> None:
-    """The page goes on by itself, and drops what the panel before had proven."""
+    """The page reconnects by itself, and drops what the previous panel had proven."""
     page = opened(browser, plant)
     ready(page)
     calculate(page)

@@ -1,4 +1,4 @@
-"""Looks, fills, leaders, changes, and files of a drawing, in a browser."""
+"""Drawings in a browser: looks, fills, leaders, changes and files."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_looks_fills_leaders_and_what_changes_them(
     page.locator("#line-style").select_option("solid")
     page.locator("#fill").select_option("crossed")
     first = page.locator("#paper path[data-at='0']")
-    expect(first).to_have_attribute("fill", "url(#crossed)")  # it was chosen
+    expect(first).to_have_attribute("fill", "url(#crossed)")  # the shape is chosen
     press(page, "Undo")
     press(page, "Undo")
     expect(first).to_have_attribute("stroke-dasharray", re.compile("8 3"))
@@ -81,7 +81,7 @@ def test_looks_fills_leaders_and_what_changes_them(
     expect(page.locator("#log")).to_contain_text("drawing.svg is in the project folder")
     written = tmp_path / "drawing.svg"
     strokes = read_svg(written.read_bytes(), "drawing.svg").strokes
-    assert len(strokes) >= 11  # another reader finds the lines, and no line of a pattern
+    assert len(strokes) >= 11  # another reader finds the lines, and no line of a hatch pattern
     assert len(strokes) <= 13
     with page.expect_download() as download:
         press(page, "Download DXF")
@@ -108,7 +108,7 @@ def test_looks_fills_leaders_and_what_changes_them(
     expect(page.locator("#drawn")).to_contain_text("13 shapes")
     page.locator("#fill").select_option("crossed")
     rings = page.locator("#paper path[data-at='11']")
-    expect(rings).to_have_attribute("fill", "url(#crossed)")  # at once: its hole is none of it
+    expect(rings).to_have_attribute("fill", "url(#crossed)")  # its hole stays empty
     assert (rings.get_attribute("fill-rule"), data(page, 11).count("M")) == ("evenodd", 2)
     expect(page.locator("#paper path[data-at='12']")).to_have_count(0)
     press(page, "Save SVG in the project folder")
@@ -121,7 +121,7 @@ def test_looks_fills_leaders_and_what_changes_them(
 
 
 def test_a_click_is_no_change_and_a_pull_snaps(browser: Browser, plant: Plant) -> None:
-    """Choosing is not undone; what is pulled lands on the grid."""
+    """Choosing a shape cannot be undone; a dragged point lands on the grid."""
     page = opened(browser, plant)
     part(page, "Draw")
     press(page, "Line")
@@ -154,7 +154,7 @@ def test_a_click_is_no_change_and_a_pull_snaps(browser: Browser, plant: Plant) -
     press(page, "Line")
     typed(page, (-300, 20), (300, 30))
     press(page, "Finish")
-    x, y, wide, high = seen(page)  # it has grown by itself, and what was seen still is
+    x, y, wide, high = seen(page)  # the view has grown by itself, and still shows the same part
     assert x <= -300 and x + wide >= 300
     assert y <= before[1] and y + high >= before[1] + before[3]
     press(page, "Fit")
@@ -175,7 +175,7 @@ def test_styles_of_lines_come_back_from_both_files(
         press(page, "Line")
         typed(page, (10, 10 * k), (60, 10 * k))
         press(page, "Finish")
-        page.locator("#line-style").select_option(style)  # of the line, which is chosen
+        page.locator("#line-style").select_option(style)  # style of the chosen line
 
     def looks() -> list[str | None]:
         expect(page.locator("#drawn")).to_contain_text("4 shapes")
@@ -190,7 +190,7 @@ def test_styles_of_lines_come_back_from_both_files(
         press(page, "Download DXF")
     dxf, svg = tmp_path / "again.dxf", tmp_path / "drawing.svg"
     download.value.save_as(dxf)
-    other = tmp_path / "other.svg"  # as another program has it: the server reads its dashes
+    other = tmp_path / "other.svg"  # as another program writes it: the server reads its dashes
     other.write_text(re.sub(r' data-[a-z]+="[^"]*"', "", svg.read_text("utf-8")), "utf-8")
     for file in (dxf, svg, other):
         press(page, "Clear")

@@ -1,4 +1,4 @@
-"""The guide in a browser: on the screen, and on paper without anything else of the page."""
+"""The guide in a browser: on the screen, and alone on paper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page by the keyboard: what moves, stops and draws without a pointer."""
+"""The page by the keyboard: moving, stopping and drawing without a pointer."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NAME = """() => { const at = document.activeElement;
 
 
 def tab_to(page: Page, name: str) -> None:
-    """Go to an element by Tab, from wherever the focus is."""
+    """Go to an element by Tab, from any focus."""
     seen = []
     for _ in range(MOST_TABS):
         page.keyboard.press("Tab")
@@ -50,7 +50,7 @@ def enter(page: Page, name: str) -> None:
 
 
 def test_keys_stop_in_every_view(browser: Browser, plant: Plant) -> None:
-    """Whoever looks, with control or without."""
+    """This holds with control and without."""
     page = opened(browser, plant)
     said = page.locator("#log li", has_text="stopped by")
     for count, name in enumerate(("Prepare", "Run", "Teach", "Draw", "Review", "Guide")):
@@ -71,10 +71,10 @@ def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, pla
     tab_to(page, "Jog X plus while held")
     jog_until(page, "Enter", lambda: x_mm(page) > 1.0)
     begin_jog(page, "Enter")
-    page.keyboard.press("Tab")  # to leave the button ends it, though Enter is still down
+    page.keyboard.press("Tab")  # leaving the button ends the jog, although Enter is still held
     state(page, "idle")
     there = stands(page)
-    assert there < 400.0  # it did not go on to the end of its travel
+    assert there < 400.0  # the jog did not go on to the end of the travel
     page.wait_for_timeout(400)
     assert x_mm(page) == pytest.approx(there, abs=0.1)  # nothing is commanded
     page.keyboard.up("Enter")
@@ -117,10 +117,10 @@ def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, pla
 
 
 def runs(page: Page) -> None:
-    """Start the program where it begins, and wait until it moves."""
+    """Start the program at its begin, and wait until it moves."""
     part(page, "Run")
     if x_mm(page) != 0.0:
-        for _ in range(6):  # X may be at zero where a busy computer ends the move too early for A
+        for _ in range(6):  # X may be at zero if a busy computer ends the move too early for A
             to_zero(page, lambda: press(page, "Zero all"))
             with suppress(AssertionError):
                 expect(page.locator("#at-A")).to_have_text(re.compile(r"^0\.00"), timeout=10_000)
@@ -138,7 +138,7 @@ def stopped(page: Page, key: str) -> None:
 
 @pytest.mark.long(shown_by="tests/panel/test_page.py::test_any_key_stops_a_run_and_h_holds_it")
 def test_keys_stop_a_run_wherever_the_focus_is(browser: Browser, plant: Plant) -> None:
-    """In lists, sliders and fields, and on other parts of the page; neither gets the key."""
+    """In lists, sliders and fields, and on other parts of the page: no control gets the key."""
     page = opened(browser, plant)
     ready(page)
     calculate(page)
@@ -180,7 +180,7 @@ def test_keys_of_a_run_hold_and_resume_it_in_a_field(browser: Browser, plant: Pl
     page.keyboard.press("r")
     state(page, "running")
     assert page.locator("#feed").input_value() == ""
-    # A list that has dropped down would take the keys: it does not, and a press takes the next.
+    # An open list would take the keys, so it closes, and a press takes the next entry.
     page.evaluate("document.activeElement.blur()")
     part(page, "Run")
     before = page.locator("#axis").input_value()
@@ -189,7 +189,7 @@ def test_keys_of_a_run_hold_and_resume_it_in_a_field(browser: Browser, plant: Pl
     expect(page.locator("#file")).to_be_disabled()
     stopped(page, " ")
     expect(page.locator("#file")).to_be_enabled()
-    # At rest a blank is written, and the keys are the field's.
+    # At rest the space bar writes a blank, and the field gets the keys.
     page.locator("#teach-name").evaluate("at => at.value = ''")
     part(page, "Teach")
     page.locator("#teach-name").focus()

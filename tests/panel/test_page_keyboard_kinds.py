@@ -40,7 +40,7 @@ KINDS = [
 
 
 def walked(page: Page, program: str, verdict: str, name: str) -> None:
-    """Home, prove, start, hold, resume, stop and read what became of it, without a pointer."""
+    """Home, prove, start, hold, resume, stop and read the verdict without a pointer."""
     for button, then in (("Take control", ""), ("Enable", "enabled"), ("Home all", "idle")):
         enter(page, button)
         if then:
@@ -69,7 +69,7 @@ def walked(page: Page, program: str, verdict: str, name: str) -> None:
     state(page, "holding")
     shot(page, f"43-{name}-held")
     looked_at(page)
-    for _ in range(20):  # a busy page that saw an old state is refused, and asks again
+    for _ in range(20):  # a page that saw an old state is refused, and asks again
         page.keyboard.press("r")
         with suppress(AssertionError):
             expect(page.locator("#state")).to_have_text("running", timeout=3_000)
@@ -90,7 +90,7 @@ def walked(page: Page, program: str, verdict: str, name: str) -> None:
     page.keyboard.press("Enter")
     expect(page.locator("#kept tr[aria-current]")).to_have_count(1)
     expect(page.locator("#kept img, #kept svg").first).to_be_visible(timeout=LONG_MS)
-    # The table is written anew when pictures come: the focus stays where it was.
+    # The table is rewritten when pictures come: the focus must stay.
     assert str(page.evaluate(NAME)).strip() == run
     shot(page, f"46-{name}-reviewed")
     looked_at(page)
@@ -101,15 +101,15 @@ def looked_at(page: Page) -> None:
     nothing_is_wider(page)
     page.set_viewport_size(SIZE)  # type: ignore[arg-type]
     if page.get_by_role("button", name="Take control", exact=True).is_visible():
-        enter(page, "Take control")  # axe-core has kept the page from renewing it
+        enter(page, "Take control")  # axe-core has kept the page from renewing
 
 
 def brought(page: Page, file: Path) -> None:
-    """Choose a file by the keyboard; again, where a busy computer has lost control meanwhile."""
+    """Choose a file by the keyboard; again if a busy computer has lost control meanwhile."""
     opened_lists: list[FileChooser] = []
-    # Playwright marks its handlers, and cannot mark what is built in.
+    # Playwright marks its handlers, and cannot mark built-in ones.
     page.on("filechooser", lambda one: opened_lists.append(one))  # noqa: PLW0108
-    page.wait_for_timeout(1000)  # the browser is told to hand its list over
+    page.wait_for_timeout(1000)  # the browser hands its list over
     for _ in range(10):
         if page.get_by_role("button", name="Take control", exact=True).is_visible():
             enter(page, "Take control")
@@ -139,7 +139,7 @@ def test_each_kind_without_a_pointer(browser: Browser, plant: Plant, name: str) 
 
 @pytest.mark.long(shown_by=SHOWN)
 def test_grbl_without_a_pointer(browser: Browser, tmp_path: Path) -> None:
-    """A file is chosen with the keyboard, too, and a reason is given for what is out of spec."""
+    """A file is also chosen by the keyboard, and a reason to run out of specification is typed."""
     model = GrblModel(settings(), faster=SLOW)
     model.start()
     (tmp_path / "there.gcode").write_text(GCODE, "utf-8")

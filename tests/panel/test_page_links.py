@@ -1,4 +1,4 @@
-"""The page at its links: what a link lacks is greyed, alarms are seen, and a token is asked for."""
+"""The page at its links: missing commands are grey, alarms are shown, a token is requested."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> 
 
 
 def console_is_used(page: Page, model: GrblModel) -> None:
-    """Ask, be refused, write a setting that differs, put the right one in by its button."""
+    """Send a command, be refused, write a wrong setting, and restore the right one by a button."""
     expect(page.locator("#board-fill")).to_contain_text("planner: 0 of 15 blocks")
     told = page.locator("#board-told")
     expect(told).to_contain_text("Compared with the machine file: 6 the same.")
@@ -97,7 +97,7 @@ def console_is_used(page: Page, model: GrblModel) -> None:
 
 @pytest.mark.parametrize("plant", [("lathe-winder", 0.5, TOKEN)], indirect=True)
 def test_the_page_asks_for_the_token(browser: Browser, plant: Plant) -> None:
-    """It says why it is not let in, and keeps the word as long as the tab is open."""
+    """The page says why it is refused, and keeps the token as long as the tab is open."""
     page = browser.new_page(viewport=SIZE)
     page.set_default_timeout(60_000)
     page.goto(f"http://127.0.0.1:{plant.port}/")
@@ -110,14 +110,14 @@ def test_the_page_asks_for_the_token(browser: Browser, plant: Plant) -> None:
     page.keyboard.press("Enter")
     expect(page.locator("#machine")).to_have_text("lathe-winder, simulated")
     expect(page.get_by_label("Token")).to_be_hidden()
-    expect(page.locator("#program option")).to_have_count(1)  # requests know it, too
+    expect(page.locator("#program option")).to_have_count(1)  # HTTP requests carry it, too
     page.reload()
     expect(page.locator("#machine")).to_have_text("lathe-winder, simulated")
     page.close()
 
 
 def test_what_is_not_homed_and_what_is_there_is_said(browser: Browser, plant: Plant) -> None:
-    """Axes without a home have no place; a program of a name that is taken is asked about."""
+    """Axes without a home have no position; an upload with an existing name asks first."""
     page = opened(browser, plant)
     for name in "AXY":
         expect(page.locator(f"#at-{name}")).to_have_text("not homed")

@@ -1,4 +1,4 @@
-"""The page on a desk, a tablet and a phone, light and dark: all in sight, all in reach."""
+"""The page on a desk, a tablet and a phone, light and dark: everything visible and in reach."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_axe_finds_nothing_on_any_part(browser: Browser, plant: Plant) -> None:
 
 
 def nothing_is_wider(page: Page) -> None:
-    """Check that the open part is no wider than any screen, and axe-core finds nothing in it."""
+    """Check that the open part is not wider than any screen, and that axe-core finds no fault."""
     if AXE.exists():
         page.evaluate(AXE.read_text("utf-8"))
     for (width, height), scheme in zip(SIZES, ("light", "light", "dark"), strict=True):
@@ -77,7 +77,7 @@ def nothing_is_wider(page: Page) -> None:
 
 
 def bar_leaves_room(page: Page, height: int) -> None:
-    """Check that the bar that is always in sight leaves three quarters of the screen."""
+    """Check that the permanent bar leaves three quarters of the screen."""
     box = page.locator("header").bounding_box()
     assert box is not None
     assert box["height"] <= height / 4, (page.viewport_size, page.locator("#state").inner_text())
@@ -118,7 +118,7 @@ def test_a_desk_at_twice_its_size_has_room_for_the_work(browser: Browser, plant:
 def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
     browser: Browser, plant: Plant
 ) -> None:
-    """On each part: STOP in the same corner, the state, hold and time left above the fold."""
+    """On each part: STOP in the same corner; the state, hold and time left without scrolling."""
     page = opened(browser, plant)
     ready(page)
     calculate(page)
@@ -143,7 +143,7 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
             assert hold["y"] + hold["height"] < height / 2
         assert len(corners) == 1
         assert max(next(iter(corners))) < 16
-    if AXE.exists():  # what is drawn in a run has names, also before it was scrolled into sight
+    if AXE.exists():  # pictures of a run have names, even before they are scrolled into sight
         page.set_viewport_size({"width": SIZES[0][0], "height": SIZES[0][1]})
         part(page, "Run")
         expect(page.locator("#error-live")).to_be_visible()
@@ -179,7 +179,7 @@ def test_the_bar_leaves_room_in_each_state(browser: Browser, plant: Plant) -> No
 
 @pytest.mark.long(shown_by="tests/panel/test_page.py::test_home_jog_calculate_run_hold_resume_stop")
 def test_the_bar_leads_a_newcomer_to_the_start(browser: Browser, plant: Plant) -> None:
-    """What is pressed next is said and marked, and only that."""
+    """Only the next button to press is marked and named."""
     page = opened(browser, plant)
     marked = page.locator("button.next")
     for words, name, until in (
@@ -189,7 +189,7 @@ def test_the_bar_leads_a_newcomer_to_the_start(browser: Browser, plant: Plant) -
     ):
         expect(page.locator("#next")).to_have_text(f"Next: {words}")
         expect(marked).to_have_text(name)
-        page.locator("#next").click()  # leads to it, wherever it is; nothing is pressed
+        page.locator("#next").click()  # leads to the button, and presses nothing
         expect(marked).to_be_focused()
         expect(page.locator("#next")).to_have_text(f"Next: {words}")
         press_until(page, name, until) if until else press(page, name)

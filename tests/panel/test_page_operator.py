@@ -48,7 +48,7 @@ LONG_MS = 300_000.0
 
 @contextmanager
 def panel(folder: Path, *chosen: str) -> Iterator[str]:
-    """Serve a project by the command itself; yield its address."""
+    """Serve a project by the command; yield its address."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     words = ["panel", str(folder), "--port", str(port), *chosen]
@@ -72,7 +72,7 @@ def panel(folder: Path, *chosen: str) -> Iterator[str]:
 
 
 def seen_by_others(page: Page, name: str) -> None:
-    """Take pictures of the page as those see it who tell fewer colours apart."""
+    """Take pictures of the page in the colours of colour-blind people."""
     if not PICTURES:
         return
     session = page.context.new_cdp_session(page)
@@ -136,7 +136,7 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         press(page, "Resume")
         state(page, "running")
         moved_on(page, held)
-        # The plan is shown at the times at which the run comes to it: a hold moves it on.
+        # The plan is shown at the times at which the run reaches it: a hold shifts them.
         page.wait_for_function(PLANNED_BESIDE_COMMANDED)
         press(page, "STOP")
         state(page, "idle")

@@ -14,7 +14,7 @@ from tests.panel.test_panel_killed import Plant
 def test_an_own_button_homes_and_calculates_and_overrides_in_a_run(
     browser: Browser, plant: Plant
 ) -> None:
-    """It does what its steps say, each after the other; what moves by hand is no step."""
+    """The steps run one after the other; no step can move the machine by hand."""
     page = opened(browser, plant)
     ready(page)
     page.locator("#own-edit summary").click()
@@ -32,17 +32,17 @@ def test_an_own_button_homes_and_calculates_and_overrides_in_a_run(
     slow = page.get_by_role("button", name="Slow", exact=True)
     expect(slow).to_be_disabled()  # there is no run whose feed it could override
 
-    page.reload()  # the browser has kept them
+    page.reload()  # the browser has kept the buttons
     morning = page.get_by_role("button", name="Morning", exact=True)
     expect(morning).to_be_disabled()  # without control
     press(page, "Take control")
     morning.click()
     expect(page.locator("#now-program")).to_have_text("there.prg", timeout=120_000)
-    expect(page.locator("#next")).to_have_text("Next: start")  # and it has started nothing
+    expect(page.locator("#next")).to_have_text("Next: start")  # and the button has started nothing
     press_until(page, "Start", "running")
     expect(morning).to_be_disabled()
     halved = page.locator("#feed-percent")
-    for _ in range(20):  # a busy computer refuses what is old before it is obeyed
+    for _ in range(20):  # a busy computer refuses a command with an old state
         slow.click()
         with suppress(AssertionError):
             expect(halved).to_have_text("at 50 %", timeout=5_000)
@@ -59,7 +59,7 @@ def test_an_own_button_homes_and_calculates_and_overrides_in_a_run(
 
 @pytest.mark.parametrize("plant", [("letter-placer", 2.0)], indirect=True)
 def test_a_button_has_only_steps_of_its_machine(browser: Browser, plant: Plant) -> None:
-    """Cylinders have neither feed nor console; a program that is not there ends the steps."""
+    """Cylinders have neither feed nor console; a missing program ends the steps."""
     page = opened(browser, plant, "letter-placer")
     ready(page)
     page.locator("#own-edit summary").click()

@@ -1,4 +1,4 @@
-"""What an operator sees in three dimensions: a winding, a placer's cycle, a frame, a seam."""
+"""The views in three dimensions: a winding, a placer's cycle, a frame, a seam."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SPACE = True
 
 @pytest.fixture
 def helix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A program with a product, in place of the winder's."""
+    """A program with a product, instead of the winder's usual program."""
     (tmp_path / "helix.prg").write_text(PROGRAM, "utf-8")
     (tmp_path / "tube.wind.toml").write_text(PRODUCT, "utf-8")
     words = {"program": "helix.prg", "product": "tube.wind.toml", "interpolation": "linear"}
@@ -47,7 +47,7 @@ def helix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_bands_of_a_product_are_seen_as_they_are_laid(
     browser: Browser, helix: None, plant: Plant
 ) -> None:
-    """All of them before a run; in a run each place is asked for once, and nothing after it."""
+    """Before a run all bands are shown; during a run each place is requested once, in time."""
     page = opened(browser, plant)
     ready(page)
     expect(page.locator("#legend")).not_to_contain_text("fibre")
@@ -83,9 +83,9 @@ def test_the_bands_of_a_product_are_seen_as_they_are_laid(
 
 
 def test_a_winding_is_seen_before_and_while_it_is_wound(browser: Browser, plant: Plant) -> None:
-    """Ten pictures a second at most, five of rough edges where the processor draws them.
+    """At most ten pictures a second, or five with rough edges if the processor draws them.
 
-    The simulation ends where the machine moves.
+    The test's own process runs the machine.
     """
     page = opened(browser, plant)
     ready(page)
@@ -127,7 +127,7 @@ def test_the_placers_cycle(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant, "letter-placer")
     ready(page)
     lamp = page.locator(".scheme [data-signal=x_is_right]")
-    expect(lamp).to_be_visible()  # before any program; and nothing that cylinders do not have
+    expect(lamp).to_be_visible()  # before any program, and without axes
     for absent in ("#feed-row", "#tab-teach-in", "#tab-drawing", "#priority"):
         expect(page.locator(absent)).to_be_hidden()
     part(page, "Prepare")
@@ -154,7 +154,7 @@ def test_the_placers_cycle(browser: Browser, plant: Plant) -> None:
     expect(page.locator("#facts")).to_contain_text(
         "cycles completed since the machine was connected: 1"
     )
-    expect(page.locator("#error-live")).to_be_hidden()  # there is no contour
+    expect(page.locator("#error-live")).to_be_hidden()  # a cycle has no contour
     expect(page.locator("#board")).to_be_hidden()
     page.close()
 
@@ -231,7 +231,7 @@ def test_a_seam(browser: Browser, plant: Plant) -> None:
     indirect=["plant"],
 )
 def test_a_view_is_seen_larger_by_the_keyboard(browser: Browser, plant: Plant, name: str) -> None:
-    """A picture of the whole work comes back with Fit."""
+    """Fit brings back a picture of the whole work."""
     page = opened(browser, plant, name)
     part(page, "Prepare")
     expect(page.locator("#extent")).not_to_be_empty()

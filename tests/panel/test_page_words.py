@@ -1,4 +1,4 @@
-"""What buttons, lists and ends are called on the page in a browser, and why some are grey."""
+"""Names of buttons, lists and results on the page in a browser, and reasons why some are grey."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_to_move_to_zero_is_not_to_home(browser: Browser, plant: Plant) -> None:
 
 
 def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: Plant) -> None:
-    """A run that was stopped is not proven, which is not out of specification."""
+    """A stopped run is not proven, which is not out of specification."""
     page = opened(browser, plant)
     ready(page)
     calculate(page)
@@ -61,11 +61,11 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
 @pytest.mark.long(shown_by="test_the_list_of_runs_has_the_words_of_the_verdict")
 @pytest.mark.parametrize("plant", [("schiffli-frame", 40.0)], indirect=True)
 def test_what_is_of_no_use_is_grey_and_says_why(browser: Browser, plant: Plant) -> None:
-    """A frame is taught no part program; a run that came to its end has no rest."""
+    """No part program can be taught to a frame; a completed run has no rest."""
     page = opened(browser, plant, "schiffli-frame")
     ready(page)
-    expect(page.locator("[data-what=zero]")).to_be_hidden()  # it cannot be moved by hand
-    for name in ("Teach", "Draw"):  # it is taught no part program, and sews no drawing
+    expect(page.locator("[data-what=zero]")).to_be_hidden()  # the frame cannot be moved by hand
+    for name in ("Teach", "Draw"):  # no part program can be taught to it, and it sews no drawing
         expect(page.get_by_role("tab", name=name)).to_be_hidden()
     page.keyboard.press("p")
     expect(page.locator("#taught tr")).to_have_count(0)

@@ -1,4 +1,4 @@
-"""An operator's work with kept runs, teach-in, a program's zero and drawings, in a browser."""
+"""An operator's work with stored runs, teach-in, a program's zero and drawings, in a browser."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from threadline.proof.pipeline import open_job
 def test_the_trace_after_a_run_and_its_export(
     browser: Browser, plant: Plant, tmp_path: Path
 ) -> None:
-    """The file is the recording; the peak of the deviation is not thinned away."""
+    """The exported file is the recording; thinning keeps the peak of the deviation."""
     page = opened(browser, plant)
     ready(page)
     calculate(page)
@@ -73,7 +73,7 @@ def test_the_trace_after_a_run_and_its_export(
 def test_a_report_of_a_run_that_cannot_be_judged_says_why(
     browser: Browser, plant: Plant, tmp_path: Path
 ) -> None:
-    """The program was changed after the run, so that nothing can be said of it any more."""
+    """The program was changed after the run, so the run can no longer be judged."""
     page = opened(browser, plant)
     ready(page)
     calculate(page)
@@ -116,7 +116,7 @@ def test_the_programs_zero_is_where_the_machine_was_moved(browser: Browser, plan
     page = opened(browser, plant)
     ready(page)
     page.locator("#step").select_option("10")
-    for _ in range(20):  # one that was renewed too late has ended before its 10 mm
+    for _ in range(20):  # a jog that was renewed too late has ended before its 10 mm
         page.get_by_label("Jog X plus while held").hover()
         page.mouse.down()
         far = reached(page, "> 9.0")  # the loop has not settled when the time of this machine stops
@@ -140,7 +140,7 @@ def test_the_programs_zero_is_where_the_machine_was_moved(browser: Browser, plan
 def test_a_profile_and_a_stitch_path_are_drawn(
     browser: Browser, plant: Plant, tmp_path: Path
 ) -> None:
-    """By typed points and by pointer; changed, undone, written and read again."""
+    """Shapes are drawn by typed points and by pointer; changed, undone, saved and read again."""
     page = opened(browser, plant)
     press(page, "Take control")
     part(page, "Draw")

@@ -1,4 +1,4 @@
-"""``threadline panel`` as a program: what it refuses, and how it ends."""
+"""``threadline panel`` as a program: its refusals, and its end."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WITH_PAGE = (
 
 @pytest.fixture(autouse=True)
 def page(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A page to serve: a fresh checkout has none."""
+    """Make a page to serve, because a fresh checkout has none."""
     folder = tmp_path_factory.mktemp("page")
     (folder / "index.html").write_text("the page", "utf-8")
     monkeypatch.setattr(server, "PAGE", folder)
@@ -58,8 +58,11 @@ def page(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
         (["--host", ""], "--host '' is no address"),
         (["--host", "", "--token", "x" * 16], "--host '' is no address"),
         (["--host", "a..b", "--token", "x" * 16], "--host 'a..b' is no address"),
-        (["--token", " " * 16], "--token holds ' ', which cannot stand in a word of an HTTP"),
-        (["--token", "x" * 16 + "\n\xe4"], r"--token holds '\n', '\xe4', which cannot stand"),
+        (["--token", " " * 16], "--token holds ' ', which an HTTP header does not allow"),
+        (
+            ["--token", "x" * 16 + "\n\xe4"],
+            r"--token holds '\n', '\xe4', which an HTTP header does not",
+        ),
         (["--link", "grbl:localhost:99999"], "port 99999 is not between 1 and 65535"),
         (["--store", ""], "Invalid value for '--store': it is empty; name a folder, or . for this"),
         (["--store", "a-file"], "'a-file' is no folder of runs. Give the folder with --store"),
@@ -93,7 +96,7 @@ def test_a_run_is_refused_before_its_job_is_read(
     words: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    """The job is no program: were it read first, that would be told."""
+    """The job is not a program: if it were read first, that would be the error."""
     monkeypatch.chdir(tmp_path)
     Path("a-file").touch()
     Path("job.prg").write_text("none", "utf-8")
@@ -136,7 +139,7 @@ def test_without_its_page_it_says_how_to_build_it(
 def test_an_address_of_ipv6_stands_in_brackets(
     host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Where it listens is kept, and nothing is served: a computer may have no IPv6."""
+    """The address is kept and nothing is served, because a computer may have no IPv6."""
     asked = []
 
     def listen(address: tuple[str, int], *, family: int, **_: object) -> socket.socket:
@@ -200,7 +203,7 @@ def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> No
         stop = urllib.request.Request(f"http://127.0.0.1:{port}/api/stop", b"", method="POST")
         with urllib.request.urlopen(stop) as answer:
             assert answer.status == 204
-        assert half[0].recv(1) == b""  # the oldest are dropped
+        assert half[0].recv(1) == b""  # the oldest connections are dropped
         for one in half:
             one.close()
         process.send_signal(signal.SIGTERM)
@@ -211,12 +214,12 @@ def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> No
         "the panel ends: the machine was stopped, and is disabled\n"
         "error: terminated; nothing was left half-written\n"
     )
-    assert list(tmp_path.iterdir()) == []  # no run, no folder of runs
+    assert list(tmp_path.iterdir()) == []  # without a run there is no folder of runs
 
 
 @pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
 def test_no_python_file_of_a_project_is_run(tmp_path: Path) -> None:
-    """Owner, machine and readers import the library's modules, also where a file has their name."""
+    """Owner, machine and readers import the library's modules, whatever files a project has."""
     (tmp_path / "there.prg").write_text(PROGRAM, "utf-8")
     for name in ("token", "secrets", "numpy", "asyncio", "socket", "threadline"):
         (tmp_path / f"{name}.py").write_text("open('was-run', 'w')\nraise SystemExit(9)\n", "utf-8")
@@ -232,10 +235,10 @@ def test_no_python_file_of_a_project_is_run(tmp_path: Path) -> None:
 
 @pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
 def test_ctrl_c_in_a_jog_stops_the_machine_and_is_no_error(tmp_path: Path) -> None:
-    """A browser is connected, has control, and goes on renewing its jog.
+    """A browser is connected, has control, and keeps renewing its jog.
 
-    Not in real time, where the reports of a busy computer come late, which is a fault; a jog that
-    was renewed too late there has ended, and is begun again.
+    The machine does not run in real time, where late reports on a busy computer are a fault. A jog
+    that was renewed too late has ended, and is started again.
     """
     with panel(tmp_path, "--speed", "2") as (process, port):
         address = f"127.0.0.1:{port}"
@@ -258,7 +261,7 @@ def test_ctrl_c_in_a_jog_stops_the_machine_and_is_no_error(tmp_path: Path) -> No
 
 @pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
 def test_neither_bad_text_nor_a_request_under_way_is_told_at_its_end(tmp_path: Path) -> None:
-    """A drawing of 7 MB without a line is being read; it took the panel's end with it."""
+    """A drawing of 7 MB in one line is being read; earlier this broke the end of the panel."""
     head = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9" width="9mm" height="9mm">'
     with panel(tmp_path) as (process, port):
         address = f"127.0.0.1:{port}"

@@ -1,4 +1,4 @@
-"""Take a guard of the panel away, and the test that the table of hazards names for it fails."""
+"""Remove a guard of the panel: the test that the table of hazards names for it fails."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from threadline.panel.panel import Panel
 
 
 def leaves_it_moving(panel: Panel, client: Client) -> None:
-    """Forget a client that is gone, and let go on what it moved."""
+    """Forget a client that is gone, and let its jog go on."""
     panel._clients.pop(client.number, None)
 
 
 def stops_and_forgets(one: Owner) -> None:
-    """Stop what moves, and nothing that was asked for."""
+    """Stop the motion, but no waiting request."""
     one._desk.ask(Cause.STOP)
 
 
 def alarm_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Note where a controller at rest is, whatever else it tells; a test waits less then."""
+    """Note the position of a controller at rest, whatever else it reports; a test waits less."""
     monkeypatch.setattr(GrblOperated, "_report_at_rest", GrblOperated._note)
     monkeypatch.setattr(test_links, "PATIENCE_S", 2.0)
 
@@ -145,7 +145,7 @@ def with_patch(test: Callable[[Path, pytest.MonkeyPatch], None], folder: Path) -
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of ``test_operator``, whose program is proven once for both."""
+    """The folder of ``test_operator``, whose program is proven once for both files."""
     folder = tmp_path_factory.getbasetemp() / "proven-project"
     folder.mkdir(exist_ok=True)
     proven(folder)
@@ -161,7 +161,7 @@ def test_without_the_guard_its_test_fails(
     own = getattr(test, "__module__", "") == test_admission.__name__ or guard in _OWN
     (project / "there.prg").write_text(PROGRAM, "utf-8")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
+        warnings.simplefilter("ignore", ResourceWarning)  # a failing test closes nothing
         with pytest.raises((AssertionError, pytest.fail.Exception)):
             test(tmp_path if own else project)
         gc.collect()

@@ -32,7 +32,7 @@ TIMES = 10
 
 
 class Spoken:
-    """A websocket of the library, with the names of the test client's."""
+    """A websocket of the library with the method names of the test client."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
@@ -109,7 +109,7 @@ class Plant:
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A proven program, and the twin built here, so that every fork has it."""
+    """A proven program; the twin is compiled here, so that every fork has it."""
     folder = tmp_path_factory.mktemp("project")
     proven(folder)
     SimRows(winder(), np.zeros(3, np.int64), lambda _: None)
@@ -125,14 +125,14 @@ def jog(anna: Operator) -> None:
 
 
 def run(anna: Operator) -> None:
-    anna.allows("calculate")  # the run before may still be judged
+    anna.allows("calculate")  # the previous run may still be judged
     assert anna.act("calculate", program="there.prg") == ""
     proof = anna.until("state")["proven"]["proof"]
     assert anna.act("start", proof=proof) == ""
 
 
 def moving(anna: Operator, begin: Callable[[Operator], None], until_s: float) -> float:
-    """Begin, go on for a while, and return where X was commanded to be at the end, in mm."""
+    """Begin, wait for a while, and return the last commanded X in mm."""
     begin(anna)
     end = time.monotonic() + until_s
     while time.monotonic() < end:
@@ -143,7 +143,7 @@ def moving(anna: Operator, begin: Callable[[Operator], None], until_s: float) ->
 
 
 def at_clock(kept: dict[str, list[float]], clock_s: float) -> float:
-    """Return where X was commanded to be at a time of the clock, in mm."""
+    """Return the commanded X in mm at a time of the clock."""
     played = np.array(kept["played"])[np.array(kept["clock"]) <= clock_s]
     return 1e3 * kept["x"][int(played[-1]) - 1] if len(played) and played[-1] else 0.0
 
@@ -154,12 +154,12 @@ def at_clock(kept: dict[str, list[float]], clock_s: float) -> float:
 def test_kill_the_server(
     begin: Callable[[Operator], None], most_mm: float, after_s: float, project: Path, tmp_path: Path
 ) -> None:
-    """The owner stops the machine at once, along its path, and ends; the machine stands.
+    """The owner stops the machine at once along its path, and ends; the machine stands.
 
-    From where it was when the server died, a stop needs a report, 25 ms, and its braking: 2.3 mm of
-    a jog, 1 mm of a run; the rest is left to a computer that is busy, 0.35 s of its clock at least.
-    Were it stopped by the second of silence alone, the run would go 18 mm; by the lease, the jog
-    would go 18 mm as well.
+    From the server's death a stop takes a report, 25 ms, and its braking: 2.3 mm of a jog, 1 mm of
+    a run. The rest of the limit allows for a busy computer, at least 0.35 s of its clock. If only
+    the second of silence stopped it, the run would go 18 mm; if only the lease did, the jog would,
+    too.
     """
     plant = Plant(project, tmp_path / "black-box")
     with plant.connect() as socket:
@@ -171,7 +171,7 @@ def test_kill_the_server(
         kept = plant.end()
     x_mm = 1e3 * np.array(kept["x"])
     assert abs(x_mm[-1] - at_clock(kept, killed_s)) <= most_mm
-    assert np.abs(np.diff(x_mm[-20:])).max() <= 0.362 * 2  # it slows down: no step to rest
+    assert np.abs(np.diff(x_mm[-20:])).max() <= 0.362 * 2  # it brakes: no step to rest
 
 
 @pytest.fixture(scope="module")
@@ -191,15 +191,15 @@ def in_control(anna: Operator) -> Operator:
 
 
 def cut(connection: ClientConnection) -> None:
-    """End the connection without a word of the protocol, as when a browser is killed."""
+    """End the connection without a closing message, as when a browser is killed."""
     connection.socket.shutdown(socket.SHUT_RDWR)
 
 
 @pytest.mark.parametrize("after_s", moments())
 def test_cut_the_connection_in_a_jog(after_s: float, plant: Plant) -> None:
-    """It is let go at once, not when its lease is over; another client takes control.
+    """The jog ends at once, not when its lease ends; another client takes control.
 
-    A jog that this computer has renewed too late has ended before, and is begun again.
+    A jog that this computer renewed too late has ended before, and is started again.
     """
     with plant.connect() as watching, plant.connect() as connection:
         ben = Operator(Spoken(watching), "Ben")
@@ -213,19 +213,19 @@ def test_cut_the_connection_in_a_jog(after_s: float, plant: Plant) -> None:
         ben.take()
         ben.see("idle")
         assert abs(ben.x_mm() - begin_mm) <= 26.0
-        assert ben.state["why"] == ""  # which is told of a lease that is over
+        assert ben.state["why"] == ""  # the client that is told that its lease has ended
         home(ben, "X")
         ben.say(type="control", word="release")
         ben.until("state")
 
 
 def home(ben: Operator, *axes: str) -> None:
-    """Bring axes back, and stay until they are there."""
+    """Move the axes back, and wait until they are there."""
     for axis in axes:
         end = time.monotonic() + 60.0
         while ben.until("state")["axes"][axis]["commanded"] or ben.state["state"] != "idle":
             assert time.monotonic() < end, ben.state
-            # Refused while the run before is judged, and what a busy computer has sent too late.
+            # Refused while the previous run is judged, or if a busy computer sends it too late.
             if "zero-axis" in ben.state["allowed"]:
                 ben.ask("zero-axis", axis=axis)
             else:
@@ -234,14 +234,14 @@ def home(ben: Operator, *axes: str) -> None:
 
 @pytest.mark.parametrize("after_s", moments()[:3])
 def test_a_run_goes_on_when_a_browser_is_gone(after_s: float, plant: Plant, project: Path) -> None:
-    """Its connection is cut; the run is watched by another, who stops it, without control."""
+    """Its connection is cut; another client without control watches the run and stops it."""
     with plant.connect() as watching, plant.connect() as connection:
         ben = Operator(Spoken(watching), "Ben")
         anna = in_control(Operator(Spoken(connection)))
         at_mm = moving(anna, run, after_s)
         cut(connection)
         while ben.until("state")["seq"] <= anna.state["seq"]:
-            pass  # what it was sent before
+            pass  # messages sent before
         while ben.x_mm() <= at_mm + 2.0:
             assert ben.until("state")["state"] == "running"
         ben.say(type="stop")
@@ -255,7 +255,7 @@ def test_a_run_goes_on_when_a_browser_is_gone(after_s: float, plant: Plant, proj
 
 @pytest.mark.long(shown_by="test_kill_the_server")
 def test_a_server_that_hangs_is_a_server_that_is_gone(project: Path, tmp_path: Path) -> None:
-    """It is stopped, not killed: its connection stays, and nothing comes over it."""
+    """The server is paused, not killed: its connection stays, and no message comes."""
     plant = Plant(project, tmp_path / "black-box")
     with plant.connect() as socket:
         anna = Operator(Spoken(socket)).ready()

@@ -1,4 +1,4 @@
-"""Options of planning on the panel: those of the command line, with what it makes of them."""
+"""Planning options on the panel: the same as on the command line, with the same results."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ WITH = {
 @pytest.mark.parametrize("machine", ["lathe-winder", "stitcher", "letter-placer", "schiffli-frame"])
 @pytest.mark.parametrize("name", GIVEN)
 def test_a_kind_of_work_takes_the_options_that_it_tells(machine: str, name: str) -> None:
-    """And refuses every other one, of which the page has no field then."""
+    """Every other option is refused, and the page has no field for it."""
     here = load_machine(machine)
     kind, text = kind_of(here), GIVEN[name]
     if name == "feed" and machine != "schiffli-frame":
@@ -63,7 +63,7 @@ def test_a_kind_of_work_takes_the_options_that_it_tells(machine: str, name: str)
 def test_the_panel_proves_what_the_command_line_proves(
     machine: str, program: str, words: dict[str, Any], tmp_path: Path
 ) -> None:
-    """To the bit: the hash of the proof is of job, machine, options, rows and every criterion."""
+    """To the bit: the hash of the proof covers job, machine, options, rows and every criterion."""
     written = [
         one
         for name, text in words.items()

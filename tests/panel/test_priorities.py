@@ -33,7 +33,7 @@ def told(folder: Path, priority: str) -> dict[str, Any]:
 
 
 def test_accuracy_is_the_normal_feed(folder: Path) -> None:
-    """10 counts a tick of 5 ms are 36.13 mm/s on X, which has 55.358 counts in a mm."""
+    """10 counts in a tick of 5 ms are 36.13 mm/s on X, which has 55.358 counts/mm."""
     plan, _ = planned(folder, told(folder, "accuracy"), winder())
     assert plan.duration_s == pytest.approx(2 * 60.0 / (10.0 / 55.358 / 0.005), rel=0.02)
 

@@ -1,4 +1,4 @@
-"""The rest of a run that was broken off, from the panel: nothing moves before it is confirmed."""
+"""The rest of an interrupted run from the panel: nothing moves before it is confirmed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> No
         anna.ready()
         run = broken_off(anna)
 
-    # A new process and a machine that was just switched on: at its home, and at rest.
+    # A new process, and a machine that was just switched on: at home, and at rest.
     with served(tmp_path, 4.0) as client, operator(client) as anna:
         anna.ready()
         assert "is not possible now" in anna.act("continue", run=run, proof="0" * 64)

@@ -1,4 +1,4 @@
-"""What the owner of a machine lets other processes do before and after a run."""
+"""The work of other processes for the owner of a machine, before and after a run."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_another_process_finds_the_same() -> None:
 
 
 def test_the_owner_stays_small() -> None:
-    """Simulated in the process itself, it grows by more than 50 MB, and keeps them."""
+    """In its own process the simulation takes more than 50 MB, which are not returned."""
     told = subprocess.run(
         [sys.executable, "-c", STAYS_SMALL], check=True, capture_output=True, text=True
     )
@@ -96,7 +96,7 @@ def test_a_proof_that_is_started_again_is_not_simulated_again(
 def test_a_judge_that_fails_is_told_in_place_of_a_verdict(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else the operator would wait for a verdict that never comes."""
+    """Otherwise the operator would wait for a verdict that never comes."""
 
     def ends(*_: object) -> None:
         raise CommandError("the process that judges has ended without an answer")

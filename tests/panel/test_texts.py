@@ -1,4 +1,4 @@
-"""What people at the page are told names what the page has, and no options of a command line."""
+"""Messages on the page name fields of the page, and no options of a command line."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def told(*messages: Said | Answer | Figures) -> list[dict[str, object]]:
 
 
 def test_a_warning_of_a_proof_names_the_field_of_the_page() -> None:
-    """The F of this program is above the normal feed, which is told with what to choose."""
+    """The F of this program is above the normal feed; the warning names the field to change."""
     machine = load_machine("lathe-winder")
     program = ROOT / "examples" / "cone-dome-cylinder.prg"
     spec = load_spec(None, machine)
@@ -66,7 +66,7 @@ def test_every_label_is_on_the_page(option: str) -> None:
 
 
 def test_every_criterion_has_a_sentence_of_the_page() -> None:
-    """What is judged is told in the words of the work, and not by the name in a file."""
+    """The page describes each criterion in the words of the work, not by its name in a file."""
     text = (ROOT / "web" / "src" / "wording.ts").read_text("utf-8")
     sentences = text.partition("const SENTENCES")[2].partition("};")[0]
     known = set(re.findall(r"^  ([a-z_]+): ", sentences, re.MULTILINE))

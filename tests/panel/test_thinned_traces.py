@@ -1,4 +1,4 @@
-"""The thinned trace of a kept run: whether its actual positions were measured at all."""
+"""The thinned trace of a stored run, and whether its actual positions were measured."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CLOCK = Clock("tick", Fraction(1, 200))
 
 
 def recorded(*kinds: ChannelKind) -> Recording:
-    """Return a recording of X, with a command and what else is recorded of it."""
+    """Return a recording of X with a command and other channels."""
     samples = {kind.value: np.linspace(0.0, 0.1, 50) + 1e-3 * k for k, kind in enumerate(kinds)}
     channels = [
         Channel(name=kind.value, kind=kind, unit="m", axis="X", clock=CLOCK) for kind in kinds
@@ -35,7 +35,7 @@ def test_a_measured_position_is_the_actual_one(kind: ChannelKind) -> None:
 
 
 def test_a_command_alone_is_no_measurement() -> None:
-    """As of a controller with grbl: its difference would be zero, as of a perfect run."""
+    """This holds for a controller with grbl: the difference would be zero, as in a perfect run."""
     axis = thinned(recorded(ChannelKind.COMMANDED))["axes"]["X"]
     assert axis["measured"] is False
     assert axis["actual"] == axis["commanded"]

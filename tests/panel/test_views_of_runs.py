@@ -1,4 +1,4 @@
-"""What the views of a run are told: turn-rounds, where a hold stands, stitches to go back."""
+"""Data for the views of a run: turn-rounds, the place of the next hold, and stitches to go back."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from threadline.verdict import load_spec
 
 
 def test_turn_rounds_are_where_the_carriage_turns(tmp_path: Path) -> None:
-    """There to 60 mm and back, twice: three turn-rounds, the last at zero between them."""
+    """To 60 mm and back, twice: three turn-rounds, the middle one at zero."""
     twice = PROGRAM.replace("M30;", "N 30 A 20 X 60;\nN 40 A 20 X -60;\nM30;")
     (tmp_path / "there.prg").write_text(twice, "utf-8")
     machine, options = load_machine("lathe-winder"), options_of(interpolation="linear")
@@ -42,7 +42,7 @@ def test_turn_rounds_are_where_the_carriage_turns(tmp_path: Path) -> None:
 
 
 def test_rests_are_found_and_the_next_hold_is_at_one_of_them() -> None:
-    """A pause of less than 50 ms between two counts is none."""
+    """A pause of less than 50 ms between two counts is no rest."""
     counts = np.ones((200, 3), np.int64)
     counts[20:100] = 0
     counts[110:113] = 0
@@ -60,7 +60,7 @@ def test_rests_are_found_and_the_next_hold_is_at_one_of_them() -> None:
 
 
 def test_a_run_goes_on_some_stitches_back() -> None:
-    """Counted as the page counts them: holes, and not the moves of the file."""
+    """Stitches are counted as on the page: holes, not moves of the file."""
     machine = load_machine("schiffli-frame")
     job = open_job(EXAMPLES / "rosette.dst", machine, options_of())
     holes = hole_operations(job)
@@ -87,7 +87,7 @@ def test_other_work_has_no_stitches_to_go_back(tmp_path: Path) -> None:
 
 
 def test_what_belongs_to_no_axis_is_read_with_its_unit() -> None:
-    """The tension of a fibre, say: no input, no position of an axis, no volts of a sensor."""
+    """An example is the tension of a fibre; inputs, positions and sensor volts are not included."""
     clock = load_machine("lathe-winder").tick_clock
     channels = [
         Channel(name="tension", kind=ChannelKind.SENSOR, unit="N", clock=clock),

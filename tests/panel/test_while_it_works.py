@@ -1,4 +1,4 @@
-"""What can be done while the panel judges, checks and calculates, and after a link was lost."""
+"""Commands while the panel judges, checks and calculates, and after a link was lost."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def held(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> Iterator[threading.Event]:
-    """Let a function wait until an event is set, as it is at the end of the block."""
+    """Make a function wait until an event is set; the end of the block sets it."""
     go_on, real = threading.Event(), getattr(owner, name)
 
     def waits(*given: Any) -> Any:
@@ -135,7 +135,7 @@ def test_a_machine_is_switched_off_while_a_program_is_calculated(
 
 
 def calculated(folder: Path, what: Any) -> list[Figures | str]:
-    """Do something with a calculation on a loop, and return what it has told."""
+    """Run a function on a calculation in an event loop, and return its messages."""
     told: list[Figures | str] = []
 
     async def work() -> None:
@@ -150,7 +150,7 @@ def calculated(folder: Path, what: Any) -> list[Figures | str]:
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 5])
 def test_a_calculation_that_is_cancelled_at_once_is_over(tmp_path: Path, turns: int) -> None:
-    """Also before its task has taken a step: another can begin."""
+    """This holds even before its task has taken a step: another calculation can begin."""
 
     async def cancelled(calculation: Calculation, tell: Any) -> None:
         for _ in range(2):
@@ -197,7 +197,7 @@ def test_a_calculation_that_cannot_be_started_is_told_and_over(
 
 
 def test_a_lost_link_is_begun_anew(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The machine's process is gone, its owner is not: nothing but a new link helps."""
+    """The machine's process is gone and its owner is not: only a new link helps."""
     ends: list[socket.socket] = []
     real = bench.machine_thread
 
@@ -260,7 +260,7 @@ def test_axes_that_were_never_homed_have_no_place(project: Path) -> None:
 def test_what_was_asked_before_a_sleep_is_not_obeyed(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing begins to move on a request that has waited while the computer slept."""
+    """No motion begins from a request that waited while the computer slept."""
     with served(project) as client, operator(client) as anna:
         anna.ready()
         monkeypatch.setattr(owner_link, "clock_s", lambda: clock_s() - 60.0)
@@ -270,7 +270,7 @@ def test_what_was_asked_before_a_sleep_is_not_obeyed(
         assert anna.until("state")["state"] == "idle"
 
 
-# --- errors that nobody is there to raise -------------------------------------------------
+# --- errors that no caller sees -----------------------------------------------------------
 
 
 def test_an_error_that_ends_the_states_is_logged(
@@ -292,7 +292,7 @@ def test_an_error_that_ends_the_states_is_logged(
 def test_errors_of_asyncio_are_written(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing else writes them: libraries are silenced."""
+    """Without the handler nobody writes them, because libraries are silenced."""
     monkeypatch.setattr(logging, "lastResort", None)
     log = logging.getLogger("asyncio")
     monkeypatch.setattr(log, "handlers", [to_standard_error()])

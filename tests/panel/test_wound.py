@@ -1,4 +1,4 @@
-"""The mandrel and the fibre that the panel gives to its page, against the helix of a program."""
+"""The mandrel and the fibre on the page, compared with the helix of a program."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _found(folder: Path) -> dict[str, Any]:
 
 
 def test_the_fibre_of_a_calculation_is_the_helix_of_its_program(folder: Path) -> None:
-    """The product is named as a file of the folder; a helix has the pitch of the eye."""
+    """The product is a file of the folder; the helix has the pitch of the eye's motion."""
     wound = _found(folder)["wound"]
     json.dumps(wound, allow_nan=False)
     assert wound["mandrel"]["axis"] == "A" and wound["mandrel"]["along"] == "X"
@@ -66,7 +66,7 @@ def test_the_fibre_of_a_calculation_is_the_helix_of_its_program(folder: Path) ->
     assert wound["width"] == 0.004
     times_s, along, angle = (np.array(wound[name]) for name in ("times_s", "along", "angle"))
     assert (np.diff(times_s) > 0.0).all()
-    # Half a band of laid fibre between two places: the ticks of 5 ms add up to 1 mm.
+    # Two places are half a band of laid fibre apart; ticks of 5 ms add up to 1 mm.
     laid = np.hypot(np.diff(along), 0.05 * np.diff(angle))
     assert laid.min() > 0.5e-3 and laid.max() < 4e-3
     steady = slice(len(along) // 4, -len(along) // 8)
@@ -77,7 +77,7 @@ def test_the_fibre_of_a_calculation_is_the_helix_of_its_program(folder: Path) ->
 
 
 def test_the_tension_is_told_in_pieces_with_its_least_and_its_most() -> None:
-    """Means over pieces of equal length, the last one shorter; nothing without such a channel."""
+    """Means over pieces of equal length, the last one shorter; None without such a channel."""
     clock = Clock("tick", Fraction(1, 200))
     pulled = Channel(name="tension", kind=ChannelKind.TENSION, unit="N", axis="", clock=clock)
     values = np.concatenate([np.full(9_000, 7.0), np.full(4_001, 8.0)])
@@ -102,7 +102,7 @@ def test_the_tension_is_told_in_pieces_with_its_least_and_its_most() -> None:
 
 @pytest.mark.long(shown_by="test_the_tension_is_told_in_pieces_with_its_least_and_its_most")
 def test_a_spool_gives_the_tension_of_the_simulated_run(folder: Path) -> None:
-    """The torque of the brake at the radius of the spool, and its friction; none without a spool.
+    """The torque of the brake at the radius of the spool, and its friction; None without a spool.
 
     0.43 N m at 60 mm are 7.2 N, and 10 % more behind rollers, bath and eye.
     """
@@ -150,7 +150,7 @@ def test_the_page_reads_what_is_laid_so_far(folder: Path) -> None:
         assert not shown or shown[-1] <= now
         assert ("mandrel" in part) == (part["first"] == 0)
     assert shown == times_s
-    # A page that has the fibre of an older calculation begins anew.
+    # A page with the fibre of an older calculation begins anew.
     other = client.get("/api/wound", params={"proof": "0" * 64, "after": 5}).json()
     assert other["first"] == 0 and "mandrel" in other
     assert client.get("/api/wound", params={"after": -1}).status_code == 422

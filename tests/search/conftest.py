@@ -1,4 +1,4 @@
-"""The plan whose yield is asked, and the specification that it is judged by."""
+"""The plan and the specification for the tests of the yield."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Work that ends every worker that takes it."""
+"""A judge whose machines kill every worker that judges them."""
 
 from __future__ import annotations
 

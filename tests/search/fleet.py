@@ -17,7 +17,7 @@ _OF_WORKER = ("--nthreads", "1", "--no-nanny", "--death-timeout", "60")
 
 
 class Fleet:
-    """A scheduler with workers of one thread each, without nannies: what dies stays dead."""
+    """A scheduler with workers of one thread each; without nannies, a dead worker stays dead."""
 
     def __init__(self, folder: Path, workers: int, tls: Mapping[str, str] | None = None) -> None:
         self.folder = folder
@@ -32,7 +32,7 @@ class Fleet:
         self.workers = [self.with_worker() for _ in range(workers)]
 
     def begin_again(self) -> None:
-        """Kill scheduler and workers, and start others at the same address."""
+        """Kill scheduler and workers, and start new ones at the same address."""
         self.end()
         port = int(self.address.rpartition(":")[2])
         self.scheduler, _ = self._scheduled("scheduler-again", port)
@@ -46,7 +46,7 @@ class Fleet:
         return begun, self._said(name, rf"Scheduler at: +({self._way}://[0-9.]+:[0-9]+)")
 
     def with_worker(self, *words: str) -> subprocess.Popen[bytes]:
-        """Start a worker more; it joins in a moment."""
+        """Start another worker; it joins a moment later."""
         own = f"worker-{time.monotonic_ns()}"
         return self._started(own, "worker", self.address, *_OF_WORKER, *words)
 
@@ -66,7 +66,7 @@ class Fleet:
         raise TimeoutError((self.folder / f"{name}.log").read_text("utf-8"))
 
     def end(self) -> None:
-        """End all processes, and wait for their ends."""
+        """End all processes, and wait until they have ended."""
         own = [*self.workers, self.scheduler]
         for one in own:
             if one.poll() is None:

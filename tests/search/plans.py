@@ -1,4 +1,4 @@
-"""The job that tests of the yield plan."""
+"""The job for the tests of the yield."""
 
 from __future__ import annotations
 

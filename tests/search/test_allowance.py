@@ -1,4 +1,4 @@
-"""``optimal`` is planned, not searched for: a few proofs, and how far it is from its bounds."""
+"""The search for the contour allowance of ``optimal``: few proofs, and its distance from bounds."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def found() -> FastestJob:
 
 @pytest.mark.long(shown_by="test_a_plan_whose_neighbour_fails_is_not_the_answer")
 def test_few_proofs_find_where_more_would_fail(found: FastestJob) -> None:
-    """What passes and what fails are within 3 %, and the default of 0.3 mm is not the answer."""
+    """Passing and failing allowance are within 3 %, and the default of 0.3 mm is not the answer."""
     best = found.best
     failed = [r.contour_m for r in found.rungs if r.duration_s is None and r.contour_m is not None]
 
@@ -49,7 +49,7 @@ def test_few_proofs_find_where_more_would_fail(found: FastestJob) -> None:
     assert best.contour_m > 3e-4
     assert min(failed) <= 1.031 * best.contour_m
     assert best.found.limited_by == "contour_error"
-    # 0.855 s is what a search over feeds and shares of the limits finds with ``auto``.
+    # With ``auto``, a search over feeds and shares of the limits finds 0.855 s.
     assert best.duration_s is not None
     assert best.duration_s < 0.81
 
@@ -68,10 +68,11 @@ def test_the_answer_is_a_plan_that_can_be_made_again(found: FastestJob, examples
 
 @pytest.mark.long(shown_by="test_an_allowance_that_is_given_is_the_only_one_that_is_proved")
 def test_bounds_are_below_and_in_order(found: FastestJob) -> None:
-    """180 mm from rest to rest at 10.5 m/s^2: twice the root of 0.18 / 10.5 s there, and back.
+    """180 mm from rest to rest at 10.5 m/s^2 take twice the root of 0.18 / 10.5 s, and as long
+    back.
 
-    That is without any jerk limit; the least time within limits alone must lie above it, and
-    every further limit makes it longer.
+    This time has no jerk limit. The least time within the limits alone must lie above it, and every
+    further limit makes it longer.
     """
     own, driven = found.bounds
     assert (own.within, driven.within) == ("the axes", "axes and drives")
@@ -83,9 +84,10 @@ def test_bounds_are_below_and_in_order(found: FastestJob) -> None:
 def test_a_plan_whose_neighbour_fails_is_not_the_answer(
     monkeypatch: pytest.MonkeyPatch, examples: Path
 ) -> None:
-    """Half a percent below 0.41 mm fails, as by chance near a limit: what is slower is answered.
+    """If the plan half a percent below 0.41 mm fails, a slower plan is the answer.
 
-    The twin passes both; a judge that fails what lies between 0.402 and 0.409 mm stands for it.
+    Near a limit this happens by chance. The twin passes both plans here, so a stand-in for the
+    judge fails every allowance between 0.402 and 0.409 mm.
     """
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)
@@ -126,7 +128,7 @@ def test_a_plan_whose_neighbour_fails_is_not_the_answer(
 
 
 def next_of(allowances: list[float]) -> Callable[[Mapping[float, Rung]], float | None]:
-    """Return a search that tries these one after the other."""
+    """Return a stand-in for the search that tries these allowances one after the other."""
     left = iter(allowances)
     return lambda _: next(left, None)
 
@@ -145,7 +147,7 @@ def test_an_allowance_that_is_given_is_the_only_one_that_is_proved(examples: Pat
 
 @pytest.mark.long(shown_by="test_an_allowance_that_is_given_is_the_only_one_that_is_proved")
 def test_loads_that_follow_use_a_share_of_the_limits(examples: Path) -> None:
-    """The least time within axes and drives, and what smoothing over 10 ms adds to it."""
+    """The answer lies near the least time within axes and drives plus the smoothing of 10 ms."""
     machine = load_machine("lathe-winder")
     job = read_job(examples / "cone-dome-cylinder.prg", machine)
     options = options_of("optimal", None, "0.1 mm", feed_forward=True)

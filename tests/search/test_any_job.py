@@ -1,4 +1,4 @@
-"""Feed-forward, another machine and tolerances in the search of any job's feed."""
+"""Feed-forward, another machine, and tolerances in the search for the feed of any job."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def at(options: Options, feed_m_s: float) -> Options:
 
 
 def test_the_edge_with_feed_forward_is_where_the_verdict_turns(examples: Path) -> None:
-    """Within 6 %: narrow intervals follow each other just above the edge that is found."""
+    """The edge is right within 6 %: narrow intervals follow each other just above it."""
     job = read_job(examples / "x-180.prg", MACHINE)
     spec = load_spec(None, MACHINE)
     found = fastest_feed(
@@ -49,7 +49,7 @@ def test_the_edge_with_feed_forward_is_where_the_verdict_turns(examples: Path) -
 
 
 def test_a_smoothed_motion_beyond_a_limit_is_out_of_spec_and_no_error(examples: Path) -> None:
-    """Half a metre a second turned about within 20 ms needs some 50 m/s^2; there are 10.5."""
+    """A reversal from 0.5 m/s within 20 ms needs some 50 m/s^2; the limit is 10.5 m/s^2."""
     job = read_job(examples / "x-180.prg", MACHINE)
     sharp = Options(feed_forward_s=0.02)
     with pytest.raises(LimitError):
@@ -61,7 +61,7 @@ def test_a_smoothed_motion_beyond_a_limit_is_out_of_spec_and_no_error(examples: 
     )
     assert found.best is None
     assert found.limited_by in {"acceleration", "jerk"}
-    # Without feed-forward a plan that cannot be made is an error still.
+    # Without feed-forward a plan that breaks a limit is still an error.
     axis = MACHINE.axes["X"]
     assert axis.travel is not None
     near = tuple(replace(end, si=si) for end, si in zip(axis.travel, (-1e-3, 1e-3), strict=True))
@@ -75,7 +75,7 @@ def test_a_smoothed_motion_beyond_a_limit_is_out_of_spec_and_no_error(examples: 
 
 
 def test_another_machine_does_the_job_that_was_planned(examples: Path) -> None:
-    """What is planned for the file and done by a heavier machine is out of spec sooner."""
+    """The plan is made for the file's machine; a heavier machine is out of spec sooner."""
     job = read_job(examples / "x-180.prg", MACHINE)
     spec = load_spec(None, MACHINE)
     other = off_tolerance(MACHINE, mass=8.0)
@@ -124,7 +124,7 @@ def canned(calls: list[Any]) -> Any:
 
 
 def test_tolerances_of_any_job(examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plans are for the file's machine; nine others do the job."""
+    """The plans are made for the file's machine, and nine machines run them."""
     calls: list[Any] = []
     monkeypatch.setattr(by_pace, "fastest_feed", canned(calls))
     job = read_job(examples / "x-180.prg", MACHINE)
@@ -137,7 +137,7 @@ def test_tolerances_of_any_job(examples: Path, monkeypatch: pytest.MonkeyPatch) 
     assert all(one.machine is MACHINE and one.options == AHEAD for one in calls)
     ran = [one.actual for one in calls]
     assert ran[4] == MACHINE
-    # X of the winder is rigid: its load is the body that its drive turns, 3.606e-4 kg m^2 +- 5 %.
+    # X of the winder is rigid: its load is the body of its drive, 3.606e-4 kg m^2 +- 5 %.
     assert ran[0].bodies["x"].inertia.si == pytest.approx(0.95 * 3.606e-4)
     assert ran[8].bodies["x"].inertia.si == pytest.approx(1.05 * 3.606e-4)
     assert {(one.low, one.high) for one in calls} == {(0.05, 0.2)}
@@ -146,7 +146,7 @@ def test_tolerances_of_any_job(examples: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_the_command_takes_them_for_a_design(
     examples: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nine frames sew with the tables of the file's; speeds are printed in stitches a minute."""
+    """Nine frames sew with the tables of the file's frame; speeds are printed in stitches/min."""
     calls: list[Any] = []
     monkeypatch.setattr(shaft, "constant_speeds", canned([]))
     monkeypatch.setattr(by_pace, "constant_speeds", canned(calls))
@@ -163,10 +163,10 @@ def test_the_command_takes_them_for_a_design(
     ends = [(mass, stiffness) for mass in (-1, 0, 1) for stiffness in (-1, 0, 1)]
     assert ran == [off_tolerance(frame, mass=m, stiffness=k) for m, k in ends]
     assert all(one.machine == frame for one in calls)
-    # 0.05 stitch/s less a tenth at the first machine: 2.70 stitch/min.
+    # 0.05 stitch/s less a tenth on the first machine: 2.70 stitch/min.
     assert "fastest stitch/min" in out.getvalue()
     assert "2.70" in out.getvalue()
-    # A tenth above the constant speed that was found for the file's machine itself.
+    # A tenth above the constant speed that is found for the file's machine.
     assert [one.high for one in calls] == pytest.approx([1.1 * 0.045] * 9)
     assert {one.low for one in calls} == {0.01}
 

@@ -1,4 +1,4 @@
-"""The search over all that a plan may choose: on loops whose answer is known, and on real ones."""
+"""The search over all choices of a plan: on made-up loops with a known answer, and on real ones."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ TICK_S = 0.005
 
 
 def made_up(places: tuple[float, ...], below_s: float) -> Tried:
-    """A plan of which each choice saves time, and whose errors add up; with luck of its own.
+    """A made-up plan: each choice saves time, the errors add up, and some plans have luck.
 
-    Of four choices that save 0.4, 0.3, 0.2 and 0.1 s the first two cost the most. The error also
-    jumps up and down from place to place, as the instants of steps of a DAC do.
+    Four choices save 0.4, 0.3, 0.2 and 0.1 s, and the first two cost the most error. The error also
+    jumps up and down from place to place, like the instants at which a DAC steps.
     """
     saved = np.array(places) @ [0.4, 0.3, 0.2, 0.1]
     duration_s = TICK_S * math.ceil((2.0 - saved) / TICK_S - 1e-9)
@@ -59,7 +59,7 @@ def made_up(places: tuple[float, ...], below_s: float) -> Tried:
 
 
 def test_a_search_by_what_was_tried_comes_close_to_what_can_be_had() -> None:
-    """The best of a grid of all places is the reference: half of them are out of specification."""
+    """The reference is the best place of a fine grid, half of which is out of specification."""
     careful, bold = (0.0,) * 4, (0.9,) * 4
     tried = boldest(made_up, careful, bold, 6)
     assert [one.passed for one in tried] == [False] * (len(tried) - 1) + [True]
@@ -79,7 +79,7 @@ def test_a_search_by_what_was_tried_comes_close_to_what_can_be_had() -> None:
 
 
 def test_the_values_of_choices_are_typed_and_read_back() -> None:
-    """What the search tries is what a command says; a recording reads it back to the last bit."""
+    """The tried options can be typed, and a recording reads them back to the last bit."""
     machine = load_machine("lathe-winder")
     options = replace(
         options_of("optimal", None, "0.1 mm", feed_forward=True),
@@ -158,7 +158,7 @@ def test_an_axis_turns_back_where_it_may() -> None:
 
 
 def test_a_way_to_and_fro_is_bound_by_what_its_drive_gives() -> None:
-    """180 mm there and back: its half within the current alone is 1.1 times as long as without.
+    """180 mm there and back: within the current alone, half of it takes 1.1 times as long.
 
     With 10.5 m/s2 the way takes 2 * 2 * (0.18 / 10.5) ** 0.5 s; the motor gives 9.4 m/s2 at rest.
     """
@@ -180,9 +180,9 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few")
 def test_a_few_plans_are_faster_than_any_with_the_options_by_default() -> None:
-    """0.805 s without feed-forward and 0.78 s with it are what plans take by default.
+    """With default options a plan takes 0.805 s without feed-forward and 0.78 s with it.
 
-    What is given stays: nothing but the reserve is searched, and the tolerance is that given.
+    Given options stay: only the reserve is searched, and the tolerance stays as given.
     """
     words = {"interpolation": "optimal", "tolerance": "0.1 mm", "outside": "0 mm"}
     given = Words.of("fastest", Door.PYTHON, words)
@@ -199,7 +199,7 @@ def test_a_few_plans_are_faster_than_any_with_the_options_by_default() -> None:
 
 @pytest.mark.usefixtures("few")
 def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> None:
-    """X may accelerate at 10.5 m/s2 and the specification asks for 8: 76 % of it passes at most."""
+    """X may reach 10.5 m/s2, and the specification limits 8 m/s2: at most 76 % of it passes."""
     words = {"interpolation": "optimal", "tolerance": "0.1 mm", "outside": "0 mm"}
     given = Words.of("fastest", Door.PYTHON, words)
     asked = question_of(given, EXAMPLES / "x-180.prg", "lathe-winder")
@@ -222,10 +222,10 @@ def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> No
 def test_where_no_plan_at_the_full_limits_passes_their_share_is_chosen_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Over the tolerances the loops may be too far off for any plan that is as fast as it can be.
+    """Over the tolerances the loops may be too far off for every plan with the full limits.
 
-    Loops whose error is three times too large at the full limits, and in proportion to the
-    acceleration, take the place of real ones.
+    Stand-ins for the loops have an error that is three times too large at the full limits, and in
+    proportion to the acceleration.
     """
 
     def judged(_: Question, plan: Plan) -> Verdict:
@@ -254,7 +254,7 @@ def test_where_no_plan_at_the_full_limits_passes_their_share_is_chosen_too(
 def test_a_search_ends_in_a_reasonable_time_and_says_what_it_left(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With a deadline of its own it goes on that long."""
+    """With a deadline of its own it searches until then."""
     monkeypatch.setattr(chosen_plans, "PROCESSOR_S", 6e-5)
     words = {"interpolation": "optimal", "tolerance": "0.1 mm", "outside": "0 mm"}
     asked = question_of(

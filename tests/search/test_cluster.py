@@ -1,4 +1,4 @@
-"""A yield on the workers of a cluster: the bits of one computer, or one line that says why not."""
+"""A yield on the workers of a cluster: the same bits as on one computer, or one line of refusal."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Said = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
-    """A worker that no test ends."""
+    """Workers that no test kills."""
     found = Fleet(tmp_path_factory.mktemp("fleet"), 1)
     yield found
     found.end()
@@ -43,7 +43,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
 
 @pytest.fixture
 def two_workers(fleet: Fleet) -> Fleet:
-    """Have another one besides, for as long as the first."""
+    """A second fleet, which lives as long as the first."""
     if len(fleet.workers) < 2:
         fleet.workers.append(fleet.with_worker())
     return fleet
@@ -51,7 +51,7 @@ def two_workers(fleet: Fleet) -> Fleet:
 
 @pytest.fixture
 def fleets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[int], Fleet]]:
-    """Start fleets whose workers and schedulers may end."""
+    """Start fleets whose workers and schedulers tests may kill."""
     begun: list[Fleet] = []
 
     def begin(workers: int) -> Fleet:
@@ -65,7 +65,7 @@ def fleets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[int],
 
 @pytest.fixture
 def said(capsys: pytest.CaptureFixture[str]) -> Said:
-    """Run ``threadline``; return its exit status, answer, and errors but for what it tells."""
+    """Run ``threadline``; return exit status, answer, and errors without the progress."""
 
     def run(*words: object) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as ended:
@@ -79,7 +79,7 @@ def said(capsys: pytest.CaptureFixture[str]) -> Said:
 
 @pytest.fixture
 def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A short job, in a folder that no worker has."""
+    """A short job in a folder that no worker can read."""
     monkeypatch.chdir(tmp_path)
     Path("turn.prg").write_text(TURN, encoding="utf-8")
     return Path("turn.prg")
@@ -99,7 +99,7 @@ def bits(found: MachineYield, variants: int) -> list[bytes]:
 def test_an_answer_is_that_of_one_computer_to_the_bit(
     machine: str, variants: int, said: Said, job: Path, fleet: Fleet
 ) -> None:
-    """Many at once and one by one; count, interval, worst machine, and the file of a part."""
+    """Side by side and one by one: count, interval, worst machine, and the file of a part."""
     words = ["yield", job, "-m", machine, "--variants", variants, "--seed", 5, "--json"]
     words += ["--interpolation", "linear"]
     here = said(*words)
@@ -126,7 +126,7 @@ def test_bits_do_not_depend_on_the_size_of_a_task_or_on_who_is_quick(
 
 
 def test_a_plan_is_sent_once(job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is sent for more machines afterwards is their numbers alone."""
+    """For further machines only their numbers are sent."""
     own, sent = judged(job), []
     reduce = RunsJudge.__reduce__
 
@@ -142,7 +142,7 @@ def test_a_plan_is_sent_once(job: Path, fleet: Fleet, monkeypatch: pytest.Monkey
 
 
 def test_short_items_share_a_task(job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A task costs the same for one item as for many; the last are few, so that nobody waits."""
+    """A task costs the same for one item as for many; the last tasks are small, so nobody waits."""
     monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 1)
     own, sent = judged(job), []
     begun = Cluster._begun
@@ -154,7 +154,7 @@ def test_short_items_share_a_task(job: Path, fleet: Fleet, monkeypatch: pytest.M
     monkeypatch.setattr(Cluster, "_begun", counted)
     here = bits(own, 150)
     with of_cluster.on_cluster(fleet.address, print):
-        bits(own, 30)  # so that it is known what an item takes
+        bits(own, 30)  # so that the time of an item is known
         sent.clear()
         assert bits(own, 150) == here
     assert sum(sent) == 150 and len(sent) < 50 and max(sent) >= 5 and sent[-1] == 1
@@ -165,7 +165,7 @@ def test_short_items_share_a_task(job: Path, fleet: Fleet, monkeypatch: pytest.M
 def test_a_worker_that_ends_in_the_middle_changes_nothing(
     how: signal.Signals, job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SIGKILL is a computer that is gone; SIGTERM comes from a batch system at its wall time."""
+    """SIGKILL stands for a computer that fails; a batch system sends SIGTERM at its wall time."""
     monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 4)
     own, fleet = judged(job), fleets(2)
     here = bits(own, 60)
@@ -188,7 +188,7 @@ def test_what_was_judged_is_kept_when_the_cluster_dies(
     which: str, job: Path, said: Said, fleets: Callable[[int], Fleet],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Exit 3 and one line; the same command without the cluster goes on to the same bits."""
+    """Exit status 3 and one line; the same command without the cluster goes on to the same bits."""
     monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 4)
     words = ["yield", job, "-m", "lathe-winder", "--variants", 60, "--interpolation", "linear"]
     words += ["--seed", 5, "--json"]
@@ -210,7 +210,7 @@ def test_what_was_judged_is_kept_when_the_cluster_dies(
     assert fleet.address in err and "--resume" in err
     assert ("went away" if which == "scheduler" else "no worker for 1 s") in err
     lines = Path("kept").read_bytes().count(b"\n")
-    assert lines >= 3  # the head, and two batches of four
+    assert lines >= 3  # the first line of the file, and two batches of four
     monkeypatch.setattr(YieldState, "add", add)
     assert said(*words, "--resume", "kept") == here
 
@@ -236,7 +236,7 @@ def test_a_scheduler_that_comes_back_gets_what_it_lost(
 
 
 def test_what_fails_is_told_in_one_line_of_this_program(fleet: Fleet) -> None:
-    """``distributed`` has loggers with handlers and levels of their own, for example of clients."""
+    """``distributed`` has its own loggers with handlers and levels, for example for clients."""
     Cluster(fleet.address).close()
     names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
     assert "distributed.client" in names
@@ -263,7 +263,7 @@ def test_a_worker_of_another_version_is_refused_by_name(
     late: bool, name: str, told: str, job: Path, said: Said, fleet: Fleet,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """At the beginning, and a worker that joins later."""
+    """This holds at the beginning, and for a worker that joins later."""
     own = of_cluster.versions()
     real = of_cluster.versions
     calls: list[int] = []
@@ -276,7 +276,7 @@ def test_a_worker_of_another_version_is_refused_by_name(
     if late:
         monkeypatch.setattr(Cluster, "_check_versions", lambda _: None)
     else:
-        # Workers take the function by its name, which is that of the real one for them.
+        # Workers take the function by its name, which is the name of the real function.
         monkeypatch.setattr(Cluster, "_versions_there", staticmethod(real))
     words = ["yield", job, "-m", "lathe-winder", "--variants", 9, "--interpolation", "linear"]
     code, out, err = said(*words, "--cluster", fleet.address)
@@ -329,7 +329,7 @@ def test_a_scheduler_that_is_not_there_is_one_line(
 def test_a_scheduler_without_workers_is_one_line(
     job: Path, said: Said, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A batch system may begin the first worker late; then there is always one."""
+    """A batch system may start the first worker late; from then on there is always one."""
     monkeypatch.setattr(of_cluster, "FIRST_S", 1.0)
     address = fleets(0).address
     code, out, err = said("yield", job, "-m", "lathe-winder", "--cluster", address)
@@ -356,7 +356,7 @@ def test_tls_without_certificates_is_refused(
 
 @pytest.mark.long(shown_by="test_an_answer_is_that_of_one_computer_to_the_bit")
 def test_a_cluster_by_tls_gives_the_same(job: Path, said: Said, tmp_path: Path) -> None:
-    """The commands are those of docs/cluster.md."""
+    """The commands are the ones in docs/cluster.md."""
     openssl = shutil.which("openssl")
     if openssl is None:
         pytest.skip("needs openssl to make certificates")
@@ -381,7 +381,7 @@ def test_a_cluster_by_tls_gives_the_same(job: Path, said: Said, tmp_path: Path) 
         env = {**os.environ, **tls}
         there = subprocess.run(asked, env=env, capture_output=True, text=True, check=False)
         assert (there.returncode, there.stdout) == said(*words)[:2], there.stderr
-        # A scheduler by TLS takes nobody without its certificate.
+        # A scheduler with TLS accepts nobody without its certificate.
         plain = fleet.address.replace("tls://", "tcp://")
         asked[-1] = plain
         refused = subprocess.run(asked, env=env, capture_output=True, text=True, check=False)

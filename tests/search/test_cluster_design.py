@@ -1,4 +1,4 @@
-"""Candidates of a redesign on the workers of a cluster: the bits of one computer."""
+"""Candidates of a redesign on the workers of a cluster: the same bits as on one computer."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_candidates_are_those_of_one_computer(
 def test_python_has_the_cluster_too(
     coarse_search: None, fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A yield, and a whole search for the fastest over tolerances: the bits of one computer."""
+    """A yield, and a search for the fastest over tolerances: the same bits as on one computer."""
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X5 F1000\nG1 X-5\nM30\n")
     words = {"interpolation": "linear"}
@@ -114,9 +114,9 @@ def test_python_has_the_cluster_too(
 def test_python_redesigns_on_the_cluster(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``tl.design`` by itself: candidates and drawn machines go to workers, the design is the same.
+    """Workers judge the candidates and the drawn machines of ``tl.design``; the design is the same.
 
-    A batch of candidates that is too small to be worth sending stays here.
+    A batch of candidates that is too small to be worth sending is judged on this computer.
     """
     monkeypatch.setattr(design, "THOROUGH", QUICK)
     job, spec = tmp_path / "turn.prg", tmp_path / "close.toml"
@@ -147,7 +147,7 @@ def test_python_redesigns_on_the_cluster(
 
 
 def test_a_cluster_that_would_judge_nothing_is_refused_before_it_is_asked(tmp_path: Path) -> None:
-    """Port 9 is no scheduler: reaching for it would take ten seconds, and say another thing."""
+    """No scheduler is at port 9: connecting to it would take ten seconds, with another error."""
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X5 F1000\nM30\n")
     for words, told in ({}, "this search judges none"), ({"yield_": "90 %"}, "machines of yield_="):
@@ -156,7 +156,7 @@ def test_a_cluster_that_would_judge_nothing_is_refused_before_it_is_asked(tmp_pa
 
 
 def test_a_job_that_changed_since_is_refused(tmp_path: Path) -> None:
-    """A worker reads the file that lies at the same place there."""
+    """A worker reads the file at the same path."""
     file = tmp_path / "turn.prg"
     file.write_text("G91\nG1 X5 F1000\nM30\n")
     read, machine = JobReader.of(file, Options()), load_machine("lathe-winder")

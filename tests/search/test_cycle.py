@@ -1,4 +1,4 @@
-"""The shortest cycle of the letter placer, as the command finds it and proves it again."""
+"""The shortest cycle of the letter placer: the command finds it, and proves it again."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 
 @pytest.fixture(scope="module")
 def best(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
-    """Return what ``fastest --json`` says and the move list that it wrote."""
+    """Return the answer of ``fastest --json``, and the move list that it wrote."""
     from contextlib import redirect_stdout
     from io import StringIO
 
@@ -72,9 +72,9 @@ def test_the_fastest_is_in_spec_and_shorter_than_every_shaper(
 
 
 def test_move_by_move_it_is_near_the_time_optimum(best: tuple[dict[str, Any], Path]) -> None:
-    """No command of whole scans that leaves little is more than two scans over the optimum.
+    """No command is more than two scans longer than the time-optimal command without ringing.
 
-    It may be below: up to the limit of the specification may ring.
+    It may be shorter, because ringing up to the limit of the specification is allowed.
     """
     found, _ = best
     assert [(m["step"], m["axis"]) for m in found["moves"]] == [
@@ -85,7 +85,7 @@ def test_move_by_move_it_is_near_the_time_optimum(best: tuple[dict[str, Any], Pa
         assert move["unshaped_s"] < move["time_optimal_s"]
         assert move["command_s"] + move["wait_s"] < move["time_optimal_s"] + 2.0 * SCAN_S
     saved = sum(m["command_s"] + m["wait_s"] - m["unshaped_s"] for m in found["moves"])
-    # A contact that is waited for may come a scan sooner or later, at three places.
+    # The list waits for a contact at three places, and each may come a scan sooner or later.
     assert found["best"] - found["unshaped_overlapped_s"] == pytest.approx(saved, abs=0.031)
     assert found["time_optimal_moves_s"] == pytest.approx(
         sum(m["time_optimal_s"] for m in found["moves"])
@@ -109,7 +109,7 @@ def test_what_it_wrote_proves_the_same(
 
 @pytest.fixture(scope="module")
 def typed() -> FastestCycle:
-    """Return what is found for the machine as its file says."""
+    """Return the cycle that is found for the machine of the file."""
     machine = load_machine("letter-placer")
     return fastest_cycle(
         Question(job=read_job(CYCLE, machine), machine=machine, spec=load_spec(None, machine))
@@ -118,9 +118,9 @@ def typed() -> FastestCycle:
 
 @pytest.mark.long(shown_by="test_the_fastest_is_in_spec_and_shorter_than_every_shaper")
 def test_off_its_file_the_cycle_is_found_with_commands_for_the_file(typed: FastestCycle) -> None:
-    """Springs at their upper ends: the cycle for the file fails there, the one found passes.
+    """With stiffer springs the cycle for the file fails, and the cycle for this machine passes.
 
-    Both are proved anew, one run each, on the machine that is off its file.
+    Both are proved anew, in one run each, on the machine whose springs are at their upper ends.
     """
     machine = load_machine("letter-placer")
     spec = load_spec(None, machine)
@@ -142,9 +142,9 @@ def test_the_command_searches_over_tolerances(
     monkeypatch: pytest.MonkeyPatch,
     typed: FastestCycle,
 ) -> None:
-    """Nine machines run the cycles, and the plans are made for the file's.
+    """Nine machines run the cycles; the plans are made for the machine of the file.
 
-    What the command finds for the file itself is known: it is not searched a second time.
+    The cycle for the machine of the file is known, and is not searched a second time.
     """
     machine = load_machine("letter-placer")
     ran: list[Machine] = []
@@ -220,7 +220,7 @@ def test_levels_that_no_valve_makes_are_refused_with_their_line(
 
 
 def test_a_shaper_of_a_move_is_that_of_its_cylinder(tmp_path: Path) -> None:
-    """Written in the list or given for the cylinder: the same switchings."""
+    """Written in the list or given for the cylinder, the shaper has the same switchings."""
     machine = load_machine(PLACER)
     text = '[[operation]]\nvalve = "main_air"\n\n[[operation]]\nmove = { X = "200 mm" }\n'
     plain, own = tmp_path / "a.toml", tmp_path / "b.toml"
@@ -256,10 +256,10 @@ def test_a_specification_that_asks_little_keeps_the_cycle_as_it_is(
 
 
 def test_only_what_a_switch_guards_overlaps() -> None:
-    """Behind lift, across and the first of the return; a tool, letting go and the end come at rest.
+    """The moves after the lift and the first return move overlap; the others start at rest.
 
-    The rest is cut to when the piston passes its switch: dead time, then speed times lag to go as
-    an exponential, here by hand for the lift, 6 mm before its end.
+    The rest is cut at the instant at which the piston passes its switch: dead time, then an
+    exponential over speed times lag. Here it is computed by hand for the lift, 6 mm before its end.
     """
     machine = load_machine(PLACER)
     job = overlapped(read_job(CYCLE, machine), machine)
@@ -292,7 +292,7 @@ def test_a_rest_that_a_list_writes_is_the_one_that_passes(tmp_path: Path) -> Non
 
 
 def test_a_vacuum_is_drawn_while_its_cylinder_comes_to_rest() -> None:
-    """At the switch behind the descent: 0.25 s sooner, and the knife no sooner than at rest.
+    """The vacuum is on at the switch of the descent, 0.25 s sooner; the knife waits for the rest.
 
     By hand: dead time and the exponential to 6 mm before the end, and four lags for the rest.
     """

@@ -1,4 +1,4 @@
-"""Cylinders that set out together, or go back at once: a command for each."""
+"""Cylinders that start together, or go back at once: each has its own command."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def together(tmp_path_factory: pytest.TempPathFactory) -> tuple[Job, FastestCycl
 def test_cylinders_that_set_out_together_have_a_command_each(
     together: tuple[Job, FastestCycle], tmp_path: Path
 ) -> None:
-    """In spec on the twin, both from the same scan on, and the list that is written says so."""
+    """In spec on the twin, both start in the same scan, and the written list says so."""
     machine = unlocked()
     _, found = together
     assert found.job is not None
@@ -77,7 +77,7 @@ def test_cylinders_that_set_out_together_have_a_command_each(
 
 
 def test_together_is_as_short_as_the_longer_of_both(together: tuple[Job, FastestCycle]) -> None:
-    """And shorter than one after the other, by the whole of the shorter stroke with its rest."""
+    """The move is shorter than one after the other by the whole shorter stroke with its rest."""
     machine = unlocked()
     job, found = together
     apart = read_job_text(TOGETHER.replace('X = "200 mm", Z', "Z"), machine, job)
@@ -90,7 +90,7 @@ def test_together_is_as_short_as_the_longer_of_both(together: tuple[Job, Fastest
 
 
 def read_job_text(text: str, machine: Machine, beside: Job) -> Job:
-    """Return a job of text, with the slide sent out behind the lift."""
+    """Return a job as text in which the slide moves out after the lift."""
     file = Path(beside.file).with_name("apart.toml")
     after = text.replace(
         'move = { Z = "100 mm" }',
@@ -140,7 +140,7 @@ move = { X = "0 mm" }
 
 
 def test_a_cycle_is_found_where_a_cylinder_goes_back_at_once(tmp_path: Path) -> None:
-    """What rings after the first stroke is measured, and learned from: every step is in spec."""
+    """The ringing after the first stroke is measured and learned from: every step is in spec."""
     machine = load_machine("letter-placer")
     file = tmp_path / "back.toml"
     file.write_text(AT_ONCE_BACK, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The smallest change: what the search sees is what the judge says, and nothing cheaper passes."""
+"""The smallest change: the search agrees with the judge, and nothing cheaper passes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _pair(low: float, high: float, unit: str) -> tuple[Quantity, Quantity]:
 
 
 def two_parameters(machine: Machine, belt: tuple[float, float] = (1.0, 4.0)) -> Machine:
-    """The stitcher with the belts and the load to change, at its least acceleration."""
+    """The stitcher, whose belts and load may change, at its least acceleration."""
     assert machine.design is not None
     own = machine.design
     parameters = {
@@ -97,7 +97,7 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def told() -> list[tuple[str, float]]:
-    """What the search for ``result`` told of how far it was."""
+    """Return the progress that the search for ``result`` reported."""
     return []
 
 
@@ -116,7 +116,7 @@ def result(
 
 
 def test_filters_of_many_candidates_are_those_of_each(stitcher: Machine) -> None:
-    """Against the loop of each machine on its own: its lead design, and its margins by search."""
+    """Compared with the loop of each machine alone: its lead design, and its margins by search."""
     space = design_space(stitcher)
     points = with_settings(space, np.log([60.0, 100.0, 0.6, 1.2, 0.9]), 3)
     numbers, possible = design_gains(space, points)
@@ -132,10 +132,10 @@ def test_filters_of_many_candidates_are_those_of_each(stitcher: Machine) -> None
             try:
                 alone = design_lead(loop, crossover, margin)
             except OptionError:
-                # More phase than asked without any lead: the zero is as far out as it can be.
+                # The phase is ample without any lead: the zero is as far out as it can be.
                 assert zero == pytest.approx(1 / 256)
                 continue
-            # The stacked exponential is good to about 1e-8 of a stiff machine.
+            # For a stiff machine the stacked exponential is accurate to about 1e-8.
             assert gain == pytest.approx(alone.gain, rel=1e-6)
             assert 1 - zero == pytest.approx(1 - alone.zero, rel=1e-5)
             filters = {k: v[index : index + 1] for k, v in numbers.items()}
@@ -150,7 +150,7 @@ def test_filters_of_many_candidates_are_those_of_each(stitcher: Machine) -> None
 def test_candidates_are_judged_as_the_judge_does(
     stitcher: Machine, spec: Spec, corner: Path
 ) -> None:
-    """The same recordings, so the same figures: to rounding, for every candidate and delay."""
+    """The recordings are the same, so the numbers of every candidate agree up to rounding."""
     space = design_space(stitcher)
     plan = plan_job(read_job(corner, stitcher), stitcher, Options(limit_share=0.5))
     judge = design_judge(plan, stitcher, spec, np.array([0.012, 0.018, 0.027]))
@@ -178,7 +178,7 @@ def test_candidates_are_judged_as_the_judge_does(
 def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
     stitcher: Machine, spec: Spec, corner: Path, result: DesignResult
 ) -> None:
-    """Proved anew through the pipeline; then a brute grid over what is clearly cheaper."""
+    """The design is proved anew; then a fine grid is searched for a cheaper design."""
     assert result.found is not None
     found = result.found
     assert found.verdict.passed
@@ -195,7 +195,7 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
         with_settings(space, np.array([belt, -load]), 4)
         for belt in np.linspace(0.0, cost, 5)
         for load in np.linspace(0.0, cost, 5)
-        # With three seeds the search came to 0.247 ... 0.257, a longer one to 0.227 ... 0.242.
+        # With three seeds the search ended at 0.247 ... 0.257, and a longer one at 0.227 ... 0.242.
         if belt + load < 0.8 * cost
     ]
     points = np.concatenate(grid)
@@ -206,7 +206,7 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
 def test_how_far_a_design_is_never_falls(
     result: DesignResult, told: list[tuple[str, float]]
 ) -> None:
-    """Through all its stages, the trades of cost for margin among them."""
+    """All stages are checked, the trade of cost for margin among them."""
     assert result.simulated > 0
     stages = list(dict.fromkeys(what for what, _ in told))
     assert stages[:3] == ["sampling", "narrowing", "trading cost for margin"]
@@ -217,7 +217,7 @@ def test_how_far_a_design_is_never_falls(
 def test_what_is_told_of_a_design_says_its_level(
     result: DesignResult, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In the line under the verdict, in the sentence at the end and over the other machines."""
+    """The level is below the verdict, in the last sentence and above the other machines."""
     assert result.found is not None
     command._show(result)
     told = capsys.readouterr().out
@@ -229,9 +229,9 @@ def test_what_is_told_of_a_design_says_its_level(
 def test_candidates_are_tried_in_the_runs_that_prove_draws(
     stitcher: Machine, spec: Spec, corner: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The worst of 20 runs is that of the whole pipeline: to rounding, for every candidate.
+    """For every candidate the worst of 20 runs equals the pipeline's result, up to rounding.
 
-    The pipeline judges more runs where 20 come near a limit; here it does not.
+    The pipeline judges more runs if 20 come near a limit; here they do not.
     """
     monkeypatch.setattr(pipeline, "MOST_RUNS", 20)
     space = design_space(two_parameters(stitcher))
@@ -264,7 +264,7 @@ def test_the_pareto_set_trades_cost_for_margin(result: DesignResult) -> None:
     assert ratio == sorted(ratio, reverse=True)
     assert result.region is not None
     assert result.region.names == ("belt", "load")
-    # The design itself is a point of the grid, with its own settings: in spec there.
+    # The design is a point of the grid, where its own settings are in spec.
     assert result.found is not None
     at = [
         int(np.argmin(np.abs(line - result.found.candidate.factors[name])))
@@ -278,7 +278,7 @@ def test_the_pareto_set_trades_cost_for_margin(result: DesignResult) -> None:
 def test_corners_cost_more(
     stitcher: Machine, spec: Spec, corner: Path, result: DesignResult
 ) -> None:
-    """What must hold at +-10 % mass and +-20 % stiffness as well cannot be cheaper."""
+    """A design that must also hold at +-10 % mass and +-20 % stiffness cannot be cheaper."""
     robust = design(
         corner,
         two_parameters(stitcher, (1.0, 30.0)),
@@ -290,7 +290,7 @@ def test_corners_cost_more(
     assert result.found is not None
     verdict, corners = robust.found.verdict, robust.found.corners
     assert verdict.passed and corners is not None and corners.passed
-    # The level is that of the machine itself: the corners are four machines of one run each.
+    # The level is the machine's own: the corners are four machines with one run each.
     assert (verdict.level, verdict.runs >= 20, verdict.machines) == (Level.REPEATED, True, 0)
     assert corners.runs + corners.machines == 4
     assert robust.screened == "20 runs and 4 corners of the tolerances"
@@ -308,7 +308,7 @@ def test_corners_cost_more(
 
 
 def test_no_design_says_what_binds(stitcher: Machine, spec: Spec, corner: Path) -> None:
-    """With the load alone, a tenth of a per cent lighter, nothing is in spec."""
+    """If only the load may change, and only by 0.1 %, nothing is in spec."""
     assert stitcher.design is not None
     machine = two_parameters(stitcher)
     assert machine.design is not None
@@ -324,9 +324,10 @@ def test_no_design_says_what_binds(stitcher: Machine, spec: Spec, corner: Path) 
 def test_where_settings_are_enough_the_margin_decides(
     stitcher: Machine, spec: Spec, tmp_path: Path
 ) -> None:
-    """At 30 stitch/s many settings of the machine as it is pass, all at no cost.
+    """At 30 stitch/s many settings of the unchanged machine pass, all of them at no cost.
 
-    10 %: the settings of the one found are rounded to what the chip takes before it is proved.
+    The share of 10 % allows for rounding: before the proof, the settings found are rounded to
+    numbers of the chip.
     """
     slow = tmp_path / "slow.seam.toml"
     slow.write_text(CORNER.replace("75 stitch/s", "30 stitch/s"))
@@ -338,7 +339,7 @@ def test_where_settings_are_enough_the_margin_decides(
 
 
 def test_with_feed_forward_smoothing_and_ramps_are_searched() -> None:
-    """A point has the smoothing width and the share of the acceleration behind its factors."""
+    """A point contains the smoothing width and the share of the acceleration after its factors."""
     machine = load_machine("stitcher")
     space = design_space(machine, (0.020, 0.030, 0.022))
     assert machine.design is not None
@@ -360,9 +361,9 @@ def test_with_feed_forward_smoothing_and_ramps_are_searched() -> None:
 
 
 def test_planes_find_the_cheapest_trade() -> None:
-    """A share of 1.6 - 0.5 a - 0.2 b - 0.3 c at weights 1, 1 and 2: a alone, 1.2, is the cheapest.
+    """For the ratio 1.6 - 0.5 a - 0.2 b - 0.3 c with weights 1, 1, 2, a = 1.2 is the cheapest.
 
-    No move of one number, or of all in proportion, comes to it from where b and c do the work.
+    If b and c are changed first, no move of one number, or of all in proportion, leads to it.
     """
     space = design_space(load_machine("stitcher"), (0.02, 0.03))
     random = np.random.default_rng(1)
@@ -387,13 +388,13 @@ def test_planes_find_the_cheapest_trade() -> None:
 
 @dataclass
 class _Edge:
-    """Stands for the evaluator: two numbers, of which both together meet the specification."""
+    """Stand-in for the evaluator: two numbers together meet the specification."""
 
     effort: Effort
     simulated: int = 0
 
     def tried(self, points: FloatArray, level: IntArray, beyond: float = 0.0) -> Tried:
-        """Return candidates in specification where x y is 0.04 or more."""
+        """Return candidates that are in specification if x y is 0.04 or more."""
         del beyond
         self.simulated += len(points)
         ratio = 1.3 - 7.5 * np.abs(points[:, 0] * points[:, 1]) * (points[:, 1] > 0.0)
@@ -405,7 +406,7 @@ class _Edge:
 
 
 def test_two_numbers_are_traded_along_the_edge_of_the_specification() -> None:
-    """The least of x + y where x y is 0.04 is 0.4; ten searches of some 400 candidates each."""
+    """For x y = 0.04 the least x + y is 0.4; ten searches have some 400 candidates each."""
     machine = load_machine("lathe-winder")
     space = replace(design_space(machine, ()), weights=np.ones(2))
     few = Effort(sample_log2=6, settings_log2=4, proposals=48, rounds=12, trade_rounds=0, side=0)

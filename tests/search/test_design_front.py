@@ -1,4 +1,4 @@
-"""The front of cost against yield: counted again, and never beaten by what it leaves out."""
+"""The front of cost against yield: counted again, and no omitted candidate beats it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_front_is_counted_again(
         assert one["interval"] == pytest.approx([exact.low, exact.high], abs=1e-9)
         cheaper = [k["passed"] for k in front if k["cost"] <= one["cost"] and k is not one]
         assert one["on_front"] == (passed > max(cheaper, default=-1))
-    assert front[-1]["passed"] > front[0]["passed"]  # a change buys machines in spec
+    assert front[-1]["passed"] > front[0]["passed"]  # higher cost buys more machines in spec
 
     machine, options = load_machine("lathe-winder"), Options(interpolation="linear")
     plan = plan_job(open_job(Path("turn.prg"), machine, options), machine, options)

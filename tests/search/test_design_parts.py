@@ -1,4 +1,4 @@
-"""A redesign in parts: merged to the bits of one run, or the part that does not fit is named."""
+"""A redesign in parts: merged to the same bits as in one run, or the wrong part is named."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def said(
 
 
 def made(said: Said, count: int, *more: str) -> list[Path]:
-    """Make every part, in no order."""
+    """Make every part, in any order."""
     files = [Path(f"{k + 1}-of-{count}.design") for k in range(count)]
     order = list(range(count))
     random.Random(count).shuffle(order)
@@ -77,7 +77,7 @@ def test_merged_parts_are_one_run_to_the_bit(
     searches = [read_design_part(Path(f"{k + 1}-of-{number}.design")).searches for k in numbers]
     assert [one.number for some in searches for one in some] == [*numbers]
     tried = {one.tried.points.tobytes() for some in searches for one in some}
-    assert len(tried) == number  # each from random numbers of its own
+    assert len(tried) == number  # each with its own random numbers
     alone = json.loads(said(*WORDS, "--json")[1])
     content = json.loads(one[1])
     assert content["found"]["cost"] <= alone["found"]["cost"]

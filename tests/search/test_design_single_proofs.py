@@ -1,4 +1,4 @@
-"""The smallest change of machines that are simulated one by one."""
+"""The smallest change for machines that are simulated one by one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ limit = "0.18 deg"
 @pytest.mark.long(but="stepper-winder")
 @pytest.mark.parametrize("name", JOBS)
 def test_what_is_found_is_in_spec_by_prove(name: str, tmp_path: Path) -> None:
-    """The machine as it is is out of spec; the files that are written are proved as they stand."""
+    """The unchanged machine is out of spec; the written files are proved as they are."""
     file, options = JOBS[name]
     machine = load_machine(name)
     spec = load_spec(None, machine)
@@ -68,7 +68,7 @@ def _of(result, parameter: str) -> tuple[str, ...]:
 
 
 def test_shares_are_of_the_specification_and_of_broken_limits() -> None:
-    """Limits of the machine that are kept do not count, and what is not proven is hopeless."""
+    """A kept limit of the machine does not count; a result that is not proven counts 1000."""
 
     def of(name: str, measured: float | None, *, hard: bool = False, required: bool = False):
         limit = 1.0

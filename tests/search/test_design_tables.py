@@ -1,4 +1,4 @@
-"""The table ``[design]`` of a machine file: known answers, and what is refused with its line."""
+"""The table ``[design]`` of a machine file: known answers, and refusals with the line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def stitcher() -> Machine:
 
 
 def test_known_answers_are_in_the_machine_file(stitcher: Machine) -> None:
-    """The thesis: 100 times the stiffness, half the mass."""
+    """The thesis proposes 100 times the stiffness and half the mass."""
     space = design_space(stitcher)
     (thesis,) = known_points(space).values()
     factors = dict(zip(space.names, np.exp(thesis), strict=True))
@@ -27,7 +27,7 @@ def test_known_answers_are_in_the_machine_file(stitcher: Machine) -> None:
     assert factors["frame"] == pytest.approx(100)
     assert factors["load"] == pytest.approx(0.5)
     assert factors["current"] == factors["friction"] == 1.0
-    # 27 to 60 A as a factor; the load's measured damping is no parameter.
+    # 27 to 60 A is one factor; the load's measured damping is no parameter.
     assert np.exp(space.high[space.names.index("current")]) == pytest.approx(60 / 27)
     assert not any("head.damping" in path for paths in space.paths for path in paths)
 
@@ -125,7 +125,7 @@ def test_what_checks_the_table_as_a_whole_gives_the_line(
 def test_a_crossover_lies_below_half_the_clock_of_the_controller(
     tmp_path: Path, stitcher: Machine
 ) -> None:
-    """Above it a sampled loop has no frequencies; just below it the search may look."""
+    """Above it a sampled loop has no frequencies; just below it the search is allowed."""
     nyquist_hz = 0.5 / float(stitcher.clock(stitcher.controllers["x"].clock).period_s)
     file = tmp_path / "mine.toml"
     for share in (0.999, 1.0):

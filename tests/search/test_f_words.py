@@ -1,4 +1,4 @@
-"""A feed as an F word: what is found can be typed into the program and is the same motion."""
+"""A feed as an F word: the found F can be typed into the program and gives the same motion."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ IN_TURN = ("linuxcnc", "marlin")
 
 @pytest.fixture
 def winder(tmp_path: Path) -> Machine:
-    """Axes X and A without an operator, whose feed would cap F."""
+    """A winder with X and A and without an operator, whose feed would cap F."""
     file = tmp_path / "mine.toml"
     file.write_text('base = "lathe-winder"\nname = "mine"\n')
     return load_machine(file)
@@ -54,7 +54,7 @@ def job_of(folder: Path, machine: Machine, text: str, rule: str) -> Job:
 
 @pytest.mark.parametrize("rule", [*RULES, *IN_TURN])
 def test_an_f_word_is_the_f_of_the_program(tmp_path: Path, winder: Machine, rule: str) -> None:
-    """``--feed "F 3000"`` against the program with every F replaced by hand, to rounding."""
+    """``--feed "F 3000"`` equals the program with every F replaced by hand, up to rounding."""
     typed_in = job_of(tmp_path, winder, re.sub(r"F\d+", "F3000", PROGRAM), rule)
     by_hand = plan_job(typed_in, winder, Options())
     asked = plan_job(
@@ -69,7 +69,7 @@ def test_an_f_word_is_the_f_of_the_program(tmp_path: Path, winder: Machine, rule
 
 
 def test_an_f_word_has_its_unit() -> None:
-    """3000 mm/min are 50 mm/s; blanks, a small letter and another unit are taken."""
+    """3000 mm/min are 50 mm/s; blanks, a small letter and other units are accepted."""
     for text in ("F 3000", "f3000", " F3000 mm/min", "F 50 mm/s", "F 0.05 m/s"):
         assert parse_feed(text) == Feed(FeedMode.F_WORD, pytest.approx(0.05, rel=1e-15))
     for text in ("F", "F x", "F -1", "F 0", "F 3 count/tick", "F nan"):
@@ -78,7 +78,7 @@ def test_an_f_word_has_its_unit() -> None:
 
 
 def test_the_ends_of_the_search_are_those_of_the_axes(tmp_path: Path, winder: Machine) -> None:
-    """All axes at their limits: by grbl's rule the root of squares, by Marlin's of X Y or of A."""
+    """At all axes' limits grbl's F is the root of squares; Marlin takes X and Y, or A."""
     limits = dict(zip(winder.axis_names, winder.velocity_limit, strict=True))
     turns = [axis in winder.rotary for axis in limits]
     speeds = np.where(turns, np.degrees(list(limits.values())), 1e3 * np.array([*limits.values()]))
@@ -104,7 +104,7 @@ def left_with(words: list[str]) -> int:
 def test_what_fastest_finds_is_typed_into_the_program(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By grbl's own rule: the file with that F takes the time that was told."""
+    """By grbl's own rule: the file with this F takes the printed time."""
     settings = EXAMPLES / "grbl-settings.txt"
     words = ["--limits-only", "--set", "rotary=A", "--set", "radius=50 mm"]
     mine = tmp_path / "mine"
@@ -130,6 +130,6 @@ def test_what_fastest_finds_is_typed_into_the_program(
 
 @pytest.mark.parametrize("rule", ["x-winder", ""])
 def test_f_that_is_no_speed_is_not_asked_for(rule: str) -> None:
-    """X-Winder's F is of its carriage alone; a seam has none."""
+    """The F of X-Winder counts the carriage alone, and a seam has no F."""
     with pytest.raises(OptionError, match="is not the speed of its moves"):
         as_f_words(0.1, rule)

@@ -1,4 +1,4 @@
-"""The search must find every interval, not the first one, and say what ends it."""
+"""The search for feeds finds every interval, not only the first, and names the limit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from threadline.verdict import Result, Status, Verdict
 
 
 def verdict(excess: float) -> Verdict:
-    """A verdict with one criterion, ``excess`` times its limit of 1."""
+    """A verdict with one criterion, which measures ``excess`` times its limit of 1."""
     status = Status.PASSED if excess <= 1.0 else Status.FAILED
     result = Result(
         name="contour_error", axis="", measured=excess, limit=1.0, unit="m", status=status
@@ -26,7 +26,7 @@ def verdict(excess: float) -> Verdict:
 
 
 def test_two_intervals_are_both_reported_the_faster_first() -> None:
-    """Pass below 1 and between 3 and 5: a search that assumes monotony would stop at 1."""
+    """Feeds below 1 and between 3 and 5 pass: a search that assumes monotony would stop at 1."""
     found = find_fastest(lambda f: verdict(0.5 if f <= 1.0 or 3.0 <= f <= 5.0 else 2.0), 0.1, 10.0)
 
     assert [(i.low, i.high) for i in found.intervals] == [
@@ -44,7 +44,7 @@ def test_two_intervals_are_both_reported_the_faster_first() -> None:
 def test_two_feeds_stand_for_all_between_them_where_the_planner_keeps_the_limits(
     every: bool,
 ) -> None:
-    """Where an end fails, the search is the same as without that knowledge."""
+    """If an end fails, the search is the same as without this assumption."""
     grid = Grid(near=16, every=every, between=True)
     found = find_fastest(lambda _: verdict(0.5), 0.1, 10.0, grid)
     assert found.tried == 2 and found.best == 10.0 and found.step == 0.0
@@ -60,7 +60,7 @@ def test_two_feeds_stand_for_all_between_them_where_the_planner_keeps_the_limits
 
 
 def test_narrow_intervals_beyond_an_edge_are_found() -> None:
-    """Where times are rounded to whole ticks, the thinnest margins pass and fail in turn."""
+    """Because times are rounded to whole ticks, feeds with thin margins pass and fail in turn."""
     wanted = [(0.1, 0.93), (0.94, 1.0), (1.02, 1.03), (1.06, 1.07), (3.0, 3.4)]
 
     def judged(feed: float) -> Verdict:
@@ -71,13 +71,13 @@ def test_narrow_intervals_beyond_an_edge_are_found() -> None:
     assert [(i.low, i.high) for i in reversed(found.intervals)] == [
         (pytest.approx(low, rel=2.1e-3), pytest.approx(high, rel=2.1e-3)) for low, high in wanted
     ]
-    # 47 steps from 0.1 to 10, and 17 where the scan had one.
+    # 47 steps from 0.1 to 10, and 17 in place of one step of the scan.
     assert found.step == pytest.approx(100 ** (1 / 47) - 1)
     assert found.near_step == pytest.approx(100 ** (1 / (47 * 17)) - 1)
 
 
 def test_a_feed_that_passes_alone_is_not_the_fastest() -> None:
-    """Above 1 everything fails but a thousandth about 1.05, narrower than edges are refined."""
+    """Above 1 all feeds fail but a thousandth about 1.05, narrower than edges are refined."""
 
     def judged(feed: float) -> Verdict:
         return verdict(0.99 if feed <= 1.0 or 1.0495 <= feed <= 1.0505 else 1.01)
@@ -101,14 +101,14 @@ def test_a_feed_that_passes_alone_is_not_the_fastest() -> None:
 
 
 def test_an_end_of_the_search_is_not_alone() -> None:
-    """What passes up to the end of a search has no neighbour there that fails."""
+    """A feed that passes at the end of a search has no failing neighbour there."""
     found = find_fastest(lambda f: verdict(0.9 if f >= 1.0595 else 1.1), 1.0, 1.06, Grid(near=16))
     assert [(i.high, i.alone) for i in found.intervals] == [(1.06, False)]
     assert not found.alone and alone_words(found, "m/s") == ""
 
 
 def test_nothing_passes_and_what_fails_is_said_where_it_came_closest() -> None:
-    """The least excess is at 2.0, inside the range: neither the slowest nor the fastest feed."""
+    """The smallest excess is at 2.0, inside the range, not at the slowest or fastest feed."""
     found = find_fastest(lambda f: verdict(1.5 + abs(f - 2.0)), 0.1, 10.0, Grid(points=41))
     assert found.best is None
     assert found.intervals == ()
@@ -118,7 +118,7 @@ def test_nothing_passes_and_what_fails_is_said_where_it_came_closest() -> None:
 
 
 def spread_at(feed: float) -> Verdict:
-    """Below 1 one run passes and the spread of twenty does not; above, one run fails already."""
+    """Below 1 one run passes and the spread of twenty fails; above 1 a single run fails already."""
     if feed > 1.0:
         return verdict(1.0 + 0.01 * feed)
     row = replace(verdict(1.2 + feed).results[0], name="repeatability")
@@ -126,7 +126,7 @@ def spread_at(feed: float) -> Verdict:
 
 
 def test_what_fails_in_one_run_is_no_closer_than_what_fails_over_twenty() -> None:
-    """One run says nothing of the spread: its small excess is not where the search was closest."""
+    """One run does not show the spread, so its small excess does not come closest."""
     found = find_fastest(spread_at, 0.1, 10.0, Grid(points=21))
     assert found.limited_by == "repeatability" and found.verdict.runs == 20
     assert found.verdict.results[1].measured == pytest.approx(1.3)
@@ -166,7 +166,7 @@ def test_the_edge_is_found_from_the_passing_side(edge: float) -> None:
 
 
 def several(**excess: float | None) -> Verdict:
-    """A verdict with a required criterion of each name; None for one that was not measured."""
+    """A verdict with a required criterion for each name; None: the criterion was not measured."""
     results = []
     for name, value in excess.items():
         status = Status.PASSED if value is not None and value <= 1.0 else Status.FAILED
@@ -186,16 +186,16 @@ def several(**excess: float | None) -> Verdict:
 
 
 def test_what_limits_is_what_fails_first_above_the_best_feed() -> None:
-    """Contour passes its limit at 2, jerk at 5 and by far more: contour ends the interval."""
+    """The contour fails from 2 on, the jerk from 5 on by far more: the contour is named."""
     found = find_fastest(lambda f: several(jerk=(f / 5.0) ** 9, contour=f / 2.0), 0.1, 10.0)
     assert found.limited_by == "contour"
     assert found.best is not None
-    # The verdict is the one at the best feed, not at another that passed.
+    # The verdict is the verdict at the best feed, not at another passing feed.
     assert found.verdict.result("contour").measured == found.best / 2.0
 
 
 def test_a_required_criterion_that_is_not_measured_ends_an_interval() -> None:
-    """Nothing else fails above 3: it is named. What fails by a number is closer than that."""
+    """No other criterion fails above 3, so it is named. A measured excess counts as closer."""
     found = find_fastest(lambda f: several(settling=0.5 if f <= 3.0 else None), 0.1, 10.0)
     assert found.limited_by == "settling"
     assert found.best == pytest.approx(3.0, rel=2.1e-3)
@@ -208,7 +208,7 @@ def test_a_required_criterion_that_is_not_measured_ends_an_interval() -> None:
 
 
 def test_the_scan_is_even_on_a_logarithmic_scale_and_judges_no_feed_twice() -> None:
-    """0.2 ... 0.25 of 0.1 ... 100 is 1.5 of 47 steps by ratio, a fortieth of one by difference."""
+    """From 0.2 to 0.25 there are 1.5 of 47 logarithmic steps, but 1/40 of a linear step."""
     tried: list[float] = []
 
     def judged(feed: float) -> Verdict:
@@ -227,7 +227,7 @@ def test_an_empty_range_is_refused(low: float, high: float, points: int) -> None
 
 
 def test_feeds_can_be_typed_back() -> None:
-    """Sixteen digits are not what a search of 0.2 % means; what is said is what was tried."""
+    """A search to 0.2 % needs no sixteen digits; the printed feed is the tried feed."""
     tried: list[float] = []
 
     def judged(feed: float) -> Verdict:
@@ -239,11 +239,11 @@ def test_feeds_can_be_typed_back() -> None:
     assert all(len(f"{feed:g}") <= 8 and float(f"{feed:.6g}") == feed for feed in tried)
     assert found.best == pytest.approx(0.0312345678, rel=2.1e-3)
     close = find_fastest(judged, 1.0, 1.0 + 1e-12, Grid(points=5))
-    assert close.tried == 5  # so near to each other that every digit is needed
+    assert close.tried == 5  # so close to each other that every digit is needed
 
 
 def test_what_ends_at_the_highest_feed_of_a_machine_can_be_typed_too() -> None:
-    """A velocity limit in deg/s on a radius has 16 digits; the feed that is tried has six."""
+    """A velocity limit in deg/s on a radius has 16 digits; the tried feed has six."""
     machine = load_machine("lathe-winder")
     low, high = feed_range_m_s(machine)
     assert all(feed == float(f"{feed:.6g}") for feed in (low, high))

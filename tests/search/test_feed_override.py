@@ -1,6 +1,6 @@
 """A feed in percent: every F keeps its ratio to the others, typed by hand or found by a search.
 
-Times are held against the same program with every F multiplied by hand.
+Times are compared with the same program in which every F is multiplied by hand.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ kind = "hoop"
 
 
 def winding_of(name: str, folder: Path) -> Path:
-    """Return a product: the vessel, of 1910 moves, or a hoop layer of 32."""
+    """Return a product: the vessel with 1910 moves, or a hoop layer with 32."""
     if name == "vessel":
         return VESSEL
     (folder / "hoop.wind.toml").write_text(HOOP)
@@ -76,7 +76,7 @@ def winding_of(name: str, folder: Path) -> Path:
 
 @pytest.fixture
 def mill(tmp_path: Path) -> Machine:
-    """Two axes of 30 m/min."""
+    """A machine with two axes of 30 m/min."""
     return made_machine(tmp_path, "XY", "", '[programs]\ndialect = "linuxcnc"\n')
 
 
@@ -93,12 +93,12 @@ def nominal_s(job: Job, machine: Machine, feed: str | None) -> np.ndarray:
 
 
 def times(text: str, factor: float) -> str:
-    """Multiply every F of a program, inverse times as well, by hand."""
+    """Multiply every F of a program by hand, inverse times as well."""
     return re.sub(r"F([\d.]+)", lambda word: f"F{float(word[1]) * factor:.6f}", text)
 
 
 def test_a_winding_from_its_product_is_searched_by_the_override(examples: Path) -> None:
-    """Its moves have times of their own, and its program as written (F by the operator) has not."""
+    """The moves of a product have their own times; its written program has the operator's F."""
     winder = load_machine("lathe-winder")
     job = read_job(examples / "vessel.wind.toml", winder)
     assert searched_by(job, winder) is FeedMode.OVERRIDE
@@ -114,11 +114,11 @@ def test_an_override_multiplies_every_f(tmp_path: Path, mill: Machine, percent: 
     asked = nominal_s(job_of(tmp_path, mill, PLUNGE), mill, percent)
     by_hand = nominal_s(job_of(tmp_path, mill, times(PLUNGE, factor)), mill, None)
     assert asked == pytest.approx(by_hand, rel=1e-9)
-    assert (asked > 0.0).sum() == 4  # rapid moves stay so
+    assert (asked > 0.0).sum() == 4  # rapid moves keep their speed
 
 
 def test_the_normal_feed_of_an_operator_is_multiplied_as_well(tmp_path: Path) -> None:
-    """The printed winder caps F 12000: with 100 % as without, with 200 % at twice that."""
+    """The normal feed of the printed winder is F 12000: 100 % keeps it, 200 % doubles it."""
     winder = load_machine("lathe-winder")
     job = job_of(tmp_path, winder, "G1 X90 F12000\nX80 F60\nM30\n")
     alone, same, twice = (nominal_s(job, winder, feed) for feed in (None, "100 %", "200 %"))
@@ -142,7 +142,7 @@ def test_a_program_has_its_feeds_times_the_override(tmp_path: Path, mill: Machin
     """Written for LinuxCNC: the plunge at 333 and the cut at 1000 mm/min, both times 1.2."""
     text = "G0 X10 Y10\nG1 Y-20 F333\nX60 F1000\nY10 F333\nG0 X0 Y0\nM2\n"
     plan = plan_job(job_of(tmp_path, mill, text), mill, Options(feed=parse_feed("120 %")))
-    # Recordings say with which feed they were planned.
+    # A recording states the feed of its plan.
     write(replace(plan, options={"feed": "120 %"}), "linuxcnc", tmp_path / "out.ngc")
     speeds = [float(f) for f in re.findall(r"F([\d.]+)", (tmp_path / "out.ngc").read_text())]
     assert max(speeds) == pytest.approx(1200.0, rel=1e-3)
@@ -171,12 +171,12 @@ def test_the_face_takes_it(tmp_path: Path, mill: Machine) -> None:
 def test_programs_with_feeds_that_differ_are_searched_by_their_override(
     tmp_path: Path, mill: Machine
 ) -> None:
-    """Up to where the fastest F is as fast as its axes: 30 m/min for F 1000, and no higher."""
+    """The search ends where the fastest F is as fast as its axes: 30 m/min for F 1000."""
     several = job_of(tmp_path, mill, "G1 X5 F333\nX60 F1000\nM2\n")
     single = job_of(tmp_path, mill, "G0 X5\nG1 X60 F1000\nM2\n")
     assert searched_by(several, mill) is FeedMode.OVERRIDE
     assert searched_by(single, mill) is FeedMode.F_WORD
-    winder = load_machine("lathe-winder")  # whose operator sets one feed
+    winder = load_machine("lathe-winder")  # on these machines the operator sets one feed
     assert (
         searched_by(job_of(tmp_path, winder, "G1 X5 F60\nX9 F90\nM2\n"), winder) == "fastest-axis"
     )
@@ -189,7 +189,7 @@ def test_programs_with_feeds_that_differ_are_searched_by_their_override(
 def test_a_lift_that_a_slow_axis_holds_back_is_no_end_of_the_search(
     tmp_path: Path, mill: Machine
 ) -> None:
-    """Slicers lift at the F of travels, which Z never reaches: X can still be 30 times faster."""
+    """Slicers lift at the F of travel moves, which Z never reaches; X can be 30 times faster."""
     head, y, rest = Path(mill.reference).read_text().partition("[axes.Y]")
     file = tmp_path / "slow.toml"
     file.write_text(head + y + rest.replace('"0.5 m/s exact', '"10 mm/s exact', 1))
@@ -205,7 +205,7 @@ def test_a_lift_that_a_slow_axis_holds_back_is_no_end_of_the_search(
 def test_a_winding_is_searched_from_above(
     winding: str, interpolation: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Its slow feeds take longest to judge, and are never the answer."""
+    """The slow feeds of a winding take longest to judge, and are never the answer."""
     tried: list[float] = []
     runs: list[int] = []
 
@@ -226,7 +226,7 @@ def test_a_winding_is_searched_from_above(
     assert found.by is FeedMode.OVERRIDE and found.best.found.best is not None
     assert 980.0 < 100.0 * found.best.found.best < 1000.0
     assert min(tried) > 100.0
-    # Searched in one run at each feed; the answer is judged in all of them, by the whole job.
+    # Each feed is searched in one run; the whole job at the answer is judged in all runs.
     assert asked.trials.repeats == 20 and runs[-1] == 20 and set(runs[:-1]) == {1}
     assert found.whole
 
@@ -234,7 +234,7 @@ def test_a_winding_is_searched_from_above(
 def _judged_by(
     monkeypatch: pytest.MonkeyPatch, error_m: Callable[[Question, float], float]
 ) -> list[tuple[int, float]]:
-    """Let an error by question and percent of the feeds decide; return machines and percent."""
+    """Make the error depend on question and percentage; return tried machines and percentages."""
     tried: list[tuple[int, float]] = []
 
     def judged(question: Question, plan: Plan) -> Verdict:
@@ -263,7 +263,7 @@ def _over_tolerances(job: Path) -> Question:
 def test_a_winding_is_searched_in_one_run_and_judged_over_the_tolerances(
     winding: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Other machines are asked only near the answer: hundreds of them pass one feed."""
+    """Other machines are judged only near the answer: a passing feed takes hundreds of them."""
     tried = _judged_by(
         monkeypatch, lambda q, percent: percent * (3e-6 if q.trials.machines else 2e-6)
     )
@@ -297,7 +297,7 @@ def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: s
 def test_an_error_over_the_tolerances_that_no_feed_mends_ends_the_search(
     winding: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """As by the steps per degree: it is the same at a third of the feed."""
+    """An error in the steps per degree, for example, is the same at a third of the feed."""
     tried = _judged_by(
         monkeypatch, lambda q, percent: 3e-3 if q.trials.machines else percent * 2e-6
     )
@@ -311,9 +311,9 @@ def test_an_error_over_the_tolerances_that_no_feed_mends_ends_the_search(
 def test_what_is_found_is_typed_back(
     tmp_path: Path, mill: Machine, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The command that proves the answer is a feed in percent, in spec, of the time that is told.
+    """The printed command has a feed in percent, is in spec, and takes the printed time.
 
-    Plunge and cut keep their ratio: at the best override no programmed feed beyond its axis.
+    Plunge and cut keep their ratio: at the best override no programmed feed exceeds its axis.
     """
     job, spec = tmp_path / "plunge.ngc", tmp_path / "spec.toml"
     job.write_text("G1 Y-2 F900\nX60 F3000\nY2 F900\nM2\n")

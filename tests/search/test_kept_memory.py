@@ -1,4 +1,4 @@
-"""Judging many machines asks for its memory once, and not again for every part of them."""
+"""Judging many machines requests its memory once, not again for every part."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ for kept in (False, True):
 
 
 def test_pages_are_asked_for_once(tmp_path: Path) -> None:
-    """Of two parts of 256 machines each: some ten thousand pages where nothing is kept."""
+    """Two parts of 256 machines each: unless memory is kept, some ten thousand page faults."""
     if platform.libc_ver()[0] != "glibc":
-        return  # other C libraries have ways of their own
+        return  # other C libraries manage memory in other ways
     assert resource.getpagesize() <= 1 << 16
     job = tmp_path / "there-and-back.prg"
     job.write_text("G91\nG1 X5 F1000\nG1 X-5\nM30\n", encoding="utf-8")

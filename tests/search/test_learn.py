@@ -1,4 +1,4 @@
-"""``threadline learn``: a job that is repeated, and what its references learn from every run."""
+"""``threadline learn``: a repeated job whose references learn from every run."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_change_of_the_references_moves_the_load_by_the_error_it_was_made_for(
 ) -> None:
     """The twin, which knows no transfer functions, plays the change: its load moves by the error.
 
-    A smooth error of 1 mm, without frequencies above 15 Hz. The filter is asked for the file's
+    The error is smooth, 1 mm, without frequencies above 15 Hz. The filter is made for the file's
     machine alone, so that it is the inverse of the loop, and without quantisers.
     """
     one = learning_filter(MACHINE, axis, [MACHINE], low_pass_hz=100.0)
@@ -90,10 +90,10 @@ def test_a_change_of_the_references_moves_the_load_by_the_error_it_was_made_for(
 
 
 def test_two_machines_share_the_best_factor_of_the_closed_form() -> None:
-    """Of two real answers a and b, ``max |1 - z r|`` is least at z = 2 / (a + b).
+    """For two real responses a and b, ``max |1 - z r|`` is least at z = 2 / (a + b).
 
-    At frequencies far above the modes the load's answer goes with stiffness / mass alone; at 15
-    times the frequency of the mode it still differs by some per cent.
+    Far above the modes the response of the load is proportional to stiffness / mass; at 15 times
+    the frequency of the mode it still differs by some per cent.
     """
     low, high = (off_tolerance(MACHINE, mass=0.0, stiffness=k) for k in (-1.0, 1.0))
     one = learning_filter(MACHINE, "X", [low, high], low_pass_hz=400.0)
@@ -111,9 +111,9 @@ def test_no_machine_within_the_tolerances_gets_worse_at_any_frequency(axis: str)
 
 
 def test_a_job_is_in_spec_after_two_repeats_on_a_machine_that_fails_its_plan(plan: Plan) -> None:
-    """And the error at the head falls to a tenth; the head's place in the report is not the plan's.
+    """The error at the head falls to a tenth; the report shows the measured place of the head.
 
-    ``simulate`` and the judge are those of every proof.
+    ``simulate`` and the judge are the same as for every proof.
     """
     found = learn(learner(plan), SPEC, actual=SOFT, repeats=3)
     assert not found.repeats[0].verdict.passed
@@ -129,7 +129,7 @@ def test_a_job_is_in_spec_after_two_repeats_on_a_machine_that_fails_its_plan(pla
 
 
 def test_the_encoder_alone_does_not_see_what_the_belts_do(plan: Plan) -> None:
-    """Its error becomes small, the seam does not come into specification."""
+    """The error at the encoder becomes small, but the seam stays out of specification."""
     found = learn(learner(plan, "motor"), SPEC, actual=SOFT, repeats=3)
     assert found.repeats[3].error_m < 0.5 * found.repeats[0].error_m
     assert not found.passed
@@ -138,7 +138,7 @@ def test_the_encoder_alone_does_not_see_what_the_belts_do(plan: Plan) -> None:
 def test_a_run_that_got_worse_is_undone_and_its_gain_halved() -> None:
     assert best_of([(False, 1.0), (False, 0.4), (False, 0.2)], 0.8) == (2, 0.8)
     assert best_of([(False, 1.0), (False, 0.4), (False, 0.7), (False, 0.5)], 0.8) == (1, 0.2)
-    assert best_of([(True, 0.4), (False, 0.2)], 0.8) == (0, 0.4)  # out of spec is worse
+    assert best_of([(True, 0.4), (False, 0.2)], 0.8) == (0, 0.4)  # out of spec counts as worse
     assert best_of([(False, 0.2), (True, 0.4), (True, 0.3)], 0.8) == (2, 0.8)
 
 
@@ -209,7 +209,7 @@ def test_runs_of_a_machine_are_learned_from_one_after_the_other(plan: Plan, seam
         playing = found.plan
     assert errors[1] < 0.5 * errors[0]
     assert [one.followed for one in found.repeats] == [True, True]
-    # The last run given first: what came after it got worse, and is undone.
+    # If the last run is given first, the later ones are worse, and are undone.
     turned = dict(reversed(recorded.items()))
     undone = learned_from(words, seam, MACHINE, Rules(), turned)
     assert [one.followed for one in undone.repeats] == [True, False]
@@ -252,7 +252,7 @@ def test_the_face_learns_and_proves_with_the_table(seam: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "refusal"),
     [
-        ({"feed_forward": False}, "set to a head that lags"),
+        ({"feed_forward": False}, "timed for a head that lags"),
         ({"low_pass": "900 Hz"}, "is not between 0 and 400 Hz"),
         ({"gain": "120 %"}, "at most 100 %"),
         ({"repeats": 0}, "is not from 1 to 100"),
@@ -273,7 +273,7 @@ def test_a_machine_without_loops_cannot_learn() -> None:
 
 
 def test_a_search_judges_plans_by_what_repeats_make_of_them(plan: Plan, seam: Path) -> None:
-    """Its question is the plan that fails as it is, and passes once it is learned."""
+    """The question has a plan that fails as planned, and passes once it is learned."""
     words = {"feed_forward": True, "spec": SPEC, "actual": SOFT, "level": "nominal"}
     as_planned = question_of(Words.of("fastest", Door.PYTHON, words), seam, MACHINE)
     learned = question_of(Words.of("fastest", Door.PYTHON, {**words, "learned": 2}), seam, MACHINE)
@@ -286,7 +286,7 @@ def test_a_search_judges_plans_by_what_repeats_make_of_them(plan: Plan, seam: Pa
     [
         ({"learned": 101}, "is not from 1 to 100"),
         ({"learned": 2, "level": "nominal", "mismatch": True}, "exclude each other"),
-        ({"learned": 2, "feed_forward": False}, "set to a head that lags"),
+        ({"learned": 2, "feed_forward": False}, "timed for a head that lags"),
     ],
 )
 def test_a_search_of_what_cannot_be_learned_is_refused(

@@ -1,4 +1,4 @@
-"""Using less of the limits can finish the job sooner; the search must find that out."""
+"""A smaller share of the limits can finish the job sooner, and the search must find it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from threadline.verdict import Verdict, load_spec
 
 @pytest.mark.usefixtures("coarse_scan")
 def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
-    """On the reversal test all of the limits stay in spec only at a crawl."""
+    """On the reversal test the full limits are in spec only at a crawl."""
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)
     spec = load_spec(None, machine)
@@ -38,13 +38,13 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
 
     assert result.best.share < 1.0
     assert result.best.duration_s is not None
-    # 360 mm; with all of the limits the job crawls, if it is in spec at all.
+    # 360 mm; with the full limits the job crawls, if it is in spec at all.
     assert result.best.duration_s < 1.2
     assert all_limits.duration_s is None or all_limits.duration_s > 1.5 * result.best.duration_s
     assert result.best.duration_s == min(r.duration_s for r in result.rungs if r.duration_s)
-    # The ladder halves the share; about its best rung it is searched four times as closely.
+    # The ladder halves the share; near its best rung the search has steps of the fourth root of 2.
     assert {1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125} < {rung.share for rung in result.rungs}
-    # The feed that was found and the share are what the duration is of.
+    # The duration belongs to the found feed and share.
     chosen = Options(
         feed=Feed(FeedMode.FASTEST_AXIS, result.best.found.best), limit_share=result.best.share
     )
@@ -54,7 +54,7 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
 
 
 def test_shares_of_the_limits_are_read_as_they_are_printed() -> None:
-    """Steps of the fourth root of 2 have sixteen digits; those that are tried have six decimals."""
+    """Steps of the fourth root of 2 have sixteen digits; the tried shares have six decimals."""
 
     def tried(share: float, points: int, near: int = 0) -> Rung:
         found = Fastest(
@@ -73,9 +73,9 @@ def test_shares_of_the_limits_are_read_as_they_are_printed() -> None:
 
 
 def test_the_range_of_feeds_is_a_count_a_tick_to_the_velocity_limit() -> None:
-    """A, at 100 mm, is the coarsest with 35.18159 counts a degree and the fastest of the three.
+    """At 100 mm, A is the coarsest axis, with 35.18159 counts a degree, and the fastest.
 
-    Six digits of each can be typed, and lie within the range.
+    Six digits of each end can be typed, and lie within the range.
     """
     machine = load_machine("lathe-winder")
     low, high = feed_range_m_s(machine)
@@ -102,8 +102,8 @@ def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) ->
     best = result.best.found.best
     assert best is not None
     assert 0.036 < best < 0.040
-    # Moves take whole ticks: 131 for each is in spec and 132 and 134 are not, so that a search
-    # which stops at the first feed that fails misses it.
+    # Moves take whole ticks: 131 ticks for each are in spec, and 132 and 134 are not, so a search
+    # that stops at the first failing feed misses 131.
     in_131_ticks = Feed(FeedMode.FASTEST_AXIS, 25.716e-3 / (131 * 5e-3) * 1.00001)
     plan = plan_job(job, machine, replace(options, feed=in_131_ticks))
     assert prove_plan(plan, spec).verdict.passed
@@ -115,7 +115,7 @@ def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) ->
 def test_the_ladder_is_left_to_either_side(
     monkeypatch: pytest.MonkeyPatch, wanted: float, rung: float
 ) -> None:
-    """Best is a quarter of a rung below the ladder's best, or above it; more than all is none."""
+    """The best share is a quarter of a rung below or above the ladder's best, but at most 1."""
     tried: list[float] = []
 
     def found(asked: Question, *_: object) -> Fastest:
@@ -141,6 +141,6 @@ def test_the_ladder_is_left_to_either_side(
     assert max(tried) == 1.0
     assert rung in tried
     assert result.best.share == round(2.0**wanted, 6)
-    # Once past the best no more is tried: two rungs between, or one where the way up finds it.
+    # After the best share the search ends: two rungs between, or one if the way up finds it.
     between = sorted({share for share in tried if 0.5 < share < 1.0})
     assert between[0] == pytest.approx(2.0 ** (-0.5 if wanted > -0.5 else -0.75), abs=1e-5)

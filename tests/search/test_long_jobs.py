@@ -1,4 +1,4 @@
-"""Searches over long jobs: what repeats is judged once, and an answer comes when it is wanted."""
+"""Searches over long jobs: repeated stretches are judged once; a stopped search answers."""
 
 from __future__ import annotations
 
@@ -46,21 +46,21 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 def winding_blocks(moves: int) -> list[str]:
-    """Of the tool that writes the benchmark."""
+    """The function of the tool that writes the benchmark."""
     return list(islice(long_winding.blocks(), moves))
 
 
 def written(folder: Path, blocks: list[str], machine: Machine) -> Job:
-    """The blocks as a job."""
+    """Return the blocks as a job."""
     path = folder / "job.nc"
     path.write_text("\n".join(["G21 G90 G94 F6000", *blocks, "M30"]) + "\n")
     return read_job(path, machine)
 
 
 def test_circuits_are_met_once(tmp_path: Path, machine: Machine) -> None:
-    """3800 moves are a hundred circuits; roundings to 0.001 mm and degrees are no difference.
+    """3800 moves are a hundred circuits; rounding to 0.001 mm and degrees makes no difference.
 
-    The end of the job is new, too: nothing follows it.
+    The end of the job is new, too, because nothing follows it.
     """
     job = written(tmp_path, winding_blocks(3800), machine)
     parts = distinct_parts(job, machine)
@@ -74,7 +74,7 @@ def test_circuits_are_met_once(tmp_path: Path, machine: Machine) -> None:
 
 
 def test_joined_stretches_go_on_as_the_job_does(tmp_path: Path, machine: Machine) -> None:
-    """From the first move to the last, without a rest between: only whole circuits are left out."""
+    """There is no rest between the first move and the last: only whole circuits are left out."""
     job = written(tmp_path, winding_blocks(3800), machine)
     (part,) = distinct_parts(job, machine, joined=True)
     whole, kept = (
@@ -104,7 +104,7 @@ def test_stretches_are_not_joined_round_an_axis_with_ends(tmp_path: Path, machin
 def test_one_move_that_is_new_is_kept_with_what_is_beside_it(
     tmp_path: Path, machine: Machine
 ) -> None:
-    """A cut of a degree somewhere in the middle of a hundred circuits, at one of its moves."""
+    """One move in the middle of a hundred circuits is shorter by a degree."""
     blocks = winding_blocks(3800)
     x, a = blocks[2000].split()[1:]
     blocks[2000] = f"G1 {x} A{float(a[1:]) - 1.0:.3f}"
@@ -116,7 +116,7 @@ def test_one_move_that_is_new_is_kept_with_what_is_beside_it(
 
 
 def test_feeds_and_dwells_tell_moves_apart(tmp_path: Path, machine: Machine) -> None:
-    """A slower move in one circuit, and a dwell in another."""
+    """One circuit has a slower move, and another one a dwell."""
     blocks = winding_blocks(3800)
     blocks[1000] += " F3000"
     blocks[1001] += " F6000"
@@ -127,9 +127,9 @@ def test_feeds_and_dwells_tell_moves_apart(tmp_path: Path, machine: Machine) -> 
 
 
 def test_circuits_elsewhere_along_the_mandrel_are_others(tmp_path: Path, machine: Machine) -> None:
-    """Fifty circuits, and the same 50 mm further on: its radius and its ends are other ones there.
+    """The second fifty circuits are 50 mm further on, where the radius and the ends may differ.
 
-    Of either fifty one is kept, with what is beside it, and so is the end.
+    Of each fifty one circuit is kept with its surroundings, and so is the end.
     """
     blocks = winding_blocks(3800)
     for at in range(1900, 3800):
@@ -146,9 +146,9 @@ def test_circuits_elsewhere_along_the_mandrel_are_others(tmp_path: Path, machine
 def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
     tmp_path: Path, machine: Machine
 ) -> None:
-    """A step back of 50 degrees in one of the circuits, and a quicker move in another: both count.
+    """One circuit has a step back of 50 degrees, another a quicker move: both count.
 
-    What the chords of the 1994 controller ask for in acceleration is as large as they bend.
+    The acceleration of the 1994 controller's chords is proportional to the change of direction.
     """
     file = tmp_path / "spec.toml"
     names = ("acceleration", "velocity", "contour_error")
@@ -180,7 +180,7 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
     assert found.keys() == whole.keys() and len(found) >= 5
     for key, value in whole.items():
         assert found[key] == pytest.approx(value, rel=1e-3, abs=1e-5), key
-    # The verdict on a feed is of all stretches, row by row.
+    # The verdict on a feed covers all stretches, row by row.
     at = worst(parts, Feed(FeedMode.FASTEST_AXIS, 0.1))
     told = fastest_feed(
         Question(job=job, machine=machine, spec=spec, options=options, low=0.09, high=0.1),
@@ -190,7 +190,7 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
     assert told.best == 0.1
     rows = {(r.name, r.axis): r.measured for r in told.verdict.results if r.measured is not None}
     assert {key: rows[key] for key in at} == at
-    # Without what is different the job asks for less: that is what must not be missed.
+    # Without these two places the job needs less acceleration: the search must not miss them.
     assert whole["acceleration", "A"] > 1.2 * plain["acceleration", "A"]
     assert whole["velocity", "X"] > 1.2 * plain["velocity", "X"]
 
@@ -198,7 +198,7 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
 def test_of_stretches_that_fail_the_shortest_alone_is_judged(
     tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A feed is out of specification whichever stretch shows it: the shortest costs least."""
+    """One failing stretch rejects a feed, and the shortest costs least."""
     asked, parts = list[int](), list[Job]()
     for count in (60, 12, 30):
         folder = tmp_path / str(count)
@@ -230,7 +230,7 @@ def test_a_job_that_repeats_nothing_is_one_part(tmp_path: Path, machine: Machine
 
 @pytest.mark.long(shown_by="test_the_worst_of_the_stretches_is_that_of_the_whole_job")
 def test_the_answer_is_of_the_whole_job(tmp_path: Path, machine: Machine) -> None:
-    """Tries are of parts alone, and the verdict at the end of every move of the job."""
+    """Trials judge parts alone; the final verdict covers every move of the job."""
     job = written(tmp_path, winding_blocks(400), machine)
     spec_file = tmp_path / "spec.toml"
     spec_file.write_text(
@@ -262,7 +262,8 @@ def test_time_that_is_over_gives_the_best_so_far() -> None:
         return verdict_at(feed)
 
     found = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4), until=until)
-    # From above: the highest feed of the scan that passes is known long before the slow ones.
+    # From above: the highest passing feed of the scan is known long before the slow feeds are
+    # tried.
     assert not found.complete and found.best == pytest.approx(0.1 * 10.0**0.75, rel=2e-3)
     assert found.intervals[0].high == found.best and found.intervals[0].low > 0.1
 
@@ -293,7 +294,7 @@ def test_an_interrupt_gives_the_best_so_far_and_another_signal_does_not() -> Non
 
 
 def verdict_at(feed: float) -> Verdict:
-    """A verdict that passes below 1."""
+    """A verdict that passes if its argument is below 1."""
     return verdict(0.5 if feed < 1.0 else 2.0)
 
 
@@ -316,7 +317,7 @@ def test_no_time_at_all_is_refused(
 
 
 def test_settings_are_in_the_words_of_the_controller(tmp_path: Path, machine: Machine) -> None:
-    """A quarter of the limits: 5 m/s^2 of X and 200 rad/s^2 of A, as grbl counts."""
+    """A quarter of the limits: 5 m/s^2 of X and 200 rad/s^2 of A, in grbl's units."""
     best = Interval(low=0.1, high=0.5)
     found = Fastest(intervals=(best,), limited_by="x", verdict=verdict_at(0.5), tried=3)
     grbl = GrblPlanner(
@@ -335,7 +336,7 @@ def test_settings_are_in_the_words_of_the_controller(tmp_path: Path, machine: Ma
 def test_coverage_and_tie_are_judged_on_the_whole_winding(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Its parts begin where the fibre is not tied, and leave gaps."""
+    """The parts of a winding begin where the fibre is not tied, and leave gaps."""
     vessel = ROOT / "src/threadline/cli/projects/winding/vessel.wind.toml"
     machine = load_machine("lathe-winder")
     options = options_of(interpolation="linear", product=own_product(vessel))

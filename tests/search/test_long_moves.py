@@ -1,4 +1,4 @@
-"""Long moves without their middles: what is judged then is what is judged of all of them."""
+"""Long moves without their middles: the verdict is the same as on the whole moves."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def targets_of(job: Job) -> np.ndarray:
 
 
 def test_both_ends_of_a_long_move_stay(tmp_path: Path, machine: Machine) -> None:
-    """All moves are there, in their directions; two are as long as 6 s and four ramps."""
+    """All moves are kept with their directions; two of them last 6 s and four ramps."""
     job = job_of(tmp_path, machine)
     watched, on = LongMoves.of(job, machine).without_middles(FEED, 1.0)
     assert on is machine
@@ -56,16 +56,16 @@ def test_both_ends_of_a_long_move_stay(tmp_path: Path, machine: Machine) -> None
         assert share[0] == pytest.approx(share[1], rel=1e-12)
         lasts_s = np.abs(before[at]).max() * 0.05 / 0.15
         assert 6.0 < share[0] * lasts_s < 8.0
-    # With a tenth of the acceleration it takes longer to come to the speed.
+    # With a tenth of the acceleration the machine takes longer to reach the speed.
     gentle = np.diff(targets_of(LongMoves.of(job, machine).without_middles(FEED, 0.1)[0]), axis=0)
     assert (np.abs(gentle[1]) > 1.1 * np.abs(after[1])).all()
 
 
 def test_what_is_judged_is_that_of_the_whole_job(tmp_path: Path, machine: Machine) -> None:
-    """Against every tick of the job, in each criterion.
+    """Compared with every tick of the job, in each criterion.
 
-    Of motors whose microsteps are even: at a turning point it matters where in a step it lies, and
-    that is another place behind a cut. Runs of other phases are for that.
+    The motors have even microsteps: at a turning point the place within a step matters, and it is
+    another place after a cut. Runs with other phases cover that.
     """
     drives = {name: replace(drive, microstep_error=None) for name, drive in machine.drives.items()}
     machine = replace(machine, drives=drives)
@@ -85,7 +85,8 @@ def test_what_is_judged_is_that_of_the_whole_job(tmp_path: Path, machine: Machin
     found.pop(("travel", "X"))
     assert found.keys() == measured.keys() and len(found) > 8
     for key, value in measured.items():
-        # Ticks of 1 ms and counts lie otherwise: of X one is 0.0125 mm, of A 0.65 mrad or 0.033 mm.
+        # Ticks of 1 ms and counts fall elsewhere: one is 0.0125 mm of X, and 0.65 mrad or 0.033
+        # mm of A.
         allowed = 5e-3 if key[0] == "settling_time" else 6.6e-4 if key[1] == "A" else 3e-5
         assert found[key] == pytest.approx(value, rel=0.03, abs=allowed), key
 
@@ -93,7 +94,7 @@ def test_what_is_judged_is_that_of_the_whole_job(tmp_path: Path, machine: Machin
 def test_what_leaves_the_travel_is_judged_without_its_ends(
     tmp_path: Path, machine: Machine
 ) -> None:
-    """Forth by a hoop layer and back by quick steps, which would end behind the end of X."""
+    """A hoop layer goes forth, quick steps go back: after a cut they would end beyond X's end."""
     back = "".join(f"G1 X{x} A{9000 + 40 * k}\n" for k, x in enumerate(range(380, -500, -20)))
     text = f"G21 G90 G94 F9000\nG1 X-400\nG1 X400 A9000\n{back}M30\n"
     job = job_of(tmp_path, machine, text)
@@ -101,7 +102,7 @@ def test_what_leaves_the_travel_is_judged_without_its_ends(
     assert targets_of(watched)[:, job.axes.index("X")].min() < -0.5
     assert on.axes["X"].travel is None and machine.axes["X"].travel is not None
     assert plan_job(watched, on, Options(feed=FEED)).duration_s < 40.0
-    # Where a switch stands somewhere, the job stays whole.
+    # If the machine has a switch at some place, the job stays whole.
     winder = load_machine("lathe-winder")
     assert winder.inputs
     job = job_of(tmp_path, winder, text)
@@ -111,7 +112,7 @@ def test_what_leaves_the_travel_is_judged_without_its_ends(
 def test_what_needs_more_than_a_stroke_is_judged_without_its_ends(
     tmp_path: Path, machine: Machine
 ) -> None:
-    """From -100 to 300 mm; without the middle of the hoop layer, from -350 mm."""
+    """The job goes from -100 to 300 mm; without the layer's middle it begins at -350 mm."""
     stroke = parse_machine_quantity("500 mm exact, assumed", ("m",))
     axis = replace(machine.axes["X"], stroke=stroke)
     short = replace(machine, axes={**machine.axes, "X": axis})
@@ -134,7 +135,7 @@ def test_a_mandrel_of_many_radii_stays_whole(tmp_path: Path, machine: Machine) -
 def test_a_limit_that_is_broken_late_in_a_long_move_is_told(
     tmp_path: Path, machine: Machine
 ) -> None:
-    """X is at its end after 42 of the 52 s of a hoop layer, far behind what is watched of it."""
+    """X reaches its end after 42 of the 52 s of a hoop layer, in the part that trials leave out."""
     job = job_of(tmp_path, machine, "G21 G90 G94 F9000\nG1 X100\nG1 X600 A9000\nG1 X0\nM30\n")
     with pytest.raises(LimitError, match="its travel ends at 500 mm"):
         fastest_job(
@@ -153,7 +154,7 @@ def test_a_limit_that_is_broken_late_in_a_long_move_is_told(
 
 
 def test_the_answer_is_of_the_whole_job(tmp_path: Path, machine: Machine) -> None:
-    """Of a job of long moves alone, which repeats nothing, too."""
+    """This also holds for a job of long moves alone without any repetition."""
     job = job_of(tmp_path, machine)
     file = tmp_path / "spec.toml"
     file.write_text('name = "any"\n[[criteria]]\nname = "velocity"\nlimit = "machine"\n')

@@ -1,4 +1,4 @@
-"""The yield over the tolerances: each machine as it is alone, the worst of them, the command."""
+"""The yield over the tolerances: each machine as if alone, the worst machine, and the command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from threadline.verdict import Spec, judge, load_spec
 
 
 def test_each_machine_is_judged_as_it_is_alone(asked: tuple[Plan, Spec], monkeypatch) -> None:
-    """In parts of any size and by any threads the same bits; some simulated and judged alone."""
+    """Parts of any size and any number of threads give the same bits; some are judged alone."""
     plan, spec = asked
     monkeypatch.setattr(machine_yield, "AT_ONCE", 23)
     through: list[int] = []
@@ -87,7 +87,7 @@ def test_the_worst_machine_is_no_better_than_any_drawn_and_can_be_proved(
 
 
 def test_corners_lie_as_far_off_as_machines_are_drawn(tmp_path: Path) -> None:
-    """Of a normal number they are at three deviations, one and a half times its tolerance."""
+    """The corner of a normal number is at three deviations, one and a half times its tolerance."""
     file = tmp_path / "mine.toml"
     names = [name for number in uncertain(load_machine("lathe-winder")) for name in number.numbers]
     others = [name for name in names if name != "bodies.x.inertia"]
@@ -109,7 +109,7 @@ def test_corners_lie_as_far_off_as_machines_are_drawn(tmp_path: Path) -> None:
 def test_counts_per_unit_are_a_number_like_any_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A pulley 1 % larger: the load goes 1.8 mm beyond 180 mm, and ``prove`` finds the same."""
+    """With a pulley 1 % larger the load goes 1.8 mm beyond 180 mm, and ``prove`` finds the same."""
     file = tmp_path / "pulley.toml"
     names = [name for number in uncertain(load_machine("lathe-winder")) for name in number.numbers]
     others = [name for name in names if name != "axes.X.counts"]
@@ -129,14 +129,14 @@ def test_counts_per_unit_are_a_number_like_any_other(
     criteria = json.loads(capsys.readouterr().out)["criteria"]
     contour = next(c for c in criteria if c["name"] == "contour_error")
     assert contour["measured"] / contour["limit"] == bad["share_of_limit"]
-    # At full speed it trails, by less than half a millimetre; at the turning point it overshoots.
+    # At full speed it trails by less than half a millimetre; at the turning point it overshoots.
     assert contour["measured"] == pytest.approx(180e-3 / 0.99 - 180e-3, abs=0.5e-3)
 
 
 def test_a_climb_comes_to_the_worst_of_all_corners(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of six numbers all 64 corners can be tried; the climb comes there in fewer than 64 trials."""
+    """Six numbers have 64 corners; the climb finds the worst of them in fewer than 64 trials."""
     file = tmp_path / "six.toml"
     six = ("x.torque_constant", "x.back_emf", "x.resistance", "y.torque_constant", "y.back_emf")
     varied = ["bodies.x.inertia", *(f"drives.{name}" for name in six)]
@@ -166,7 +166,7 @@ def test_a_climb_comes_to_the_worst_of_all_corners(
 def test_the_worst_machine_may_lie_inside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most_corners: int
 ) -> None:
-    """A share that peaks within the tolerance and is 0 at its ends: no corner is as bad."""
+    """The used share peaks within the tolerance and is 0 at its ends: no corner is as bad."""
     file = tmp_path / "one.toml"
     names = [name for number in uncertain(load_machine("lathe-winder")) for name in number.numbers]
     others = [name for name in names if name != "bodies.x.inertia"]
@@ -203,7 +203,7 @@ def test_half_a_tolerance_of_what_matters_helps_most(asked: tuple[Plan, Spec], d
     judged = MachineYield(plan, spec)
     own = judged.drawn(drawn, 1).share
     halves = dict(zip((n.name for n in judged.numbers), judged.halved(drawn, 1), strict=True))
-    # A limit switch that is never met changes nothing, to the machine.
+    # A limit switch that is never reached has no effect on the machine.
     assert halves["inputs.x_low.at"] == own
     assert max(halves.values()) > own
 
@@ -217,14 +217,14 @@ def test_half_a_tolerance_of_what_matters_helps_most(asked: tuple[Plan, Spec], d
     ],
 )
 def test_machines_of_every_kind_are_drawn(job: str, name: str, measure: str) -> None:
-    """On/off machines, frames and steppers: each as its variant is simulated and judged alone."""
+    """On/off machines, frames and steppers: each equals its variant simulated and judged alone."""
     machine = load_machine(name)
     plan = plan_job(open_job(JOB.parent / job, machine, Options()), machine, Options())
     spec = load_spec(None, machine)
     found = MachineYield(plan, spec).drawn(2, 1)
     assert found.found.runs == 2
     for index, parts in enumerate(drawn(machine, 1, np.arange(2))):
-        # By hand: the same commands, addressed to the other machine.
+        # By hand: the same commands on the other machine.
         made = variant(machine, parts)
         told = replace(plan.commands, machine_sha256=made.sha256)
         verdict = judge([pipeline.simulate(told, made)], plan, spec)
@@ -244,7 +244,7 @@ def test_machines_of_every_kind_are_drawn(job: str, name: str, measure: str) -> 
 @pytest.mark.parametrize(
     ("job", "name", "more"),
     [
-        # The frame and the feed-forward are planned by numbers that vary.
+        # The frame and the feed-forward are planned with numbers that vary.
         ("rosette.dst", "schiffli-frame", []),
         ("x-180.prg", "lathe-winder", ["--feed-forward", "--tolerance", "0.05 mm"]),
         ("x-180.prg", "stepper-winder", []),
@@ -253,7 +253,7 @@ def test_machines_of_every_kind_are_drawn(job: str, name: str, measure: str) -> 
 def test_the_command_that_is_told_proves_the_worst_machine(
     job: str, name: str, more: list[str], tmp_path: Path, capsys, monkeypatch
 ) -> None:
-    """It runs the commands that were planned for the machine as its file says, to the bit."""
+    """It plays the commands planned for the file's machine, to the bit."""
     monkeypatch.setattr(WorstSearch, "begin", lambda _: None)
     monkeypatch.setattr(WorstSearch, "go_on", lambda _: None)
     worst = str(tmp_path / "worst machine.toml")
@@ -277,7 +277,7 @@ def test_the_command_that_is_told_proves_the_worst_machine(
 
 @pytest.mark.long(shown_by="test_machines_of_every_kind_are_drawn")
 def test_machines_over_tolerances_of_a_frame_are_proved() -> None:
-    """Each has the commands of the machine as its file says, and a hash of its own."""
+    """Each machine has the commands of the file's machine, and a hash of its own."""
     machine = load_machine("schiffli-frame")
     plan = plan_job(open_job(JOB.parent / "rosette.dst", machine, Options()), machine, Options())
     trials = pipeline.Trials(repeats=1, machines=2)
@@ -302,7 +302,7 @@ def test_what_cannot_be_drawn_is_refused(words, said, capsys: pytest.CaptureFixt
 def test_a_worst_machine_beyond_a_limit_of_0_is_told_by_what_it_does(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """One sample at the clamp has no share of a limit of 0: it "cannot be simulated", it said."""
+    """One sample at the clamp has no share of a limit of 0; once it was "cannot be simulated"."""
     worst, spec = tmp_path / "worst.toml", tmp_path / "wide.spec.toml"
     spec.write_text('name = "wide"\n[[criteria]]\nname = "dac_saturation"\nlimit = "0 %"\n')
     words = [

@@ -1,4 +1,4 @@
-"""Needle speeds in specification: the edge is where the verdict turns."""
+"""Needle speeds in specification: the verdict changes at the edge."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
     assert found.best is not None
 
     assert found.limited_by == "stitch_length_error"
-    # Edges are refined to 0.2 %: the verdict at the best speed passes, 2 % above it does not.
+    # Edges are refined to 0.2 %: the best speed passes, and 2 % above it the verdict fails.
     for speed, passes in ((found.best, True), (found.best * 1.02, False)):
         job = read_job(file, machine, needle_speed=f"{speed!r} stitch/s")
         assert prove_plan(plan_job(job, machine, Options()), spec).verdict.passed is passes
@@ -76,7 +76,7 @@ def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
 
 
 def test_a_speed_that_is_refused_is_told_in_the_units_of_its_limit():
-    """A deceleration of 4.26 m/s^2 where 4 are allowed: no percentages, no sign."""
+    """The deceleration is 4.26 m/s^2, and 4 m/s^2 are allowed: no percentages, no sign."""
     machine = load_machine("stitcher")
     error = LimitError("-", axis="X", quantity="acceleration", value_si=-4.26, limit_si=4.0)
     found = find_fastest(lambda _: beyond(error, machine), 1.0, 2.0, Grid(points=3))

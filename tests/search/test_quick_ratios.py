@@ -1,4 +1,4 @@
-"""What a search asks of many candidates at once, and of placement alone."""
+"""Ratios of many candidates side by side, and the specification of placement alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def ratios(others, length=None) -> Ratios:
 
 
 def test_the_worst_corner_of_each_candidate_counts() -> None:
-    """Two candidates of three corners each, two criteria, two delays."""
+    """There are two candidates with three corners each, two criteria and two delays."""
     found = ratios(
         [[0.1, 0.9], [0.5, 0.2], [0.3, 0.3], [0.8, 0.1], [0.7, 0.4], [0.6, 0.2]],
         [[0.2, 0.4], [0.6, 0.1], [0.3, 0.3], [0.9, 0.5], [0.1, 0.7], [0.2, 0.2]],
@@ -57,7 +57,7 @@ def test_placement_alone_limits_and_requires_nothing_else(name: str) -> None:
 
 
 def test_an_axis_that_the_job_does_not_move_uses_nothing(tmp_path: Path) -> None:
-    """Of a job of X alone the winder's own limits of A and Y are asked, and not measured."""
+    """A job of X alone moves neither A nor Y: their limits in the winder are not measured."""
     job = tmp_path / "x.nc"
     job.write_text("G91 G1 X20 F600\nX-20\nM30\n")
     winder = load_machine("lathe-winder")

@@ -1,4 +1,4 @@
-"""A cycle that holds wherever the modes are within a band, proved on machines written by hand."""
+"""A cycle that is in spec over a band of modes, proved on machines written by hand."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 
 @pytest.fixture(scope="module")
 def robust(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path, Path]:
-    """Return what ``fastest --band --json`` says, the list that it wrote, and the spec.
+    """Return the answer of ``fastest --band --json``, its move list, and the specification.
 
     Its report has the names and captions of pictures; ``onoff/test_report`` draws them.
     """
@@ -90,7 +90,7 @@ def robust(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pa
 
 
 def test_modes_move_as_they_are_told(tmp_path: Path) -> None:
-    """Feet 0.64 times as stiff ring 0.8 times as fast: k / m under a sliding piston."""
+    """Feet 0.64 times as stiff ring at 0.8 times the frequency: k / m with a sliding piston."""
     machine = load_machine("letter-placer")
     typed = frame_mode(machine, "X")
     for part in (-0.2, 0.1):
@@ -101,9 +101,10 @@ def test_modes_move_as_they_are_told(tmp_path: Path) -> None:
 
 @pytest.mark.long(shown_by=OF_A_BAND)
 def test_it_is_in_spec_on_machines_of_the_band(robust: tuple[dict[str, Any], Path, Path]) -> None:
-    """Machine files written with other feet, none of them a machine of the search.
+    """The machine files have other feet, and none of them is a machine of the search.
 
-    Feet carry the lift alone: the square of the frequency is in proportion, but for 1 % by the air.
+    The feet carry the lift alone: the square of the frequency is proportional to their stiffness,
+    except for 1 % by the air.
     """
     found, file, spec_file = robust
     written, worst = file.parent, {}
@@ -200,7 +201,7 @@ def test_a_specification_that_limits_nothing_asks_for_no_robust_command(
 def test_its_report_is_that_of_the_cycle_that_was_found(
     robust: tuple[dict[str, Any], Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Pictures and verdict of its proof; its own list is proved without a warning about levels."""
+    """Its proof gives the pictures and the verdict; its list is proved without a warning."""
     found, file, spec = robust
     folder = file.parent / "report"
     assert found["report"] == str(folder / "report.html")
@@ -215,10 +216,11 @@ def test_its_report_is_that_of_the_cycle_that_was_found(
 
 @pytest.mark.long(shown_by=OF_A_BAND)
 def test_a_move_that_another_outlasts_rings_as_little_as_it_can(tmp_path: Path) -> None:
-    """X and Z set out in one scan, and X takes longer to come to rest: Z has a third of a second.
+    """X and Z start in one scan, and X rests later: Z has a third of a second to spare.
 
-    Its shortest command within the limit takes 0.62 s, and 0.64 s or more rings less for nothing.
-    X may ring twice as much: half of its usual limit alone asks for seconds of an integer program.
+    The shortest command of Z within the limit takes 0.62 s; with 0.64 s or more it rings less at no
+    cost. X may ring twice as much, because half of its usual limit takes seconds of an integer
+    program.
     """
     library = (LIBRARY / "letter-placer.toml").read_text(encoding="utf-8")
     file, job = tmp_path / "free.toml", tmp_path / "both.toml"

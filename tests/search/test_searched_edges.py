@@ -1,4 +1,4 @@
-"""The ends of intervals that a search by pace prints also pass a search for a bad run."""
+"""The ends of intervals that a search by pace prints: they pass a search for a bad run, too."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DAYS = SearchedDays(searched=3, criterion="contour_error", share=0.5, machines=F
 def verdict(
     measured: float, name: str = "contour_error", days: SearchedDays | None = None
 ) -> Verdict:
-    """Return a verdict on one criterion with a limit of 1: near it from 0.95 on."""
+    """Return a verdict on one criterion with a limit of 1, which is near its limit from 0.95 on."""
     failed = measured > 1.0
     result = Result(
         name=name, axis="", measured=measured, limit=1.0, unit="m", typical=measured - 0.02,
@@ -50,7 +50,7 @@ def search(drawn: Callable[[float], float], worst: Callable[[float], float]) -> 
 
 
 def test_an_edge_moves_inwards_to_the_next_pace_that_passes_the_search() -> None:
-    """Drawn days allow 50, the worst day 40."""
+    """Drawn days allow a pace of 50, the worst day only 40."""
     found = search(lambda pace: pace / 50.0, lambda pace: pace / 40.0)
     assert found.best == pytest.approx(40.0, rel=4e-3)
     assert found.best <= 40.0
@@ -68,7 +68,7 @@ def test_an_edge_that_passes_the_search_stays() -> None:
 
 
 def test_the_lower_end_moves_upwards_and_an_interval_without_a_pace_is_left_out() -> None:
-    """Drawn days allow 10 to 20 and 40 to 60; the worst day only 12 to 20."""
+    """Drawn days allow 10 to 20 and 40 to 60; the worst day allows only 12 to 20."""
 
     def drawn(pace: float) -> float:
         return 0.9 if 10.0 <= pace <= 20.0 or 40.0 <= pace <= 60.0 else 2.0
@@ -138,9 +138,9 @@ LINEAR = {"interpolation": "linear"}
 def test_every_search_by_pace_names_only_ends_that_pass_the_search_for_a_bad_run(
     monkeypatch: pytest.MonkeyPatch, job: str, machine: str, low: str, high: str, level: str,
 ) -> None:  # fmt: skip
-    """With stand-ins for the simulations: drawn runs allow every pace, the worst one only some.
+    """Stand-ins for the simulations: drawn runs allow every pace, and the worst run only some.
 
-    A plan is known by its duration, since every kind of work has one.
+    The stand-ins recognise a plan by its duration, because plans of all kinds have one.
     """
     words = {"low": low, "high": high} | ({} if machine != "lathe-winder" else LINEAR)
     given = Words.of("fastest", Door.PYTHON, words)

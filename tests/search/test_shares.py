@@ -1,4 +1,4 @@
-"""Shares of the limits: which are left out, what an interrupt leaves, how far the search is."""
+"""Shares of the limits: skipped shares, answers after an interrupt, and the progress."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def shares_of(
     told: list[float] | None = None,
     until: Deadline | None = None,
 ) -> tuple[Shares, list[float]]:
-    """Shares of a search that finds these durations, and the shares that it searches."""
+    """Shares of a search that finds these durations, and the list of searched shares."""
     searched: list[float] = []
 
     def search(share: float, grid: Grid, telling: Progress | None) -> Fastest:
@@ -58,9 +58,9 @@ def shares_of(
 
 
 def test_a_share_that_cannot_be_the_answer_is_left_out() -> None:
-    """With a quarter the highest feed is as slow as the best so far; with half of them it is not.
+    """With a quarter the highest feed is as slow as the best so far; with a half it is faster.
 
-    The lower feeds of a share take longer than its highest.
+    The lower feeds of a share take longer than its highest feed.
     """
     shares, searched = shares_of({1.0: 1000.0, 0.5: 900.0}, {0.5: 850.0, 0.25: 900.0})
     assert shares.tried(1.0, Grid()) is not None and shares.tried(0.5, Grid()) is not None
@@ -76,7 +76,7 @@ def test_of_a_short_job_no_share_is_left_out() -> None:
 
 
 def test_where_the_highest_feed_is_no_plan_the_share_is_searched() -> None:
-    """With feed-forward it may break a limit that lower feeds keep."""
+    """With feed-forward the highest feed may break a limit that lower feeds keep."""
     shares, searched = shares_of({1.0: 1000.0, 0.5: 900.0}, {})
 
     def refused(_: float) -> float:
@@ -117,7 +117,7 @@ def test_an_interrupt_while_the_best_is_planned_leaves_it() -> None:
 
 
 def test_a_finer_search_that_is_ended_keeps_what_was_known() -> None:
-    """It starts from every verdict of the scan, and asks for none of them again."""
+    """It starts from every verdict of the scan, and judges none of these feeds again."""
     asked: list[float] = []
 
     def judged(feed: float) -> Verdict:
@@ -144,7 +144,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 def at_the_highest(asked: Question, *_: object) -> Fastest:
-    """The answer of a search for a feed: all of them pass."""
+    """The answer of a search for a feed: every feed passes."""
     assert asked.high is not None
     best = Interval(low=0.019, high=asked.high)
     return Fastest(intervals=(best,), limited_by="range", verdict=verdict(0.5), tried=20)
@@ -153,9 +153,9 @@ def at_the_highest(asked: Question, *_: object) -> Fastest:
 def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
     tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """400 moves at a feed that all of the limits allow: less of them is slower, and never tried.
+    """All limits allow the feed of these 400 moves: a smaller share is slower and not tried.
 
-    The whole job is judged then; whoever interrupts that has the best so far.
+    Then the whole job is judged; an interrupt there leaves the best so far.
     """
     job = written(tmp_path, winding_blocks(400), machine)
     file = tmp_path / "spec.toml"
@@ -180,7 +180,7 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
     assert result.best.share == 1.0 and result.best.duration_s > 300.0
     assert set(result.left_out) > {0.5, 0.25, 0.125} and [r.share for r in result.rungs] == [1.0]
     assert result.ended == INTERRUPTED and not result.whole and result.parts
-    # The accelerations are told still: their share was searched.
+    # The accelerations are still printed, because their share was searched.
     assert len(list(settings_words(job, machine, result))) == 2
     with pytest.raises(KeyboardInterrupt):
         fastest_job(
@@ -196,7 +196,7 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
 
 
 def test_of_a_long_job_the_fastest_interval_alone_is_looked_into() -> None:
-    """A gap in it and a narrow interval above it are found, those of slower feeds are not."""
+    """A gap in it and a narrow interval above it are found; gaps among slower feeds are not."""
     wanted = [(0.1, 0.2), (0.205, 0.3), (1.0, 1.8), (1.82, 2.0), (2.03, 2.06)]
 
     def judged(feed: float) -> Verdict:
@@ -214,7 +214,7 @@ def test_of_a_long_job_the_fastest_interval_alone_is_looked_into() -> None:
 
 
 def test_of_a_long_job_no_feed_is_tried_far_below_those_that_pass() -> None:
-    """Four of twenty feeds that pass from the top are enough, and all where none does."""
+    """Four passing feeds in a row from the top are enough; if none passes, all are tried."""
     tried: list[float] = []
 
     def judged(feed: float) -> Verdict:
@@ -230,9 +230,9 @@ def test_of_a_long_job_no_feed_is_tried_far_below_those_that_pass() -> None:
 
 
 def test_an_error_that_no_slower_motion_changes_ends_the_scan_from_above() -> None:
-    """The loops stand beside their commands by 1.5 mm under a pull, besides what the feed adds.
+    """A pull holds the loops 1.5 mm beside their commands, and the feed adds to this error.
 
-    An error that stays the same because the motion does, or that shrinks, ends nothing.
+    The scan goes on if an error stays the same because the motion does, or if it shrinks.
     """
     tried: list[float] = []
 
@@ -267,7 +267,7 @@ def test_whether_a_job_is_long_is_asked_before_the_first_search() -> None:
 
 
 def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
-    """A feed of the scan passes alone at 10^0.5; below 1 there is a gap that the scan misses."""
+    """One feed of the scan passes alone at 10^0.5; below 1 there is a gap that the scan misses."""
 
     def judged(feed: float) -> Verdict:
         passes = feed <= 0.45 or 0.55 <= feed <= 1.0 or abs(feed - alone) < 1e-4
@@ -288,7 +288,7 @@ def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
 
 
 def test_what_limits_is_what_fails_above_the_best() -> None:
-    """A feed that passes by chance right above the edge, known from before, says nothing."""
+    """A known feed that passes by chance right above the edge does not hide the criterion."""
 
     def judged(feed: float) -> Verdict:
         return verdict(0.99 if feed <= 1.0 or abs(feed - 1.0011) < 1e-5 else 1.01)
@@ -300,9 +300,9 @@ def test_what_limits_is_what_fails_above_the_best() -> None:
 
 
 def test_a_search_between_two_feeds_is_half_done_behind_the_first() -> None:
-    """Two feeds stand for all between them; where one fails, the rest of the share is for the scan.
+    """Two feeds stand for the rest; if one of them fails, the scan gets the rest of the progress.
 
-    Told as one of fifty trials, the first made a search of minutes look like hours.
+    As one of fifty trials, the first feed made a search of minutes look like hours.
     """
     told: list[float] = []
     trials = TrialShares(lambda _, share: told.append(share), "searching", 0.0)

@@ -1,4 +1,4 @@
-"""The tables of yield against speed in parts: merged to the text of one run, or refused."""
+"""The tables of yield against speed in parts: merged to the same text as in one run, or refused."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tools import yield_against_speed as tables
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
-    """Rows without machines, and the curves that would be drawn."""
+    """Rows without machines, and a stand-in for the drawing of curves."""
     drawn: list[Any] = []
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tables, "draw", lambda *words: drawn.append(words))

@@ -1,4 +1,4 @@
-"""Commands of one cylinder against an integrator, and the equation of the time-optimal one."""
+"""Commands of one cylinder, compared with an integrator and with the time-optimal equation."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ TURN = complex(np.exp(POLE * SCAN_S))
 
 
 def integrated(ticks: tuple[int, ...], levels: tuple[float, ...]) -> float:
-    """Return the amplitude behind a command by DOP853, over that of one step.
+    """Return the amplitude after a command by DOP853, relative to the amplitude of one step.
 
-    q'' - 2 Re(p) q' + |p|^2 q = |p|^2 u: q rests at u, and a step leaves an envelope of its own
-    that the same equation gives; both envelopes are taken from q - u and its rate.
+    q'' - 2 Re(p) q' + |p|^2 q = |p|^2 u: q rests at u, and a step leaves an envelope that the same
+    equation gives; both envelopes are computed from q - u and its rate.
     """
 
     def rates(u: float) -> Any:
@@ -91,10 +91,10 @@ def symmetric(on_s: float, omega: float) -> float:
 
 
 def test_time_optimal_commands() -> None:
-    """Excited for whole periods an undamped mode is at rest behind: nothing is faster.
+    """An undamped mode that is excited for whole periods is at rest afterwards: nothing is faster.
 
-    Else the optimum switches, symmetric about its middle as undamped optima are; found here by
-    its own equation. The grid of the program is 1/800 of the duration: 2 ms with margin.
+    Otherwise the optimum switches, symmetric about its middle as undamped optima are; its own
+    equation gives it here. The grid of the program is 1/800 of the duration: 2 ms with margin.
     """
     omega = 18.3
     period_s = 2.0 * np.pi / omega
@@ -104,7 +104,7 @@ def test_time_optimal_commands() -> None:
 
 
 def test_every_tenth_scan_of_a_quick_controller_is_looked_at() -> None:
-    """The same commands as on a scan ten times as long, ten times as many scans each."""
+    """The commands are the same as with a scan ten times as long, in ten times as many scans."""
     coarse = gapped(47, 2, TURN, 0.1, 10, AT_ONCE)
     fine = gapped(470, 20, TURN**0.1, 0.1, 100, AT_ONCE, step=10)
     assert [tuple(10 * t for t in c.ticks) for c in coarse] == [c.ticks for c in fine]
@@ -113,7 +113,7 @@ def test_every_tenth_scan_of_a_quick_controller_is_looked_at() -> None:
 
 @pytest.mark.long(shown_by="test_time_optimal_commands")
 def test_a_second_search_finds_nothing_shorter() -> None:
-    """An integer program of its own: what is a scan shorter is impossible, not only not found."""
+    """An independent integer program proves that a command one scan shorter is impossible."""
     turns = np.exp(np.array([-0.3 + 48.0j, -0.3 + 57.0j, -0.3 + 66.0j]) * SCAN_S)
     move = FlowMove(
         on_scans=14.0,

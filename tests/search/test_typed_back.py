@@ -1,4 +1,4 @@
-"""What a search prints can be typed back: every end and every place inside passes."""
+"""Printed answers of a search can be typed back: every end and every place inside passes."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ back have the same."""
 
 @pytest.fixture
 def few_searched(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have the worst machine searched among few, where it is found and where it is typed back."""
+    """Search the worst machine among few, in the search and when its answer is typed back."""
     monkeypatch.setattr(worst_search, "SEARCHED", 10)
     monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 2)
 
 
 def drawn(low: float, high: float) -> list[float]:
-    """Return both ends and ten places inside, from a fixed seed; one where the ends are one."""
+    """Return both ends and ten places between them, from a fixed seed; one if they are equal."""
     inside = np.random.default_rng(7).uniform(low, high, 10).tolist()
     return list(dict.fromkeys((low, high, *inside)))
 
 
 def _turn(folder: Path) -> Path:
-    """Return the reversal test with two moves either side of its corner, of the seven it has."""
+    """Return the reversal test with two of its seven moves on either side of its corner."""
     job = folder / "turn.prg"
     moves = "".join(f"G1 X{mm}\n" for mm in (25.716, 25.714, -25.714, -25.716))
     job.write_text(f"G91 F2160\n{moves}M30\n", encoding="utf-8")
@@ -66,7 +66,7 @@ def _turn(folder: Path) -> Path:
 
 @pytest.fixture
 def stitcher(tmp_path: Path) -> Machine:
-    """As built, but for its dead times: they stand exactly, or each drawn one asks for a kernel."""
+    """The machine as built with exact dead times, because each drawn dead time needs a kernel."""
     file = tmp_path / "stitcher.toml"
     delay = 'delay = "3 ms exact, printed"\n'
     text = f'base = "stitcher"\nname = "stitcher"\n[drives.x]\n{delay}[drives.y]\n{delay}'
@@ -88,10 +88,10 @@ def stitcher(tmp_path: Path) -> Machine:
 def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
     stitcher: Machine, tmp_path: Path, trials: Trials, low: float, high: float
 ) -> None:
-    """With gaps where whole ticks do not suit; lists had them in. At every level.
+    """Intervals have gaps at speeds that do not suit whole ticks; printed lists once covered them.
 
-    The first corner of the test path, with 10 stitches either side of it of 25: its intervals are
-    those of the whole path.
+    Every level is checked on the first corner of the test path with 10 of 25 stitches on either
+    side: its intervals are the intervals of the whole path.
     """
     whole = (EXAMPLES / "stitcher-test-path.seam.toml").read_text(encoding="utf-8")
     corner = whole.replace("[[0, 0], [2.5, 0], [2.5, 2.5], [5, 2.5]]", "[[0, 0], [1, 0], [1, 1]]")
@@ -114,7 +114,8 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
     )
     assert len(found.intervals) > 1
     for interval in found.intervals:
-        # Over tolerances the worst machine differs from speed to speed: only ends are judged ones.
+        # Over tolerances the worst machine differs from speed to speed: only the ends are judged
+        # on it.
         ends = (interval.low, interval.high)
         for speed in ends if trials.machines else drawn(*ends):
             job = read_job(seam, stitcher, needle_speed=f"{typed(speed)} stitch/s")
@@ -151,7 +152,7 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
 def test_feeds_of_the_winder_pass_as_they_are_printed(
     tmp_path: Path, interpolation: str, share: float, low: float, high: float, trials: Trials
 ) -> None:
-    """At every level, up to the edge of what passes, for moves that are rough, smooth and timed."""
+    """At every level, up to the edge, for rough, smooth and timed moves."""
     machine = load_machine("lathe-winder")
     spec = load_spec(None, machine)
     options = replace(options_of(interpolation, None, "0.1 mm"), limit_share=share)
@@ -160,7 +161,7 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
         Question(
             job=job, machine=machine, spec=spec, options=options, low=low, high=high, trials=trials
         ),
-        # What is printed has 16 points beside each edge.
+        # The printed answer has 16 tried feeds beside each edge.
         Grid(near=1, points=3)
         if trials == FEW
         else Grid(near=4 if trials == NOMINAL else 2, points=6),
@@ -177,7 +178,7 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
 @pytest.mark.usefixtures("few_searched")
 @pytest.mark.parametrize("trials", [NOMINAL, SEVERAL, FEW])
 def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Trials) -> None:
-    """Of a frame by step tables; what is far within in one run is no proof of other machines."""
+    """For a frame with step tables; one run far from the limits proves no other machine."""
     machine = load_machine("schiffli-frame")
     spec = load_spec(None, machine)
     ways = np.random.default_rng(4).integers(5, 81, (8, 2)) * np.array([1, -1])
@@ -202,7 +203,7 @@ def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Tria
 def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """``--mismatch``: plans for the file's machine, run by those with light and heavy masses."""
+    """``--mismatch``: plans for the file's machine, run by machines with light and heavy masses."""
     monkeypatch.setattr(mismatch, "ENDS", (-1.0, 1.0))
     machine = load_machine("lathe-winder+springy")
     spec = load_spec(None, machine)
@@ -224,7 +225,7 @@ def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
 
 
 def test_what_fails_at_all_speeds_is_named_as_prove_names_it(tmp_path: Path) -> None:
-    """A snail whose stitches are too short at all speeds that are asked for; no limit is broken."""
+    """A snail whose stitches are too short at all tried speeds; no machine limit is broken."""
     turn = np.linspace(0.0, 6.0 * np.pi, 200)
     radius = 25.0 - 24.2 * turn / turn[-1]
     points = np.stack([60.0 + radius * np.cos(turn), radius * np.sin(turn)], axis=1)
@@ -255,9 +256,9 @@ def test_what_fails_at_all_speeds_is_named_as_prove_names_it(tmp_path: Path) -> 
 
 
 def test_an_interval_is_cut_about_each_feed_that_fails() -> None:
-    """Stretches that fail between the points of the scan, a ninth of the interval wide and more.
+    """The failing stretches between points of the scan are at least a ninth of the interval wide.
 
-    Sixteen places spread by the golden ratio leave no gap above a tenth of it.
+    Sixteen places spread by the golden ratio leave no gap above a tenth of the interval.
     """
     holes = ((2.05, 2.45), (3.05, 3.45))
 
@@ -280,10 +281,11 @@ def test_an_interval_is_cut_about_each_feed_that_fails() -> None:
 
 @pytest.mark.parametrize("phase", [0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 5.5])
 def test_what_jumps_from_feed_to_feed_ends_an_interval_early(phase: float) -> None:
-    """Up to 2 % from one feed to one 0.05 % beside it, as over the tolerances with ``auto``.
+    """The used share jumps by up to 2 % between feeds 0.05 % apart, as with ``auto``.
 
-    A search that did not look beside the tightest feeds ended as high as 4.029, where more
-    than half of the feeds below it fail, and one of ten sets of ten drawn feeds had one of those.
+    Over the tolerances ``auto`` jumps like this. A search that did not try feeds beside the
+    tightest ones ended as high as 4.029: more than half of the feeds just below it fail, and one of
+    ten sets of ten drawn feeds had a failing feed.
     """
 
     def used(feed: float) -> float:
@@ -310,7 +312,7 @@ def test_what_jumps_from_feed_to_feed_ends_an_interval_early(phase: float) -> No
 def test_a_law_is_typed_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The search names the law that it ran with, a table of one's own here, and so its proof."""
+    """The search and its proof name the law that they ran with; here it is a user's table."""
     monkeypatch.setattr(least_limits, "_LADDER", (1.0,))
     monkeypatch.setattr(least_limits, "_SCAN", Grid(points=2))
     monkeypatch.setattr(least_limits, "_CLOSELY", Grid(points=2, near=1))

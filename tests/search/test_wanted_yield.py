@@ -1,4 +1,4 @@
-"""A yield that is wanted: proved, searched for, designed for, and bought most cheaply."""
+"""A wanted yield: proved, searched, designed for, and reached with the fewest halved tolerances."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def asked() -> tuple[Plan, Spec]:
 
 
 def test_rejects_are_the_machines_that_fail_alone(asked: tuple[Plan, Spec]) -> None:
-    """Against each machine simulated and judged by itself, at the phases that were drawn."""
+    """Compared with each machine simulated and judged alone, at the drawn encoder phases."""
     plan, spec = asked
     trials = replace(yielding(0.5), repeats=20, machines=12)
     proof = prove_plan(plan, spec, trials=trials)
     random = np.random.default_rng(REPEAT_SEED)
-    random.uniform(size=(19, 2 + len(plan.axes)))  # what the 20 runs drew before
+    random.uniform(size=(19, 2 + len(plan.axes)))  # the days of the 20 runs are drawn first
     phases = random.uniform(0.0, 1.0, (12, len(plan.axes)))
     failed = 0
     for parts, phase in zip(
@@ -68,9 +68,9 @@ def test_rejects_are_the_machines_that_fail_alone(asked: tuple[Plan, Spec]) -> N
 def test_no_more_machines_are_tried_than_say_that_it_fails(asked: tuple[Plan, Spec]) -> None:
     plan, spec = asked
     proof = prove_plan(plan, spec, trials=replace(yielding(0.99), machines=1000))
-    assert proof.verdict.machines == 256  # of these some 50 fail, where 3 of 1000 may
+    assert proof.verdict.machines == 256  # some 50 of these fail, and 3 of 1000 may
     assert not proof.verdict.passed
-    # The machine itself, in 20 runs, is in specification.
+    # The machine of the file is in specification in 20 runs.
     assert [r.name for r in proof.verdict.results if r.status == "failed"] == ["rejects"]
 
 
@@ -87,8 +87,8 @@ def test_a_yield_is_a_share_below_the_whole(text: str) -> None:
 def test_fastest_with_a_yield_can_be_typed_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What 95 % of the machines keep is slower than what the machine as typed keeps (39.5 mm/s)."""
-    job = tmp_path / "turn.prg"  # the one corner of the reversal test, with a move either side
+    """95 % of the machines allow a lower feed than the file's machine alone (39.5 mm/s)."""
+    job = tmp_path / "turn.prg"  # the reversal test
     job.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n", encoding="utf-8")
     words = [str(job), "-m", "lathe-winder", "--interpolation", "linear", "--yield", "95 %"]
     with pytest.raises(SystemExit) as ended:
@@ -124,7 +124,7 @@ def test_no_halving_can_be_left_out_of_the_cheapest_set(asked: tuple[Plan, Spec]
 
 
 def test_a_yield_that_no_tolerance_reaches_is_said(asked: tuple[Plan, Spec]) -> None:
-    """With 20 machines even all of them in spec prove no more than 83 %."""
+    """With 20 machines, all of them in spec, the interval still begins at 83 %."""
     plan, spec = asked
     found = cheapest_set(MachineYield(plan, spec), 0.9, 1, machines=20)
     assert not found.reached
@@ -134,9 +134,10 @@ def test_a_yield_that_no_tolerance_reaches_is_said(asked: tuple[Plan, Spec]) -> 
 def test_the_set_is_told_where_the_yield_is_too_low(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One corner of the reversal test, with a move either side.
+    """One corner of the reversal test, with a move on either side.
 
-    The numbers of the axes that stand are exact: each would be halved once, to no effect.
+    The numbers of the axes that stand still are exact; otherwise each would be halved once without
+    effect.
     """
     job, machine = tmp_path / "turn.prg", tmp_path / "turner.toml"
     still = [f"{part}.{axis}.*" for part in ("bodies", "drives") for axis in "ya"]
@@ -161,9 +162,9 @@ def test_the_set_is_told_where_the_yield_is_too_low(
 
 @pytest.fixture
 def judged_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Judge a candidate of a redesign once, where a second search comes to it in the same runs.
+    """Judge a candidate of a redesign only once if a second search needs it in the same runs.
 
-    With a yield and without one the candidates are the same: what differs is which are proved.
+    The candidates are the same with and without a yield; only the proved ones differ.
     """
     known: dict[object, Tried] = {}
     judge = Evaluator.tried
@@ -183,12 +184,12 @@ def judged_once(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long(shown_by="test_rejects_are_the_machines_that_fail_alone")
 @pytest.mark.usefixtures("judged_once")
 def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
-    """The one that is in spec in 20 runs keeps no yield: drawn by hand, one in thirteen passes."""
+    """The design in spec in 20 runs misses the yield: one in thirteen drawn machines passes."""
     stitcher = load_machine("stitcher")
     file = tmp_path / "corner.seam.toml"
     file.write_text(CORNER)
     spec = load_spec(PLACE, stitcher)
-    # Each dead time is a kernel of its own: those of a thousand machines are minutes.
+    # Each dead time needs its own kernel: for a thousand machines these take minutes.
     kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, "drives.*.delay"))
     machine = replace(two_parameters(stitcher, (1.0, 30.0)), tolerances=kept)
     plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
@@ -206,10 +207,10 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
 @pytest.mark.long(shown_by="test_rejects_are_the_machines_that_fail_alone")
 @pytest.mark.usefixtures("judged_once")
 def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
-    """At 50 stitch/s settings alone keep the machine as typed in spec, but not those drawn.
+    """At 50 stitch/s settings alone bring the file's machine into spec, but not the drawn machines.
 
-    Of the candidates that trade cost for margin the cheapest that keeps 80 % is taken; 200 machines
-    of another seed are held against it.
+    Among candidates that trade cost for margin the cheapest that reaches 80 % is chosen; 200
+    machines of another seed check it.
     """
     stitcher = load_machine("stitcher")
     file = tmp_path / "corner.seam.toml"

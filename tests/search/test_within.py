@@ -1,4 +1,4 @@
-"""``--within`` and Ctrl-C: every search answers with the best so far, whatever paces the job."""
+"""``--within`` and Ctrl-C: every search answers with the best so far, for every pace of a job."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 class After(Deadline):
-    """The time is over when so many plans were asked for, or somebody interrupts then."""
+    """Ends the time, or interrupts, when a number of plans were requested."""
 
     def __init__(self, plans: int, *, interrupts: bool = False) -> None:
         super().__init__()
@@ -110,7 +110,7 @@ def test_a_search_that_is_ended_answers_with_what_it_tried(name: str, interrupts
 
 
 def test_a_plan_that_outlasts_the_time_is_broken_off() -> None:
-    """The second plan goes on for as long as a day; what was tried before is the answer."""
+    """The second plan would take a day; the answer comes from the plans before it."""
     until = Deadline.within(1000.0)
     slow: list[float] = []
 
@@ -141,7 +141,7 @@ def test_an_end_that_passed_breaks_off_at_once() -> None:
 def test_a_signal_during_machine_code_ends_a_search_as_any_other(
     signal_raises: type[BaseException],
 ) -> None:
-    """Compiled code that hands over its arguments fails with errors of its own around it."""
+    """Compiled code that hands over its arguments then fails with other errors as well."""
     until = Deadline.within(1000.0)
     with until_deadline(until, lambda: True):
         try:
@@ -157,7 +157,7 @@ def test_a_signal_during_machine_code_ends_a_search_as_any_other(
 
 
 def test_outside_the_main_thread_a_search_goes_on() -> None:
-    """There are no signals there; it ends between its plans."""
+    """Another thread gets no signals; the search ends between two plans."""
     done = []
 
     def search() -> None:
@@ -180,7 +180,7 @@ def test_a_search_that_judged_nothing_has_no_answer(name: str) -> None:
 
 @pytest.mark.long(shown_by="test_a_cycle_for_a_band_ends_with_the_one_that_is_tried")
 def test_schedules_of_a_shaft_end_with_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The speeds are searched to their end, a few here; of the seven schedules one is tried."""
+    """The speeds are searched to the end, with few trials; one of seven schedules is tried."""
     few = partial(shaft_search.constant_speeds, grid=Grid(points=4, near=1, edge=5e-3))
     monkeypatch.setattr(shaft_search, "constant_speeds", few)
     machine = load_machine("schiffli-frame")
@@ -216,9 +216,9 @@ def test_cycles_end_with_the_best_so_far(interrupts: bool) -> None:
 def test_a_cycle_for_a_band_ends_with_the_one_that_is_tried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No cycle is as short as this limit: without an end ten are tried.
+    """No cycle is as short as this limit: without an end of the time ten cycles are tried.
 
-    One command of the move is looked for, in place of one for each of five shares of the limit.
+    One command of the move is searched, in place of one for each of five shares of the limit.
     """
     monkeypatch.setattr(cycle_robust, "_SHARES", (0.9,))
     machine = load_machine("letter-placer")
@@ -249,7 +249,7 @@ QUESTIONS = {
 def test_the_command_takes_a_time_for_every_kind(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without any time most have no plan at all; the cycle as it is listed is always judged."""
+    """With no time most searches have no plan at all; the cycle as listed is always judged."""
     machine, more = QUESTIONS[name]
     words = ["fastest", str(EXAMPLES / name), "-m", machine, "--nominal", "--json", *more]
     with pytest.raises(SystemExit) as end:

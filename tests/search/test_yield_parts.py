@@ -1,4 +1,4 @@
-"""A yield in parts: merged to the bits of one run, or the part that does not fit is named."""
+"""A yield in parts: merged to the same bits as in one run, or the wrong part is named."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def said(capsys: pytest.CaptureFixture[str]) -> Said:
         with pytest.raises(SystemExit) as ended:
             main(["yield", *map(str, words)])
         told = capsys.readouterr()
-        # The first command on a computer also says that it compiles.
+        # The first command on a computer also reports that it compiles.
         err = [line for line in told.err.splitlines(keepends=True) if _COMPILES not in line]
         return int(ended.value.code or 0), told.out, "".join(err)
 
@@ -66,7 +66,7 @@ def there() -> list[str]:
 
 
 def made_parts(said: Said, words: list[str], count: int) -> list[Path]:
-    """Make every part of a yield, in no order."""
+    """Make every part of a yield, in any order."""
     files = [Path(f"{k + 1}-of-{count}.yield") for k in range(count)]
     order = list(range(count))
     random.Random(count).shuffle(order)
@@ -86,9 +86,9 @@ def test_merged_parts_are_one_run_to_the_bit(
     job: str, machine: str, variants: int, said: Said, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Count, interval, table, worst machine and its file, of 3 and 16 parts in any order.
+    """Count, interval, table, worst machine and its file, from 3 and 16 parts in any order.
 
-    The worst machine is searched among few: whole and merged, the search is the same.
+    The worst machine is searched among few machines; the search is the same, whole or merged.
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(machine_yield, "_SEARCHED", 100)
@@ -225,20 +225,20 @@ def test_a_part_of_other_versions_files_or_bits_is_named(
             else:
                 patch.setattr(of_command, "__version__", "0.0.1")
             assert said(*turn, "--part", "2/3", "-o", "old.yield")[0] == 0
-            # All parts alike, and another version merges them.
+            # All parts have the same version, and another version merges them.
             code, _, err = said("--merge", *three)
             assert code == 2 and key in err and "than this Threadline and the files here" in err
         code, _, err = said("--merge", three[0], "old.yield", three[2])
         assert code == 2 and "'old.yield' belongs to another yield" in err and key in err
-    # A computer whose bits differ: the last bit of the first machine.
+    # A computer with other bits: the last bit of the first machine differs.
     part = read_part(three[1])
     row = next(row for row in part.found.rows if row.limit is not None and (row.values > 0).any())
     row.values[0] = np.nextafter(row.values[0], 0.0)
     yield_parts.write_part(Path("bits.yield"), part.record, part.found)
     code, out, err = said("--merge", three[0], "bits.yield", three[2])
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "part 2/3 in 'bits.yield' comes to something else here" in err
-    # The job was changed, or is gone.
+    assert "part 2/3 in 'bits.yield' has other results here" in err
+    # The job was changed, or is missing.
     Path("turn.prg").write_text(TURN.replace("F1000", "F900"), encoding="utf-8")
     code, _, err = said("--merge", *three)
     assert code == 2 and "another job" in err
@@ -258,7 +258,7 @@ def test_a_merge_takes_its_options_from_the_parts(
 def test_a_part_that_was_cut_is_refused_wherever_it_was_cut(
     three: list[Path], monkeypatch: pytest.MonkeyPatch, turn: list[str], said: Said
 ) -> None:
-    monkeypatch.setattr(yield_parts, "AT_ONCE", 1)  # a line a machine
+    monkeypatch.setattr(yield_parts, "AT_ONCE", 1)  # one line for each machine
     assert said(*turn, "--part", "2/3", "-o", "whole.yield")[0] == 0
     whole, cut = Path("whole.yield").read_bytes(), Path("cut.yield")
     lines = {k + 1 for k, byte in enumerate(whole) if byte == 10}
@@ -279,7 +279,7 @@ ODD: tuple[Any, ...] = (None, True, -1, 0, 0.5, 10**30, "", "x", [], [0, 0], [4,
 
 
 def test_no_changed_record_is_a_defect(three: list[Path], said: Said) -> None:
-    """With a right check sum: it is refused in one line, or means the same."""
+    """With a right check sum a changed record is refused in one line, or means the same."""
     first, rest = three[1].read_bytes().split(b"\n", 1)
     record = json.loads(first.partition(b" ")[2])
     bad = Path("bad.yield")
@@ -357,7 +357,7 @@ def test_a_part_that_was_broken_off_goes_on(three: list[Path], turn: list[str], 
     assert said(*words)[0] == 0
     assert Path("again.yield").read_bytes() == three[1].read_bytes()
     assert Path("state").read_bytes() == state
-    # It is the state of that part alone.
+    # The file is the state of this part alone.
     for other in ["--part", "3/3", "-o", "x"], []:
         code, _, err = said(*turn, *other, "--resume", "state")
         assert code == 2 and "begun with another part" in err

@@ -1,4 +1,4 @@
-"""A yield that was broken off: it goes on to the same bits, or its file is refused."""
+"""An interrupted yield goes on to the same bits, or its file is refused."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ def test_a_yield_that_was_broken_off_goes_on_to_the_same_bits(
         assert (own.name, own.axis, own.limit, own.unit) == (
             other.name, other.axis, other.limit, other.unit,
         )  # fmt: skip
-    # Fewer than are known, and none of them anew.
+    # Fewer machines than are known, and none of them is judged anew.
     few = MachineYield(plan, spec).drawn(10, 3, None, YieldState(file, identity))
     np.testing.assert_array_equal(few.found.passed, whole.found.passed[:10])
-    # A line that was cut short is left out, and only that.
+    # Only a line that was cut short is left out.
     content = file.read_bytes()
     file.write_bytes(content[:-9])
     cut = YieldState(file, identity)
@@ -68,7 +68,7 @@ def test_a_yield_that_was_broken_off_goes_on_to_the_same_bits(
 def test_a_full_disk_loses_nothing_that_was_judged(
     asked: tuple[Plan, Spec], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The system refuses to write on; with room again, the same file goes on."""
+    """The system refuses to write on; once there is room again, the same file goes on."""
     plan, spec = asked
     file = tmp_path / "state"
     whole = MachineYield(plan, spec).drawn(40, 3)
@@ -93,7 +93,7 @@ def test_a_full_disk_loses_nothing_that_was_judged(
 
 
 def summed(body: bytes) -> bytes:
-    """Return a line whose check sum is right, whatever it says."""
+    """Return a line with any content and its right check sum."""
     return b"%08x %s\n" % (zlib.crc32(body), body)
 
 
@@ -136,7 +136,7 @@ def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def changed(line: bytes, place: tuple[Any, ...], value: Any) -> bytes:
-    """Return a line with another value at a place, and the check sum of that."""
+    """Return a line with another value at a place, and with the check sum of the new content."""
     content = json.loads(line.partition(b" ")[2])
     part = content
     for key in place[:-1]:
@@ -148,7 +148,7 @@ def changed(line: bytes, place: tuple[Any, ...], value: Any) -> bytes:
 def test_no_changed_field_is_a_defect_or_passes_for_the_answer(
     asked: tuple[Plan, Spec], tmp_path: Path
 ) -> None:
-    """Every field of every line, with a check sum that is right: refused, or without effect."""
+    """Every field of every line is changed, with a right check sum: refused, or without effect."""
     plan, spec = asked
     judged, file = MachineYield(plan, spec), tmp_path / "state"
     whole = judged.drawn(5, 3, None, YieldState(file, {"seed": "3"}))
@@ -180,7 +180,7 @@ def test_no_changed_field_is_a_defect_or_passes_for_the_answer(
 def test_rows_in_another_order_are_refused(
     asked: tuple[Plan, Spec], tmp_path: Path, numbered: bool
 ) -> None:
-    """Rows were joined by their place, so that the values of one criterion became another's."""
+    """Rows were joined by their place, so that one criterion got the values of another."""
     plan, spec = asked
     judged, file = MachineYield(plan, spec), tmp_path / "state"
     judged.drawn(5, 3, None, YieldState(file, {"seed": "3"}))
@@ -194,7 +194,7 @@ def test_rows_in_another_order_are_refused(
 
 
 def test_one_program_at_a_time_writes_the_file(tmp_path: Path) -> None:
-    """Two that both appended left a file that was refused ever after."""
+    """Two programs that both appended left a file that was refused ever after."""
     file = tmp_path / "state"
     ours, theirs = socket.socketpair()
 
@@ -220,7 +220,7 @@ def test_one_program_at_a_time_writes_the_file(tmp_path: Path) -> None:
 def test_the_file_to_resume_is_no_other_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Neither an input nor an output: what is in it must be there the next time."""
+    """The file is neither an input nor an output: its content must survive until the next time."""
     words = ["yield", str(JOB), "-m", "lathe-winder", "--variants", "2"]
     both = str(tmp_path / "both")
     for more in (["--resume", str(JOB)], ["--resume", both, "--worst", both], ["--resume", "/"]):

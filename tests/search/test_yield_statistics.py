@@ -1,4 +1,4 @@
-"""Intervals, indices and distributions of a yield against published numbers and scipy."""
+"""Intervals, indices and distributions of a yield, compared with published numbers and scipy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from threadline.verdict.each_run import clopper_pearson
 
 @pytest.mark.parametrize(("passed", "tried"), [(1, 10), (37, 50), (9_990, 10_000)])
 def test_the_interval_leaves_each_tail_its_share(passed: int, tried: int) -> None:
-    """Against the binomial distribution itself: 2.5 % at either end."""
+    """Compared with the binomial distribution itself: 2.5 % at either end."""
     from scipy.stats import binom
 
     low, high = clopper_pearson(passed, tried)
@@ -54,7 +54,7 @@ def test_indices_are_those_of_ishigami() -> None:
     other = influence(ishigami, [False] * 3, 2**6, 1)
     np.testing.assert_array_equal(again.first_interval, other.first_interval)
     np.testing.assert_array_equal(again.total_interval, other.total_interval)
-    # The true shares lie in most of the intervals of other seeds, and none is a matter of course.
+    # The true shares lie in most of the intervals of other seeds, and no interval is too wide.
     within = []
     for seed in range(12):
         few = influence(ishigami, [False] * 3, 2**7, seed)
@@ -82,7 +82,7 @@ def test_a_normal_number_is_cut_off_at_three_deviations() -> None:
 
 
 def test_shares_are_those_of_scipy() -> None:
-    """Its own estimates, of samples of the same seed."""
+    """The estimates of scipy itself, for samples of the same seed."""
     from scipy.stats import sobol_indices, uniform
 
     def bowl(parts: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def test_shares_are_those_of_scipy() -> None:
 
 
 def test_a_number_that_does_nothing_has_no_share_and_no_spread() -> None:
-    """Its interval was NaN, which is not a number of JSON, with a warning of scipy."""
+    """The interval of such a number was NaN, which JSON does not have, with a warning of scipy."""
     found = influence(lambda x: x[:, 0], [False, False], 2**6, 1)
     assert found.first[1] == found.total[1] == 0.0
     assert found.first_interval[:, 1].tolist() == found.total_interval[:, 1].tolist() == [0.0, 0.0]

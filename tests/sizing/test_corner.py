@@ -1,4 +1,4 @@
-"""Corner rules against integrated motion and the printed figures."""
+"""Corner rules, compared with integrated motion and the printed figures."""
 
 import itertools
 
@@ -50,7 +50,7 @@ def integrated_error(v: float, up: float, turn: float, down: float) -> float:
 def test_error_is_that_of_the_integrated_motion(
     v: float, a: float, turn: float, unequal: float
 ) -> None:
-    """Any angle, equal and unequal acceleration; the reference knows no formula."""
+    """Any angle, equal and unequal acceleration; the reference contains no formula."""
     assert corner_error_m(v, a, turn) == pytest.approx(integrated_error(v, a, turn, a), rel=1e-6)
     down = a * unequal
     assert corner_error_m(v, a, turn, down) == pytest.approx(
@@ -61,7 +61,7 @@ def test_error_is_that_of_the_integrated_motion(
 def test_right_angle_is_the_formula_of_the_thesis() -> None:
     v, a = 0.19, 7.0
     assert corner_error_m(v, a, np.pi / 2) == pytest.approx(np.sqrt(2) * v**2 / (8 * a), rel=1e-14)
-    # Unequal rates that happen to be equal: the other branch of the code, one answer.
+    # Unequal rates with equal values: the other branch of the code, one answer.
     assert corner_error_m(v, a, np.pi / 2, a * (1 + 1e-9)) == pytest.approx(
         corner_error_m(v, a, np.pi / 2), rel=1e-6
     )
@@ -75,7 +75,7 @@ def test_straight_on_misses_nothing_and_back_overshoots_most() -> None:
 
 
 def test_printed_accelerations() -> None:
-    """281 in/s2 for two stitches; 546 in/s2 belongs to 7.86 in/s, not to the 7.5 of the text."""
+    """281 in/s2 for two stitches; 546 in/s2 belongs to 7.86 in/s, not to the text's 7.5 in/s."""
     v = 75 * 0.1 * IN
     assert ramp_acceleration_m_s2(v, 0.1 * IN) / IN == pytest.approx(281.25, rel=1e-12)
     assert corner_acceleration_m_s2(v, 0.02 * IN, np.pi / 2) / IN == pytest.approx(497.2, abs=0.05)

@@ -1,4 +1,4 @@
-"""The calculator against the printed figures of both theses, and against integration."""
+"""The calculator, compared with the printed figures of both theses, and with integration."""
 
 import itertools
 import math
@@ -32,7 +32,7 @@ STITCHER_X = {
 
 
 def speed_at(profile: SpeedProfile, t: float) -> float:
-    """Speed over unit time for unit distance, drawn by hand."""
+    """Return the speed over unit time for unit distance, drawn by hand."""
     if profile.name == "parabolic":
         return 6 * t * (1 - t)
     ramp = 0.5 if profile.name == "triangular" else profile.ramp
@@ -99,7 +99,7 @@ def test_stitcher_as_printed() -> None:
 
     assert result["head speed"].value / IN == pytest.approx(7.5, rel=1e-12)
     assert result["ramp acceleration"].value / IN == pytest.approx(281.25, rel=1e-12)
-    # Printed 546; that is for 7.86 in/s. At the 7.5 in/s of the text it is 497.
+    # 546 is printed, which belongs to 7.86 in/s. At the text's 7.5 in/s it is 497.
     assert result["corner acceleration"].value / IN == pytest.approx(497.2, abs=0.05)
     assert result["acceleration"].value == result["corner acceleration"].value
     assert result["corner speed"].value == pytest.approx(result["head speed"].value, rel=1e-12)
@@ -132,7 +132,7 @@ def test_matched_ratio_takes_the_least_torque() -> None:
 
 
 def test_winder_as_printed_and_where_the_print_is_wrong() -> None:
-    """Section 6.3's motor on section 4.4's carriage."""
+    """The motor of section 6.3 on the carriage of section 4.4."""
     result = size(
         Demands(
             load_mass_kg=4.0,
@@ -208,7 +208,7 @@ def test_the_motor_against_the_forces_on_the_load() -> None:
     volts = 0.1 * 0.4 * per_m + 1.5 * peak / 0.1
     assert result["peak voltage"].value == pytest.approx(volts, rel=1e-12)
 
-    # 100 mm in 0.5 s, a third of it at 0.3 m/s between two ramps, then as long a rest.
+    # 100 mm in 0.5 s, a third of it at 0.3 m/s between two ramps, then a rest as long.
     moved = size(Demands(**DRIVE, move_m=0.1, move_s=0.5, dwell_s=0.5))
     inertia, damping = 2e-4 + 20.0 / per_m**2, 1e-3 + 30.0 / per_m**2
     turn, friction = 0.3 * per_m, 15.0 / per_m
@@ -220,7 +220,7 @@ def test_the_motor_against_the_forces_on_the_load() -> None:
 
 
 def test_an_amplifier_that_is_too_small_is_named_and_one_that_suffices_is_not() -> None:
-    """The peak is 8.21 A, of which 2.66 A go on at full speed."""
+    """The peak is 8.21 A, and 2.66 A are needed at full speed."""
     figures = size(Demands(**DRIVE))
     peak, cruise = figures["peak current"].value, figures["cruise current"].value
     assert cruise < 0.45 * peak
@@ -234,7 +234,7 @@ def test_an_amplifier_that_is_too_small_is_named_and_one_that_suffices_is_not() 
 
 
 def test_of_two_rules_the_larger_acceleration_counts() -> None:
-    """A loose placement leaves the ramp of two stitches as what asks for more."""
+    """With a loose placement limit, the ramp of two stitches needs more."""
     result = size(Demands(**{**STITCHER_X, "placement_m": 0.2 * IN}))
     assert result["corner acceleration"].value < result["ramp acceleration"].value
     assert result["acceleration"].value == result["ramp acceleration"].value
@@ -295,6 +295,6 @@ def test_the_torque_margin_is_that_of_a_frame_by_hand() -> None:
     for wanted, warned in ((6.0, 0), (10.0, 1)):
         found = size(Demands(**frame, torque_margin=wanted))
         (margin,) = (line.value for line in found.lines if line.name == "move torque margin")
-        assert margin == pytest.approx(712.0 / needed, rel=1e-8)  # the rotor is 2e-9 of it
+        assert margin == pytest.approx(712.0 / needed, rel=1e-8)  # the rotor's share is 2e-9
         assert len(found.warnings) == warned
     assert "required are 10 times: 1186 N m" in found.warnings[0]

@@ -1,4 +1,4 @@
-"""Take a guard of the store away, and the test that the table of hazards names for it fails."""
+"""Remove a guard of the store: the test that the table of hazards names for it fails."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _records = recording_mcap._records
 
 
 def made_anew(table: Table, *, if_not_exists: bool) -> CreateTable:
-    """Make the table as if nobody else could be making it."""
+    """Make the table as if no other program could be making it."""
     return CreateTable(table)
 
 
 def to_any_end(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
-    """Take wherever a trace ends for its regular end."""
+    """Take the end of any trace for a regular end."""
     yield from _records(file, path)
     yield None, True
 
 
 def cut_short(folder: Path) -> None:
-    """Read what a crash leaves of a trace that has all its blocks, and no end."""
+    """Read the rest of a crashed trace that has all its blocks and no end."""
     recording = test_recording_mcap.short_recording()
     last = test_recording_mcap.whole_file(recording)[1][-1]
     test_recording_mcap.test_what_a_crash_leaves.hypothesis.inner_test(  # type: ignore[attr-defined]
@@ -72,7 +72,7 @@ def test_without_the_guard_its_test_fails(
     take_away, test = GUARDS[guard]
     take_away(monkeypatch)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
+        warnings.simplefilter("ignore", ResourceWarning)  # a failing test closes nothing
         with pytest.raises((AssertionError, OperationalError)):
             test(tmp_path)
         gc.collect()

@@ -1,4 +1,4 @@
-"""The writer of traces beside the one of the MCAP library."""
+"""The writer of traces, compared with the writer of the MCAP library."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_it_writes_the_same_bytes(count: int) -> None:
 
 
 def test_a_long_run_takes_little_memory() -> None:
-    """An hour has 140 000 blocks. For each of them the library keeps 600 bytes."""
+    """An hour has 140 000 blocks, and the library keeps 600 bytes for each."""
     blocks = 20_000
     writer = begun(_Nowhere())
     tracemalloc.start()

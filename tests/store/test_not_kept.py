@@ -1,4 +1,4 @@
-"""Runs that cannot be written: nothing is left of one that has not begun, else it is a fault."""
+"""Runs that cannot be written: nothing is left of an unstarted one; otherwise it is a fault."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_machine_that_has_moved_is_no_wrong_input(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Exit status 2 says that nothing has moved."""
+    """Exit status 2 would mean that nothing has moved."""
 
     def fail(*_: object) -> None:
         raise error
@@ -92,7 +92,7 @@ def test_nothing_is_left_of_a_run_that_has_not_begun(
 
 
 def test_a_url_of_the_index_that_cannot_be_read_is_no_store_of_its_own(tmp_path: Path) -> None:
-    """As where the folder that the link leads to is not mounted: the index is elsewhere."""
+    """An example is an unmounted folder behind the link: the index is elsewhere."""
     file = tmp_path / INDEX_URL
     file.symlink_to(tmp_path / "not mounted" / INDEX_URL)
     with pytest.raises(StoreError, match="cannot be read"):
@@ -107,7 +107,7 @@ def test_a_url_of_the_index_that_cannot_be_read_is_no_store_of_its_own(tmp_path:
 def test_how_a_run_ended_is_kept_before_it_is_judged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever loses patience in the middle of judging does not lose the run's end."""
+    """An operator who interrupts the judging does not lose the run's end."""
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
@@ -139,7 +139,7 @@ def test_a_verdict_is_whole_or_is_not_there(
 )
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 def test_a_verdict_that_cannot_be_printed_is_no_wrong_input(tmp_path: Path) -> None:
-    """The machine has moved, and the verdict is kept: exit status 2 would deny both."""
+    """The machine has moved, and the verdict is stored: exit status 2 would deny both."""
     words = ["run", str(JOB), "-m", "lathe-winder", "--nominal", "--speed", "0"]
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
@@ -164,7 +164,7 @@ def test_a_fault_whose_time_never_comes_is_told(
 
 @pytest.mark.long(shown_by="test_a_machine_that_has_moved_is_no_wrong_input")
 def test_a_closed_input_and_the_longest_name_are_no_obstacle(tmp_path: Path) -> None:
-    """As a service has it: there is no standard input, of which Python makes None."""
+    """A service, for example, has no standard input, for which Python has None."""
     job = tmp_path / f"{'a' * 251}.prg"
     job.write_bytes(JOB.read_bytes())
     words = shlex.join(

@@ -1,4 +1,4 @@
-"""Traces in MCAP: nothing is lost on the way, and what a crash leaves can be read and judged."""
+"""Traces in MCAP: complete, and readable and judged after a crash."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def short_recording() -> Recording:
 
 
 def whole_file(recording: Recording) -> tuple[bytes, list[int]]:
-    """Return the bytes of the file, and how long it was after each block."""
+    """Return the bytes of the file, and its length after each block."""
     file, lengths = io.BytesIO(), []
     writer = TraceWriter(file, recording)
     for block in recording:
@@ -89,7 +89,7 @@ def test_the_peers_reader_reads_it(recording: Recording) -> None:
 def test_what_a_crash_leaves(
     recording: Recording, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    """Cut behind its first block: every whole block is there, and it says that it broke off."""
+    """Cut after its first block: every whole block is there, and the trace says it broke off."""
     content, lengths = whole_file(recording)
     cut = data.draw(st.integers(lengths[0], lengths[-1] + 4))
     path = tmp_path_factory.mktemp("cut") / "a.mcap"
@@ -106,7 +106,7 @@ def test_what_a_crash_leaves(
 
 
 def figures(path: Path) -> tuple[object, ...]:
-    """Return all that a recording says, or the one line that refuses it."""
+    """Return the whole content of a recording, or the line of its refusal."""
     try:
         found = read_recording(path)
         samples = {c.name: found.samples(c.name)[1].tobytes() for c in found.channels}
@@ -120,7 +120,7 @@ def figures(path: Path) -> tuple[object, ...]:
 def test_no_flipped_bit_changes_a_figure_unnoticed(
     recording: Recording, tmp_path: Path, finished: bool
 ) -> None:
-    """Every bit of a head, and a thousand others, of a whole trace and of one that broke off."""
+    """Every bit of a head, and a thousand others, of a whole trace and of a broken-off one."""
     content, lengths = whole_file(replace(recording, blocks=Stream.of(list(recording)[:4])))
     content = content if finished else content[: lengths[-1] - 7]
     path = tmp_path / "flipped.mcap"
@@ -142,7 +142,7 @@ def test_no_flipped_bit_changes_a_figure_unnoticed(
 def test_a_trace_without_checksums_is_refused_with_what_to_do(
     recording: Recording, tmp_path: Path
 ) -> None:
-    """Whole, or broken off: nobody could tell whether a bit of it was turned."""
+    """Whole, or broken off: nobody could tell whether a bit was flipped."""
     content = bare_file(recording)
     path = tmp_path / "bare.mcap"
     for part in (content, content[: len(content) // 2]):
@@ -222,7 +222,7 @@ def bare_file(recording: Recording) -> bytes:
 
 
 def packed(recording: Recording, compression: str, size: int, more: bytes = b"") -> bytes:
-    """Return the file with all that follows its head in one chunk, which says it has ``size``."""
+    """Return the file with everything after its head in one chunk of the stated ``size``."""
     content = bare_file(recording)
     at = 8 + 9 + int.from_bytes(content[9:17], "little")  # behind magic and header
     end = content.index(b"\x0f" + (4).to_bytes(8, "little"), at)
@@ -252,7 +252,7 @@ def test_what_another_tool_has_packed_is_read(
 def test_a_chunk_that_lies_is_refused_before_it_is_unpacked(
     recording: Recording, tmp_path: Path, compression: str, size: int
 ) -> None:
-    """A gigabyte of zeros is 4 MB packed; room is made for what the chunk says, if for so much."""
+    """A gigabyte of zeros is 4 MB packed; memory is reserved for the stated size, if at all."""
     path = tmp_path / "bomb.mcap"
     path.write_bytes(packed(recording, compression, size, bytes(1 << 24)))
     tracemalloc.start()
@@ -266,7 +266,7 @@ def test_a_chunk_that_lies_is_refused_before_it_is_unpacked(
 def test_records_that_are_cut_short_inside_are_refused(
     recording: Recording, tmp_path: Path
 ) -> None:
-    """Whole by their lengths, and yet without the fields that they should have."""
+    """Their lengths are right, but some of their fields are missing."""
     content = whole_file(recording)[0]
     head = 8 + 9 + int.from_bytes(content[9:17], "little")
     for kind in (b"\x03", b"\x05", b"\x06"):

@@ -1,4 +1,4 @@
-"""Runs are kept as they go: what is there before anything moves, and what a crash leaves."""
+"""Stored runs: what is written before anything moves, and what a crash leaves."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_a_run_has_all_that_it_was_made_from(
 def test_a_crash_loses_at_most_a_second(
     proof: Proof, known: ProofFile, tmp_path: Path, tick: int
 ) -> None:
-    """kill -9 at a tick of the run: the trace has all up to the last report, and says it broke."""
+    """kill -9 at a tick of the run: the trace ends at the last report, and says so."""
     store = RunStore(tmp_path / "runs")
     run = store.begin(proof.plan, known, {"link": "sim"}, 0.0)
     ours, theirs = socket.socketpair()
@@ -141,7 +141,7 @@ def test_a_crash_loses_at_most_a_second(
     (record,) = store.index.runs()
     assert record.ended == RUNNING
     with run:
-        pass  # of this process, which has written nothing
+        pass  # number of this process, which has written nothing
 
 
 def test_a_run_that_never_began_says_why(proof: Proof, known: ProofFile, tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_a_run_that_never_began_says_why(proof: Proof, known: ProofFile, tmp_pat
 def test_the_disk_is_ordered_to_take_it_up_as_it_goes(
     proof: Proof, known: ProofFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A loss of the computer's power leaves the trace up to the last order."""
+    """A loss of the computer's power leaves the trace up to the last such order."""
     assert run_store.SYNC_S < 1.0
     monkeypatch.setattr(run_store, "SYNC_S", 0.0)
     ordered: list[int] = []
@@ -202,7 +202,7 @@ def test_a_refused_run_has_a_verdict_and_is_listed(
 
 
 def test_the_last_run_is_the_one_that_began_last(tmp_path: Path) -> None:
-    """Two that began in one second are not in the order of their names; nor are time zones."""
+    """Runs that began in one second are not in the order of their names; time zones differ, too."""
     store = RunStore(tmp_path)
     for run, started in (
         ("20261122-120000-x", "2026-11-22T12:00:00.100000+00:00"),
@@ -235,7 +235,7 @@ RECORD = RunRecord(
 
 @pytest.mark.parametrize("name", ["a?b", "a%20b", "a#b", "a@b", "a;b", "mode=memory?x", ":memory:"])
 def test_the_index_lies_in_the_folder_whatever_that_is_called(name: str, tmp_path: Path) -> None:
-    """As a URL, "a?b/index.sqlite" was the file "a": all stores called so shared one index."""
+    """As a URL, "a?b/index.sqlite" was the file "a": all stores with such names shared an index."""
     store = RunStore(tmp_path / name)
     store.index.add(RECORD)
     assert [path.name for path in tmp_path.iterdir()] == [name]
@@ -274,7 +274,7 @@ def test_an_index_that_holds_something_else_is_one_line(
 def test_a_full_disk_ends_the_run_and_names_it(
     proof: Proof, known: ProofFile, tmp_path: Path
 ) -> None:
-    """The disk is full at the third block: the machine is left to its own braking."""
+    """The disk is full at the third block: the machine brakes by itself."""
 
     class Full:
         def __init__(self, file: IO[bytes], room: int) -> None:
@@ -309,7 +309,7 @@ def test_a_full_disk_ends_the_run_and_names_it(
 def test_a_run_without_samples_has_one_line_for_a_report(
     known: ProofFile, proof: Proof, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Stopped while it homed, with an event and no sample; or killed before it wrote anything."""
+    """It was stopped while it homed, with an event and no sample, or killed before any writing."""
     store = RunStore(tmp_path / "runs")
     run = store.begin(proof.plan, known, {"link": "sim"}, 1.0)
     channels = proof.recording.channels
@@ -340,7 +340,7 @@ def test_a_run_without_samples_has_one_line_for_a_report(
 def test_a_trace_that_was_lost_is_no_run_without_samples(
     known: ProofFile, proof: Proof, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The index knows that the run was judged: it did not end before its first sample."""
+    """The index shows that the run was judged: it did not end before its first sample."""
     store = RunStore(tmp_path / "runs")
     run = store.begin(proof.plan, known, {"link": "sim"}, 1.0)
     with run:

@@ -1,4 +1,4 @@
-"""Several programs at one store, and an index that somebody else keeps locked."""
+"""Several programs with one store, and an index that another program keeps locked."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def record(run: str) -> RunRecord:
 
 
 def test_programs_that_begin_at_once_all_get_their_rows(tmp_path: Path) -> None:
-    """On a store that is not there yet: one makes the table, the others find it."""
+    """The store does not exist yet: one program makes the table, the others find it."""
     children, (gate, open_it) = [], os.pipe()
     for number in range(PROGRAMS):
         pid = os.fork()
@@ -60,7 +60,7 @@ def test_programs_that_begin_at_once_all_get_their_rows(tmp_path: Path) -> None:
 
 
 def test_a_store_names_the_database_of_its_index(tmp_path: Path) -> None:
-    """Every command finds it there; the folder has no index of its own then."""
+    """Every command finds the index there; then the folder has none."""
     folder = tmp_path / "runs"
     folder.mkdir()
     (folder / INDEX_URL).write_text(f"sqlite:///{tmp_path / 'elsewhere.sqlite'}\n", "utf-8")
@@ -78,9 +78,9 @@ def test_a_store_names_the_database_of_its_index(tmp_path: Path) -> None:
 
 
 def test_the_table_is_one_of_postgresql(tmp_path: Path) -> None:
-    """As its dialect writes the table that is made in SQLite.
+    """The dialect of PostgreSQL writes the same table as is made in SQLite.
 
-    ``docs/running.md`` says with which server it was tried.
+    ``docs/running.md`` names the server with which it was tried.
     """
     RunStore(tmp_path)
     made = Table("runs", MetaData(), autoload_with=create_engine(f"sqlite:///{tmp_path / INDEX}"))
@@ -92,13 +92,13 @@ def test_the_table_is_one_of_postgresql(tmp_path: Path) -> None:
 
 
 def at_once(url: Any, **options: Any) -> Any:
-    """Wait no five seconds for a lock that nobody takes off."""
+    """Do not wait five seconds for a lock that nobody releases."""
     return create_engine(url, connect_args={"timeout": 0.05}, **options)
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="nothing says what is open")
 def test_the_index_is_open_while_it_is_used_alone(tmp_path: Path) -> None:
-    """Python 3.13 warns of a database that is let go of while it is open."""
+    """Python 3.13 warns if a database is dropped while it is open."""
     kept = RunIndex(tmp_path / INDEX)
     kept.add(record("first"))
     assert [row.run for row in kept.runs()] == ["first"]
@@ -153,7 +153,7 @@ def test_a_folder_without_an_index_has_no_runs(
 def test_a_run_whose_index_is_locked_at_its_end_is_kept_and_entered_later(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is no fault: trace and verdict are there, and the next look at the store enters them."""
+    """This is no fault: trace and verdict exist, and the next look at the store enters them."""
     monkeypatch.chdir(tmp_path)
     locked: list[sqlite3.Connection] = []
     write = OpenRun._write

@@ -1,4 +1,4 @@
-"""Runs that continue each other are judged as one: what each did up to where the next began."""
+"""Runs that continue each other are judged as one, each up to the begin of the next."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from threadline.verdict import judge, load_spec
 
 
 def in_folder(folder: Path, recording: Recording, continues: str = "") -> Path:
-    """Write a trace as a run of that name would have it."""
+    """Write a trace like that of a run with this name."""
     folder.mkdir(parents=True)
     origin = {**recording.origin, **({"continues": continues} if continues else {})}
     write_recording(replace(recording, origin=origin), folder / "trace.mcap")
@@ -27,10 +27,10 @@ def in_folder(folder: Path, recording: Recording, continues: str = "") -> Path:
 @pytest.mark.long(but="letter-placer")
 @pytest.mark.parametrize("name", [name for name in JOBS if name != "schiffli-frame"])
 def test_all_runs_of_a_job_are_judged_as_one(name: str, tmp_path: Path) -> None:
-    """Against a run that nothing broke off: the same verdict, line by line, and near its figures.
+    """Compared with an uninterrupted run: the same verdict, line by line, and nearly its figures.
 
-    A frame comes to its place by the program itself, as cylinders do, and takes 20 s more.
-    Axes start from rest at the joint, so that they follow otherwise there: 20 % of a limit.
+    A frame moves to its place by the program itself, as cylinders do, and takes 20 s more. Axes
+    start from rest at the joint, so that they follow differently there: 20 % of a limit.
     """
     plan = planned(name)
     first, rest = broken_off(name)[0], rest_of(name)[1]
@@ -59,7 +59,7 @@ def test_all_runs_of_a_job_are_judged_as_one(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.long(shown_by="test_all_runs_of_a_job_are_judged_as_one")
 def test_what_a_run_has_not_reached_is_of_the_run_before_it(tmp_path: Path) -> None:
-    """Broken off twice, and continued from a place that the second run had begun behind."""
+    """Broken off twice, and continued from a place before the begin of the second run."""
     plan = planned("lathe-winder")
     first, executed = broken_off("lathe-winder")
     (ended, _), second, _ = run(plan, continued(plan, executed, at_rest=False), "power-loss@2 s")

@@ -16,7 +16,7 @@ from threadline.twin import simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 VESSEL = EXAMPLES / "vessel.wind.toml"
-FIRST_S = 6.0  # of the circuit: over a dome and along the cylinder
+FIRST_S = 6.0  # part of the circuit: over a dome and along the cylinder
 
 
 def planned(machine: Machine) -> Plan:

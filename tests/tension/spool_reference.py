@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers of a spool, in SI."""
+    """The numbers of a spool, in SI."""
 
     radius: float
     inertia: float
@@ -67,7 +67,7 @@ class Reference:
         ]
 
     def events(self) -> list[tuple[str, Callable[[float, np.ndarray], float]]]:
-        """Each function becomes positive at its event."""
+        """Return events: each function becomes positive at its event."""
         n = self.n
         found: list[tuple[str, Callable[[float, np.ndarray], float]]] = []
         if self.held:

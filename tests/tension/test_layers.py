@@ -1,4 +1,4 @@
-"""Tension by layer: what a job asks for, how the brake follows it, and how it is judged."""
+"""Tension by layer: wanted by a job, followed by the brake, and judged."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from threadline.verdict import Spec, judge
 from threadline.verdict.types import Criterion, Result, Status
 from threadline.winding.product import product_text, with_mandrel
 
-BLOCKS, CHANGE = 110, 55  # of the circuit, and the one from which on the tension is another one
+BLOCKS, CHANGE = 110, 55  # operations of the circuit, and the first one with the second tension
 ASKED = 8.4, 7.4
 
 
@@ -80,7 +80,7 @@ def test_each_layer_of_a_planned_winding_has_its_own() -> None:
 
 
 def test_the_brake_follows_the_program(plan: Plan, recorded: Recording) -> None:
-    """The mean of each part is what the part asks for; with a fixed brake it is the machine's."""
+    """Each part has its wanted tension as its mean; with a fixed brake it is the machine's."""
     operation = recorded.samples("operation")[1].astype(int)
     tension = recorded.samples("tension")[1]
     (first, _), (second, _) = tensions_of(plan.job)
@@ -103,13 +103,13 @@ def test_it_is_tied_under_the_tension_of_its_first_layer(recorded: Recording) ->
 
 
 def test_each_part_is_judged_against_its_own_mean(plan: Plan, recorded: Recording) -> None:
-    """12 % lie between the two tensions; each is even within 2 %."""
+    """The two tensions differ by 12 %; each is even within 2 %."""
     found = variation(recorded, plan)
     assert found.status is Status.PASSED
     assert found.measured is not None and found.measured < 0.02
     assert f"asked {ASKED[0]:g} N" in found.note or f"asked {ASKED[1]:g} N" in found.note
     tension = recorded.samples("tension")[1]
-    assert np.abs(tension / tension.mean() - 1.0).max() > 0.05  # against one mean
+    assert np.abs(tension / tension.mean() - 1.0).max() > 0.05  # against a single mean
 
 
 def test_the_beginning_of_a_layer_does_not_count_and_its_middle_does(
@@ -139,7 +139,7 @@ def test_a_tension_beyond_the_brake_is_refused_by_its_line(tmp_path: Path) -> No
 
 
 def test_the_arm_takes_up_least_at_the_lowest_tension(tmp_path: Path) -> None:
-    """The limit of the slack is that of the layer with the least room of the arm."""
+    """The layer with the least room of the arm sets the limit of the slack."""
     file = tmp_path / "p.wind.toml"
     text = VESSEL.read_text().replace('take_up = "50 mm"\n', "")
     file.write_text(text + 'tension = "6 N"\n')

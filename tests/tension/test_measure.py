@@ -1,4 +1,4 @@
-"""The criterion ``tension_variation``: its value, its place, and what it needs."""
+"""The criterion ``tension_variation``: its value, its place, and its inputs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> Spec:
 def with_tension(
     recording: Recording, change: Callable[[np.ndarray, int], np.ndarray]
 ) -> Recording:
-    """Return a recording with another tension: of its own, and the tick of its first sample."""
+    """Return a recording with another tension, and the tick of its first sample."""
     blocks: list[RecordingBlock] = []
     for block in recording.blocks:
         first = next(iter(block.first_tick.values()))
@@ -85,7 +85,7 @@ def test_what_is_before_the_fibre_and_behind_it_does_not_count(
 
 
 def test_a_rest_between_counts(plan: Plan, whole: Recording, spec: Spec) -> None:
-    """The simulated tension itself: its extremes over the samples that count, and its mean."""
+    """The simulated tension itself: the extremes of the counting samples, and their mean."""
     found = measured(whole, plan, spec)
     _times, tension = whole.samples("tension")
     assert found.measured is not None and found.time_s is not None

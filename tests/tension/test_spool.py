@@ -1,4 +1,4 @@
-"""The tension between spool and mandrel, against closed forms and an independent integrator."""
+"""The tension between spool and mandrel, compared with closed forms and an integrator."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SPOOL = Numbers(
 
 
 def numbers_of(spool: Numbers, friction: float = 0.0) -> np.ndarray:
-    """Return the row that the compiled spool takes."""
+    """Return the row of numbers for the compiled spool."""
     r, j, torque, stiction, k, c, *arm = astuple(spool)
     return np.array([r, j, torque, stiction / torque, friction, k, c, *arm])
 
@@ -130,7 +130,7 @@ def test_an_even_acceleration_adds_the_inertia_of_spool_over_its_radius() -> Non
 
 
 def test_the_arm_takes_up_what_the_eye_gives_back_until_its_lower_stop() -> None:
-    """At a reversal the spool stands; the arm moves by half of the fibre and loses its spring."""
+    """At a reversal the spool stands; the arm moves by half of the fibre and its spring relaxes."""
     row = numbers_of(SPOOL)
     state = drawn(row[None])[0]
     way, before = state[Y], state[TENSION]
@@ -140,7 +140,7 @@ def test_the_arm_takes_up_what_the_eye_gives_back_until_its_lower_stop() -> None
     speeds *= back / (TICK_S * speeds[:401].sum()) * -1.0
     for v0, v1 in pairwise(speeds):
         unwind(state, row, 0.5 * (v0 + v1) * TICK_S, v1, TICK_S, steps)
-    less = (before - state[TENSION]) / SPOOL.stiffness  # the fibre grows shorter, too
+    less = (before - state[TENSION]) / SPOOL.stiffness  # the fibre gets shorter, too
     assert state[STUCK] == 1.0
     assert way - state[Y] == pytest.approx(0.5 * (back - less), rel=1e-6)
     assert 2.0 * state[TENSION] == pytest.approx(SPOOL.preload + SPOOL.spring * state[Y], rel=1e-6)
@@ -172,7 +172,7 @@ _KNOT = 40  # ticks
 
 
 def _way(seed: int, knots: int) -> np.ndarray:
-    """Return speeds of a fibre with reversals and rests, m/s: straight between the knots."""
+    """Return speeds of a fibre with reversals and rests, m/s, straight between the knots."""
     random = np.random.default_rng(seed)
     found = random.uniform(-0.06, 0.3, knots + 1)
     found[[0, knots // 2, knots // 2 + 1, -1]] = 0.0
@@ -194,7 +194,7 @@ def _way(seed: int, knots: int) -> np.ndarray:
 def test_against_dop853_with_events(spool: Numbers, seed: int) -> None:
     """Random ways with reversals: within 2 mN, a part in 4000 of the tension.
 
-    The compiled spool is of fourth order in its steps; impacts on the stops pass an error on.
+    The compiled spool is of fourth order in its steps; impacts on the stops carry an error on.
     """
     speeds = _way(seed, 30)
     at = TICK_S * np.arange(len(speeds))

@@ -1,4 +1,4 @@
-"""The tension in the twin: what it does to the axes, and where it comes from."""
+"""The tension in the twin: its effect on the axes, and its causes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_spool_without_a_mandrel_changes_nothing(beginning: TickTable) -> None
 
 
 def test_the_fibre_pulls_at_the_axes_by_virtual_work(plan: Plan) -> None:
-    """What the eye gives out per change of a coordinate, against the length of fibre replayed."""
+    """The length given out per change of a coordinate equals the change of the replayed fibre."""
     job = wound_job(plan)
     assert job is not None
     samples = _some_places(plan, job)

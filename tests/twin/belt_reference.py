@@ -1,7 +1,7 @@
 """A motor that drives a head through a belt, integrated by scipy between exact instants.
 
-The numbers are those of ``BELT_AXIS``; nothing here comes from the machine's equations in the
-package. The controller is written out too, with and without its quantisers.
+The numbers are those of ``BELT_AXIS``; nothing here uses the package's equations of the machine.
+The controller is written out, too, with and without its quantisers.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def closed_loop(
 ):
     """Return the (n, state) states at the ticks: PD, DAC clamped, inputs delayed.
 
-    With quantisers the encoder, at rest between two counts, gives whole counts and the DAC is
-    given the nearest whole level.
+    With quantisers the encoder, which rests between two counts, gives whole counts, and the DAC
+    gets the nearest whole level.
     """
     x = np.zeros(state)
     error_before, reference, now = 0.0, 0.0, Fraction(0)
@@ -56,7 +56,7 @@ def integrate(slope, x, span, events=()):
 
 
 def amperes(limit=None):
-    """Return the law of the current: of the volts and the speed, clipped where there is a limit."""
+    """Return the current as a function of volts and speed, clipped at a limit if there is one."""
     most = np.inf if limit is None else limit
     return lambda volts, w: min(most, max(-most, (volts - KE * w) / R))
 

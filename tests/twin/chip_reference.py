@@ -1,9 +1,9 @@
 """A stitcher's axis with its motion chip, integrated by scipy between exact instants.
 
-Nothing here comes from the machine's equations in the package: motor, coil, belt, head and frame
-are written out, dead time is a list of arrivals in exact fractions, and a clamped current is
-integrated piece by piece with events. Instants are those at which anything jumps: every tick of
-the filter, every arrival of a level, every tick of the references.
+Nothing here uses the package's equations of the machine: motor, coil, belt, head and frame are
+written out, dead time is a list of arrivals in exact fractions, and a clamped current is integrated
+piece by piece with events. The instants are those of any jump: every tick of the filter, every
+arrival of a level, every tick of the references.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Axis:
         return COUNTS * (y[3] / RATIO if self.at_head else y[0])
 
     def _slope(self, y: np.ndarray, volts: float, held: bool) -> np.ndarray:
-        # Plain floats: of numbers alone, numpy takes four times as long, to the same last bit.
+        # Plain floats: for scalars numpy takes four times as long, with the same last bit.
         theta, omega, i, x, v, *frame = y.tolist()
         place, speed = frame or (0.0, 0.0)
         stretch = RATIO * theta - x - place
@@ -69,7 +69,7 @@ class Axis:
         return np.array(out)
 
     def advance(self, y: np.ndarray, volts: float, span: float) -> np.ndarray:
-        """Integrate over ``span`` with held volts; the current as ``clamp`` says."""
+        """Integrate over ``span`` with held volts; ``clamp`` is the mode of the current."""
 
         def rate(state: np.ndarray) -> float:
             return (volts - KV * state[1] - R * state[2]) / L
@@ -78,7 +78,7 @@ class Axis:
             at = self.mode["at"]
             if at and at * rate(y) < 0:
                 at = self.mode["at"] = 0
-            # Which way the current crosses its limit next, unless it is there to begin with.
+            # Side on which the current crosses its limit next, unless it is there already.
             away = abs(y[2]) - LIMIT
             side = 1.0 if self.clamp == "state" else -np.sign(away) * (abs(away) > 1e-9)
 
@@ -181,7 +181,7 @@ class IntegralVelocity:
 
 @dataclass
 class Trapezoid:
-    """To a target, in integers: 256ths of a count and of a count per tick."""
+    """Motion to a target, in integers: 256ths of a count and of a count per tick."""
 
     acceleration: int
     velocity: int

@@ -1,4 +1,4 @@
-"""Shared helpers: tables of commands, and an integrator that is not ours."""
+"""Shared helpers: tables of commands, and an independent integrator."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def table() -> Callable[..., TickTable]:
 
 @pytest.fixture
 def there_and_back() -> Callable[[int, int], np.ndarray]:
-    """Counts per tick of a linear move of ``distance`` counts out and back."""
+    """Return counts per tick of a linear move of ``distance`` counts forth and back."""
 
     def move(feed: int, distance: int = 10_000) -> np.ndarray:
         out = np.full(distance // feed, feed)

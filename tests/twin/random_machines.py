@@ -1,4 +1,4 @@
-"""Machines of random parts: two axes of bodies in a chain, on a common frame or each alone."""
+"""Machines of random parts: two axes of bodies in a chain, on a common frame or separate."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ FILTERS = {
 
 
 def number(value: float, unit: str = "") -> str:
-    """Return a value as a machine file has it."""
+    """Return a value as text of a machine file."""
     return f'"{value!r} {unit} exact, assumed"'.replace("  ", " ")
 
 
 class Maker:
-    """Writes one machine file; ``used`` names the features that it has."""
+    """Writes a machine file; ``used`` names its features."""
 
     def __init__(self, seed: int) -> None:
         self.random = np.random.default_rng(seed)
@@ -118,7 +118,7 @@ class Maker:
         )
         self.link(f"{name}_belt", weights, self.among(8e3, 4e4), self.among(5.0, 30.0))
         self.drive(name, name)
-        # An encoder behind a play would limit-cycle; loops that are unstable tell nothing.
+        # An encoder behind a play would limit-cycle; unstable loops prove nothing.
         at_head = self.has("head feedback", 0.15)
         counts = 500.0 / radius
         read = (

@@ -1,7 +1,7 @@
 """Parts of the slow twin's network, written from the documents and the equations.
 
-Nothing here comes from the engine or from the machine's equations in the package; the machine file
-gives the numbers. Each part is one affine law at a time, and says what ends it.
+Nothing here uses the engine or the package's equations of the machine; the machine file gives the
+numbers. Each part has one affine law at a time, and states what ends it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SLACK = 1e-13
 
 @dataclass
 class Watch:
-    """A law holds while ``row . z <= 0``; then ``leave`` makes it another."""
+    """A law holds while ``row . z <= 0``; then ``leave`` replaces it by another law."""
 
     row: np.ndarray
     leave: Callable[[np.ndarray], None]
@@ -27,10 +27,10 @@ class Watch:
 
 @dataclass
 class Held:
-    """A state that stands still at a value while the force on it is within bounds."""
+    """A state that stays at a value while the force on it is within bounds."""
 
     state: int
-    scale: float  # of its derivative, to the force that is watched
+    scale: float  # from its derivative to the watched force
     low: float
     high: float
     leave_low: Callable[[np.ndarray], None]
@@ -43,7 +43,7 @@ class Part:
     mode = "free"
 
     def __init__(self, direction: np.ndarray) -> None:
-        self.direction = direction  # what a unit of it adds to the derivative of z
+        self.direction = direction  # effect of a unit of it on the derivative of z
 
     def law(self) -> np.ndarray:
         raise AssertionError
@@ -62,7 +62,7 @@ class Part:
 
 
 class Belt(Part):
-    """Two runs, each pulls with ``max(0, P + its share of the spring's force)``."""
+    """Two runs, each of which pulls with ``max(0, P + its share of the spring's force)``."""
 
     def __init__(self, direction, spring, preload, first) -> None:
         super().__init__(direction)
@@ -126,7 +126,7 @@ class Play(Part):
 
 
 class Friction(Part):
-    """Coulomb's: a body sticks up to the breakaway force and slides against the lower one."""
+    """Coulomb friction: a body sticks up to the breakaway force and slides against a lower one."""
 
     def __init__(self, direction, speed, inertia, sliding, breakaway) -> None:
         super().__init__(direction)
@@ -159,10 +159,10 @@ class Friction(Part):
 
 
 class Motor(Part):
-    """A current: free, at a limit, or cut off for good by a switch.
+    """A current: free, at a limit, or switched off for good.
 
-    ``clamped`` is the state of a coil whose current itself is held at the limit, -1 where what is
-    clipped is taken from a law or from an integrator that runs on.
+    ``clamped`` is the state of a coil whose current itself is held at the limit, and -1 if the
+    clipped current comes from a law or from an integrator that runs on.
     """
 
     def __init__(self, direction, free, upper, lower, clamped, scale) -> None:

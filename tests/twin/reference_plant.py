@@ -1,9 +1,8 @@
 """The network of the slow twin: all bodies of a machine as one system of affine laws.
 
-Between two instants the whole is ``z' = A z`` with ``z = [states, inputs, 1]``, whose exponential
-gives it at any time. What ends a law is watched on a grid of an eighth of the fastest rate, and
-between its points at every peak; Brent's method finds the place on the series of the exponential,
-taken to 1e-43.
+Between two instants the whole is ``z' = A z`` with ``z = [states, inputs, 1]``, and the exponential
+gives z at any time. The end of a law is watched on a grid of an eighth of the fastest rate, and at
+every peak between grid points; Brent's method finds it on the series of the exponential, to 1e-43.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from threadline.machine import Machine
 
 PER_RATE = 8.0
 MOST_CHANGES = 400
-TERMS = 24  # the last is an eighth to its power, over its factorial: 1e-43 of the first
+TERMS = 24  # the last term is an eighth to its power, over its factorial: 1e-43 of the first
 
 
 class Plant:
@@ -133,7 +132,7 @@ class Plant:
         return self.weights(sensor.reads) / axis.counts.si
 
     def _equations(self) -> tuple[np.ndarray, list[Watch]]:
-        """Return the generator of the modes in force and what ends one of them."""
+        """Return the generator of the present modes, and the conditions that end one of them."""
         A = self.A.copy()
         watches: list[Watch] = []
         for part in self.parts:
@@ -154,7 +153,7 @@ class Plant:
         return A, watches
 
     def advance(self, span: float) -> None:
-        """Go on for a time with the inputs as they are."""
+        """Advance by a time with constant inputs."""
         left = span
         for _ in range(MOST_CHANGES):
             modes = tuple(part.mode for part in self.parts)
@@ -199,7 +198,7 @@ class Plant:
         return self.powers[modes] @ z * (time ** np.arange(TERMS))[:, None]
 
     def _until(self, A, watches, left) -> tuple[float, Watch | None]:
-        """Return the time of the first exit, and whose it is; all of ``left`` without one."""
+        """Return the time of the first exit, and its law; the whole ``left`` without one."""
         steps = max(2, ceil(PER_RATE * self._rate(A) * left))
         grid = left / steps
         if not watches:
@@ -208,7 +207,7 @@ class Plant:
         slack = np.array([w.slack() for w in watches])
         now = self.z
         for k in range(steps):
-            terms = self._series(A, now, grid)  # of the state, over a part of the grid
+            terms = self._series(A, now, grid)  # change of the state, over a part of the grid
             values = rows @ terms.T
             values[:, 0] -= slack
             ends = values.sum(axis=1)

@@ -1,10 +1,10 @@
 """A slow twin, written from the documents and the equations: numpy, scipy and exact fractions.
 
-Nothing here comes from the engine; ``reference_plant.py`` has the network, and here are its
-controllers, converters and sensors, at instants that are exact fractions.
+Nothing here uses the engine; ``reference_plant.py`` has the network, and this file its controllers,
+converters and sensors, at instants that are exact fractions.
 
-Agreement that is asked for: 1e-6 counts without quantisers. What is left is the difference between
-two ways to round: the engine widens the bounds of its modes by 1e-12, so does this one by 1e-13.
+Both must agree to 1e-6 counts without quantisers. The difference comes from two ways to round: the
+engine widens the bounds of its modes by 1e-12, and this twin by 1e-13.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROUND = {"nearest": np.rint, "floor": np.floor, "truncate": np.trunc}
 
 @dataclass
 class Loop:
-    """A controller: its difference equation, what it remembers, and levels under way."""
+    """A controller: its difference equation, its memory, and the levels under way."""
 
     name: str
     b: tuple[float, float, float]

@@ -1,4 +1,4 @@
-"""Many variants at once against the twin of one machine: the same samples, the same measures."""
+"""Many variants side by side, compared with the twin of one machine: samples and measures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .belt_reference import ROWS, amplifier
 
 
 def test_batch_is_the_scalar_twin(belt_axis, table):
-    """Every variant of a batch is what ``simulate`` does with that machine, to 1e-9 counts."""
+    """Every variant of a batch equals ``simulate`` with that machine, to 1e-9 counts."""
     friction = np.array([1.0, 2.0, 4.0])
     line = 'friction = "{} N exact, assumed"\nstiction = "6 N exact, assumed"'
     machine = belt_axis(bodies_head=line.format(1))
@@ -36,7 +36,7 @@ def test_batch_is_the_scalar_twin(belt_axis, table):
 
 @pytest.mark.parametrize("quantised", [False, True])
 def test_wide_batch_is_the_scalar_twin(belt_axis, table, quantised):
-    """Variants side by side give what each gives alone, to the bit: with a limit and friction."""
+    """Variants side by side equal each one alone, to the bit: with a limit and friction."""
     limit = amplifier(1.5)
     inertia = np.linspace(1.0, 2.0, 70)
     machine = belt_axis(drives_m=limit, bodies_head='friction = "3 N exact, assumed"')
@@ -61,7 +61,7 @@ def test_wide_batch_is_the_scalar_twin(belt_axis, table, quantised):
 
 
 def test_lanes_in_several_modes(table):
-    """Sixteen advances of different length, lanes side by side in and out of their limit.
+    """Sixteen advances of different lengths, with lanes in and out of their limit.
 
     The stitcher's dead time cuts its ticks unevenly. Each variant alone gives the same to 1e-9
     counts, without quantisers.
@@ -88,7 +88,7 @@ def test_lanes_in_several_modes(table):
 
 
 def test_batch_measures(belt_axis, table):
-    """Worst error, end, window and current peak are those of the recording."""
+    """Worst error, end, window and current peak equal those of the recording."""
     machine = belt_axis()
     commands = table(machine, {"X": ROWS})
     phases = np.array([[0.1], [0.5], [0.9]])

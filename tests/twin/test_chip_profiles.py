@@ -1,7 +1,7 @@
-"""Positions that the motion chip makes itself, before its filter: scipy, integers, closed forms.
+"""Positions that the motion chip makes before its filter: scipy, integers, closed forms.
 
-The filter, the plant and the tolerances are those of ``test_stitcher``: 0.1 um at the head without
-quantisers, one encoder count (3.8 um) with them, while the current is limited.
+The filter, the plant and the tolerances are the same as in ``test_stitcher``: 0.1 um at the head
+without quantisers, one encoder count (3.8 um) with them, while the current is limited.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def machine_of(tmp_path, kind: str, acceleration: int, velocity: int | None = No
 
 
 def check_against(machine, given, profile, table, *, quantised: bool) -> np.ndarray:
-    """Assert that the head is where the reference has it; return the positions of the head."""
+    """Assert that the head follows the reference; return the positions of the head."""
     head = run(Axis(), given, LEAD, quantised=quantised, profile=profile)[:, 3]
     recording = simulate(table(machine, {"X": given}), machine, quantised=quantised)
     _, load = recording.samples("X.load")
@@ -58,7 +58,7 @@ def check_against(machine, given, profile, table, *, quantised: bool) -> np.ndar
 def test_integral_velocity(acceleration, quantised, table, tmp_path):
     """50 counts per ms, back at 30, on at 50: ramps at the filter's clock, whole counts per tick.
 
-    At 900/256 the ramps take longer than a reference and ask for more than 27 A.
+    At 900/256 the ramps take longer than a reference and need more than 27 A.
     """
     given = np.repeat([0, 90, -30, 50], [2, 18, 14, 6]) * (1 if acceleration < 500 else 2)
     machine = machine_of(tmp_path, "integral-velocity", acceleration)
@@ -68,9 +68,9 @@ def test_integral_velocity(acceleration, quantised, table, tmp_path):
 
 
 def test_integral_velocity_is_constant(table, tmp_path):
-    """In the end 7 counts in every tick; within 10 counts of 5147, what still rings of the load.
+    """At the end 7 counts in every tick; within 10 counts of 5147, as the load still rings.
 
-    The references alone ask for 6.94 counts, 47 less in the same time.
+    The references alone give 6.94 counts, 47 less in the same time.
     """
     machine = machine_of(tmp_path, "integral-velocity", 17)
     given = np.full(400, 51)  # 6.94 counts per tick
@@ -83,14 +83,14 @@ def test_integral_velocity_is_constant(table, tmp_path):
 @pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize(("acceleration", "velocity"), [(37, 11), (600, 20)])
 def test_trapezoid(acceleration, velocity, quantised, table, tmp_path):
-    """There, and back with a target that comes while the first profile is still under way."""
+    """Forth, and back with a target that comes while the first profile is still under way."""
     given = np.zeros(40, dtype=np.int64)
     given[[1, 6, 30]] = 1001, -1600, 3
     machine = machine_of(tmp_path, "trapezoid", acceleration, velocity)
     profile = Trapezoid(acceleration, velocity)
     head = check_against(machine, given, profile, table, quantised=quantised)
     assert np.ptp(head) > 5e-4
-    assert profile.target != 256 * 1001  # the next one was taken up
+    assert profile.target != 256 * 1001  # the next profile was begun
     assert profile.target != 256 * (1001 - 1600) or acceleration == 37
 
 
@@ -124,11 +124,11 @@ def test_registers(kind, acceleration, velocity, named, tmp_path):
 
 
 def test_feed_forward_is_refused(tmp_path):
-    """The inverse prescribes every reference; a chip that makes its own cannot have them."""
+    """The inverse needs to set every reference; a chip that makes its own does not allow that."""
     machine = machine_of(tmp_path, "integral-velocity", 17)
     motion = smooth_motion(np.array([0.0, 0.1]), np.array([[0.0], [0.0]]), np.full(5, 0.01))
     with pytest.raises(MachineError, match="generates positions itself"):
         feed_forward(machine, "X", motion, 0.0, 0.1)
-    # The way that commands take, run by run.
+    # The way of the commands, run by run.
     with pytest.raises(MachineError, match="generates positions itself"):
         AxisPreview(machine, "X")

@@ -1,7 +1,7 @@
-"""Every operation of the code writer against numpy, for the plain number and eight side by side.
+"""Every operation of the code writer, compared with numpy, for one number and eight together.
 
-Additions, products, quotients, roundings and choices are those of IEEE 754 and must be the same to
-the bit; a fused product is compared with exact fractions, rounded once.
+Additions, products, quotients, roundings and choices follow IEEE 754 and must agree to the bit; a
+fused product is compared with exact fractions, rounded once.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def exact(a: float, b: float, c: float) -> float:
 
 @WIDTHS
 def test_fused_products(width):
-    """Rounded once, and so different from a product and a sum somewhere."""
+    """It is rounded once, so it differs from a product and a sum somewhere."""
     found = run(width, lambda k, a, b, c: k.fma(a, b, c), A, B, C)
     expected = np.array([exact(*abc) for abc in zip(A, B, C, strict=True)])
     same(found, expected)
@@ -107,7 +107,7 @@ def test_fused_products(width):
 
 @WIDTHS
 def test_totals(width):
-    """The first term is a product where there is no start; each later one is fused."""
+    """Without a start the first term is a product; each later one is fused."""
     found = run(width, lambda k, a, b, c: k.total([(a, b), (b, c)]), A, B, C)
     same(found, np.array([exact(b, c, a * b) for a, b, c in zip(A, B, C, strict=True)]))
     started = run(width, lambda k, a, b, c: k.total([(a, b)], c), A, B, C)
@@ -117,7 +117,7 @@ def test_totals(width):
 
 @WIDTHS
 def test_nothing_that_is_not_a_number_compares(width):
-    """As in IEEE 754: every comparison with it is false, so that no guard is left by it."""
+    """By IEEE 754 every comparison with it is false, so that it leaves no guard."""
     nothing = np.full(8, np.nan)
     for compare in ("__lt__", "__gt__", "__le__", "__ge__", "equals"):
         found = run(
@@ -171,7 +171,7 @@ def test_integers_loops_and_branches(width):
 
 @WIDTHS
 def test_memory(width):
-    """Single numbers, vectors, room of the function's own, and integers read as such."""
+    """Single numbers, vectors, memory of the function itself, and integers read as such."""
 
     def write(code, a, b):
         room = code.space(3 * width)
@@ -189,7 +189,7 @@ def test_memory(width):
 
 
 def test_functions_call_functions():
-    """By name within a module, and by address: what a callback into Python is."""
+    """By name within a module, and by address, like a callback into Python."""
     module = ir.Module("calls")
     inner = Code(module, "inner", (POINTER,), 1, True)
     inner.write(inner.arguments[0], 0, inner.read(inner.arguments[0], 0) * 3.0)

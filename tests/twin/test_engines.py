@@ -1,4 +1,4 @@
-"""Engines are made once for the same machine, numbers and start, and for nothing else."""
+"""Engines are shared for the same machine, numbers and start, and for nothing else."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_many_variants_are_not_kept() -> None:
 
 
 def test_runs_that_share_an_engine_do_not_touch_each_other() -> None:
-    """Two recordings of other commands, read in turns, are those that are read alone."""
+    """Two recordings of different commands, read in turns, equal those that are read alone."""
     tables = []
     for way in (0.01, -0.02):
         job = job_of([[0.0], [way], [0.0]], ("X",), None)

@@ -1,8 +1,8 @@
-"""The first exit of a guard against a dense scan of the same function.
+"""The first exit of a guard, compared with a dense scan of the same function.
 
 Guards within a cell are sums of exponentials whose rates times the cell are at most a half, given
-to the search by Taylor's series; they are scanned here at 4001 points as exponentials. Bounds are
-set where they are just reached, just missed, and crossed.
+to the search by Taylor's series; here they are scanned at 4001 points as exponentials. Bounds are
+just reached, just missed, and crossed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from threadline.twin.kernel.exits import write_first_exit
 from threadline.twin.kernel.names import Exit
 
 COMPILER = Compiler()
-RATE = 0.5  # times the cell, the most that a cell has
+RATE = 0.5  # largest rate times the length of a cell
 TERMS = next(k for k in range(4, 40) if RATE ** (k + 1) / factorial(k + 1) < 1e-17)
 SECTIONS = ceil(RATE / 0.3)
 HIDDEN = 1.0 / 100.0
@@ -73,7 +73,7 @@ class Guards:
         self.rates = -size * np.exp(1j * angle)
         self.weights = random.normal(size=(count, 3)) * phase
         if monotone:
-            # One real exponential: it goes one way, whatever its rate.
+            # One real exponential is monotone, whatever its rate.
             self.rates, self.weights = self.rates.real + 0j, self.weights.real + 0j
             self.weights[:, 1:] = 0.0
         k = np.arange(TERMS + 1)
@@ -106,7 +106,7 @@ def bounds(guards: Guards, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_against_scan(guards, low, high, whole, found) -> int:
-    """Assert what the search promises of every case; return how many exits there were."""
+    """Assert the promise of the search for every case; return the number of exits."""
     until, side = found
     inside = guards.grid <= whole
     hidden = HIDDEN * whole**4 * guards.bend + 1e-12
@@ -120,7 +120,7 @@ def check_against_scan(guards, low, high, whole, found) -> int:
         assert 0.0 < until[i] <= whole, i
         assert abs(guards.at(i, until[i]) - bound) < 1e-12 * max(1.0, abs(bound)), i
         assert not len(clear) or guards.grid[clear[0]] >= until[i] - 1e-12, i
-        # And no sooner than where it is first outside, found by another method.
+        # And no sooner than its first point outside, found by another method.
         first = int(np.argmax(beyond > 0)) if (beyond > 0).any() else len(beyond) - 1
         ends = guards.grid[max(first - 1, 0)], guards.grid[first]
         gaps = [guards.at(i, s) - bound for s in ends]
@@ -135,7 +135,7 @@ def check_against_scan(guards, low, high, whole, found) -> int:
 @pytest.mark.parametrize("monotone", [False, True])
 @pytest.mark.parametrize(("width", "whole"), [(1, 1.0), (8, 0.6)])
 def test_first_exit_is_that_of_a_dense_scan(width, whole, monotone):
-    """Also of the part of a cell that is left: an exit behind it is none."""
+    """Also for the rest of a cell: an exit after it does not count."""
     guards = Guards(1600, 5, monotone)
     low, high = bounds(guards, 6)
     found = search(width, monotone)(guards.series, low, high, np.full(len(low), whole))

@@ -1,11 +1,11 @@
-"""Belts, play, friction, coils, dead times: each against DOP853, written from the physics anew.
+"""Belts, play, friction, coils, dead times: each against DOP853, written again from physics.
 
-The reference integrates between the exact instants at which anything of the controller changes.
-Its right-hand sides are written out below, not assembled from the machine file. Laws with jumps
-(friction, a clamped current, a damped contact) are integrated mode by mode with events.
-Tolerances: 1e-9 m where scipy's own is 1e-12 relative and a run has some hundred events. They
-hold with quantisers too, where one count of 24 um is asked for: gains that are whole numbers leave
-no tie to round, so that both read and send the same.
+The reference integrates between the exact instants at which anything of the controller changes. Its
+right-hand sides are written out below, not assembled from the machine file. Laws with jumps
+(friction, a clamped current, a damped contact) are integrated mode by mode with events. The
+tolerance is 1e-9 m: scipy's own is 1e-12 relative, and a run has some hundred events. It also holds
+with quantisers, where one count of 24 um is allowed: with gains that are whole numbers no rounding
+is a tie, so both read and send the same.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def every_way(test):
 
 
 def check_against(machine, states, table, atol=1e-9, rows=ROWS, quantised=False, limit=None):
-    """Assert that the load is the reference's at every tick, and that a limit binds."""
+    """Assert that the load follows the reference at every tick, and that a limit binds."""
     recording = simulate(table(machine, {"X": rows}), machine, quantised=quantised, settle_s=0.02)
     _, load = recording.samples("X.load")
     assert np.ptp(load) > 1e-3
@@ -62,7 +62,7 @@ def check_against(machine, states, table, atol=1e-9, rows=ROWS, quantised=False,
 
 @every_way
 def test_linear_belt(quantised, limit, belt_axis, table):
-    """The clipped current has a kink, no jump; it binds most of the way here."""
+    """The clipped current has a kink and no jump; here it binds most of the way."""
     states = closed_loop(smooth(linear, amperes(limit)), quantised=quantised)
     machine = belt_axis(drives_m=amplifier(limit))
     check_against(machine, states, table, quantised=quantised, limit=limit)
@@ -102,7 +102,7 @@ def test_belt_that_swings_within_a_tick(stiffness, belt_axis, table):
 
 
 def assert_crossed(states, gap, recording, limit):
-    """Assert that the gap is left on both sides, and stood in while the limit binds."""
+    """Assert that the gap is left on both sides, and occupied while the limit binds."""
     stretch = RP * states[:, 0] - states[:, 1]
     assert stretch.max() > gap and stretch.min() < -gap
     if limit is not None:
@@ -112,7 +112,7 @@ def assert_crossed(states, gap, recording, limit):
 
 @every_way
 def test_undamped_play(quantised, limit, belt_axis, table):
-    """A gap of 0.4 mm, crossed at each reversal and bounced in."""
+    """A gap of 0.4 mm is crossed at each reversal, with bounces."""
     machine = belt_axis(
         links_belt='damping = "0 N s/m exact, assumed"\nplay = "0.4 mm exact, assumed"',
         drives_m=amplifier(limit),
@@ -129,7 +129,7 @@ def test_undamped_play(quantised, limit, belt_axis, table):
 
 @every_way
 def test_damped_play(quantised, limit, belt_axis, table):
-    """A damped contact pushes, never pulls: it begins at the gap's edge and ends with its force."""
+    """A damped contact pushes, never pulls: it begins at the gap's edge, and ends without force."""
     machine = belt_axis(links_belt='play = "0.4 mm exact, assumed"', drives_m=amplifier(limit))
     current = amperes(limit)
     gap = 2e-4
@@ -232,7 +232,7 @@ def stick_slip(fc, fs, current=UNLIMITED):
 @pytest.mark.parametrize("limit", [None, 2.5])
 @pytest.mark.parametrize("stiction", [11.0, None])
 def test_stick_slip(stiction, limit, quantised, belt_axis, table):
-    """Coulomb friction, with a higher one at rest and without; the limit is worth 20.8 N."""
+    """Coulomb friction, with and without a higher one at rest; the limit is worth 20.8 N."""
     more = "" if stiction is None else f'\nstiction = "{stiction} N exact, assumed"'
     machine = belt_axis(
         bodies_head=f'friction = "8 N exact, assumed"{more}', drives_m=amplifier(limit)
@@ -318,7 +318,7 @@ def test_fractional_dead_time(delay_us, belt_axis, table):
 
 
 def test_two_clocks(belt_axis, table):
-    """A second axis whose controller runs at 136 us under references every 2 ms."""
+    """A second axis has a controller at 136 us under references every 2 ms."""
     machine = belt_axis(
         clocks='fast = "136 us exact, assumed"',
         extra="""
@@ -387,7 +387,7 @@ endless = true
 
 
 def test_what_cannot_be_honoured_is_refused(belt_axis, table):
-    """Clocks that hardly ever meet; a part too fast for the ticks."""
+    """Clocks that hardly ever meet, and a part too fast for the ticks."""
     odd = 'clock = "odd"\nreference_clock = "servo"'
     awkward = belt_axis(clocks='odd = "1.0000001 ms exact, assumed"', controllers_c=odd)
     with pytest.raises(MachineError, match="common multiple"):

@@ -1,4 +1,4 @@
-"""Machine code of the twin on disk: made once, never half of it, never that of something else."""
+"""Machine code of the twin on disk: made once, whole, and never taken from another module."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def adds(number: int) -> ir.Module:
 
 
 def answer(folder: Path, number: int) -> int:
-    """``100 + number``, by a compiler that has made nothing yet."""
+    """Return ``100 + number``, by a compiler that has made nothing yet."""
     compiler = Compiler(KeptCode(folder))
     return int(CFUNCTYPE(c_int64, c_int64)(compiler.address(lambda: adds(number), "f"))(100))
 
@@ -122,10 +122,10 @@ def test_what_is_known_by_its_shape_is_not_written_again(
     assert written == [7]
     assert by_shape(tmp_path, "eight", 8, written) == 108
     assert written == [7, 8]
-    # Other sources write something else for the same shape.
+    # Other sources write another module for the same shape.
     monkeypatch.setattr(compiling, "WRITTEN_BY", "others")
     assert by_shape(tmp_path, "seven", 9, written) == 109
-    # Without sources the text of the module says what it is.
+    # Without sources the text of the module identifies it.
     monkeypatch.setattr(compiling, "WRITTEN_BY", "")
     assert by_shape(tmp_path, "seven", 10, written) == 110
     assert by_shape(tmp_path, "seven", 11, written) == 111
@@ -148,7 +148,7 @@ def test_the_kernel_of_a_machine_is_known_by_its_shape(monkeypatch: pytest.Monke
 
 
 def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:
-    """What ``run`` imports is of its folder, or of ``_OTHERS``; arrays and caches write none."""
+    """All imports of ``run`` are in its folder or in ``_OTHERS``; arrays and caches write none."""
     folder = Path(str(compiling.__file__)).parent
     package = "threadline.twin.kernel."
     known = {module.__name__ for module in compiling._OTHERS}
@@ -175,7 +175,7 @@ def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:
 
 
 def test_who_wants_the_same_waits_for_whoever_makes_it(tmp_path: Path) -> None:
-    """As another process would: a lock on a file is of one that has opened it."""
+    """This stands for another process: a lock on a file belongs to the one who opened it."""
     maker, other = KeptCode(tmp_path), KeptCode(tmp_path)
     assert maker.read("a kernel") is None
     found: list[bytes | None] = []

@@ -1,4 +1,4 @@
-"""What the page on the engine shows is what the engine has, and its example can be followed."""
+"""The page on the engine shows the engine as it is, and its example can be followed."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_the_page_runs() -> None:
 
 
 def changed(text: str, hunk: list[str]) -> str:
-    """Return ``text`` with a hunk of a diff made; its lines must stand in one place."""
+    """Return ``text`` with a hunk of a diff applied; its lines must stand in one place."""
     before = "".join(line[1:] + "\n" for line in hunk if line[0] in " -")
     after = "".join(line[1:] + "\n" for line in hunk if line[0] in " +")
     assert text.count(before) == 1, f"the page changes {text.count(before)} places:\n{before}"
@@ -86,7 +86,7 @@ def changed(text: str, hunk: list[str]) -> str:
 
 @pytest.mark.long(shown_by="test_the_page_runs")
 def test_the_example_can_be_followed(tmp_path: Path) -> None:
-    """Engine and slow twin agree to 1e-6 counts, as everywhere; 7e-9 is seen."""
+    """Engine and slow twin agree to 1e-6 counts, as everywhere; the difference is 7e-9."""
     for folder in ("src", "tests"):
         # With byte code: it goes by the time and size of its source, which are copied too. What
         # others write meanwhile may be gone before it is copied.

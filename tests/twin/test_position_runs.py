@@ -1,4 +1,4 @@
-"""Machines that follow commanded positions, simulated side by side and each alone."""
+"""Machines with position drives side by side, each compared with a run of its own."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PROGRAM = "G21 G90 G94\nF9000\nG1 X0\nG1 X30 A40\nG4 P0.2\nG1 X12 A90\nG1 X0 A0\
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A machine made of settings: every axis is rigid behind its stepper."""
+    """A machine made from settings: every axis is rigid behind its stepper."""
     folder = tmp_path_factory.mktemp("positions") / "made"
     words = [word for owned in OWNED for word in ("--set", owned)]
     with pytest.raises(SystemExit) as end:
@@ -39,7 +39,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def others(machine: Machine) -> list[Machine]:
-    """Four of other friction and supply."""
+    """Four machines with other friction and supply."""
     return [vary(machine, friction=f, supply=s) for f, s in ((1, 1), (1.3, 1), (0.7, 0.95), (1, 2))]
 
 
@@ -58,7 +58,7 @@ def test_each_run_is_that_of_its_own_to_the_bit(project: Path) -> None:
             np.testing.assert_array_equal(found[0], expected[0])
             np.testing.assert_array_equal(found[1], expected[1])
         assert alone.outcome() == same.outcome()
-    # Else nothing would be compared.
+    # Otherwise nothing would be compared.
     shares = [beside.run(n).samples("X.torque_share")[1].max() for n in (1, 2, 3)]
     assert len(set(shares)) == 3
 

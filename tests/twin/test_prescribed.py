@@ -1,4 +1,4 @@
-"""Drives that take positions: loads behind them, torque asked for, torque there is."""
+"""Drives that take positions: the loads behind them, needed torque, and available torque."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def table(machine: Machine, counts: np.ndarray) -> TickTable:
 
 
 def stroke(ticks: int = 240) -> np.ndarray:
-    """Return counts of 30 mm out in a fast S: up to 0.25 m/s."""
+    """Return counts of 30 mm forth in a fast S: up to 0.25 m/s."""
     s = np.linspace(0.0, 1.0, ticks + 1)
     return np.diff(np.rint(2400 * (s - np.sin(2 * np.pi * s) / (2 * np.pi)))).astype(np.int64)
 
@@ -63,7 +63,7 @@ def other(machine: Machine, **changes: object) -> Machine:
 
 @pytest.fixture(scope="module")
 def machine() -> Machine:
-    """The library's, with a perfect stepper."""
+    """Return the library's machine with a perfect stepper."""
     return other(load_machine("stepper-winder"), microstep_error=None)
 
 
@@ -106,7 +106,7 @@ def test_the_load_follows_its_belt_as_an_independent_integration_has_it(
 
 
 def test_torque_is_inertia_belt_and_friction(machine: Machine) -> None:
-    """By hand from the integration above; over what the curve has at that speed."""
+    """By hand from the integration above, over the curve's torque at that speed."""
     counts = stroke()
     recording = simulate(table(machine, counts), machine, settle_s=0.05)
     share = recording.samples("X.torque_share")[1]
@@ -149,8 +149,8 @@ def test_a_rotor_takes_its_time_for_a_step_that_comes_within_a_microsecond(
 ) -> None:
     """A count in a tick of 1 us is 12.5 m/s of the belt: taken for a speed, its run fell slack.
 
-    The load is where it is with pulses that come evenly over 1 ms, but for a delay of less than
-    that; so is the torque.
+    The load equals one with pulses spread evenly over 1 ms, except for a delay of less than that;
+    so does the torque.
     """
     file = tmp_path / "mine.toml"
     file.write_text(
@@ -177,7 +177,7 @@ def test_a_rotor_takes_its_time_for_a_step_that_comes_within_a_microsecond(
 
 @pytest.mark.parametrize("volts", [12.0, 36.0, 80.0])
 def test_pull_out_torque_is_the_most_that_voltage_and_current_allow(volts: float) -> None:
-    """Every current on a grid of 2e5, those that need more voltage than there is left out."""
+    """Every current on a grid of 2e5, without those that need more voltage than there is."""
     drive = load_machine("stepper-winder").drives["x"]
     assert isinstance(drive, Stepper) and drive.winding is not None
     winding = replace(drive.winding, supply=replace(drive.winding.supply, si=volts))
@@ -185,7 +185,7 @@ def test_pull_out_torque_is_the_most_that_voltage_and_current_allow(volts: float
     angle, size = np.meshgrid(np.linspace(0, 2 * np.pi, 2001), np.linspace(0, most, 101))
     current = size * np.exp(1j * angle)
     for speed in (0.0, 3.0, 20.0, 60.0, 150.0, 400.0):
-        # 1.8 degrees a step: 50 electrical turns to one of the shaft.
+        # 1.8 degrees a step: 50 electrical turns in one turn of the shaft.
         needed = (ohm + 1j * 50 * speed * henry) * current + 1j * k * speed
         best = k * current.imag[np.abs(needed) <= volts].max(initial=0.0)
         (found,) = pull_out_torque(winding, 200 / (2 * np.pi), np.array([speed]))
@@ -308,7 +308,7 @@ def test_its_numbers_vary() -> None:
 
 
 def test_equations_are_made_once_for_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Days are drawn anew for every plan of a search; what differs in one number is another."""
+    """Days are drawn anew for every plan of a search; a machine with another number is not kept."""
     made: list[Machine] = []
 
     def counted(machine: Machine) -> tuple[Prescribed, ...]:
@@ -327,7 +327,7 @@ def test_equations_are_made_once_for_the_same_numbers(monkeypatch: pytest.Monkey
     for change in ({"friction": 1.0 + 1e-15}, {"supply": 1.1001}, {"damping": 0.9001}):
         numbers = {"friction": 1.0, "supply": 1.1, "damping": 0.9} | change
         assert advances_of(vary(load, **numbers)) not in first
-    # No more than 64 are kept: the first ones are made again behind as many others.
+    # At most 64 are kept: the first ones are made again after as many others.
     for k in range(64):
         advances_of(vary(load, friction=2.0 + k))
     before = len(made)

@@ -1,9 +1,9 @@
-"""The engine against the slow twin: library machines, and random networks of every part.
+"""The engine, compared with the slow twin: library machines, and random networks of all parts.
 
-Asked for are 1e-6 counts at loads, encoders and frames and 1e-6 V, A and m/s, with and without
-quantisers: a million ticks of rounding at 1e-12, the slack of the modes. Rounded readings and
-levels must be the same. What is seen is 1e-11 in the library and 1e-7 in the worst random network,
-where hundreds of changes of modes follow each other.
+Both must agree to 1e-6 counts at loads, encoders and frames and to 1e-6 V, A and m/s, with and
+without quantisers: a million ticks of rounding at 1e-12, the slack of the modes. Rounded readings
+and levels must be the same. The actual difference is 1e-11 in the library and 1e-7 in the worst
+random network, in which hundreds of changes of modes follow each other.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SEEDS = tuple(range(14))
 def assert_twin_is_the_reference(
     machine: Machine, rows, table, quantised: bool, phases=None
 ) -> None:
-    """Assert that every channel is the reference's at every tick."""
+    """Assert that every channel equals the reference at every tick."""
     phases = phases or {}
     expected, _ = reference_run(machine, rows, quantised=quantised, phases=phases, settle=SETTLE)
     given = np.array([phases.get(axis, 0.5) for axis in machine.axes])
@@ -98,7 +98,7 @@ def test_random_networks(seed, table, tmp_path):
 
 
 def test_random_networks_have_every_part_and_change_modes(tmp_path):
-    """Or the test above proves less than it says."""
+    """Otherwise the test above would prove less than it says."""
     used, changes = set(), 0
     for seed in SEEDS:
         machine, features = made(seed, tmp_path)
@@ -110,7 +110,7 @@ def test_random_networks_have_every_part_and_change_modes(tmp_path):
 
 
 def test_the_reference_is_a_closed_form(belt_axis, tmp_path):
-    """One body on held volts is an exponential: the reference itself stands on a formula."""
+    """One body on held volts is an exponential: a formula checks the reference itself."""
     machine = belt_axis(
         links_belt='stiffness = "0 N/m exact, assumed"\ndamping = "0 N s/m exact, assumed"',
         controllers_c='kp = "1000 dac/count exact, assumed"\nkd = "0 dac/count exact, assumed"',

@@ -58,7 +58,7 @@ def sticking(belt_axis):
 @pytest.mark.parametrize("every", [1, 7])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_pieces_of_rows_do_not_matter(sticking, table, seed, every):
-    """Rows in random pieces, and ticks in random pieces, are the recording that is simulated."""
+    """Rows and ticks in random pieces give the recording of the simulation."""
     commands = table(sticking, {"X": ROWS})
     whole, _ = collected(simulate(commands, sticking, settle_s=0.2, record_every=every))
     random = np.random.default_rng(seed)
@@ -82,7 +82,7 @@ def test_pieces_of_rows_do_not_matter(sticking, table, seed, every):
 
 
 def test_a_stop_lets_the_plant_go_on(sticking, table):
-    """A stop of n ticks is what n rows of nothing are: the command stands, the head swings."""
+    """A stop of n ticks equals n rows of nothing: the command stands, the head swings."""
     at, pause = 60, 25
     stop = Event(tick=at, kind="stop", operation=1)
     commands = with_events(table(sticking, {"X": ROWS}), stop)
@@ -98,7 +98,7 @@ def test_a_stop_lets_the_plant_go_on(sticking, table):
 
 
 def test_stops_answered_at_once_change_nothing(sticking, table):
-    """The default: the rest that the plan has, and every stop told."""
+    """The default: the rest that the plan has, and every stop reported."""
     plain = table(sticking, {"X": ROWS})
     events = [Event(tick=t, kind="stop", operation=0) for t in (0, 31, len(ROWS))]
     expected, _ = collected(simulate(plain, sticking))
@@ -156,7 +156,7 @@ def test_a_wait_for_a_limit_switch_is_answered_by_the_plant(table):
 
 
 def test_hold_and_resume(sticking, table):
-    """A hold in the middle of a move is so many rows of nothing, too."""
+    """A hold in the middle of a move equals so many rows of nothing, too."""
     session = Session(sticking)
     blocks = [session.advance(block_of(ROWS), ticks=20)]
     session.hold()
@@ -217,7 +217,7 @@ pickle.dump([session.advance(), session.advance(ticks=100)], sys.stdout.buffer)
 @pytest.mark.long(but="sticking")
 @pytest.mark.parametrize("name", ["sticking", "stitcher"])
 def test_it_goes_on_in_another_process(name, sticking):
-    """State, modes, dead times and waiting rows travel; the stitcher has 16 lengths of advance."""
+    """State, modes, dead times and waiting rows are sent; the stitcher has 16 advance lengths."""
     machine = sticking if name == "sticking" else load_machine("stitcher")
     rows = ROWS if name == "sticking" else np.full((160, 2), 50)
     session = Session(machine)

@@ -1,4 +1,4 @@
-"""The simulated winder against an integrator with events, closed forms, and its own streaming."""
+"""The simulated winder, compared with an integrator with events, closed forms, and streaming."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def reference_winder(rows, inertia, limit, quantised, gain=0.45, kp=2.0, kd=4.0,
 def test_winder_follows_integrator(feed, quantised, table, there_and_back):
     """Within 1e-6 rad (2e-8 m) without quantisers, within one count with them; saturated at 80.
 
-    So are velocities, and the cubic through two samples is the way between them.
+    The same holds for velocities, and the cubic through two samples is the way between them.
     """
     machine = load_machine("lathe-winder")
     rows = there_and_back(feed, 3200)
@@ -93,7 +93,7 @@ def test_winder_follows_integrator(feed, quantised, table, there_and_back):
     np.testing.assert_allclose(load, expected, atol=tolerance)
     _, velocity = recording.samples("X.velocity")
     np.testing.assert_allclose(velocity, speeds, atol=tolerance / TICK)
-    # The cubic through two samples is the way in between: within 0.4 um, where it bows by 33 um.
+    # The cubic through two samples is the way between them: within 0.4 um, where it bows by 33 um.
     cubic = CubicHermiteSpline(TICK * np.arange(len(load)), load, velocity)
     for k in range(3):
         at = TICK * (np.arange(len(load) - 1) + 0.25 * (k + 1))
@@ -140,7 +140,7 @@ def test_reading_twice_is_the_same(table, there_and_back):
 
 
 def test_recording_says_where_it_was_told_to_be(table):
-    """Commanded at tick k is the sum of the rows before it, and holds through the settling."""
+    """Commanded at tick k is the sum of the rows before it, and is held through the settling."""
     machine = load_machine("lathe-winder")
     rows = np.array([3, -1, 4, 1, -5, 9])
     recording = simulate(table(machine, {"X": rows}), machine, settle_s=0.1)
@@ -151,7 +151,7 @@ def test_recording_says_where_it_was_told_to_be(table):
 
 
 def test_switch_cuts_the_motor(table):
-    """Beyond the switch the motor coasts: with no friction it keeps the speed that it had."""
+    """Beyond the switch the motor coasts: without friction it keeps its speed."""
     machine = load_machine("lathe-winder")
     start = 500  # mm; the switch stands at 510
     rows = np.full(2000, 20)
@@ -170,9 +170,9 @@ def test_switch_cuts_the_motor(table):
 
 
 def turning(theta, moved, volts):
-    """Return when the rigid winder turns under held volts, in s, and where, in rad.
+    """Return the time, s, and angle, rad, at which the rigid winder turns under held volts.
 
-    Its speed is an exponential; what it moves in a tick gives the speed at the start.
+    Its speed is an exponential; the motion in a tick gives the speed at its begin.
     """
     end, decay = volts * 0.45 / KE, KT * KE / (R * 3.606e-4)
     omega = end + (moved - end * TICK) * decay / (1 - np.exp(-decay * TICK))
@@ -181,7 +181,7 @@ def turning(theta, moved, volts):
 
 
 def test_switch_touched_within_a_tick(table):
-    """A peak between two ticks trips a switch that stands below it, though no tick is beyond it."""
+    """A peak between two ticks trips a switch below it, although no tick is beyond it."""
     machine = load_machine("lathe-winder")
     rows = np.zeros(60, dtype=int)
     rows[0] = 247
@@ -216,7 +216,7 @@ def test_wrong_commands_are_refused(table):
 @pytest.mark.parametrize("encoder", ["nearest", "floor", "truncate"])
 @pytest.mark.parametrize("dac", ["nearest", "floor", "truncate"])
 def test_rounding_is_the_machine_files(encoder, dac, table):
-    """Readings and levels against numpy's rounding of what the load and the controller were."""
+    """Readings and levels, compared with numpy's rounding of the load and the controller."""
     machine = load_machine("lathe-winder")
     sensor = dataclasses.replace(machine.sensors["x"], rounding=encoder)
     controller = machine.controllers["x"]
@@ -238,7 +238,7 @@ def test_rounding_is_the_machine_files(encoder, dac, table):
     error = np.rint(recording.samples("X.commanded")[1] * scale) - read
     asked = 0.37130517 * error + 4.0 * np.diff(error, prepend=0.0)
     given = {**ways, "nearest": np.rint}[dac](asked)
-    # A sample is taken before the controller acts: it shows the level of the tick before.
+    # A sample is taken before the controller acts: it shows the level of the previous tick.
     levels = recording.samples("X.voltage")[1] / output.volt_per_level
     np.testing.assert_allclose(levels[1:], given[:-1], atol=1e-9)
     assert (exact < 0).any() and np.abs(asked - given).max() > 0.3
@@ -248,9 +248,9 @@ def test_rounding_is_the_machine_files(encoder, dac, table):
 def test_a_coil_far_faster_than_the_tick_follows_its_equations(inductance_mh, table, belt_axis):
     """Without a limit nothing is watched, and a tick may last 80 times as long as L / R.
 
-    From 6 times on it ended as a defect. Oracle: DOP853 on the equations as they stand in books; a
-    current of 0.1 mA, a place of 1 nm. Of the stiffest coil it leaves 1e-7 A and 1e-13 m, and takes
-    a thirtieth of the time of Radau.
+    From 6 times on, this ended as a defect. The reference is DOP853 on the textbook equations: a
+    current to 0.1 mA, a place to 1 nm. For the stiffest coil it leaves 1e-7 A and 1e-13 m, and
+    takes a thirtieth of the time of Radau.
     """
     machine = belt_axis(
         clocks='servo = "10 ms exact, assumed"',

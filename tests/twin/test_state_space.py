@@ -1,4 +1,4 @@
-"""State-space controllers and observing sensors in the twin: other controllers, and scipy."""
+"""State-space controllers and observing sensors in the twin, by other controllers, and scipy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from threadline.machine.controllers import LeadController, PdController, PidCont
 from threadline.twin.session import Session
 from threadline.twin.simulate import simulate, simulate_runs
 
-EQUAL = 1e-9  # of the largest value of a channel: sums in another order
+EQUAL = 1e-9  # relative to the largest value of a channel: sums in another order
 WINDER_PID = """base = "lathe-winder"
 [controllers.x]
 kind = "pid"
@@ -50,7 +50,7 @@ def rows_of(matrix: np.ndarray) -> str:
 
 
 def same_as_one(machine: Machine) -> str:
-    """The overlay that makes one state-space controller of all controllers of a machine."""
+    """Return the overlay that makes one state-space controller of all controllers of a machine."""
     names = list(machine.axes)
     m = len(names)
     A, B = np.zeros((3 * m, 3 * m)), np.zeros((3 * m, 2 * m))
@@ -103,7 +103,7 @@ def run(machine: Machine, counts: np.ndarray, **options) -> dict[str, np.ndarray
 
 
 def jolts(axes: int, ticks: int, size: int) -> np.ndarray:
-    """Rows with jumps that drive the DAC to its ends, slow motion, and reversals."""
+    """Return rows with jumps that drive the DAC to its ends, slow motion, and reversals."""
     random = np.random.default_rng(43)
     counts = np.zeros((ticks, axes), dtype=np.int64)
     for axis in range(axes):
@@ -125,9 +125,9 @@ def compare(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
     [("lathe-winder", True), ("lathe-winder", False), ("winder-pid", False)],
 )
 def test_one_controller_for_three_axes_runs_like_their_own(tmp_path, base, quantised):
-    """With quantisers for the PD alone: its gains are whole, so that sums in any order are exact.
+    """Quantisers only with the PD: its gains are whole, so that sums in any order are exact.
 
-    Elsewhere a sum in another order may turn a level of the DAC.
+    Elsewhere a sum in another order may change a level of the DAC.
     """
     text = 'base = "lathe-winder"\n' if base == "lathe-winder" else WINDER_PID
     (tmp_path / "own.toml").write_text(text)
@@ -282,7 +282,7 @@ def test_sensors_without_a_loop_are_recorded_in_steps_and_between_their_ends(tmp
 
 
 def test_the_noise_is_normal_without_memory_and_the_same_in_every_run(tmp_path):
-    """The fourth moment of a sum of twelve even numbers is 2.9; 3 is that of a normal one."""
+    """The fourth moment of a sum of twelve uniform numbers is 2.9; 3 would be normal."""
     machine = swinger(tmp_path, pot=POT, sensors='["motor"]', A="[]", B="[]", C="[]", D="[[0, 0]]")
     still = np.zeros((40_000, 1), dtype=np.int64)
     noise = run(machine, still)["pot.sensor"]

@@ -1,8 +1,8 @@
-"""The stitcher on the twin against scipy: every filter, belt, limit and gear that it can have.
+"""The stitcher on the twin, compared with scipy: every filter, belt, limit and gear.
 
-Tolerances are those that are asked for: 0.1 um at the head without quantisers, one encoder count
-with them (3.8 um), also while the current is limited. Every run asks for more current than there
-is, and for more than the 8-bit word holds.
+The tolerances are 0.1 um at the head without quantisers, and one encoder count with them (3.8 um),
+also while the current is limited. Every run needs more current than the amplifier has, and more
+than the 8-bit word holds.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def check_against(
     machine: Machine, axis: str, reference: Axis, law: object, table: object, *,
     quantised: bool = False,
 ) -> np.ndarray:  # fmt: skip
-    """Assert that load and frame are the reference's at every tick; return its states."""
+    """Assert that load and frame follow the reference at every tick; return its states."""
     given = there_and_back()
     states = run(reference, given, law, quantised=quantised)
     recording = read_once(simulate(table(machine, {axis: given}), machine, quantised=quantised))
@@ -68,7 +68,7 @@ def check_against(
     _, measured = recording.samples(f"{axis}.measured")
     seen = COUNTS * states[:, 0]
     if not reference.at_head:
-        # Of whole counts, one is a step of the load by that much and a hair.
+        # With whole counts, one count moves the load by that much and a hair.
         seen, near = (np.floor(seen + 0.5), 1.001 * COUNT_M) if quantised else (seen, 1e-7)
         np.testing.assert_allclose(measured[: len(states)], COUNT_M * seen, rtol=0, atol=near)
     if reference.mf:
@@ -94,14 +94,14 @@ def test_y_with_its_frame(quantised, table):
 
 @pytest.mark.parametrize("quantised", [False, True])
 def test_belt_inside_the_loop(quantised, table):
-    """The encoder sits at the head; unstable after a while, and exact all the same."""
+    """The encoder sits at the head; the loop becomes unstable after a while, and stays exact."""
     machine = load_machine("stitcher+head-feedback")
     check_against(machine, "X", Axis(at_head=True), LEAD_X, table, quantised=quantised)
 
 
 @pytest.mark.parametrize("quantised", [False, True])
 def test_clipped_output(quantised, table, tmp_path):
-    """Equations 3.14d and 3.15e: the integrator of the current runs on behind its limit."""
+    """Equations 3.14d and 3.15e: the integrator of the current runs on beyond its limit."""
     form = 'amplifier = { mode = "voltage", limits = "output" }\n'
     machine = overlaid(tmp_path, f"[drives.x]\n{form}[drives.y]\n{form}")
     wound = check_against(machine, "X", Axis(clamp="output"), LEAD_X, table, quantised=quantised)
@@ -153,7 +153,7 @@ def test_filters(kind, quantised, table, tmp_path):
 @pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize("share", [0.8, 0.3])
 def test_belt_with_unequal_runs(share, quantised, table, tmp_path):
-    """k1 = share k, k2 = the rest; each pulls while the preload leaves it tight (eqs C.9-C.11)."""
+    """k1 = share k, k2 = the rest; each pulls while the preload keeps it tight (eqs C.9-C.11)."""
     text = f'preload = "150 N exact, assumed"\nfirst_run = "{share} exact, assumed"\n'
     machine = overlaid(tmp_path, f"[links.x_belt]\n{text}")
     k1, k2 = share * 6.24e5, (1 - share) * 6.24e5
@@ -166,7 +166,7 @@ def test_belt_with_unequal_runs(share, quantised, table, tmp_path):
         Axis(belt=lambda s, _r, _y: max(0.0, 150 + k2 * s) - max(0.0, 150 - k1 * s)),
         there_and_back(), LEAD_X, quantised=quantised,
     )  # fmt: skip
-    assert np.abs(bent[:, 3] - other[:, 3]).max() > 1e-4  # which run is the first matters
+    assert np.abs(bent[:, 3] - other[:, 3]).max() > 1e-4  # here it matters which run is the first
     stretch = RATIO * bent[:, 0] - bent[:, 3]
     assert stretch.max() > 150 / k2  # the second run goes slack
     assert (stretch.min() < -150 / k1) == (share == 0.8)  # and the first, on the way back
@@ -175,7 +175,7 @@ def test_belt_with_unequal_runs(share, quantised, table, tmp_path):
 @pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize("phase", [0.0, 1.3, -2.0])
 def test_eccentric_gear(phase, quantised, table, tmp_path):
-    """A play of 0.2 mm +- 0.2 mm with the angle of the pulley; bounced in and out of."""
+    """A play of 0.2 mm +- 0.2 mm that varies with the angle of the pulley, with bounces."""
     machine = overlaid(
         tmp_path,
         '[links.x_belt]\nplay = "0.2 mm exact, assumed"\n[links.x_belt.eccentric]\n'
@@ -188,7 +188,7 @@ def test_eccentric_gear(phase, quantised, table, tmp_path):
         return 6.24e5 * (max(0.0, s - half) + min(0.0, s + half))
 
     states = check_against(machine, "X", Axis(belt=belt), LEAD_X, table, quantised=quantised)
-    assert np.ptp(0.5 * states[:, 0]) > 0.3  # a good part of a turn
+    assert np.ptp(0.5 * states[:, 0]) > 0.3  # a large part of a turn
     plain = Axis(belt=lambda s, _r, _y: 6.24e5 * (max(0.0, s - 1e-4) + min(0.0, s + 1e-4)))
     even = run(plain, there_and_back(), LEAD_X, quantised=quantised)
     assert np.abs(even[:, 3] - states[:, 3]).max() > 5e-6
@@ -210,7 +210,7 @@ def test_eccentric_gear_is_checked(table, tmp_path):
 
 
 def test_on_cloth_that_the_frame_holds_the_head_is_judged_relative_to_it(table) -> None:
-    """The same motion: what is judged on Y is the head less the frame, on X what it was."""
+    """The same motion: Y is judged as the head less the frame, X as before."""
     ground, frame = (
         read_once(simulate(table(machine, {"X": there_and_back(), "Y": there_and_back()}), machine))
         for machine in (load_machine("stitcher"), load_machine("stitcher+cloth-on-frame"))

@@ -1,4 +1,4 @@
-"""What a step of the engine must not leave out, each against what is known without it."""
+"""Details of a step of the engine, each compared with a result known without it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .test_reference import OUT_AND_BACK, assert_twin_is_the_reference
 
 
 def test_a_peak_is_of_its_own_sample(table) -> None:
-    """Once the motion is over the current of largest magnitude since the last sample is small."""
+    """After the motion the current of largest magnitude since the last sample is small."""
     machine = load_machine("lathe-winder")
     rows = {"X": np.concatenate((np.full(20, 60), np.zeros(80, dtype=np.int64)))}
     recording = simulate(table(machine, rows), machine, record_every=5)
@@ -29,24 +29,24 @@ def test_a_peak_is_of_its_own_sample(table) -> None:
 
 
 def test_a_clamped_filter_remembers_what_it_put_out(table) -> None:
-    """A lead filter far beyond its 8-bit word, against the slow twin written from the documents.
+    """A lead filter far beyond its 8-bit word, compared with the slow twin.
 
-    Asked for are 1e-6 counts, as of every machine there; what it would have put out is of no use.
+    Both must agree to 1e-6 counts, as for every machine there; the unclamped output has no effect.
     """
     machine = load_machine("stitcher-rigid-half-mass")
-    # B of the printed filters makes the output before count: 0.047 and 0.188.
+    # B of the printed filters makes the previous output count: 0.047 and 0.188.
     rows = {"X": 400 * OUT_AND_BACK, "Y": 400 * OUT_AND_BACK}
     assert_twin_is_the_reference(machine, rows, table, True)
-    # The first row asks for more than the word has, for one period of the filter.
+    # The first row needs more than the word has, for one period of the filter.
     assert all(c.gain.si * 400 > 127 for c in machine.controllers.values())
 
 
 @pytest.mark.parametrize("rate", [190.0, 700.0, 9000.0])
 def test_advances_are_as_short_as_what_escapes_a_guard_is_stated_for(rate: float) -> None:
-    """``mode_changes.py``: the fastest rate times an advance is 1 at most, times a cell 1/2.
+    """``mode_changes.py``: the fastest rate times an advance is at most 1, times a cell 1/2.
 
     Longer ones hide larger excursions of a guard, with the fourth power, and no figure of a job
-    need show it. A tick of the winder is 5 ms; ``rate`` is that of its fastest variant.
+    need show it. A tick of the winder is 5 ms; ``rate`` belongs to its fastest variant.
     """
     machine = load_machine("lathe-winder+stiction")
     values = Values.of(machine)
@@ -56,6 +56,6 @@ def test_advances_are_as_short_as_what_escapes_a_guard_is_stated_for(rate: float
         lengths_s = np.array(ready.steps.lengths_s)
         assert (rate * lengths_s).max() <= 1.0 + 1e-12
         assert (rate * lengths_s / ready.steps.cells).max() <= 0.5 + 1e-12
-        # They add up to a tick all the same, and are no finer than that asks for.
+        # They still add up to a tick, and are no finer than needed.
         assert lengths_s[ready.steps.length].sum() == pytest.approx(0.005, rel=1e-12)
         assert len(ready.steps.length) == np.ceil(0.005 * rate)

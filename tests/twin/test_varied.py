@@ -1,4 +1,4 @@
-"""Variants of a batch that differ in dead time or in counts do what a machine of theirs does."""
+"""Variants of a batch with another dead time or counts equal machines with these numbers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from threadline.twin.simulate import simulate
 
 
 def moves(machine, ticks: int = 60) -> TickTable:
-    """All axes out and back."""
+    """Return a table in which all axes go forth and back."""
     axes = len(machine.axes)
     shape = 40 * np.sin(np.linspace(0.0, 2.0 * np.pi, ticks))
     block = TickBlock(
@@ -41,9 +41,9 @@ def moves(machine, ticks: int = 60) -> TickTable:
 
 @pytest.mark.parametrize("name", ["stitcher", "lathe-winder"])
 def test_drawn_variants_equal_their_own_machines(name: str) -> None:
-    """Dead times (stitcher) and counts (winder) vary with all the rest, in mixed order.
+    """Dead times (stitcher) and counts (winder) vary with everything else, in mixed order.
 
-    Equal to rounding: a batch cuts its advances by the fastest of its variants.
+    Equal up to rounding: the fastest variant of a batch cuts its advances.
     """
     machine = load_machine(name)
     table = moves(machine)
@@ -75,7 +75,7 @@ def test_machines_of_many_dead_times_share_a_few_kernels() -> None:
 
 
 def test_a_later_command_moves_later() -> None:
-    """A dead time longer by 1 ms delays the whole answer of an open loop's first instants by it."""
+    """A dead time longer by 1 ms delays the first response of an open loop by 1 ms."""
     machine = load_machine("stitcher")
     table = moves(machine)
     delays = np.array([3e-3, 4e-3, 3e-3])

@@ -1,4 +1,4 @@
-"""The figures of the thesis that the twin reproduces, against the printed and checked ones."""
+"""Figures of the thesis that the twin reproduces, compared with printed and checked ones."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ UNIT = {ChannelKind.VOLTAGE: "V", ChannelKind.CURRENT: "A"}
 
 
 def winder() -> Machine:
-    """Return the machine that the plans are for."""
+    """Return the machine of the plans."""
     return load_machine("lathe-winder")
 
 
@@ -53,8 +53,8 @@ def plan_through(
 ) -> Plan:
     """Return a plan that visits ``points`` in straight lines, ``move_s`` each.
 
-    Vertex i belongs to operation i - 1 (the first move is operation 0) and to line 10 i.
-    ``pieces`` turns (n, 2, axes) coefficients of the chords into others.
+    Vertex i belongs to operation i - 1 (the first move is operation 0) and to line 10 i. ``pieces``
+    turns (n, 2, axes) coefficients of the chords into other coefficients.
     """
     machine = winder()
     vertices = np.asarray(points, dtype=float).reshape(-1, len(axes))
@@ -209,8 +209,8 @@ def follow(
 ) -> tuple[FloatArray, FloatArray]:
     """Return commanded (n, axes) positions along chords and (n,) operations, then a standstill.
 
-    Sample k is the position before the row k of the table acts: the last vertex is reached when
-    its operation's rows are used up.
+    Sample k is the position before row k of the table acts: the last vertex is reached once the
+    rows of its operation are used up.
     """
     vertices = np.asarray(points, dtype=float)
     moves = len(vertices) - 1
@@ -222,7 +222,7 @@ def follow(
 
 
 def move_s(operation: FloatArray) -> float:
-    """Return how long each move of ``follow`` took: that of a plan with the same times."""
+    """Return the duration of each move of ``follow``, as in a plan with the same times."""
     return TICK_S * float(np.count_nonzero(operation == operation[0]))
 
 

@@ -1,4 +1,4 @@
-"""What every test of the judge starts from."""
+"""Fixtures for every test of the judge."""
 
 import pytest
 
@@ -7,6 +7,6 @@ from threadline.verdict import blocks
 
 @pytest.fixture(autouse=True)
 def short_blocks_stay_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep blocks as they were recorded: tests are about what happens where one ends."""
+    """Keep blocks as recorded, because these tests are about the ends of blocks."""
     monkeypatch.setattr(blocks, "FEW", 0)
     monkeypatch.setattr(blocks, "COPIED", 0)

@@ -1,9 +1,9 @@
-"""A second reading of ``docs/specs.md``: what cannot pass, worked out from the bare samples.
+"""A second reading of ``docs/specs.md``: the criteria that cannot pass, from the bare samples.
 
 It shares no code with the judge. It reads the specification with ``tomllib``, knows from the tables
-of the document which channels each measure needs, and finds the plainest bounds on what a measure
-can be: the distance of a sample from the whole path is never more than its contour error.
-A criterion that the judge calls passed although it cannot pass is a false proof.
+of the document which channels each measure needs, and computes the simplest bounds of a measure:
+for example, the distance of a sample from the whole path is never more than its contour error. If
+the judge passes a criterion that cannot pass, this is a false proof.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ KIND_UNITS |= {"velocity": {"mm/s", "m/s", "deg/s", "rad/s"}}
 KIND_UNITS |= {"sensor": {"V", "mV", "count", "m/s^2", "rad/s^2"}}
 LENGTHS, ANGLES = {"mm", "um", "m", "mm/s", "m/s"}, {"deg", "rad", "deg/s", "rad/s"}
 
-# The tables of the document: (alternatives, of every axis) for each measure of a recording.
+# The tables of the document: (alternatives, whether every axis needs one) for each measure.
 NEEDS: dict[str, list[tuple[tuple[str, ...], bool]]] = {
     "contour_error": [(("tool", "load"), True)],
     "progress_error": [(("tool", "load"), True)],
@@ -69,7 +69,7 @@ VALVES = ("travel", "switching_order", "switching_dwell", "valve_conflict", "ove
 
 @dataclass
 class Channel:
-    """A channel as it stands in the file: chunks of (first tick, samples), and its description."""
+    """A channel of the file: chunks of (first tick, samples), and its description."""
 
     kind: str
     axis: str
@@ -86,7 +86,7 @@ class Channel:
 
 @dataclass
 class Stitch:
-    """When the command makes a stitch, how long it is wanted, and whether that counts."""
+    """For each stitch: its instants by the command, its wanted duration, and whether it counts."""
 
     begin_s: float
     end_s: float
@@ -96,10 +96,10 @@ class Stitch:
 
 @dataclass
 class Facts:
-    """What the plan and the machine say, as plain numbers.
+    """The plan and the machine as plain numbers.
 
-    Of an embroidery machine ``places`` are those of its stitches, (n, axes) m; of a seam
-    ``stitches`` are its own.
+    ``places`` are (n, axes) places of the stitches of an embroidery machine, m; ``stitches`` are
+    the stitches of a seam.
     """
 
     axes: Sequence[str]
@@ -115,11 +115,11 @@ class Facts:
     stitches: Sequence[Stitch] = ()
     places: Floats | None = None
     lag_s: float = 0.1
-    off_m: float = 0.0  # how far the command may be off the path
+    off_m: float = 0.0  # largest distance of the command from the path
 
 
 def refused(channels: Mapping[str, Channel], facts: Facts) -> str:
-    """Say why the recording has to be refused; empty where it does not."""
+    """Return why the recording has to be refused; empty if it need not be."""
     for name, channel in channels.items():
         units = KIND_UNITS.get(channel.kind, {u for u in LENGTHS | ANGLES if "/" not in u})
         if channel.unit not in units:
@@ -137,7 +137,7 @@ def refused(channels: Mapping[str, Channel], facts: Facts) -> str:
 
 
 def lacking(channel: Channel | None, facts: Facts) -> str:
-    """Say what is missing of a channel for the motion; empty where nothing is."""
+    """Return which part of a channel is missing for the motion; empty if nothing is."""
     if channel is None:
         return "absent"
     chunks = [(f, v) for f, v in channel.chunks if len(v)]
@@ -149,7 +149,7 @@ def lacking(channel: Channel | None, facts: Facts) -> str:
     begin, end = chunks[0][0], chunks[-1][0] + len(chunks[-1][1])
     if begin * channel.period_s > facts.begin_s + 1.001 * channel.period_s:
         return "late"
-    # The last sample may be missing where the machine has arrived before it was due.
+    # The last sample may be missing if the machine has arrived before its time.
     if end * channel.period_s < facts.end_s - 1.001 * channel.period_s:
         return "early"
     return ""
@@ -174,7 +174,7 @@ def asked(spec: str, facts: Facts) -> dict[tuple[str, str], tuple[list[float], b
     """Return the limits of each measure and axis, and whether it is required."""
     found: dict[tuple[str, str], tuple[list[float], bool]] = {}
     rows = tomllib.loads(spec)["criteria"]
-    # A criterion of one axis goes before one of every axis.
+    # A criterion of one axis goes before a criterion of every axis.
     for row in sorted(rows, key=lambda r: "axis" in r):
         name = row["name"]
         axes = [""] if name not in PER_AXIS else [row["axis"]] if "axis" in row else facts.axes
@@ -194,7 +194,7 @@ def asked(spec: str, facts: Facts) -> dict[tuple[str, str], tuple[list[float], b
 def cannot_pass(
     channels: Mapping[str, Channel], facts: Facts, spec: str
 ) -> dict[tuple[str, str], str]:
-    """Return the measures and axes that no honest judge lets pass, each with the reason."""
+    """Return the measures and axes that no correct judge passes, each with the reason."""
     found: dict[tuple[str, str], str] = {}
     for (name, axis), (limits, _) in asked(spec, facts).items():
         why = _lack(name, axis, channels, facts)
@@ -227,14 +227,14 @@ def _lack(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) -
     for kinds, every in needs:
         for one in facts.axes if every or not axis else [axis]:
             why = lacking(find(channels, kinds, one), facts)
-            # Of an on/off machine what was seen before the end may pass, step by step.
+            # On an on/off machine, steps that were recorded before the end may pass.
             if why and not (facts.switched and why in ("early", "late")):
                 return f"{'/'.join(kinds)} of {one}: {why}"
     return ""
 
 
 def _least(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) -> float:
-    """Return what the measure is at least; 0 where nothing simple is known."""
+    """Return a lower bound of the measure; 0 if no simple one is known."""
     if (name, axis) in facts.planned:
         return facts.planned[name, axis]
     if facts.switched:
@@ -276,7 +276,7 @@ def _entries(needle: Channel) -> list[tuple[int, int]]:
 
 
 def _of_stitches(name: str, axis: str, channels: Mapping[str, Channel], facts: Facts) -> float:
-    """Return what a measure of an embroidery machine is at least: the samples, one by one."""
+    """Return a lower bound of a measure of an embroidery machine, sample by sample."""
     assert facts.places is not None
     entries = _entries(channels[NEEDLE]) if name in STITCHED else []
     if name == "stitch_residual":
@@ -294,7 +294,7 @@ def _of_stitches(name: str, axis: str, channels: Mapping[str, Channel], facts: F
 
 
 def _tool(channels: Mapping[str, Channel], facts: Facts) -> tuple[Floats, Floats]:
-    """Return (n,) s and (n, axes) m: where the tool was, by its samples."""
+    """Return (n,) times, s, and (n, axes) positions of the tool, m, by its samples."""
     found = [find(channels, ("tool", "load"), axis) for axis in facts.axes]
     columns = [_by_tick(channel) for channel in found if channel is not None]
     ticks = sorted(set.intersection(*(set(c) for c in columns)))
@@ -306,8 +306,8 @@ def _tool(channels: Mapping[str, Channel], facts: Facts) -> tuple[Floats, Floats
 def _ahead(channels: Mapping[str, Channel], facts: Facts) -> float:
     """Return how far the tool ran ahead of its command, at least.
 
-    It was nowhere nearer to where the command had been within the lag; of that, what it may have
-    been off the path is taken away, which is at most its distance from the command about then.
+    The bound is the distance to the nearest place of the command within the lag, less the distance
+    of the tool from the path, which is at most its distance from the command about then.
     """
     commanded = [find(channels, ("commanded",), axis) for axis in facts.axes]
     if not all(one is not None and not lacking(one, facts) for one in commanded):
@@ -330,14 +330,14 @@ def _ahead(channels: Mapping[str, Channel], facts: Facts) -> float:
 
 
 def _of_seam(name: str, channels: Mapping[str, Channel], facts: Facts) -> float:
-    """Return by which share a stitch is too long or short, or too fast or slow, at least.
+    """Return the least share by which a stitch is too long or short, or too fast or slow.
 
-    A mean speed is no higher than the highest and no lower than the lowest; over a stitch it is
-    between its chord and the way through its samples, over its time.
+    A mean speed lies between the lowest and the highest speed; over a stitch it lies between its
+    chord and the way through its samples, over its time.
     """
     times, points = _tool(channels, facts)
     if times[0] > 0.0:
-        return 0.0  # begun late: by which instant a sample counts is not known to a sample
+        return 0.0  # begun late: the instant from which a sample counts is uncertain by a sample
     least = 0.0
     for stitch in facts.stitches:
         if stitch.exempt:
@@ -355,7 +355,7 @@ def _of_seam(name: str, channels: Mapping[str, Channel], facts: Facts) -> float:
 
 
 def _off_seam(channels: Mapping[str, Channel], facts: Facts) -> float:
-    """Return how far a needle-down is from the whole path, at least."""
+    """Return the distance of a needle-down from the whole path, at least."""
     times, points = _tool(channels, facts)
     if times[0] > 0.0:
         return 0.0
@@ -371,7 +371,7 @@ def _by_tick(channel: Channel) -> dict[int, float]:
 
 
 def _off_path(channels: Mapping[str, Channel], facts: Facts) -> float:
-    """Return how far the farthest sample is from the whole path, and the reverse, at least."""
+    """Return the distance of the farthest sample from the whole path, and the reverse, at least."""
     columns = []
     for axis in facts.axes:
         channel = find(channels, ("tool", "load"), axis)

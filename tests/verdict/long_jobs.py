@@ -34,7 +34,7 @@ def long_job(chunks: int):
 
     def vertices():
         for chunk in range(chunks):
-            skip = 1 if chunk else 0  # a chunk begins where the one before it ended
+            skip = 1 if chunk else 0  # a chunk begins where the previous one ended
             part = shape(chunk)[skip:]
             operation = np.concatenate([[0] * (1 - skip), operations(chunk)]).astype(np.int64)
             zeros = np.zeros(len(part), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What the recording has no channel of is not measured, axis by axis; nothing passes for it."""
+"""Without its channel a measure is not measured, axis by axis, and nothing passes for it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NEEDS = {
 
 
 def columns(without: ChannelKind | None, axis: int) -> dict[ChannelKind, np.ndarray]:
-    """Return every kind of channel of both axes but one, off by nothing."""
+    """Return every kind of channel of both axes except one, without any error."""
     commanded, _ = follow(POINTS, 20)
     found = {
         K.COMMANDED: commanded.copy(),
@@ -47,7 +47,7 @@ def columns(without: ChannelKind | None, axis: int) -> dict[ChannelKind, np.ndar
 
 
 def test_every_measure_of_single_axes_of_a_recording_is_in_this_table() -> None:
-    """Of machines with a path; a stitch or a cycle has tests of its own."""
+    """This is about machines with a path; stitches and cycles have tests of their own."""
     of_axes = {
         name
         for name, kind in MEASURES.items()
@@ -68,19 +68,19 @@ def test_an_axis_without_the_channel_is_not_measured_and_the_other_is(name, kind
 
     assert hidden.status is Status.NOT_MEASURED and hidden.measured is None
     assert f"channel of {XY[lacking]}" in hidden.note
-    # The command has ended when that of every axis has.
+    # The command has ended once the command of every axis has.
     ends = name == "residual_vibration" and kind is K.COMMANDED
     assert seen.status is (Status.NOT_MEASURED if ends else Status.PASSED)
     assert not verdict.passed
     assert "NOT PROVEN" in closing(verdict)
-    # With the channel there is nothing to hold against it.
+    # With the channel there is no failure.
     assert judge([record(XY, columns(None, 0), operation)], plan, spec).passed
     answer = json.loads(json.dumps(verdict_json(verdict, plan), allow_nan=False))
     assert answer["passed"] is False
 
 
 def test_a_clamped_axis_cannot_be_hidden() -> None:
-    """One sample in twenty of X is at the clamp; without X.voltage that is not known."""
+    """One sample in twenty of X is at the clamp; without X.voltage that is unknown."""
     found = columns(None, 0)
     found[K.VOLTAGE][::20, 0] = 10.0
     _, operation = follow(POINTS, 20)
@@ -108,7 +108,7 @@ def test_of_several_recordings_the_one_without_the_channel_counts(order: int) ->
 
 
 def test_the_peak_between_samples_of_one_axis_leaves_the_samples_of_the_other() -> None:
-    """X has a peak of 3 A between its samples of 1 A; Y has samples of 2 A and no such channel."""
+    """X has a peak of 3 A between samples of 1 A; Y has samples of 2 A and no such channel."""
     found = columns(None, 0)
     found[K.CURRENT][:, 0], found[K.CURRENT][:, 1] = 1.0, 2.0
     bare = record(XY, found, None)
@@ -155,7 +155,7 @@ def test_no_result_is_anything_but_a_number_or_never(value: float, unit: str) ->
 
 
 def test_where_a_command_is_not_known_of_every_axis_there_is_no_position() -> None:
-    """X.commanded is absent: the place of Y's tracking error would be half a place."""
+    """X.commanded is absent: Y's command alone is not a place."""
     _, operation = follow(POINTS, 20)
     found = columns(K.COMMANDED, 0)
     found[K.LOAD][30, 1] += 1e-3

@@ -1,4 +1,4 @@
-"""A sample that no machine can have measured is refused, and not squared."""
+"""A sample that no machine can have measured is refused before it is squared."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POINTS = [[0.0, 0.0], [0.01, 0.0], [0.01, 0.01]]
 
 @pytest.mark.parametrize("value", [1e300, -3e16, 2e15])
 def test_an_absurd_sample_is_refused_with_its_channel(value: float) -> None:
-    """1e300 squared overflows, with a warning of numpy before anything is said."""
+    """1e300 squared overflows; then numpy would warn before the refusal."""
     path, operation = follow(POINTS, 20)
     actual = path.copy()
     actual[7, 1] = value

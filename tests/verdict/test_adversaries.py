@@ -1,6 +1,6 @@
-"""Motions that touch the path everywhere and are wrong nevertheless: each must be out of spec.
+"""Wrong motions that touch the path everywhere: each must be out of spec.
 
-Each keeps to the drawn lines, or visits most of them; the figures follow from the geometry.
+Each keeps to the drawn lines, or visits most of them; the expected errors follow from the geometry.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ def failing(verdict: Verdict) -> dict[str, float]:
 
 
 def lobes(radius_m: float, corners: int) -> tuple[np.ndarray, np.ndarray]:
-    """A figure of eight in two lobes that begin and end where it crosses itself."""
+    """A figure of eight in two lobes, which begin and end at the crossing."""
     turn = np.linspace(0.0, 2.0 * np.pi, corners + 1)
     right = radius_m * np.column_stack([1.0 - np.cos(turn), np.sin(turn)])
     return right, -right
 
 
 def test_the_reference_is_in_spec() -> None:
-    """What goes where the command goes has no error here: the others fail for what they do."""
+    """A tool that follows the command has no error here, so the other motions fail on their own."""
     command, operation = follow(SQUARE, 60)
     assert not failing(verdict_of(SQUARE, command, operation, 60, command=command))
 
 
 def test_a_square_in_the_other_sense_is_out_by_its_diagonal() -> None:
-    """A quarter round the two are on corners that lie opposite each other, well beyond the lag.
+    """After a quarter the two are at opposite corners, much longer than the lag.
 
-    The commanded corner is a side away from the two legs next to it that the tool is on then.
+    The commanded corner is then one side away from the two legs next to the tool's corner.
     """
     command, operation = follow(SQUARE, 60)
     other, _ = follow(SQUARE[::-1], 60)
@@ -58,7 +58,7 @@ def test_a_square_in_the_other_sense_is_out_by_its_diagonal() -> None:
 
 
 def test_legs_in_another_order_are_out() -> None:
-    """There and back to the right, then there and back upwards; the tool begins upwards."""
+    """Forth and back to the right, then forth and back upwards; the tool goes upwards first."""
     points = SIDE_M * np.array([[0, 0], [1, 0], [0, 0], [0, 1], [0, 0]], dtype=float)
     command, operation = follow(points, 60)
     swapped, _ = follow(points[[0, 3, 2, 1, 4]], 60)
@@ -68,7 +68,7 @@ def test_legs_in_another_order_are_out() -> None:
 
 @pytest.mark.parametrize("radius_m", [3e-4, 1e-3])
 def test_a_loop_that_is_skipped_within_the_lag_is_out_by_its_width(radius_m: float) -> None:
-    """Line, a whole loop in 60 ms of a lag of 100 ms, line: the tool waits where it begins."""
+    """Line, a loop in 60 ms of a lag of 100 ms, line: the tool waits at the begin of the loop."""
     right, _ = lobes(radius_m, 12)
     loop = np.array([SIDE_M, 0.0]) + right[:, ::-1]
     points = np.concatenate([[[0.0, 0.0]], loop, [[2 * SIDE_M, 0.0]]])
@@ -78,17 +78,17 @@ def test_a_loop_that_is_skipped_within_the_lag_is_out_by_its_width(radius_m: flo
     operation = np.clip(np.searchsorted(ends, at, side="right") - 1, 0, 13)
     skipped = command.copy()
     skipped[60:73] = loop[0]
-    # A plan in which every move takes as long would not have these times: by operation alone.
+    # Operations are given, because a plan with equal moves would have other times.
     found = failing(verdict_of(points, skipped, operation, 1, command=command))
     assert found["contour_error"] == pytest.approx(2 * radius_m, rel=1e-9)
 
 
 @pytest.mark.parametrize("per_chord", [1, 10])
 def test_a_lobe_of_an_eight_in_the_wrong_sense_is_out(per_chord: int) -> None:
-    """Whether the lobe takes 60 ms or 600 ms, below or above the lag of 100 ms.
+    """The lobe takes 60 ms or 600 ms, below or above the lag of 100 ms.
 
-    The quick one is on the drawn line at every sample: its progress tells, for to go the way
-    backwards it has to be ahead first, and to step back all the time.
+    The samples of the quick lobe are all on the drawn line. Its progress error shows it: a tool
+    that goes the wrong way round has to be ahead first, and to step back all the time.
     """
     radius_m = 5e-3
     right, left = lobes(radius_m, 12)
@@ -115,7 +115,7 @@ def test_the_lobes_of_an_eight_in_the_wrong_order_are_out(per_chord: int) -> Non
 
 
 def test_a_circle_that_is_gone_round_once_instead_of_twice_is_out() -> None:
-    """At half the speed: after a quarter of the time it is on the other side."""
+    """At half the speed the tool is on the other side after a quarter of the time."""
     turn = np.linspace(0.0, 4.0 * np.pi, 49)
     points = 0.02 * np.column_stack([np.cos(turn), np.sin(turn)])
     command, operation = follow(points, 10)
@@ -127,12 +127,13 @@ def test_a_circle_that_is_gone_round_once_instead_of_twice_is_out() -> None:
 
 
 def test_ringing_along_the_stroke_counts_behind_a_trailing_load_too() -> None:
-    """8 mm to and fro at 25 Hz on a load that trails by 6 of the 10 mm that the lag leaves free.
+    """A swing of 8 mm at 25 Hz on a load that trails by 6 of the 10 mm that the lag allows.
 
-    It steps back by far more than a sample's way, so half of that is out, wherever it trails.
+    It steps back by far more than a sample's way, so half of the step is an error, wherever the
+    load trails.
     """
     points = [[0.0, 0.0], [0.2, 0.0]]
-    per_move = 400  # 0.1 m/s: 0.5 mm a sample
+    per_move = 400  # 0.1 m/s: 0.5 mm in a sample
     command, operation = follow(points, per_move, standstill=60)
     time_s = TICK_S * np.arange(len(command))
     ring = 4e-3 * np.sin(2 * np.pi * 25.0 * time_s) * (time_s < 1.8)
@@ -142,22 +143,22 @@ def test_ringing_along_the_stroke_counts_behind_a_trailing_load_too() -> None:
     verdict = verdict_of(points, actual, operation, per_move, command=command)
     found = failing(verdict)
     assert verdict.result("contour_error").measured == pytest.approx(0.0, abs=1e-12)
-    # From a top to the bottom half a period later the load comes forward by 0.1 / 50.
+    # From a top to the bottom half a period later the load advances by 0.1 / 50.
     back_m = 2 * 4e-3 * np.cos(np.pi * 25.0 * TICK_S) - 0.1 / 50
     assert 0.4 * back_m < found["progress_error"] < 8e-3
 
 
 def test_a_seam_that_is_sewn_in_the_other_sense_is_out() -> None:
-    """Every needle-down is on the drawn circle, and at its instant far from its place."""
+    """Every needle-down is on the drawn circle, and far from its place at that time."""
     at_m = np.linspace(0.0, 2 * np.pi * RADIUS_M, COUNT + 1)
     plan = plan_of(on_circle(RADIUS_M), at_m, circle())
     found = failing(sewn(plan, on_circle(RADIUS_M)[::-1]))
-    # The lag of 100 ms is five stitches of the circle's twelve, each way.
+    # The lag of 100 ms is five of the circle's twelve stitches, each way.
     assert found["contour_error"] > 0.99 * RADIUS_M
 
 
 def test_a_loop_of_a_seam_that_is_sewn_on_one_spot_is_out_by_its_width() -> None:
-    """The needle keeps its time; the head stays where the circle begins."""
+    """The needle keeps its time, but the head stays at the begin of the circle."""
     at_m = np.linspace(0.0, 2 * np.pi * RADIUS_M, COUNT + 1)
     plan = plan_of(on_circle(RADIUS_M), at_m, circle())
     found = failing(sewn(plan, [on_circle(RADIUS_M)[0]] * (COUNT + 1)))

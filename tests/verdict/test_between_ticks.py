@@ -1,8 +1,8 @@
 """Turning points, progress and stitches between samples, from the velocities of the loads.
 
-Against closed forms (a load of constant acceleration is on a parabola, which the cubic through
-places and velocities is to the bit of rounding), scipy's cubics on a fine grid, finer recordings,
-and an integrator that is not ours.
+The references are closed forms (a load with constant acceleration moves on a parabola, which the
+cubic through places and velocities equals up to rounding), scipy's cubics on a fine grid, finer
+recordings, and an independent integrator.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PROGRESS = spec_of(Criterion(name="progress_error", limit=5e-4))
 
 
 def moved(points, axes, load, pace, operation, spec, per_block=64, command=None):
-    """Return the result of the only criterion, with velocities if there are any."""
+    """Return the result of the only criterion, with velocities if they are given."""
     channels = {ChannelKind.LOAD: load}
     if pace is not None:
         channels[ChannelKind.VELOCITY] = pace
@@ -45,14 +45,14 @@ def moved(points, axes, load, pace, operation, spec, per_block=64, command=None)
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("per_block", [1, 7, 1000])
 def test_a_load_that_turns_between_its_samples_is_measured_where_it_turns(side, per_block) -> None:
-    """It turns half-way between two samples at 32 m/s^2: a T^2 / 8 = 0.1 mm past both."""
+    """It turns half-way between two samples at 32 m/s^2: a T^2 / 8 = 0.1 mm beyond both."""
     points = [[0.0], [side * 0.1], [0.0]]
     command, operation = follow(points, 40)
     times = TICK_S * np.arange(len(command))
     since = np.clip(times - 40.5 * TICK_S, -0.03, 0.03)
     load = np.where(np.abs(since) < 0.03, side * (0.1 + 1e-4 - 16.0 * since**2), command[:, 0])
     pace = np.where(np.abs(since) < 0.03, -32.0 * side * since, 0.0)
-    # Where it joins the parabola it only has to go on.
+    # At the join with the parabola the command only has to go on.
     pace[np.abs(since) >= 0.03] = (np.diff(command[:, 0], append=0.0) / TICK_S)[
         np.abs(since) >= 0.03
     ]
@@ -65,7 +65,7 @@ def test_a_load_that_turns_between_its_samples_is_measured_where_it_turns(side, 
 
 
 def swinging(seed: int):
-    """Return points of one axis, and places and velocities of a load that sways about them."""
+    """Return points of one axis, and places and velocities of a load that swings about them."""
     rng = np.random.default_rng(seed)
     points = np.array([[0.0], [0.1], [0.02], [0.08], [0.0]]) * rng.uniform(0.5, 1.0)
     places, operation = follow(points, 40)
@@ -86,7 +86,7 @@ def finest(points, load, pace, operation, lag):
     for k, vertex in enumerate(points[1:, 0], start=1):
         last = k == len(points) - 1
         side = 1.0 if vertex > points[k - 1, 0] else -1.0
-        # Watched until the command has left it for the lag, and from the extreme of the one before.
+        # From the previous extreme until the command has been gone for the lag.
         leaves = len(load) - 1 if last else np.flatnonzero(operation >= k)[0] + lag
         own = (at >= begin) & (at <= leaves)
         places = side * way[own]
@@ -133,7 +133,7 @@ def test_runs_side_by_side_have_the_figures_that_they_have_alone(runs: int, name
 
 
 def test_a_load_that_swings_along_its_path_between_samples_is_ahead_by_its_swing() -> None:
-    """It stands at the end of its path and swings between two samples: a T^2 / 8 = 0.1 mm."""
+    """At the end of its path it swings between two samples: a T^2 / 8 = 0.1 mm."""
     points = [[0.0, 0.0], [0.1, 0.0]]
     load, operation = follow(points, 100)
     pace = np.diff(load, axis=0, append=load[-1:]) / TICK_S
@@ -146,7 +146,7 @@ def test_a_load_that_swings_along_its_path_between_samples_is_ahead_by_its_swing
 
 
 def test_a_load_that_speeds_up_along_its_path_is_not_charged() -> None:
-    """From rest with 8 m/s^2 it bows by 0.025 mm along its own line in every tick."""
+    """From rest with 8 m/s^2 it deviates by 0.025 mm along its own line in every tick."""
     points = [[0.0, 0.0], [0.1, 0.05]]
     _, operation = follow(points, 40)
     times = TICK_S * np.arange(len(operation))
@@ -164,7 +164,7 @@ def test_a_load_that_speeds_up_along_its_path_is_not_charged() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_the_progress_with_its_charge_bounds_that_of_a_finer_recording(seed: int) -> None:
-    """Eight samples to a tick of the same cubic, whose command is that of the tick under way."""
+    """The finer recording has eight samples of the same cubic per tick, with the tick's command."""
     points, load, pace, operation = swinging(seed)
     command, _ = follow(points, 40)
     coarse = moved(points, ("X",), load, pace, operation, PROGRESS, command=command).measured
@@ -178,7 +178,7 @@ def test_the_progress_with_its_charge_bounds_that_of_a_finer_recording(seed: int
     fine = judge([finer], plan, PROGRESS).results[0].measured
     assert coarse is not None
     assert fine is not None
-    # A step back lies in the middle between two places: a recording may hide half a sample's way.
+    # A step back is halved between two places: a recording may hide half a sample's way.
     assert fine <= coarse + 1e-9
 
 
@@ -187,7 +187,7 @@ def test_a_needle_between_two_samples_finds_the_head_on_its_parabola() -> None:
     plan = seam()
     x = SPEED_M_S * (TIME_S - 0.013)
     speed = np.full(len(x), SPEED_M_S)
-    # Within one tick it goes ahead of its even motion and back again.
+    # Within one tick it runs ahead of its even motion and back again.
     speed[50] += 8.0 * TICK_S
     speed[51] -= 8.0 * TICK_S
     operation = np.minimum(np.floor(TIME_S / PERIOD_S + 1e-9), 39)
@@ -210,7 +210,7 @@ def test_a_needle_between_two_samples_finds_the_head_on_its_parabola() -> None:
 def test_the_turning_point_of_the_winder_is_that_of_an_integrator(reference, limit_a) -> None:
     """X of x-180 at several feeds: within 2 um of DOP853 at 20 places of a tick.
 
-    Between two of these places the load is missed by a 400th of the bow, 0.2 um at most. The
+    Between two of these places the load is off by a 400th of the deviation, 0.2 um at most. The
     samples alone are off by 9 to 28 um at 4 A.
     """
     machine, missed = load_machine(reference), []
@@ -234,7 +234,7 @@ def test_the_turning_point_of_the_winder_is_that_of_an_integrator(reference, lim
 
 @pytest.mark.parametrize("name", ["turning_point_error", "progress_error"])
 def test_without_velocities_a_recording_from_outside_is_charged(name: str) -> None:
-    """X of the winder reaches 10.5 m/s^2: 0.033 mm between two samples at a tick."""
+    """X of the winder reaches 10.5 m/s^2: 0.033 mm between two samples a tick apart."""
     points = [[0.0], [0.1], [0.0]]
     load, operation = follow(points, 40)
     load[40:] -= 4.8e-4
@@ -248,10 +248,10 @@ def test_without_velocities_a_recording_from_outside_is_charged(name: str) -> No
 
 
 def test_a_load_that_jumps_between_two_samples_with_no_more_speed_is_not_charged_its_jump() -> None:
-    """It turns back a little before it jumps by 0.6 mm: the cubic runs 0.1 um beyond its line.
+    """It turns back a little before it jumps by 0.6 mm: the cubic overshoots its line by 0.1 um.
 
-    What is beyond the end of the path is an error of contour. In the tick before, between two equal
-    places, the way bows by v T / 4 = 7.5 um.
+    The part beyond the end of the path is a contour error. In the tick before, between two equal
+    places, the way deviates by v T / 4 = 7.5 um.
     """
     points = [[0.0], [0.1]]
     load, operation = follow(points, 100)

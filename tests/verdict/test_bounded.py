@@ -22,14 +22,14 @@ def peak_and_verdict(chunks: int):
 
 
 def test_ten_times_the_job_needs_no_more_memory() -> None:
-    """A judge that kept the samples would need ten times as much; a quarter is for the heap."""
+    """A judge that kept the samples would need ten times as much; a quarter allows for the heap."""
     peak_and_verdict(4)  # compiles, fills caches
     short, _ = peak_and_verdict(4)
     long, verdict = peak_and_verdict(40)
     assert long < 1.25 * short
     # The fault in the middle chunk is found, with its place.
     found = verdict.result("contour_error")
-    # X is 0.2 mm aside for a chunk: at its turning point nothing of the path is nearer than that.
+    # X is 0.2 mm aside for a chunk: at its turning point no part of the path is nearer.
     assert found.measured == pytest.approx(2e-4, abs=1e-12)
     assert found.operation == pytest.approx(20 * CHUNK, abs=CHUNK)
     assert verdict.result("tracking_error", "X").measured == pytest.approx(2e-4, abs=1e-12)

@@ -1,6 +1,6 @@
-"""The way between samples: closed forms, scipy's cubics on a fine grid, and runs alone.
+"""The way between samples: closed forms, scipy's cubics on a fine grid, and single runs.
 
-A way that is looked along is looked at in eight parts: the worst is missed by a 64th of a bow.
+A way is checked at eight places: the largest deviation is underestimated by a 64th at most.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def a_swing(most: float):
     points = [[0, 0], [0.1, 0]]
     places, operation = follow(points, 100)
     pace = np.diff(places, axis=0, append=places[-1:]) / TICK_S
-    # y = (a / 2) t (t - T) in one tick, and its opposite in the next: the samples never leave 0.
+    # y = (a / 2) t (t - T) in one tick, and the negative in the next: samples never leave 0.
     pace[:90, 1] = 0.5 * most * TICK_S * np.where(np.arange(90) % 2, 1.0, -1.0)
     return points, places, pace, operation
 
@@ -45,7 +45,7 @@ def test_a_load_that_swings_between_its_samples_is_as_far_off_as_it_swings() -> 
 
 
 def test_without_velocities_a_recording_from_outside_is_charged() -> None:
-    """X and Y of the winder reach 10.5 m/s^2 each: 0.046 mm between two samples at a tick."""
+    """X and Y of the winder reach 10.5 m/s^2 each: 0.046 mm between two samples a tick apart."""
     points, places, pace, operation = a_swing(4.0)
     places += [0.0, 4.7e-4]
     plan = plan_through(points, XY, move_s=move_s(operation))
@@ -58,7 +58,7 @@ def test_without_velocities_a_recording_from_outside_is_charged() -> None:
     recorded = record(XY, channels | {ChannelKind.VELOCITY: pace}, operation, simulated=False)
     result = judge([recorded], plan, CONTOUR).result("contour_error")
     assert result.status is Status.PASSED
-    # Where the command stops at once the load bows past its end, too: 1.4 um more.
+    # Where the command stops at once the load also overshoots the end: 1.4 um more.
     assert result.measured == pytest.approx(4.7e-4 + 4.0 * TICK_S**2 / 8, abs=2e-6)
 
     short = replace(recorded, blocks=Stream(_without_the_last, recorded.blocks))
@@ -74,7 +74,7 @@ def _without_the_last(blocks):
 
 
 def swaying(seed: int):
-    """Return corners, and places and velocities of a load that sways about them."""
+    """Return corners, and places and velocities of a load that swings about them."""
     rng = np.random.default_rng(seed)
     points = np.cumsum(rng.uniform(-0.02, 0.02, (7, 2)), axis=0)
     places, operation = follow(points, 12)
@@ -82,7 +82,7 @@ def swaying(seed: int):
     phase, rate = rng.uniform(0, 6, 2), rng.uniform(60, 200, 2)
     size = 2e-3 * rng.uniform(0.2, 1.0)
     sway = size * np.sin(rate * times[:, None] + phase)
-    # The command itself goes straight: its velocity at a corner is that of the move that begins.
+    # The command is straight: its velocity at a corner is the velocity of the next move.
     pace = np.diff(places, axis=0, append=places[-1:]) / TICK_S
     return (
         points,

@@ -1,6 +1,6 @@
-"""What the box of all runs tells is what each of them tells, to the bit.
+"""Decisions by the box of all runs equal the decisions for each run, to the bit.
 
-The reference works everything out of each run: distances by the formula of a point and a segment,
+The reference computes everything from each run: distances by the formula of a point and a segment,
 progress and turnings without boxes.
 """
 
@@ -21,14 +21,14 @@ LAG = 6
 
 
 def cloud(runs: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, (n, axes) commands along them, and (n, axes, runs) runs that trail them."""
+    """Return vertices, (n, axes) commands along them, and (n, axes, runs) runs that trail them."""
     random = np.random.default_rng(seed)
     vertices = np.cumsum(random.normal(0.0, 0.03, (12, AXES)), axis=0)
     at = np.clip(np.linspace(-0.5, 11.5, SAMPLES), 0.0, 11.0)
     at[200:220] = at[200]  # a rest
-    at[260:275] = at[260:275][::-1]  # a way back
+    at[260:275] = at[260:275][::-1]  # a reversal
     command = np.stack([np.interp(at, np.arange(12), vertices[:, a]) for a in range(AXES)], axis=1)
-    command[:, 2] = 0.0  # an axis that stands still
+    command[:, 2] = 0.0  # an axis at rest
     vertices[:, 2] = 0.0
     points = np.concatenate([command[:1]] * 3 + [command[:-3]])[:, :, None]
     points = points + spread * random.normal(0.0, 1.0, (AXES, runs))
@@ -116,7 +116,7 @@ def test_the_progress_is_that_of_every_place_of_every_run(runs, spread, at_once)
             move_on(own, boxes_of(own) if known else NO_BOXES, off[low : low + at_once], low, part)
         found.append(part)
     boxed, every = found
-    sure = boxed.dropped > boxed.worst  # what is not sure is read again
+    sure = boxed.dropped > boxed.worst  # an uncertain result is read again
     assert sure.mean() > 0.9
     assert (boxed.worst <= every.worst).all() or not sure.all()
     for name in ("worst", "at", "side"):

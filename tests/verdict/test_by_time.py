@@ -1,6 +1,6 @@
-"""Traces of other controllers: operations from the plan, and what is said where that isn't enough.
+"""Traces of other controllers: operations from the plan, and refusals where these do not do.
 
-The reference is the same trace with the operations that were commanded recorded beside it.
+The reference is the same trace with the commanded operations recorded beside it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def test_a_trace_without_operations_is_judged_as_one_with_them(per_block: int) -
 def test_another_clock_and_a_later_beginning_count_from_the_same_start(clock, stride) -> None:
     """Every third sample from the seventh tick on, on a clock of its own or on the machine's.
 
-    Nothing moves before: the first move is to where the machine is, and takes 0.1 s.
+    Nothing moves before: the first move leads to the present position, and takes 0.1 s.
     """
     points = [POINTS[0], *POINTS]
     commanded, operation = follow(points, 20)
@@ -89,7 +89,7 @@ def test_another_clock_and_a_later_beginning_count_from_the_same_start(clock, st
 
 
 def test_without_the_load_nothing_is_proved_and_the_remedy_is_named() -> None:
-    """An encoder's trace, all of it on the path: placement is not measured, and nothing failed."""
+    """An encoder's trace lies on the path: placement is not measured, and nothing fails."""
     commanded, _ = follow(POINTS, 20)
     plan = plan_through(POINTS, XY)
     verdict = judge([record(XY, {ChannelKind.MEASURED: commanded}, None)], plan, SPEC)
@@ -103,7 +103,7 @@ def test_without_the_load_nothing_is_proved_and_the_remedy_is_named() -> None:
 
     far = {ChannelKind.LOAD: commanded + 1e-2}
     failed = judge([record(XY, far, None)], plan, SPEC)
-    # 10 mm aside in both axes, 14.14 mm of 0.5.
+    # 10 mm aside in both axes, 14.14 mm against 0.5 mm.
     assert failed.result("contour_error").measured == pytest.approx(14.14e-3, rel=1e-3)
     assert closing(failed) == (
         "OUT OF SPEC (nominal: 1 run; more than 1000 % of contour_error used)"
@@ -115,7 +115,7 @@ def test_without_the_load_nothing_is_proved_and_the_remedy_is_named() -> None:
 
 
 def _coarse(interval_ms: int, kinds=(ChannelKind.LOAD, ChannelKind.COMMANDED), slow=()):
-    """Return X there and back in 1.6 s, 5 mm off for 60 ms in between, every so often."""
+    """Return X forth and back in 1.6 s, with Y 5 mm off for 60 ms, at a sample interval."""
     times = np.arange(0.0, 2.0, interval_ms / 1000)
     x = np.interp(times, [0.0, 0.8, 1.6], [0.0, 0.1, 0.0])
     bump = np.where((times > 0.33) & (times < 0.39), 5e-3, 0.0)
@@ -142,7 +142,7 @@ def test_what_follows_the_path_is_all_that_needs_the_place_of_the_tool() -> None
 
 
 def test_a_trace_coarser_than_the_lag_measures_nothing_of_the_path() -> None:
-    """The 5 mm lie between the samples at 0.2 and 0.4 s: nothing of them is in the trace."""
+    """The 5 mm lie between the samples at 0.2 and 0.4 s: the trace does not contain them."""
     plan = plan_through([[0, 0], [0.1, 0], [0, 0]], XY, move_s=0.8)
     criteria = [
         Criterion(name=n, limit=5e-4, required=n == "contour_error")
@@ -156,10 +156,10 @@ def test_a_trace_coarser_than_the_lag_measures_nothing_of_the_path() -> None:
     assert all("record every 100 ms at least" in r.note for r in verdict.results)
     assert closing(verdict) == "NOT PROVEN (nominal: 1 run): contour error was not measured"
 
-    # The same motion, seen finely enough, is off by what it is.
+    # The same motion with finer samples shows its error.
     fine = judge([_coarse(20)], plan, spec_of(*criteria, lag_s=0.1)).result("contour_error")
     assert fine.measured == pytest.approx(5e-3, abs=1e-9)
-    # Every 100 ms is as coarse as the lag allows; it proves nothing within the limit, either.
+    # 100 ms is the coarsest interval that the lag allows; it proves no small error either.
     limit = judge([_coarse(100)], plan, spec_of(*criteria, lag_s=0.1)).result("contour_error")
     assert "the lag of the specification" not in limit.note
     assert "a sample every 100 ms" in limit.note
@@ -174,7 +174,8 @@ def test_the_lag_is_not_rounded_up_to_a_sample() -> None:
     """A sample every 60 ms of a load that is 100 ms late at 1 m/s, with 70 ms of lag.
 
     At 0.66 s the load is at 0.56 m, 40 mm short of the corner that the command left at 0.6 s: the
-    sample before is within the lag and past the corner, the one before that is not within it.
+    previous sample is within the lag and past the corner, and the one before that is outside the
+    lag.
     """
     plan = plan_through([[0, 0], [0.6, 0], [0.6, 0.6]], XY, move_s=0.6)
     late = np.clip(0.06 * np.arange(27) - 0.1, 0.0, 1.2)
@@ -189,7 +190,7 @@ def test_the_lag_is_not_rounded_up_to_a_sample() -> None:
 
 
 def test_a_column_without_operations_is_as_good_as_none() -> None:
-    """-1 throughout: the same verdict, word by word, as without the column."""
+    """The column is -1 throughout: the verdict is the same, word by word, as without it."""
     actual, _ = off_the_path()
     plan = plan_through(POINTS, XY)
     load = {ChannelKind.LOAD: actual}
@@ -218,7 +219,7 @@ STRAIGHT = plan_through([[0, 0], [0.18, 0]], XY, move_s=4.5)
 
 
 def _sampled(every_ms: int, beside_m: float = 0.0, off_m: float = 0.0) -> Recording:
-    """Return a trace of a move along X, with an excursion of Y of 88 ms that begins at 0.901 s."""
+    """Return a trace along X, in which Y deviates for 88 ms from 0.901 s on."""
     time_s = 1e-3 * every_ms * np.arange(int(4500 / every_ms) + 2)
     part = np.clip((time_s - 0.901) / 0.088, 0.0, 1.0)
     y = beside_m * np.sin(np.pi * part) ** 2 + off_m
@@ -230,7 +231,7 @@ def _sampled(every_ms: int, beside_m: float = 0.0, off_m: float = 0.0) -> Record
 def test_what_fits_between_two_samples_is_not_proven() -> None:
     """5 mm beside the path for 88 ms, between the samples at 0.90 s and 0.99 s.
 
-    At 10.5 and 4.65 m/s^2, 11.48 together, 11.6 mm fit into 90 ms.
+    At 10.5 and 4.65 m/s^2, 11.48 together, a deviation of 11.6 mm is possible in 90 ms.
     """
     spec = spec_of(Criterion(name="contour_error", limit=5e-4, required=True), lag_s=0.1)
     hidden = judge([_sampled(90, 5e-3)], STRAIGHT, spec)
@@ -241,14 +242,14 @@ def test_what_fits_between_two_samples_is_not_proven() -> None:
     longest_ms = 1e3 * np.sqrt(8.0 * 5e-4 / np.hypot(10.5, 4.65))
     assert f"record every {longest_ms:.3g} ms at least" in result.note
     assert closing(hidden).startswith("NOT PROVEN")
-    # At the rate of the commands it is seen.
+    # With a sample at each tick the deviation shows.
     seen = judge([_sampled(5, 5e-3)], STRAIGHT, spec).result("contour_error")
     assert seen.status is Status.FAILED
     assert seen.measured == pytest.approx(5e-3, rel=0.01)
 
 
 def test_the_longest_interval_is_where_both_together_are_the_limit() -> None:
-    """0.2 mm off the path, of 0.5 mm: 14.46 ms. What samples show beyond the limit is failed."""
+    """0.2 mm off the path, of 0.5 mm: 14.46 ms. A sample beyond the limit fails."""
     spec = spec_of(Criterion(name="contour_error", limit=5e-4, required=True), lag_s=0.1)
     for every_ms, status in ((14, Status.PASSED), (15, Status.NOT_MEASURED)):
         result = judge([_sampled(every_ms, off_m=2e-4)], STRAIGHT, spec).result("contour_error")
@@ -287,7 +288,7 @@ def test_a_trace_of_centuries_later_measures_nothing() -> None:
 def test_a_command_that_turns_between_two_samples_lets_no_tool_seem_ahead(
     every_ms, ahead_s, ahead_m, status
 ) -> None:
-    """X goes 180 mm to and fro and turns within a sample: up to 1.8 mm of its way is not seen."""
+    """X goes 180 mm forth and back, and turns within a sample: up to 1.8 mm are not sampled."""
     turn_s = 4.5 + 0.4e-3 * every_ms
     there_and_back = plan_through([[0, 0], [0.18, 0], [0, 0]], XY, move_s=turn_s)
     time_s = 1e-3 * every_ms * np.arange(int(2100 * turn_s / every_ms))
@@ -300,13 +301,13 @@ def test_a_command_that_turns_between_two_samples_lets_no_tool_seem_ahead(
     limits = [Criterion(name=name, limit=2e-4, required=True) for name in names]
     verdict = judge([recording], there_and_back, spec_of(*limits, lag_s=0.1))
     assert verdict.result("progress_error").status in status
-    # The farthest sample is short of the turning point. The tool may have been there in between.
+    # The farthest sample is short of the turning point; between samples the tool may reach it.
     found = {result.status for result in verdict.results if result.name != "progress_error"}
     assert Status.FAILED not in found
 
 
 def test_samples_off_the_path_fail_beside_a_point_that_only_their_lines_miss() -> None:
-    """0.3 mm beside the path, and a turning point between two samples: 0.3 mm is above 0.2 mm."""
+    """0.3 mm beside the path, and a turning point between two samples: 0.3 mm exceeds 0.2 mm."""
     there_and_back = plan_through([[0, 0], [0.18, 0], [0, 0]], XY, move_s=4.536)
     time_s = 0.09 * np.arange(102)
     at_m = 0.18 * (1.0 - np.abs(np.clip(time_s / 4.536, 0.0, 2.0) - 1.0))

@@ -1,4 +1,4 @@
-"""The contour error against closed forms and against every sample with every chord.
+"""The contour error, compared with closed forms, and with every chord for every sample.
 
 Distances are computed in float64 from coordinates below 1 m: 1e-12 m covers the rounding.
 """
@@ -33,7 +33,7 @@ def contour(
 
 
 def brute_force(points, actual, operation, lag, axes=XY, radius=None):
-    """Every sample against every chord of its operations, every vertex against every segment."""
+    """Compare every sample with every chord of its operations, every vertex with every segment."""
     radius = np.ones(len(axes)) if radius is None else radius
     v = np.asarray(points, dtype=float) * radius
     q = actual * radius
@@ -60,7 +60,7 @@ def brute_force(points, actual, operation, lag, axes=XY, radius=None):
 
 
 def brute_between(points, actual, operation, lag, parts=64):
-    """Return the farthest of many places between samples, and how much farther one may be."""
+    """Return the largest of many distances between samples, and how much larger one may be."""
     v, n = np.asarray(points, dtype=float), len(actual)
     worst = longest = 0.0
     for i in range(n - 1):
@@ -79,7 +79,7 @@ def brute_between(points, actual, operation, lag, parts=64):
 
 
 def test_a_jump_between_two_legs_is_seen_between_its_samples() -> None:
-    """Two legs 10 mm apart, both followed; one sample of the first lies on the second.
+    """Two legs are 10 mm apart, and both are followed; one sample of the first is on the second.
 
     Every sample is on the path and every point is passed, but half-way across the tool is 5 mm off.
     """
@@ -96,10 +96,10 @@ def test_a_jump_between_two_legs_is_seen_between_its_samples() -> None:
 
 
 def test_a_short_cut_between_two_legs_that_meet_is_seen_between_its_samples() -> None:
-    """From the middle of one leg to that of the next, and back to the corner along it.
+    """From the middle of one leg to the middle of the next, and back to the corner along it.
 
-    Every sample is on the path and the corner is passed, too. The halves are at right angles:
-    half-way across the tool is half of that from either.
+    Every sample is on the path, and the corner is passed, too. The halves are at right angles:
+    half-way across the tool is half of their length from either.
     """
     points = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]]
     commanded, operation = follow(points, 10)
@@ -157,7 +157,7 @@ def test_offset_from_a_circle() -> None:
 
 
 def test_a_retraced_path_does_not_hide_a_missed_end() -> None:
-    """Out to 180 mm and back on the same line, turned 0.47 mm early: no sample leaves the line."""
+    """To 180 mm and back on the same line, turned 0.47 mm early: no sample leaves the line."""
     points = [[0, 0], [0.18, 0], [0, 0]]
     commanded, operation = follow(points, 200)
     actual = np.minimum(commanded, [0.18 - 4.7e-4, 1.0])
@@ -168,7 +168,7 @@ def test_a_retraced_path_does_not_hide_a_missed_end() -> None:
 
 
 def test_another_branch_that_crosses_or_runs_alongside_does_not_hide_an_error() -> None:
-    """Two lines 1 mm apart, long apart in time: an offset of 0.8 mm is 0.8 mm, not 0.2 mm."""
+    """Two lines 1 mm apart, far apart in time: an offset of 0.8 mm is 0.8 mm, not 0.2 mm."""
     points = [[0, 0], [0.1, 0], [0.1, 0.05], [0, 0.05], [0, 1e-3], [0.1, 1e-3]]
     commanded, operation = follow(points, 100)
     actual = commanded.copy()
@@ -221,10 +221,10 @@ def labelled_early(points, per_move, samples):
 
 @pytest.mark.parametrize("per_block", [1, 9, 1000])
 def test_a_blend_is_on_the_chord_that_the_command_is_on(per_block: int) -> None:
-    """A blend round a corner bears one operation's name from well before the corner.
+    """In a blend round a corner the operation begins long before the corner.
 
-    The load follows the programmed path exactly, 6 samples late: nothing is wrong. Labels alone
-    say that it is 20 + 6 - 10 samples of 1 mm away.
+    The load follows the programmed path exactly, 6 samples late: nothing is wrong. By the labels
+    alone it would be 20 + 6 - 10 samples of 1 mm away.
     """
     points = [[0, 0], [0.1, 0], [0.1, 0.1]]
     commanded, operation = labelled_early(points, 100, 20)
@@ -237,7 +237,7 @@ def test_a_blend_is_on_the_chord_that_the_command_is_on(per_block: int) -> None:
 
 
 def test_the_command_tells_two_nearly_equal_chords_apart() -> None:
-    """Out and back 0.8 mm apart: a load 0.6 mm off towards the other line is 0.6 mm off."""
+    """Forth and back 0.8 mm apart: a load 0.6 mm off towards the other line is 0.6 mm off."""
     points = [[0, 0], [0.1, 0], [0, 8e-4]]
     commanded, operation = follow(points, 200)
     load = commanded.copy()
@@ -252,9 +252,9 @@ def test_the_command_tells_two_nearly_equal_chords_apart() -> None:
 def test_a_fraction_of_a_count_beyond_a_retraced_line_hides_no_overshoot(
     axes, sign: float, beyond_m: float
 ) -> None:
-    """Out 100 mm and 40 mm back: the command rests within a count (17 um) of the end.
+    """100 mm forth and 40 mm back: the command rests within a count (17 um) of the end.
 
-    Beyond it the command lies on the way out too, which is the nearer one by 4 um. A load that
+    Beyond the end the command lies on the way forth, too, which is nearer by 4 um. A load that
     overshoots by 0.2 mm is still off the path.
     """
     points = [[0, 0], [sign * 0.1, 0], [sign * 0.06, 0]]
@@ -280,9 +280,9 @@ def test_no_operation_after_the_end_means_the_last_one() -> None:
 
 @pytest.mark.parametrize("vertices_per_block", [2, 1000])
 def test_a_machine_that_stops_on_its_way_fails(vertices_per_block: int) -> None:
-    """The end is 100 mm along a slanted line, 44 of them done, whether the rest was read or not.
+    """The end is 100 mm along a slanted line, and 44 mm are done; the rest is recorded or not.
 
-    It stands there, in the same operation, for longer than the whole job takes.
+    The machine stands there, in the same operation, for longer than the whole job takes.
     """
     points = [[0.006 * i, 0.008 * i] for i in range(11)]
     commanded, operation = follow(points, 10)
@@ -304,7 +304,7 @@ def test_a_machine_that_stops_on_its_way_fails(vertices_per_block: int) -> None:
 
 @pytest.mark.parametrize("vertices_per_block", [2, 1000])
 def test_a_recording_that_ends_early_proves_nothing_of_the_rest(vertices_per_block: int) -> None:
-    """Cut at 44 of 100 mm: what was seen is on the path; a sample that is off it still fails."""
+    """Cut at 44 of 100 mm: the recorded part is on the path; a sample off the path still fails."""
     points = [[0.006 * i, 0.008 * i] for i in range(11)]
     commanded, operation = follow(points, 10)
     spec = spec_of(*CONTOUR.criteria, lag_s=0.0)
@@ -355,7 +355,7 @@ def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
 def test_random_polylines_against_brute_force(
     seed, moves, per_move, lag, per_block, per_vertex_block
 ) -> None:
-    """Blocks of any size give what all chords against all samples give."""
+    """Blocks of any size give the same as all chords against all samples."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.01, 0.01, size=(moves + 1, 2))
     commanded, operation = follow(points, per_move, standstill=int(rng.integers(0, 12)))
@@ -382,7 +382,7 @@ def test_random_polylines_against_brute_force(
     assert result.measured <= max(least, between + step_m) + 1e-12, (points, actual)
     if least > between + step_m:
         assert result.measured == pytest.approx(least, abs=1e-12), (points, actual)
-    # What waits at the end of a block is the same but for the last place of a sum.
+    # A sample that waits at the end of a block gives the same but for the last digit of a sum.
     assert result.measured == pytest.approx(again.measured, abs=1e-12)
     assert (result.note, result.job_line) == (again.note, again.job_line)
 

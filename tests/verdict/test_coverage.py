@@ -1,7 +1,7 @@
-"""Every sample of the motion is there, or the criterion is not measured; times only go on.
+"""If a sample of the motion is missing, the criterion is not measured; times only increase.
 
-The motion runs from 0 to 0.8 s, X there and back, with a sample every 5 ms, and 0.2 s of standing
-still after it.
+The motion runs from 0 to 0.8 s, X forth and back, with a sample every 5 ms, and stands still for
+0.2 s after it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Change = Callable[[int, int, Mapping[str, np.ndarray]], tuple[int, Mapping[str, 
 
 
 def run(error_m: float = 0.0) -> Recording:
-    """Return a run with everything recorded; Y is off by ``error_m`` from 0.3 to 0.35 s."""
+    """Return a run with all channels; Y is off by ``error_m`` from 0.3 to 0.35 s."""
     commanded, operation = follow(POINTS, PER_MOVE)
     load = commanded.copy()
     load[60:71, 1] += error_m
@@ -66,7 +66,7 @@ def test_a_whole_run_is_measured() -> None:
 
 @pytest.mark.parametrize("cut", [slice(6, 8), slice(3, 12)])
 def test_blocks_that_are_missing_hide_no_error(cut: slice) -> None:
-    """5 mm off for 50 ms; the blocks about it are cut out: what is left is on the path."""
+    """5 mm off for 50 ms, with these blocks cut out: the remaining samples are on the path."""
     off = run(5e-3)
     strict = spec_of(*(Criterion(name=n, limit=5e-4, required=True) for n in OF_POSITION[:3]))
     assert not judge([off], plan(), strict).passed
@@ -140,7 +140,7 @@ def test_blocks_that_overlap_or_go_back_are_refused(first, words: str) -> None:
 
 @pytest.mark.parametrize(("ticks", "seen"), [(0, True), (1, True), (2, False), (100, False)])
 def test_a_recording_that_begins_late(ticks: int, seen: bool) -> None:
-    """One sample may be missing at either end: a logger starts when it starts."""
+    """One sample may be missing at either end, because a logger starts at its own time."""
 
     def later(number, first, samples):
         if first + 10 <= ticks:
@@ -159,7 +159,7 @@ def test_a_recording_that_begins_late(ticks: int, seen: bool) -> None:
 
 @pytest.mark.parametrize(("last", "seen"), [(170, True), (160, True), (158, False), (60, False)])
 def test_a_recording_that_ends_early(last: int, seen: bool) -> None:
-    """The motion ends with sample 160; what comes after it may be missing, as far as it goes."""
+    """The motion ends with sample 160; later samples may be missing, if none is needed."""
 
     def shorter(number, first, samples):
         left = max(last + 1 - first, 0)
@@ -173,12 +173,12 @@ def test_a_recording_that_ends_early(last: int, seen: bool) -> None:
 
 
 def test_a_run_that_is_faster_than_its_plan_is_whole() -> None:
-    """Fed at twice the speed it is done in 0.4 s; its operations and its command say so."""
+    """At twice the feed it ends in 0.4 s; its operations and its command say so."""
     commanded, operation = follow(POINTS, PER_MOVE // 2, standstill=2)
     fast = record(XY, {K.COMMANDED: commanded, K.LOAD: commanded}, operation)
     spec = spec_of(*(Criterion(name=n, limit=1e-6) for n in OF_POSITION[:3]))
     assert set(statuses(fast, spec).values()) == {Status.PASSED}
-    # Half of it is not, although it stands where the job ends: at the start.
+    # Half of it is incomplete, although it stands at the start, where the job ends.
     back = [POINTS[0], POINTS[0], POINTS[2]]
     stands, operation = follow(back, PER_MOVE // 2, standstill=2)
     half = record(XY, {K.COMMANDED: stands, K.LOAD: stands}, 0.0 * operation)
@@ -213,7 +213,7 @@ def test_runs_that_all_have_the_same_gap_do_not_repeat_themselves() -> None:
 
 
 def test_nothing_of_a_finer_voltage_is_lost_between_the_samples_of_the_load() -> None:
-    """Voltage every 1 ms, load every 5 ms: one clamped sample between two of the load."""
+    """Voltage every 1 ms, load every 5 ms: one clamped sample lies between two of the load."""
     commanded, operation = follow(POINTS, PER_MOVE)
     fine = Clock("fine", Fraction(1, 1000))
     bare = record(XY, {K.COMMANDED: commanded, K.LOAD: commanded}, operation, per_block=7)
@@ -237,7 +237,7 @@ def test_nothing_of_a_finer_voltage_is_lost_between_the_samples_of_the_load() ->
         made = replace(bare, channels=(*bare.channels, channel), blocks=Stream.of(blocks))
         spec = spec_of(Criterion(name="dac_saturation", limit=0.0))
         result = judge([made], plan(), spec).result("dac_saturation", "X")
-        # What comes after the last sample of the load comes after the end.
+        # Samples after the last sample of the load come after the end.
         last = 5 * (len(commanded) - 1)
         assert (result.status is Status.FAILED) is (clamped <= last), clamped
         if clamped <= last:
@@ -247,7 +247,7 @@ def test_nothing_of_a_finer_voltage_is_lost_between_the_samples_of_the_load() ->
 
 
 def test_a_channel_that_goes_on_alone_is_not_judged_in_part() -> None:
-    """100 A after the last position: not all that was recorded of the current was judged."""
+    """100 A after the last position: the current was not judged to its end."""
 
     def alone(number: int, first: int, samples: Mapping[str, np.ndarray]):
         if number < 17:  # the motion ends with block 16

@@ -1,4 +1,4 @@
-"""The extremes of trajectories against closed forms and dense sampling."""
+"""The extremes of trajectories, compared with closed forms and dense sampling."""
 
 from __future__ import annotations
 
@@ -74,10 +74,10 @@ def with_brakes(plan, braking: str):
 
 
 def test_braking_is_measured_where_the_axis_slows_down() -> None:
-    """Out and back, 16 h u^2 (1 - u)^2 in T: a = 16 h (2 - 12 u + 12 u^2) / T^2.
+    """Forth and back, 16 h u^2 (1 - u)^2 in T: a = 16 h (2 - 12 u + 12 u^2) / T^2.
 
-    It brakes most at the end of the way back, by 32 h / T^2, and speeds up most at the start, by
-    the same: the sign of the velocity decides.
+    It brakes most at the end of the way back, by 32 h / T^2, and accelerates equally at the start:
+    the sign of the velocity decides.
     """
     h, T = 0.1, 0.5
     there_and_back = h * np.array([0, 0, 16, -32, 16.0])
@@ -88,7 +88,7 @@ def test_braking_is_measured_where_the_axis_slows_down() -> None:
     assert braking.measured == pytest.approx(32 * h / T**2, rel=1e-9)
     assert braking.time_s == pytest.approx(T, rel=1e-6)
     assert verdict.result("acceleration").time_s == pytest.approx(0.0, abs=1e-9)
-    # It speeds up by 4 h / T^2, and slows down by twice that: a = h (4 - 12 u^2) / T^2.
+    # It accelerates by 4 h / T^2, and brakes by twice that: a = h (4 - 12 u^2) / T^2.
     out = h * np.array([0, 0, 2, 0, -1.0])
     two = with_pieces(np.stack([out, [h, 0, 0, 0, 0]])[:, :, None], [T, T])
     verdict = judged(
@@ -175,7 +175,7 @@ def test_beyond_the_travel_fails_and_an_endless_axis_has_none() -> None:
         verdict.result("travel", "A")
     with pytest.raises(KeyError):
         verdict.result("travel", "Y")  # not an axis of the job
-    every = judged(plan)  # of every axis, as no file would say it
+    every = judged(plan)  # for every axis, although no file would say it
     assert every.result("travel", "X").measured == pytest.approx(0.1)
     with pytest.raises(KeyError):
         every.result("travel", "A")
@@ -186,7 +186,7 @@ def test_beyond_the_travel_fails_and_an_endless_axis_has_none() -> None:
     [(0.4, -0.1, "room left"), (0.5, 0.0, "room left"), (0.6, 0.1, "beyond")],
 )
 def test_what_is_left_of_a_travel_is_told_as_room_down_to_none(far_m, room, note) -> None:
-    """A motion that ends at the limit itself is not beyond it."""
+    """A motion that ends at the limit itself is within it."""
     plan = with_pieces([[[0.0], [far_m]]], [2.0])
     travel = judged(plan, load_spec(None, plan.machine)).result("travel", "X")
     assert travel.measured == pytest.approx(room)
@@ -213,7 +213,7 @@ def test_all_of_the_way_is_held_against_the_stroke(
 
 
 def test_an_axis_that_is_asked_for_by_name_is_not_measured_where_the_job_lacks_it() -> None:
-    """Of every axis it is left out; by name it is listed, and fails what requires it."""
+    """For every axis it is left out; by name it is listed, and fails if it is required."""
     plan = with_pieces((0.2 * QUINTIC)[None, :, None], [0.5])
     by_name = Criterion(name="velocity", axis="Y", limit=1.0, required=True)
     found = judged(plan, spec_of(by_name))

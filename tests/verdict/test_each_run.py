@@ -1,4 +1,4 @@
-"""Results of runs on their way between processes."""
+"""Results of runs that are sent between processes."""
 
 from __future__ import annotations
 
@@ -35,6 +35,6 @@ def test_a_result_is_the_same_after_its_way_to_another_process() -> None:
 
 
 def test_a_result_of_one_run_is_short() -> None:
-    """The command reads thousands of them a second where many workers judge one by one."""
+    """A command reads thousands of them a second if many workers judge machines one by one."""
     one, other = (EachRun(rows=tuple(_row(k, 1) for k in range(35)), runs=1) for _ in range(2))
     assert len(pickle.dumps([one, other])) - len(pickle.dumps([one])) < 110 * 35

@@ -1,4 +1,4 @@
-"""A run that ended before its last row proves nothing beyond; rows that came late are told."""
+"""A run that ended before its last row proves nothing beyond it; late rows are reported."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SPEC = spec_of(
 
 
 class Once:
-    """Blocks of a live machine: they pass by a single time."""
+    """Blocks of a live machine, which can be read only once."""
 
     def __init__(self, blocks) -> None:
         self._left = [*blocks]
@@ -62,7 +62,7 @@ def test_a_run_that_came_to_its_end_passes_and_so_does_one_that_does_not_say(onc
 @pytest.mark.parametrize("once", [False, True])
 @pytest.mark.parametrize("kind", ["stopped", "fault"])
 def test_what_a_run_did_not_come_to_is_not_measured(kind, once) -> None:
-    """The plan's own criteria keep their result; no other passes, required or not."""
+    """Criteria of the plan keep their results; no other criterion passes, required or not."""
     verdict, plan = run(Event(tick=9, kind=kind, operation=1, name="the link is gone"), once=once)
     assert not verdict.passed
     for axis in XY:
@@ -75,18 +75,18 @@ def test_what_a_run_did_not_come_to_is_not_measured(kind, once) -> None:
 
 
 def test_a_share_is_told_in_per_cent() -> None:
-    """A share has no unit of its own in SI, and a bare number says nothing."""
+    """A share has no unit in SI, and a bare number would be unclear."""
     entry = {"name": "over_level", "axis": "", "measured": 0.05, "limit": 0.1, "unit": ""}
     used = Result(**entry, status=Status.PASSED)
     assert not_beyond(used, "it ended").note == "it ended (5 % until then)"
 
 
 def test_a_run_that_ended_in_no_operation_names_none() -> None:
-    """A controller that says of itself that it stopped, and not where, leaves -1."""
+    """A controller that stopped without saying where leaves operation -1."""
     verdict, _ = run(Event(tick=9, kind="stopped", operation=-1, name="asked"))
     assert "the run ended, stopped: asked" in closing(verdict)
     verdict, _ = run(Event(tick=9, kind="stopped", operation=-1, name="stopped by the operator"))
-    assert closing(verdict).endswith("the run ended, stopped by the operator")  # said once
+    assert closing(verdict).endswith("the run ended, stopped by the operator")  # named once
 
 
 def test_what_failed_before_the_end_has_failed() -> None:

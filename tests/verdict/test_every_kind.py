@@ -1,6 +1,6 @@
-"""Each change that must not matter, made to each kind of machine: nothing differs, all is counted.
+"""Changes that must not matter, for each kind of machine: the verdict stays, all are counted.
 
-``python -m tools.fuzz_every_kind`` makes the same changes for long.
+``python -m tools.fuzz_every_kind`` makes the same changes for a long time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def run(kind: str, number: int, change: str = "", proved: int = NEVER) -> fuzz_e
 
 @pytest.mark.parametrize("kind", [kind.name for kind in fuzz_every_kind.kinds()])
 def test_no_change_of_a_kind_changes_its_verdict(kind: str, tmp_path: Path) -> None:
-    """Some are proved, the others read; inches are for works without a turning axis alone."""
+    """Some kinds are proved, others are read; inches suit only work without a rotary axis."""
     tally = run(kind, 3, proved=4)
     assert tally.failures == []
     wanted = CHANGES + RUNS - LESS.get(kind, 0)
@@ -77,6 +77,6 @@ def _first(recording, kind, axis=""):
 def test_a_careless_program_is_found_out(
     kind, change, owner, name, careless, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Limits two thousandths wider, inches or millimetres as others, no shift, a wrong channel."""
+    """Limits 0.2 % wider, inches taken as millimetres, no shift, a wrong channel."""
     monkeypatch.setattr(owner, name, careless)
     assert any(run(kind, number, change).failures for number in range(4))

@@ -1,4 +1,4 @@
-"""Samples far finer than what is asked of them: looked at in part, or refused; never all held."""
+"""Samples far finer than a measure needs: read in part, or refused, and never all kept."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ POINTS = [[0.0, 0.0], [1.0, 0.0]]
 
 
 def run(per_block: int = 64):
-    """v (1 + e cos wt) on one chord, e = 0.05 and w = 2 pi / s."""
+    """A speed of v (1 + e cos wt) on one chord, e = 0.05 and w = 2 pi / s."""
     time_s = TICK_S * np.arange(SAMPLES + 1)
     speed, w = 1.0 / (SAMPLES * TICK_S), 2 * np.pi
     x = speed * (time_s + 0.05 / w * np.sin(w * time_s))
@@ -30,7 +30,7 @@ def run(per_block: int = 64):
 
 @pytest.mark.parametrize("interval_s", [1e-9, 1e-7, 1e-6, 4.9e-6, 1e-3, 1.0])
 def test_a_mean_holds_so_many_samples_at_most(interval_s: float) -> None:
-    """Of 20 ms in ticks of 1 ns there are twenty million; of coarser ticks each sample counts."""
+    """20 ms hold twenty million ticks of 1 ns; with coarser ticks each sample counts."""
     every = enough_of(0.02, interval_s)
     assert 0.02 / (every * interval_s) < 2 * PARTS_OF_MEAN
     assert every == 1 or 0.02 / (every * interval_s) >= PARTS_OF_MEAN
@@ -40,9 +40,9 @@ def test_a_mean_holds_so_many_samples_at_most(interval_s: float) -> None:
 def test_ripple_of_one_sample_in_four_is_that_of_all(
     per_block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A mean over 32 samples in 8 parts: e sin(x)/x, x = w T / 2, as of all samples.
+    """A mean over 32 samples in 8 parts: e sin(x)/x, x = w T / 2, as with all samples.
 
-    No sample that is looked at falls on the crest: off by half of four samples at most.
+    No sample that is read falls on the crest: the result is off by half of four samples at most.
     """
     monkeypatch.setattr(samples, "PARTS_OF_MEAN", 8)
     criterion = Criterion(name="velocity_ripple", options={"over": 32 * TICK_S})
@@ -56,7 +56,7 @@ def test_ripple_of_one_sample_in_four_is_that_of_all(
 def test_stitches_to_speed_of_one_sample_in_two_are_those_of_all(
     per_block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At one acceleration for 0.06 s; its start and 95 % are seen one sample off at most."""
+    """One acceleration for 0.06 s; its start and 95 % are seen at most one sample off."""
     rising = np.clip(TIME_S, 0.0, 0.06)
     x = SPEED_M_S * (rising**2 / 0.12 + np.maximum(TIME_S - 0.06, 0.0))
 
@@ -75,7 +75,7 @@ def test_stitches_to_speed_of_one_sample_in_two_are_those_of_all(
 def test_a_lag_of_more_samples_than_can_be_held_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of ticks of a nanosecond a lag of 100 ms has a hundred million. Here it has 20 samples."""
+    """With ticks of a nanosecond a lag of 100 ms has a hundred million. Here it has 20 samples."""
     criterion = Criterion(name="tracking_error")
     monkeypatch.setattr(samples, "MOST_HELD", 20)
     judge(*run(), spec_of(criterion))

@@ -1,4 +1,4 @@
-"""What changed the motion of a run is named with time and line, and a stop itself fails nothing."""
+"""Events that changed a run's motion are named with time and line; a stop fails nothing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from threadline.verdict.coverage import effects_in
 AXES = ("X", "Y")
 POINTS = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.0]]
 PER_MOVE = 40
-STOP, END = 60, 70  # ticks at which somebody stops it, and at which it stands
+STOP, END = 60, 70  # ticks of the stop, and of the standstill
 SPEC = spec_of(
     Criterion(name="contour_error", limit=1e-3, required=True),
     Criterion(name="tracking_error", limit=1e-3),
@@ -64,7 +64,7 @@ def stopped() -> list[Event]:
 
 
 def test_what_a_stop_does_to_the_work_fails_nothing() -> None:
-    """The load swings off its path while it brakes: that is of the stop, and nothing is proved."""
+    """The load swings off its path while it brakes: the stop causes this, and nothing is proved."""
     verdict = judge([run_until(END, STOP, stopped())], plan_of(), SPEC)
 
     assert not verdict.passed
@@ -81,7 +81,7 @@ def test_what_had_failed_before_a_stop_stays_failed() -> None:
 
 
 def test_a_fault_hides_no_failure() -> None:
-    """A machine that failed while it braked by a fault did fail."""
+    """A criterion that fails while a fault brakes the machine has failed."""
     fault = [Event(tick=STOP, kind="fault", operation=1, name="the link is gone")]
     verdict = judge([run_until(END, STOP, fault)], plan_of(), SPEC)
 
@@ -93,7 +93,7 @@ def listed(verdict: Verdict) -> list[tuple[str, float, int | None]]:
 
 
 def test_holds_lateness_and_ends_are_told_with_time_and_line() -> None:
-    """Of an early end the braking is no hold of its own."""
+    """The braking of an early end is no hold."""
     events = [
         Event(tick=10, kind="hold", operation=0),
         Event(tick=20, kind="resume", operation=0),
@@ -118,7 +118,7 @@ def test_holds_lateness_and_ends_are_told_with_time_and_line() -> None:
 
 
 def test_a_limit_switch_that_cut_a_motor_is_named() -> None:
-    """The first sample in which the input is on tells when, and its operation where."""
+    """The first sample with the input on gives the time, and its operation the line."""
     at, operation = follow(POINTS, PER_MOVE)
     run = record(AXES, {ChannelKind.LOAD: at, ChannelKind.COMMANDED: at}, operation)
     switch = Channel(name="x_high", kind=ChannelKind.INPUT, unit="", clock=SERVO, axis="X")
@@ -141,7 +141,7 @@ def test_a_limit_switch_that_cut_a_motor_is_named() -> None:
 
 
 def test_a_motor_without_supply_is_named_in_a_proof(tmp_path: Path) -> None:
-    """The switch is 1 um behind the travel; a hard loop overshoots, and the motor is cut."""
+    """The switch is 1 um beyond the travel; a stiff loop overshoots, and the supply is cut."""
     machine = tmp_path / "soft.toml"
     machine.write_text(
         'base = "lathe-winder"\nname = "soft"\n'
@@ -166,7 +166,7 @@ def test_a_motor_without_supply_is_named_in_a_proof(tmp_path: Path) -> None:
 def test_a_limit_switch_within_the_travel_is_refused_as_the_machine_is_loaded(
     tmp_path: Path,
 ) -> None:
-    """By name, with both places and what to do; at the very end of the travel, too."""
+    """The message names it, both places and the remedy, also for a switch at the travel's end."""
     file = tmp_path / "long.toml"
     for end, refused in (("1500", True), ("510", True), ("509", False)):
         file.write_text(

@@ -1,4 +1,4 @@
-"""Runs that were held are judged by the plan's time: against closed forms, and unheld runs."""
+"""Held runs are judged by the plan's time: compared with closed forms, and with unheld runs."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from threadline.errors import RecordingError
 from threadline.files import ChannelKind, Event, Recording, RecordingBlock, Stream
 from threadline.verdict import Criterion, Result, Status, judge
 
-BEGIN, TICKS = 60, 90  # the hold: its first tick, and how many pass until all rows go on
-SLOW = 10  # ticks in which it brakes, and in which it comes to its speed
+BEGIN, TICKS = 60, 90  # the hold: its first tick, and the number of ticks until all rows go on
+SLOW = 10  # ticks in which it brakes, and in which it accelerates
 NAMES = (
     "stitch_length_error", "stitch_placement_error", "stitch_speed_error", "stitches_to_speed",
     "needle_time_error", "progress_error", "contour_error", "velocity_ripple", "tracking_error",
@@ -23,7 +23,7 @@ NAMES = (
 
 
 def pace(ticks: int) -> np.ndarray:
-    """Return the plan's time at each tick, in ticks: at half of the rate, at rest, at half."""
+    """Return the plan time at each tick, in ticks: at half of the rate, at rest, at half."""
     rate = np.ones(ticks)
     rate[BEGIN : BEGIN + TICKS] = 0.0
     rate[BEGIN : BEGIN + SLOW] = rate[BEGIN + TICKS - SLOW : BEGIN + TICKS] = 0.5
@@ -31,16 +31,16 @@ def pace(ticks: int) -> np.ndarray:
 
 
 def plan_events(places: np.ndarray) -> list[Event]:
-    """Return what a machine tells of it: an event at each tick in a hold, to be simple."""
+    """Return the events of the machine: one at each tick in a hold, to be simple."""
     held = np.flatnonzero(places != np.arange(len(places)))
     held = held[held <= BEGIN + TICKS]
     return [Event(tick=int(k), kind="plan", operation=-1, value=places[k] * TICK_S) for k in held]
 
 
 def sewn_run(*, tells: bool = True, off: float = 0.0, held: bool = True) -> Recording:
-    """Return a run along the seam of ``seam()`` that is where the plan is at each instant.
+    """Return a run along the seam of ``seam()`` that is at the plan's place at each instant.
 
-    ``off`` is how far the head is ahead while it is held and has come to rest.
+    ``off`` is how far the head is ahead in a hold, once it has come to rest.
     """
     ticks = round(COUNT * PERIOD_S / TICK_S) + 41 + TICKS
     places = pace(ticks) if held else np.arange(float(ticks))
@@ -67,7 +67,7 @@ def with_events(run: Recording, events: list[Event]) -> Recording:
 def judged(run: Recording, plan: Plan | None = None) -> dict[str, Result]:
     criteria = [Criterion(name=name, limit=0.02 if "error" in name else None) for name in NAMES]
     verdict = judge([run], plan or seam(), spec_of(*criteria))
-    return {result.name: result for result in reversed(verdict.results)}  # X goes before Y
+    return {result.name: result for result in reversed(verdict.results)}  # X is judged before Y
 
 
 def test_a_run_that_was_held_is_where_the_plan_was() -> None:
@@ -83,8 +83,8 @@ def test_a_run_that_was_held_is_where_the_plan_was() -> None:
 
 def test_without_the_record_the_plan_goes_on_while_it_is_held() -> None:
     found = judged(sewn_run(tells=False))
-    assert found["stitch_length_error"].measured == pytest.approx(1.0)  # stitches on one place
-    assert found["stitch_placement_error"].status is Status.PASSED  # on the seam all the same
+    assert found["stitch_length_error"].measured == pytest.approx(1.0)  # stitches at one place
+    assert found["stitch_placement_error"].status is Status.PASSED  # still on the seam
     held_s = float((np.arange(TICKS + BEGIN + 1) - pace(TICKS + BEGIN + 1)).max()) * TICK_S
     assert held_s > 0.3
     assert found["velocity_ripple"].measured == pytest.approx(1.0)
@@ -94,13 +94,13 @@ def test_what_the_machine_does_while_it_stands_is_judged() -> None:
     found = judged(sewn_run(off=1.5e-3))
     assert found["progress_error"].measured == pytest.approx(1.5e-3)
     assert found["progress_error"].note == "ahead"
-    # The needle is down once while it brakes, and again while it comes to its speed.
+    # The needle is down once while it brakes, and again while it accelerates.
     assert found["stitch_length_error"].status is Status.PASSED
     assert found["tracking_error"].measured == pytest.approx(1.5e-3)
 
 
 def test_a_stitch_that_is_sewn_wrong_in_a_hold_is_told() -> None:
-    """The head is 0.5 mm behind for all of the braking, in which a needle goes down."""
+    """The head is 0.5 mm behind during the whole braking, in which a needle goes down."""
     run = sewn_run()
     slow = slice(BEGIN, BEGIN + SLOW)
     blocks = []
@@ -115,7 +115,7 @@ def test_a_stitch_that_is_sewn_wrong_in_a_hold_is_told() -> None:
 
 
 def test_loads_that_follow_are_meant_at_the_plans_time() -> None:
-    """The command that was recorded isn't asked: where loads follow, motors are told others."""
+    """The recorded command is not used: with feed-forward, motors have another motion."""
     plan = plan_through(POINTS, move_s=PERIOD_S)
     follows = replace(plan, intent=replace(plan.motion, following=Following.LOAD))
     for tells, limit in ((True, 1e-9), (False, 0.02)):
@@ -125,7 +125,7 @@ def test_loads_that_follow_are_meant_at_the_plans_time() -> None:
 
 
 def test_a_run_that_stands_when_it_ends_has_not_come_to_the_end() -> None:
-    """However long it stood: 4 s, for a motion of 0.8 s."""
+    """This holds however long it stood: 4 s here, for a motion of 0.8 s."""
     run = sewn_run()
     (first, second, *_) = run
     stands = {name: np.full(800, a[-1]) for name, a in second.samples.items()}
@@ -155,7 +155,7 @@ def test_runs_that_were_held_are_not_compared_with_others() -> None:
 
 @pytest.mark.parametrize(("tick", "value"), [(70, -1.0), (70, 1e300), (3, 0.1)])
 def test_a_record_that_no_run_can_have_is_refused(tick: int, value: float) -> None:
-    """A time before the plan, one far behind any, and an event that goes back."""
+    """A time before the plan, one far after any, and an event that goes back."""
     blocks = list(sewn_run())
     wrong = Event(tick=tick, kind="plan", operation=-1, value=value)
     blocks[1] = replace(blocks[1], events=(*blocks[1].events, wrong))

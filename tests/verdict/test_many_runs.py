@@ -1,7 +1,7 @@
-"""Many runs at once against the judge of one: the same figures, places and lines.
+"""Many runs side by side, compared with the judge of one run: same figures, places, lines.
 
-The reference is the judge on a recording of one run, whose measures are tested against closed forms
-elsewhere in this folder.
+The reference is the judge on a recording of one run; other tests in this folder compare its
+measures with closed forms.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def winder() -> tuple[Plan, Spec]:
 
 
 def stitcher() -> tuple[Plan, Spec]:
-    """Of the thesis's redesign, fast enough to saturate the motors as they are."""
+    """Return the plan of the thesis's redesign, so fast that the original motors saturate."""
     machine = load_machine("stitcher")
     seam = EXAMPLES / "stitcher-test-path.seam.toml"
     job = read_job(seam, machine, needle_speed="60 stitch/s")
@@ -60,7 +60,7 @@ def drawn(plan: Plan, count: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def with_every_measure(plan: Plan, spec: Spec) -> Spec:
-    """Add whatever the registry has for such a plan and the specification does not name."""
+    """Add every criterion of the registry for such a plan that the specification does not name."""
     have = {criterion.name for criterion in spec.criteria}
     names = [
         name
@@ -107,7 +107,7 @@ def test_every_run_has_the_figures_that_it_has_alone(made) -> None:
     assert {"progress_error", "velocity_ripple", "residual_vibration", "current_peak"} < measured
     if made is stitcher:
         assert {"seam_error", "stitches_to_speed", "stitch_speed_error"} < measured
-    # Side by side in one recording, they are what they are one after the other: places too.
+    # Side by side in one recording they are the same as one after the other, places included.
     together = Judge(plan, spec).verdict([simulate_runs(tick_table(plan.commands),
         Values.of(plan.machine, numbers), encoder_phase=phases)])  # fmt: skip
     apart = Judge(plan, spec).verdict(recordings)
@@ -158,7 +158,7 @@ def test_another_number_of_columns_than_of_runs_is_refused() -> None:
 
 
 def test_any_part_and_any_thread_gives_the_same(monkeypatch) -> None:
-    """Threads to the bit; parts to 1e-12, for the fastest variant of a part sets its time steps."""
+    """Threads agree to the bit, parts to 1e-12: a part's fastest variant sets its time steps."""
     plan, spec = winder()
     numbers, phases = drawn(plan, 40)
     whole = RunsJudge(plan, spec, threads=1).judged(numbers, phases)
@@ -173,7 +173,7 @@ def test_any_part_and_any_thread_gives_the_same(monkeypatch) -> None:
 
 
 def test_blocks_of_any_length_give_the_same_bits(monkeypatch) -> None:
-    """What is in hand is bounded: a block is so many rows times runs at most."""
+    """Memory is bounded: a block holds at most so many rows times runs."""
     plan, spec = winder()
     numbers, phases = drawn(plan, 16)
     whole = RunsJudge(plan, spec).judged(numbers, phases)
@@ -189,9 +189,10 @@ def test_blocks_of_any_length_give_the_same_bits(monkeypatch) -> None:
 
 
 def test_samples_of_many_runs_are_judged_where_the_twin_put_them() -> None:
-    """What is read of all axes fills one array: copying it cost as much as judging it.
+    """The samples of all axes fill one array: copying it took as long as judging it.
 
-    Fewer runs than fill whole vectors leave room between the axes, and are copied: the same.
+    Fewer runs than fill whole vectors leave gaps between the axes, and are copied: the result is
+    the same.
     """
     plan, _ = winder()
     for count, copied in ((64, False), (19, True)):
@@ -236,7 +237,7 @@ def test_a_run_without_an_answer_fails_alone(monkeypatch) -> None:
     kept = [run for run in range(4) if run not in lost]
     assert (contour.values[kept] == alone.row("contour_error").values[0]).all()
     assert found.passed.tolist() == [True, False, True, True]
-    # What is of the plan alone is what it is.
+    # Criteria of the plan alone are unchanged.
     assert found.row("path_deviation").values[1] == alone.row("path_deviation").values[0]
 
 

@@ -89,7 +89,7 @@ def test_residual_vibration_is_half_the_peak_to_peak() -> None:
 
 @pytest.mark.parametrize("name", ["residual_vibration", "settling_time"])
 def test_a_recording_that_ends_soon_after_the_command_can_only_fail(name: str) -> None:
-    """The load still swings when 20 ms were seen: what comes after them is not known."""
+    """The load still swings at the end of the recorded 20 ms: the rest is unknown."""
     statuses = {}
     for standstill in (4, 39, 41, 300):  # samples of 5 ms
         commanded, load, operation, _, _ = ringing(decay_s=0.05, standstill=standstill)
@@ -110,7 +110,7 @@ def test_a_recording_that_ends_soon_after_the_command_can_only_fail(name: str) -
 @pytest.mark.parametrize("name", ["residual_vibration", "settling_time"])
 @pytest.mark.parametrize("standstill", [4, 39, 41, 300])
 def test_runs_side_by_side_pass_by_what_was_seen_as_one_run_does(name, standstill) -> None:
-    """A yield counts no machine as good whose load was not watched for long enough."""
+    """A yield counts no machine as good whose load was recorded for too short a time."""
     commanded, load, operation, _, _ = ringing(decay_s=0.05, standstill=standstill)
     recording = record(("X", "Y"), {K.COMMANDED: commanded, K.LOAD: load}, operation)
     plan = plan_through(POINTS, ("X", "Y"))
@@ -129,7 +129,7 @@ def test_a_band_beyond_all_motion_is_settled_in_at_once() -> None:
 
 @pytest.mark.parametrize("per_block", [1, 7, 1000])
 def test_residual_vibration_is_told_at_the_instant_that_completes_the_swing(per_block: int) -> None:
-    """The later of highest and lowest sample, wherever blocks begin; told sample by sample here."""
+    """It is the later of highest and lowest sample, wherever blocks begin."""
     commanded, load, operation, since, swing = ringing(decay_s=0.5)
     channels = {K.COMMANDED: commanded, K.LOAD: load}
     for sign in (1.0, -1.0):
@@ -180,7 +180,7 @@ def test_settling_time_is_when_the_load_last_comes_into_the_band(per_block: int)
     verdict = judged(
         {K.COMMANDED: commanded, K.LOAD: load}, operation, criterion, per_block=per_block
     )
-    # The load goes in a straight line from the last sample outside to the next one.
+    # The load moves in a straight line from the last sample outside the band to the next one.
     out, inside = np.abs(swing[last]), np.abs(swing[last + 1])
     assert swing[last] * swing[last + 1] > 0.0
     entered = since[last] + TICK_S * (out - band) / (out - inside)
@@ -207,7 +207,7 @@ def test_settling_is_by_the_distance_at_the_tool() -> None:
     # From 1.13 of the band to 0 within a sample interval.
     inside = 30 + 1 - 1 / (0.8 * np.sqrt(2))
     assert verdict.result("settling_time").measured == pytest.approx(inside * TICK_S, abs=1e-9)
-    # A and the length of 0.1 m at which it acts: a tenth of the rad counts.
+    # A acts at a radius of 0.1 m: a tenth of the angle in rad counts.
     turned = commanded.copy()
     turned[20:51, 1] += 0.8e-3
     channels = {K.COMMANDED: commanded, K.LOAD: turned}
@@ -216,7 +216,7 @@ def test_settling_is_by_the_distance_at_the_tool() -> None:
 
 
 def test_a_pause_within_the_job_is_not_the_end() -> None:
-    """The load is off during the pause and calm after the end: nothing remains."""
+    """The load is off during the pause and calm after the end: no vibration is left."""
     points = [[0.0, 0.0], [0.05, 0.0], [0.05, 0.0], [0.1, 0.0]]
     commanded, operation = follow(points, 20)
     load = commanded.copy()
@@ -244,7 +244,7 @@ def test_currents() -> None:
     share = (2 + np.cos(2 * np.pi * TICK_S / 0.1)) / 3
     rms = 3 * np.sqrt(share / 2)
     assert verdict.result("current_rms", "X").measured == pytest.approx(rms, rel=1e-12)
-    assert verdict.result("current_rms", "X").position is None  # it is of the whole run
+    assert verdict.result("current_rms", "X").position is None  # it covers the whole run
 
 
 def test_dac_saturation_counts_samples_at_either_clamp() -> None:
@@ -299,12 +299,12 @@ def test_velocity_ripple_on_chords_that_go_straight_on(factor: float) -> None:
     [
         # 4 samples are 2 and 2 of two legs at a right angle: sqrt(1/2) of the way.
         ([0.5, 0.5], 1.0 - np.sqrt(0.5)),
-        # Straight on at a fifth of the speed; what led to the first sample there was 5 times that.
+        # Straight on at a fifth of the speed; the way to the first sample there had 5 times that.
         ([0.6, 0.0], 4.0),
     ],
 )
 def test_velocity_ripple_is_exempt_beside_a_corner_and_a_new_speed(third, lost) -> None:
-    """The load is on its command: nothing is wrong, but for the samples that span two chords."""
+    """The load is on its command: only samples that span two chords differ."""
     points = [[0.0, 0.0], [0.5, 0.0], third]
     commanded, operation = follow(points, 100)
     plan = plan_through(points, move_s=100 * TICK_S)
@@ -420,7 +420,7 @@ def test_an_angle_is_no_length() -> None:
 def test_the_window_of_residual_vibration_has_both_its_ends() -> None:
     """On a clock of 1/8 s instants are exact: from 0.5 to 1.0 s after the end at 2.5 s.
 
-    A place that counts differs from the rest by its own amount; half of the largest is measured.
+    A place that counts differs from the rest by its own amount; the measure is half of the largest.
     """
     eighth = Clock("eighth", Fraction(1, 8))
     commanded, operation = follow(POINTS, 20, standstill=20)
@@ -436,8 +436,8 @@ def test_the_window_of_residual_vibration_has_both_its_ends() -> None:
 
     inside = [sample for sample in range(15, 40) if half_swing(sample) == pytest.approx(5e-4)]
     assert inside == [24, 25, 26, 27, 28]
-    # From the end on: between the sample at which the command arrives and the next one the load
-    # moves in a straight line, so the former counts.
+    # From the end on: from the sample at which the command arrives to the next one the load moves
+    # in a straight line, so the first of the two counts.
     whole = spec_of(
         Criterion(name="residual_vibration", options={"after": 0.0, "window": 0.5}), lag_s=1.0
     )
@@ -446,7 +446,7 @@ def test_the_window_of_residual_vibration_has_both_its_ends() -> None:
 
 
 def test_values_between_samples_do_not_depend_on_their_number() -> None:
-    """The same straight lines with 1, 2 and 5 samples for each: closed forms, equal to rounding.
+    """The same straight lines with 1, 2 and 5 samples each: closed forms, equal up to rounding.
 
     The window of the residual vibration begins and ends between two samples of the first.
     """

@@ -1,8 +1,8 @@
-"""What must not matter to a verdict changes nothing in it; what must matter turns it.
+"""Changes that must not matter leave a verdict unchanged; others change it.
 
-A recording with noise below any resolution, a program in inches, a machine file in another order
-and others of their kind, from fixed seeds. ``python -m tools.fuzz --reader same-recording`` and so
-on run the same classes for long.
+Examples are noise below any resolution in a recording, a program in inches, and a machine file in
+another order, from fixed seeds. ``python -m tools.fuzz --reader same-recording`` and similar
+commands run the same classes for a long time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CASES = {"same-recording": 60, "same-program": 60, "same-winding": 12, "same-mac
 
 
 def run(kind: str, folder: Path, count: int) -> Iterator[str]:
-    """Yield what differed in so many cases."""
+    """Yield the differences found in a number of cases."""
     _, make, check, _ = cases.fuzz_metamorphic()[kind]
     path = folder / "case.seed"
     for index in range(count):
@@ -53,7 +53,7 @@ def test_what_must_not_matter_changes_no_verdict(kind: str, divisor: int, tmp_pa
     [
         ("1.prg", (1572,)),  # in a block that lifts the fibre and slips
         ("1.prg", tuple(range(1, 3459, 7))),
-        ("1.prg", tuple(range(2, 3459, 2))),  # where the fibre is given out fastest
+        ("1.prg", tuple(range(2, 3459, 2))),  # at the fastest consumption of fibre
         ("follows.seam.toml", (1500,)),  # between a stop of the head and the end of its contour
         ("follows.seam.toml", tuple(range(1, 2113, 50))),
     ],
@@ -97,7 +97,7 @@ def _first(recording, kind, axis=""):
 def test_a_careless_program_is_found_out(
     kind, owner, name, careless, found, tmp_path: Path, monkeypatch
 ) -> None:
-    """Limits two thousandths wider, the first channel of a kind, an F in inches taken as mm."""
+    """Limits 0.2 % wider, the first channel of a kind, an F in inches taken as mm."""
     pool()
     monkeypatch.setattr(owner, name, careless)
     assert any(found in message for message in run(kind, tmp_path, CASES[kind]))

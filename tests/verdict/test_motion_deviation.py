@@ -1,4 +1,4 @@
-"""How far a motion leaves the programmed path, measured with few points."""
+"""The distance of a motion from the programmed path, measured with few points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def plan_of(folder, text: str):
 
 
 def test_few_points_measure_as_many_do(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The corners of a zigzag, within a nanometre, with half of the points or fewer."""
+    """The corners of a zigzag agree to a nanometre, with half of the points or fewer."""
     zigzag = "".join(f"G1 X{10 * k} A{40 * (k % 2)} F300\n" for k in range(1, 12))
     plan = plan_of(tmp_path, f"G21 G90\n{zigzag}M2\n")
     taken = []

@@ -1,4 +1,4 @@
-"""Limits of travel and velocity are measured on a recording; what is of its plan is marked so."""
+"""Limits of travel and velocity are measured on a recording; results of its plan are marked."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_recording_that_keeps_its_limits_is_measured_itself() -> None:
 @pytest.mark.parametrize("simulated", [False, True])
 @pytest.mark.parametrize("kind", [ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.TOOL])
 def test_what_a_recording_breaks_is_failed(kind: ChannelKind, simulated: bool) -> None:
-    """An axis 40 mm beyond its travel for some ticks, and there with a jump of 540 mm."""
+    """An axis is 40 mm beyond its travel for some ticks, and gets there by a jump of 540 mm."""
     load = positions()
     load[50:60, 0] = -0.54
     verdict = judged(load, kind, simulated=simulated)
@@ -71,12 +71,12 @@ def test_what_a_recording_breaks_is_failed(kind: ChannelKind, simulated: bool) -
     travel = verdict.result("travel", "X")
     assert travel.status is Status.FAILED
     assert travel.measured == pytest.approx(0.04)
-    assert travel.limit == pytest.approx(PLACED_M)  # so far placement may be off
+    assert travel.limit == pytest.approx(PLACED_M)  # placement may be off by this
     assert travel.time_s == pytest.approx(50 * TICK_S)
     assert travel.job_line == 20
     velocity = verdict.result("velocity", "X")
     assert velocity.status is Status.FAILED
-    # From 100 mm to -540 mm within the 20 ms over which a velocity is taken.
+    # From 100 mm to -540 mm within the 20 ms over which a velocity is measured.
     assert velocity.measured == pytest.approx(0.64 / 0.02)
     assert velocity.limit == pytest.approx(1.1 * MACHINE.axes["X"].velocity.si)
     assert not verdict.passed
@@ -119,7 +119,7 @@ def test_without_a_position_the_plan_is_told_and_marked() -> None:
 
 
 def test_a_jump_is_told_as_missing_samples_may_look() -> None:
-    """3.2 m/s needed is 3 times the limit of X, 1 m/s; a fifth over the limit is no jump."""
+    """It needs 3.2 m/s, 3 times X's limit of 1 m/s; a fifth above the limit is no jump."""
     load = positions()
     load[50:, 0] -= 3.2 * 0.02
     found = judged(load, ChannelKind.MEASURED).result("velocity", "X")

@@ -1,4 +1,4 @@
-"""Live recordings pass by once: one reading gives the verdict of a recording read many times."""
+"""Live recordings are read once: one reading gives the same verdict as many readings."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ def test_one_reading_gives_the_verdict_of_two(name: str, per_block: int) -> None
     assert live.result("repeatability").measured is not None
     by_time = "operations from the plan by time" in live.result("contour_error").note
     assert by_time is (name == "nothing")
-    if by_time:  # as if the column were not there
+    if by_time:  # as if the column were absent
         none = [off_the_path(seed, lambda _: None, per_block) for seed in (1, 2)]
         assert live == judge([again(one) for one in none], plan, SPEC)
 
 
 def test_runs_that_tell_and_runs_that_do_not_are_compared() -> None:
-    """The operations by time are those that the other run recorded."""
+    """The operations by time equal the operations that the other run recorded."""
     plan = plan_through(POINTS, XY)
     silent = off_the_path(1, TOLD["nothing"], 7)
     telling = off_the_path(2, TOLD["told"], 64)
@@ -94,7 +94,7 @@ def test_runs_that_tell_and_runs_that_do_not_are_compared() -> None:
 
 
 def peak_and_verdict(chunks: int, value: float | None):
-    """Judge a long job once; return the memory that it took, and the verdict."""
+    """Judge a long job once; return its memory use, and the verdict."""
     plan, recording = long_job(chunks)
     if value is not None:
         made = recording.blocks
@@ -115,9 +115,9 @@ def peak_and_verdict(chunks: int, value: float | None):
 
 @pytest.mark.parametrize("value", [None, -1.0])
 def test_ten_times_the_job_needs_no_more_memory(value: float | None) -> None:
-    """Ahead of the first operation nothing is kept; what ten times as much would need is refused.
+    """Nothing before the first operation is kept; a need for ten times as much is refused.
 
-    A quarter is for the heap.
+    A quarter allows for the heap.
     """
     peak_and_verdict(3, value)  # compiles, fills caches
     short, _ = peak_and_verdict(3, value)
@@ -130,7 +130,7 @@ LOGGER = Clock("logger", Fraction(10, 1000))
 
 
 def two_clocks(behind: int, per_block: int = 16) -> Recording:
-    """Return positions, and every second operation on a clock of its own, some blocks behind."""
+    """Return positions, and every second operation on a clock of its own, some blocks late."""
     whole = off_the_path(3, TOLD["told"])
     load = {name: whole.samples(name)[1] for name in ("X.load", "Y.load")}
     operation = whole.samples("operation")[1][::2]
@@ -153,7 +153,7 @@ def two_clocks(behind: int, per_block: int = 16) -> Recording:
 
 @pytest.mark.parametrize("behind", [1, 3])
 def test_a_channel_may_come_later_than_the_others(behind: int) -> None:
-    """What was under way counts, whenever the recorder put it into a block."""
+    """The operation under way counts, in whichever block the recorder wrote it."""
     plan = plan_through(POINTS, XY)
     spec = spec_of(Criterion(name="contour_error", limit=5e-4), lag_s=0.02)
     in_step = judge([once(two_clocks(0))], plan, spec)
@@ -162,7 +162,7 @@ def test_a_channel_may_come_later_than_the_others(behind: int) -> None:
 
 
 def test_a_channel_that_comes_much_later_is_refused() -> None:
-    """Memory is bounded: who waits for ever is told what to do."""
+    """Memory is bounded: instead of a wait without end, the message has a remedy."""
     plan = plan_through(POINTS, XY)
     count = 2 * MOST_WAITING
     whole = two_clocks(0)

@@ -1,4 +1,4 @@
-"""When a motion passes points, in order: closed forms, and a search over all instants at once."""
+"""The instants at which a motion passes points, in order: closed forms, and a full search."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def chords(places, times_s, rests_s=()) -> TrajectoryBlock:
 
 
 def every_time(blocks, points, start=(0.0, 0.0)) -> FloatArray:
-    """Return when all points are passed, however few are known at a time."""
+    """Return the instants of all points, with any number of them known at a time."""
     follower = TrajectoryFollower(blocks, [0, 1], np.ones(2), np.array(start))
     found = np.empty(0)
     while len(found) < len(points):
@@ -55,7 +55,7 @@ def every_time(blocks, points, start=(0.0, 0.0)) -> FloatArray:
 
 @pytest.mark.parametrize("count", [3, 10, 500])
 def test_many_points_in_one_piece_are_passed_at_the_roots_of_its_cubic(count: int) -> None:
-    """From rest to rest, 3 u^2 - 2 u^3: no label of the piece says where in it the points are."""
+    """From rest to rest, 3 u^2 - 2 u^3: no label of the piece tells where the points lie in it."""
     rise = block([2.0], [3.0], [[[0.0, 0.0], [0.0, 0.0], [3.0, 0.0], [-2.0, 0.0]]])
     x = np.arange(1, count + 1) / count
     roots = [np.roots([-2.0, 3.0, 0.0, -one]).real for one in x[:-1]]
@@ -67,7 +67,7 @@ def test_many_points_in_one_piece_are_passed_at_the_roots_of_its_cubic(count: in
 
 @pytest.mark.parametrize("parts", [1, 2, 5])
 def test_a_way_that_is_retraced_is_passed_in_order(parts: int) -> None:
-    """To and fro over the same points: each is passed three times, each time by another stitch."""
+    """Forth and back over the same points: each is passed three times, by different stitches."""
     places = [[0, 0], [1, 0], [2, 0], [1, 0], [0, 0], [1, 0], [2, 0], [2, 0.1], [1, 0.1]]
     times = [0.5, 1.0, 1.0, 0.25, 1.0, 1.0, 1.0, 0.1]
     whole = chords(places, times)
@@ -86,7 +86,7 @@ def test_a_point_before_a_rest_is_passed_before_it() -> None:
 
 
 def test_points_without_a_way_and_points_beside_the_motion() -> None:
-    """One equal to the one before, one beside it, and two that are never come to."""
+    """One equals the previous one, one lies beside, and two are never reached."""
     straight = chords([[0, 0], [1, 0], [2, 0]], [1.0, 1.0])
     points = [[1, 0], [1, 0], [1, 0.2], [1.5, 0.1], [9, 0], [9.5, 0]]
     np.testing.assert_allclose(
@@ -116,7 +116,7 @@ def in_order(trajectory: Trajectory, points: FloatArray) -> tuple[FloatArray, Fl
 def test_a_seam_slower_than_the_grid_of_its_timing_has_the_times_of_its_needle(
     jerk: str, tmp_path: Path
 ) -> None:
-    """Five to fifty stitches in a piece. The path keeps within 0.1 mm: so near does each pass."""
+    """A piece has five to fifty stitches. The path keeps within 0.1 mm, so each pass is as near."""
     (tmp_path / "s.seam.toml").write_text(SEAM)
     (tmp_path / "m.toml").write_text(
         'base = "stitcher"\n'
@@ -137,5 +137,5 @@ def test_a_seam_slower_than_the_grid_of_its_timing_has_the_times_of_its_needle(
     fastest = np.abs(trajectory(np.linspace(0, trajectory.duration_s, 999), 1)).sum(axis=1).max()
     assert away.max() < 1e-4
     assert (away < least + 1e-9).all()
-    # Nearest to within what is moved in a step of the search, where the curve of nearness is flat.
+    # Nearest to within the motion in a step of the search, where the distance hardly changes.
     assert np.abs(trajectory(down) - trajectory(expected)).max() < 2.0 * fastest * step

@@ -1,4 +1,4 @@
-"""Runs side by side give up places far behind them all; each has the progress error of it alone."""
+"""Runs side by side drop places far behind them all; each keeps its own progress error."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def alone(actual: np.ndarray) -> Recording:
 
 
 def side_by_side(ways: list[np.ndarray]) -> Recording:
-    """One recording of several runs: what differs between them as (samples, runs)."""
+    """One recording of several runs; each channel that differs between them is (samples, runs)."""
     each = [list(alone(actual)) for actual in ways]
     blocks = [
         replace(
@@ -48,7 +48,7 @@ def late(by: int) -> np.ndarray:
 
 
 def again(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Note each second reading."""
+    """Record each second reading."""
     seen: list[int] = []
     read = progress_error._Progress._again
 
@@ -63,7 +63,7 @@ def again(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("scale_m", [1e-5, 5e-4, 5e-3])
 def test_each_run_has_the_error_that_it_has_alone(seed: int, scale_m: float) -> None:
-    """Random ways, some later than others, from far within the way of a sample to beyond it."""
+    """Random ways, some later than others, from far below the way of a sample to beyond it."""
     rng = np.random.default_rng(seed)
     ways = [late(int(by)) + rng.normal(scale=scale_m, size=COMMAND.shape) for by in (1, 3, 6, 9)]
     found = Judge(PLAN, SPEC).each(side_by_side(ways)).row("progress_error")
@@ -79,10 +79,10 @@ def test_each_run_has_the_error_that_it_has_alone(seed: int, scale_m: float) -> 
 def test_a_place_that_was_given_up_and_could_be_better_is_looked_at_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Late by 2 samples, then back for a while to where 9 are: one run of two.
+    """Late by 2 samples, then back for a while to where 9 samples are: one run of two.
 
-    For the way back to be right a tool would have had to stay 14 mm behind, which was given up
-    long before: matched with what is left it would be an error of 14 mm, and 7 are the least.
+    If that way back were right, a tool would have had to stay 14 mm behind, and this place was
+    dropped long before. With the remaining places the error would be 14 mm; the least is 7 mm.
     """
     seen = again(monkeypatch)
     good, back = late(2), late(2)
@@ -105,7 +105,7 @@ def judged_values(ways: list[np.ndarray]) -> np.ndarray:
 
 
 def test_of_one_run_every_place_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may be of a machine, whose samples come by once."""
+    """The run may come from a live machine, whose samples can be read only once."""
     seen = again(monkeypatch)
     back = late(2)
     back[14:17] = late(9)[14:17]

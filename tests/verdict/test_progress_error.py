@@ -1,7 +1,7 @@
-"""The progress error against closed forms, and against a search over all matchings without memory.
+"""The progress error, compared with closed forms, and with a search over all matchings.
 
-A square root is taken of the difference of two squares of up to 1 m^2: what is 0 comes out below
-1e-7 m where the path is slanted, and below 1e-9 m where it lies along an axis.
+A square root is taken of the difference of two squares of up to 1 m^2: a true 0 is computed as less
+than 1e-7 m if the path is slanted, and as less than 1e-9 m if it lies along an axis.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .builders import TICK_S, follow, plan_through, record, spec_of
 
 XY = ("X", "Y")
 LINE = [[0.0, 0.0], [0.2, 0.0]]
-PER_MOVE = 100  # 2 mm a sample
+PER_MOVE = 100  # 2 mm in a sample
 STEP_M = 0.2 / PER_MOVE
 LAG = 20
 CRITERIA = (Criterion(name="progress_error", limit=5e-4), Criterion(name="contour_error"))
@@ -56,7 +56,7 @@ def test_trailing_within_the_lag_is_free_and_what_is_beyond_it_is_not(by, expect
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("size_m", [1e-300, 1e-162, 1e-155, 1e-154, 1e-100])
 def test_a_command_that_moves_by_next_to_nothing_stands(size_m) -> None:
-    """The square of the way is 0, a number without digits, or one whose inverse is infinite."""
+    """The square of its way is 0, a number without digits, or one whose inverse is infinite."""
     command, operation = follow(LINE, PER_MOVE, standstill=60)
     off = command.copy()
     off[-30, 1] = size_m
@@ -80,9 +80,9 @@ def test_running_ahead_is_not_free() -> None:
 
 @pytest.mark.parametrize(("back_m", "expected"), [(1e-3, 5e-4), (4e-3, 2e-3), (12e-3, 6e-3)])
 def test_a_step_back_within_the_lag_costs_half_of_itself(back_m: float, expected: float) -> None:
-    """The load trails by 10 samples, and once it goes back: between two places, as near to both.
+    """The load trails by 10 samples, and steps back once: half-way between two places.
 
-    So does a step that is shorter than the way of a sample, 2 mm.
+    A step that is shorter than the way of a sample, 2 mm, also costs half of itself.
     """
     command, operation = follow(LINE, PER_MOVE, standstill=40)
     actual = late(command, 10)
@@ -92,7 +92,7 @@ def test_a_step_back_within_the_lag_costs_half_of_itself(back_m: float, expected
 
 
 def test_a_run_that_rings_along_its_stroke_is_out_of_spec() -> None:
-    """20 mm along the stroke: not a micrometre off the path, but 20 mm off its place."""
+    """20 mm along the stroke: on the path to a micrometre, but 20 mm off its place."""
     command, operation = follow(LINE, PER_MOVE, standstill=60)
     time_s = TICK_S * np.arange(len(command))
     ring = 0.02 * np.sin(2 * np.pi * time_s / 0.1)
@@ -106,20 +106,21 @@ def test_a_run_that_rings_along_its_stroke_is_out_of_spec() -> None:
 
 
 def test_ringing_along_the_path_at_its_end_counts() -> None:
-    """The command stands; within the lag it was farther back, and after that nowhere else."""
+    """The command stands; within the lag it was farther back, and afterwards nowhere else."""
     command, operation = follow(LINE, PER_MOVE, standstill=60)
     actual = command.copy()
     actual[110, 0] -= 2e-3  # 10 samples after the end: the command was there a sample before it
     actual[140, 0] -= 1.5e-3
     result = progress(LINE, actual, operation, command=command)
-    # The tool had arrived before: each is a step back, half of it at least, and the second whole.
+    # The tool had arrived before: each swing is a step back. Half of the first counts, and the
+    # whole second one.
     assert result.measured == pytest.approx(1.5e-3, abs=1e-9)
     assert result.note == "behind"
 
 
 @pytest.mark.parametrize("per_block", [1, 64])
 def test_a_command_that_stands_heads_where_it_went_last(per_block) -> None:
-    """The last sample before it stands turns from X into Y: the tool is behind along Y."""
+    """The last sample before the standstill turns from X into Y: the tool is behind along Y."""
     points = [[0.0, 0.0], [0.2, 0.0], [0.2, 4e-3], [0.2, 8e-3]]
     straight, operation = follow(LINE, PER_MOVE, standstill=0)
     turned = np.repeat([[0.2, 4e-3]], 220, axis=0)
@@ -139,7 +140,7 @@ def test_what_is_off_the_path_is_no_progress() -> None:
 
 
 def test_a_stroke_there_and_back_is_followed_on_the_right_way() -> None:
-    """Out and back on one line, 6 samples late: the way back is not taken for the way out."""
+    """Forth and back on one line, 6 samples late: the way back is not taken for the way forth."""
     points = [[0.0, 0.0], [0.2, 0.0], [0.0, 0.0]]
     command, operation = follow(points, PER_MOVE)
     actual = late(command, 6)
@@ -174,11 +175,11 @@ def test_without_a_command_the_plan_at_the_same_instant_counts(lacking: int | No
     assert untold.note == "ahead; command from the plan by time"
 
 
-PARTS = 32  # of the way of a sample: the reference may go back within one of them
+PARTS = 32  # share of a sample's way: the reference may go back within a sample
 
 
 def reference(points, actual, command, operation, lag):
-    """Return the least bottleneck of all monotone matchings, worked out on the full matrix."""
+    """Return the least bottleneck of all monotone matchings, from the full matrix."""
     vertices, command = np.asarray(points, dtype=float), np.asarray(command)
     count = len(actual)
     instants = np.arange(PARTS * (count - 1) + 1) / PARTS
@@ -213,7 +214,7 @@ def reference(points, actual, command, operation, lag):
 def test_random_ways_against_every_matching(seed, moves, per_move, lag, per_block) -> None:
     """Samples of a random way about a random path, in blocks of any size.
 
-    Where the command turns within a sample the figure may be off by a part of the way of one.
+    Where the command turns within a sample, the error may be off by a part of a sample's way.
     """
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.01, 0.01, size=(moves + 1, 2))
@@ -227,7 +228,7 @@ def test_random_ways_against_every_matching(seed, moves, per_move, lag, per_bloc
 
 
 def test_most_random_ways_are_met_exactly() -> None:
-    """Nine in ten of 1000 such ways agree to rounding: only a turn within a sample is in doubt."""
+    """Nine in ten of 1000 such ways agree up to rounding: only turns within a sample differ."""
     met = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
@@ -242,10 +243,10 @@ def test_most_random_ways_are_met_exactly() -> None:
 
 
 def along_a_line(actual, command, lag):
-    """Return the progress error of (n,) ways along one line: what goes forward alone, in order.
+    """Return the progress error of (n,) ways along one line: forward motion alone, in order.
 
-    With an error of ``e`` the place is the farthest of all ``x - e`` so far, and of where the lag
-    ends: that may be neither past ``x + e`` nor past the command.
+    With an error of ``e`` the place is the farthest of all ``x - e`` so far, and of the end of the
+    lag: it may be neither past ``x + e`` nor past the command.
     """
     farthest = np.maximum.accumulate(actual)
     end = command[np.maximum(np.arange(len(command)) - lag, 0)]
@@ -259,7 +260,7 @@ def along_a_line(actual, command, lag):
     size_m=st.floats(1e-5, 2e-2),
 )
 def test_along_a_line_the_rate_of_samples_does_not_matter(seed, per_move, lag, size_m) -> None:
-    """A random way along the path, against its closed form, and with a sample between every two."""
+    """A random way along the path, by its closed form, and with a sample between every two."""
     rng = np.random.default_rng(seed)
     command, operation = follow(LINE, per_move, standstill=lag + 2)
     actual = command.copy()
@@ -281,14 +282,14 @@ def test_along_a_line_the_rate_of_samples_does_not_matter(seed, per_move, lag, s
 
 @pytest.mark.parametrize("name", library_names())
 def test_no_default_specification_asks_for_place_across_the_path_alone(name: str) -> None:
-    """Where the contour has a limit, so has what is along it: of the same length, and required."""
+    """A limit on the contour comes with a limit along the path: equally long, and required."""
     spec = load_spec(None, load_machine(name))
     found = {c.name: (c.limit, c.required) for c in spec.criteria}
     assert found.get("progress_error") == found.get("contour_error")
 
 
 def test_a_winder_with_steppers_that_rings_along_its_stroke_is_out_of_spec() -> None:
-    """As the library asks: 5 mm along the stroke, and nothing beside the path."""
+    """By the library's specification: 5 mm along the stroke, and nothing beside the path."""
     command, operation = follow(LINE, PER_MOVE, standstill=60)
     time_s = TICK_S * np.arange(len(command))
     ring = 5e-3 * np.sin(2 * np.pi * time_s / 0.05 + 0.1) * (time_s < 0.5)

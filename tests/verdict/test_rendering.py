@@ -48,7 +48,7 @@ def a_verdict():
 def test_json_has_the_keys_of_the_design_and_finite_numbers_only() -> None:
     verdict, plan = a_verdict()
     content = verdict_json(verdict, plan)
-    text = json.dumps(content, allow_nan=False)  # refuses infinities
+    text = json.dumps(content, allow_nan=False)  # the parser refuses infinities
     assert json.loads(text) == content
     assert {
         "job", "machine", "interpolation", "passed", "duration_s", "ticks", "criteria",
@@ -67,7 +67,7 @@ def test_json_has_the_keys_of_the_design_and_finite_numbers_only() -> None:
     assert contour["limit"] == 5e-4
     assert contour["status"] == "failed"
     settling = next(c for c in content["criteria"] if c["name"] == "settling_time")
-    assert settling["measured"] is None  # it never settles; JSON has no infinity
+    assert settling["measured"] is None  # the load never settles, and JSON has no infinity
     assert "not settled" in settling["note"]
 
 
@@ -89,7 +89,7 @@ def test_rows_show_the_worst_axis_in_millimetres() -> None:
 
 
 def test_people_read_the_room_left_and_degrees() -> None:
-    """50 mm inside the travel exceed it by nothing; pi rad/s^2 are 180 deg/s^2."""
+    """A motion 50 mm inside its travel exceeds it by nothing; pi rad/s^2 are 180 deg/s^2."""
     inside = Result(
         name="travel", axis="Y", measured=-0.05, limit=0.0, unit="m", status=Status.PASSED,
         note="room left",
@@ -104,7 +104,7 @@ def test_people_read_the_room_left_and_degrees() -> None:
 
 
 def test_rounding_is_shown_as_nothing_and_kept_in_json() -> None:
-    """Below 1 nm, 1 ns, 1e-9 of a whole or of a limit nothing is meant; a failure shows anyway."""
+    """Values below 1 nm, 1 ns, 1e-9 of a whole or of a limit are shown as 0, unless they fail."""
     noise = Result(
         name="contour_error", axis="", measured=4.3e-19, limit=5e-4, unit="m", status=Status.PASSED
     )
@@ -122,7 +122,7 @@ def test_rounding_is_shown_as_nothing_and_kept_in_json() -> None:
 
 
 def test_what_was_not_measured_does_not_hide_the_rest() -> None:
-    """The worst of what was measured is shown, with how many were not; both where they had to."""
+    """The worst measured value is shown, with the number of missing ones if these are required."""
     small = Result(
         name="residual_vibration", axis="X", step="home", measured=2e-5, limit=1e-4, unit="m",
         status=Status.PASSED,
@@ -204,7 +204,7 @@ def test_an_unknown_measure_is_named_with_the_nearest() -> None:
 
 
 def test_a_verdict_says_its_level_and_how_narrowly_it_passed() -> None:
-    """Shares are rounded up, so that 99.6 % does not read as less; hard limits are full."""
+    """Shares are rounded up, so that 99.6 % does not read as less; hard limits show 100 %."""
 
     def of(name: str, measured: float, limit: float | None, *, hard: bool = False) -> Result:
         status = Status.PASSED if limit else Status.REPORTED
@@ -222,7 +222,7 @@ def test_a_verdict_says_its_level_and_how_narrowly_it_passed() -> None:
 
 
 def test_a_verdict_without_a_limit_of_the_specification_says_that_limits_are_kept() -> None:
-    """Nothing but the machine's own limits was measured: that is less than being in spec."""
+    """Only the machine's own limits were measured: that is less than being in spec."""
 
     def of(name: str, limit: float | None, *, hard: bool = False, measured: bool = True) -> Result:
         passed = Status.PASSED if limit else Status.REPORTED
@@ -247,7 +247,7 @@ def test_a_verdict_without_a_limit_of_the_specification_says_that_limits_are_kep
 def test_what_is_beyond_all_multiples_of_its_limit_is_said_in_words(
     measured: float, limit: float
 ) -> None:
-    """A machine that never settles, and a limit of next to nothing: no share of it is a number."""
+    """A machine that never settles, and a limit of almost 0: no share of it is a number."""
     failed = Result(
         name="settling_time", axis="", measured=measured, limit=limit, unit="s",
         status=Status.FAILED,
@@ -258,7 +258,7 @@ def test_what_is_beyond_all_multiples_of_its_limit_is_said_in_words(
 
 
 def test_more_than_ten_times_a_limit_is_told_as_that_and_no_more() -> None:
-    """A share of millions of per cent says nothing; the figure itself stands in its row."""
+    """A share of millions of per cent means nothing; the value itself stands in its row."""
 
     def closed(measured: float) -> str:
         failed = Result(
@@ -272,7 +272,7 @@ def test_more_than_ten_times_a_limit_is_told_as_that_and_no_more() -> None:
 
 
 def test_axes_that_never_move_have_no_rows_of_zeros() -> None:
-    """Their results stay; so does what they fail, and every row where nothing moves at all."""
+    """Their results stay; so do failures, and every row if nothing moves at all."""
     at_rest = Result(
         name="velocity", axis="A", measured=0.0, limit=1.0, unit="rad/s", status=Status.PASSED
     )

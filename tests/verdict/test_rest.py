@@ -1,4 +1,4 @@
-"""Noise below the resolution of a commanded channel is no motion, and changes no status."""
+"""Noise below the resolution of a commanded channel is no motion, and changes no verdict."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from threadline.verdict.samples import Steady
 
 AXES = ("X", "Y")
 PER_MOVE, STANDSTILL, LATE = 40, 120, 100
-SETTLED = 0.4e-3  # half of the swing of the load after the end, beyond the limit of 0.1 mm
+SETTLED = 0.4e-3  # half of the load's swing after the end; the limit is 0.1 mm
 
 
 def counted(values: FloatArray) -> FloatArray:
@@ -27,9 +27,9 @@ def counted(values: FloatArray) -> FloatArray:
 def run_of(
     noise: FloatArray | float, *, seed: int = 0, late_m: float = 0.0
 ) -> tuple[Plan, Recording]:
-    """Return a run along X and back whose load rings on at its end, and a plan; Y stands still.
+    """Return a run along X and back whose load rings at its end, and a plan; Y stands still.
 
-    ``noise``, of the recorder, is added to the commanded positions, which are whole counts. Y steps
+    ``noise`` of the recorder is added to the commanded positions, which are whole counts. Y steps
     by ``late_m`` after the end.
     """
     points = [(0.0, 0.0), (0.1, 0.0), (0.02, 0.0)]
@@ -77,7 +77,7 @@ def test_one_float_that_changes_after_the_end_is_no_motion() -> None:
 @pytest.mark.parametrize("share", [1e-12, 1e-3, 0.2, 0.45])
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_below_a_count_changes_no_status(share: float, seed: int) -> None:
-    """Of the idle axis it may be as much as rounds to the same count, and the value stays."""
+    """On the idle axis, noise that rounds to the same count changes no value."""
     plain = verdict_of(0.0)
     count_m = 1.0 / winder().axes["Y"].counts.si
     for noise in (np.array([0.0, share * count_m]), np.array([1e-3, share]) * count_m):
@@ -88,7 +88,7 @@ def test_noise_below_a_count_changes_no_status(share: float, seed: int) -> None:
 
 
 def test_one_count_is_a_motion() -> None:
-    """A command that steps by a count later ends later, and the load has rung less by then."""
+    """A command that steps by a count later ends later, when the load rings less."""
     late_m = 1.0 / winder().axes["Y"].counts.si
 
     later = verdict_of(0.0, late_m=late_m).result("residual_vibration", "X")
@@ -99,7 +99,7 @@ def test_one_count_is_a_motion() -> None:
 
 
 def test_a_creeping_command_moves() -> None:
-    """Steps far below the resolution add up: no drift is taken for a rest."""
+    """Steps far below the resolution add up: a drift is not taken for a rest."""
     creep = 1e-3 * np.arange(5000.0)[:, None]
 
     parts = [Steady(np.ones(1)), Steady(np.ones(1))]
@@ -112,7 +112,7 @@ def test_a_creeping_command_moves() -> None:
 
 
 def test_whole_counts_are_left_as_they_are() -> None:
-    """Not a bit of a command changes that the machine can tell apart."""
+    """No bit changes in a command whose steps the machine can tell apart."""
     plan, run = run_of(0.0)
     counts = np.array([plan.machine.axes[axis].counts.si for axis in AXES])
     rows = np.random.default_rng(7).integers(-3, 4, (10_000, 2)).cumsum(axis=0) / counts

@@ -1,6 +1,6 @@
-"""The seam against its drawing, by closed forms: chords of a circle, a tip that was left out.
+"""The seam against its drawing, by closed forms: chords of a circle, and a missing tip.
 
-Stitches at 50 a second on samples every 5 ms, so that every needle-down is on a sample.
+There are 50 stitches a second, and samples every 5 ms, so that every needle-down is on a sample.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def circle() -> DrawnLine:
 
 
 def plan_of(downs, at_m, line, tagged=True):
-    """A plan that goes through needle-downs, each stitch with its stretch of the line."""
+    """Return a plan through needle-downs, each stitch with its stretch of the line."""
     plan = plan_through(downs, move_s=PERIOD_S, vertices_per_block=5)
     feed = Feed(FeedMode.INVERSE_TIME, 1 / PERIOD_S)
     moves = [
@@ -51,7 +51,7 @@ def plan_of(downs, at_m, line, tagged=True):
 
 
 def sewn(plan, downs, per_block=13):
-    """The verdict on a tool that goes straight from needle-down to needle-down."""
+    """Return the verdict on a tool that moves straight from needle-down to needle-down."""
     count = len(downs) - 1
     time = TICK_S * np.arange(round(count * PERIOD_S / TICK_S) + 41)
     turns = np.minimum(time / PERIOD_S, count)
@@ -79,20 +79,20 @@ def test_chords_of_a_circle(wider: float, per_block: int) -> None:
     result = verdict.result("seam_error")
 
     assert result.measured == pytest.approx(max(abs(rise), abs(wider)), abs=1e-9)
-    if not wider:  # the contour of chords is kept, and the drawing is not
+    if not wider:  # the seam keeps the chords, but not the drawing
         assert verdict.result("contour_error").measured == pytest.approx(0.0, abs=1e-9)
         assert "drawn there" in result.note
 
 
 def test_a_tip_that_is_cut_off_is_found_in_its_place() -> None:
-    """Out 20 mm and back 1 mm beside: the seam turns round 6 mm before the tip."""
+    """20 mm forth and back 1 mm beside: the seam turns round 6 mm before the tip."""
     corners = np.array([[0.0, 0.0], [0.02, 0.0], [0.02, 1e-3], [0.0, 1e-3]])
     line = DrawnLine(arc_table(chords(corners)), False)
     downs = [[2e-3 * k, 0.0] for k in range(8)] + [[14e-3 - 2e-3 * k, 1e-3] for k in range(8)]
     at_m = np.array([2e-3 * k for k in range(8)] + [27e-3 + 2e-3 * k for k in range(8)])
     result = sewn(plan_of(downs, at_m, line), downs).result("seam_error")
 
-    # 16 places of the 13 mm about the tip are looked at: the farthest is nearly at its end.
+    # 16 places of the 13 mm about the tip are checked: the farthest is nearly at its end.
     assert 6e-3 - 13e-3 / 16 < result.measured <= 6.1e-3
     assert result.status is Status.FAILED
     assert result.job_line == 80  # the stitch that goes across
@@ -100,7 +100,7 @@ def test_a_tip_that_is_cut_off_is_found_in_its_place() -> None:
 
 
 def test_what_runs_ahead_on_the_line_is_no_error() -> None:
-    """A tenth of a stitch too far along a straight line, but for the end, which is overrun."""
+    """A tenth of a stitch too far along a straight line is no error, except at its end."""
     line = DrawnLine(arc_table(chords(np.array([[0.0, 0.0], [0.1, 0.0]]))), False)
     downs = [[2e-3 * k, 0.0] for k in range(31)]
     at_m = 2e-3 * np.arange(31)
@@ -117,7 +117,7 @@ def test_without_a_drawing_nothing_is_measured() -> None:
 
 
 def test_an_arc_that_stitches_miss_is_out_of_spec(tmp_path) -> None:
-    """Chords of 3.1 mm on a radius of 2 mm miss it by 0.7 mm; their own path is in spec."""
+    """Chords of 3.1 mm on a radius of 2 mm miss it by 0.7 mm; the seam keeps the chords."""
     path = tmp_path / "arc.seam.toml"
     path.write_text(
         '[stitching]\nstitch_length = "3.1 mm"\nneedle_speed = "2 stitch/s"\nbow = "1 mm"\n'

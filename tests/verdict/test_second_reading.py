@@ -1,9 +1,8 @@
-"""The judge against a second reading of the specification: nothing passes that cannot.
+"""The judge against a second reading of the specification: nothing passes that cannot pass.
 
-Random subsets of channels are taken away from runs of a winder, a stitcher, an on/off placer and
-an embroidery machine, their units changed, their blocks cut, overlapped and reordered, and single
-axes named.
-``python -m tools.fuzz`` runs the same classes for long.
+Runs of a winder, a stitcher, an on/off placer and an embroidery machine lose random channels,
+change units, have blocks cut, overlapped and reordered, and have single axes named. ``python -m
+tools.fuzz`` runs the same classes for a long time.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ CASES = 25
 
 
 def run(kind: str, folder: Path, count: int, seed: int = 11) -> tuple[int, int]:
-    """Return how many cases were judged, and how many were passed that cannot pass."""
+    """Return the number of judged cases, and the number that passed although they cannot."""
     judged = wrong = 0
     path = folder / "case.seed"
     for index in range(count):
@@ -63,7 +62,7 @@ def test_nothing_passes_that_cannot(kind: str, tmp_path: Path) -> None:
 def test_a_careless_judge_is_found_out(
     kind, owner, name, careless, found, tmp_path: Path, monkeypatch
 ) -> None:
-    """By its verdict: a judge that stumbles over what it does not heed is not found out by that."""
+    """A verdict must show it; an error in a judge that neglects a rule does not count."""
     monkeypatch.setattr(owner, name, careless)
     path = tmp_path / "case.seed"
     for index in range(400):
@@ -73,7 +72,7 @@ def test_a_careless_judge_is_found_out(
         except (ThreadlineError, ValueError):
             continue
         except AssertionError as error:
-            if not str(error):  # of the judge itself, which stumbles
+            if not str(error):  # an error of the judge itself
                 continue
             assert found in str(error), (index, name)
             return

@@ -1,4 +1,4 @@
-"""Specification files: what they say, and that every mistake is named with its line."""
+"""Specification files: their content, and the line of every mistake."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ def test_no_text_makes_a_traceback(content) -> None:
 
 
 def test_a_lag_beyond_any_machine_is_refused(tmp_path: Path) -> None:
-    """As samples it would be more than an array can count."""
+    """In samples the lag would be more than an array can count."""
     path = tmp_path / "spec.toml"
     path.write_text('name = "a"\nlag = "1e300 s"\n[[criteria]]\nname = "contour_error"\n')
     with pytest.raises(SpecError, match="lag = '1e300 s' is above 3600 s") as caught:
@@ -212,7 +212,7 @@ def test_a_lag_beyond_any_machine_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_machine_based_on_another_is_asked_for_the_same() -> None:
-    """Two steps from the stitcher; its own demands follow from its own limits."""
+    """It is based on the stitcher in two steps; its hard limits follow from its own limits."""
     spec = load_spec(None, load_machine("stitcher-rigid-half-mass"))
     assert spec.name == "stitcher"
     assert next(c.limit for c in spec.criteria if c.name == "stitch_length_error") == 0.05
@@ -229,7 +229,7 @@ NAMED = 'name = "m"\n[[criteria]]\nname = "velocity"\naxis = "Y"\n'
 @pytest.mark.parametrize(
     ("written", "of_y"),
     [
-        ("", {("Y", "own", True)}),  # reported, as far as the file goes; the machine still ends it
+        ("", {("Y", "own", True)}),  # the file only reports it; the machine's limit still holds
         ('limit = "100 mm/s"', {("Y", 0.1, False)}),
         ('limit = "1200 mm/s"', {("Y", 1.2, False), ("Y", "own", True)}),
         ('limit = "machine"', {("Y", "own", True)}),
@@ -247,7 +247,7 @@ def test_naming_one_axis_leaves_the_machines_limits_of_all(tmp_path: Path, writt
 
 
 def test_a_wider_limit_than_the_machines_fails_with_the_machines_own(tmp_path: Path) -> None:
-    """X at 1.286 of the machine's 1 m/s, while the file speaks of Y, or asks for less."""
+    """X reaches 1.286 of the machine's 1 m/s; the file names Y, or allows more."""
     machine = winder()
     assert machine.velocity_limit.tolist()[1] == 1.0
     points = [[0.0, 0.0], [0.1286, 0.01]]
@@ -312,7 +312,7 @@ def test_how_many_recordings_is_a_whole_number(tmp_path: Path) -> None:
 
 
 def test_a_specification_written_beside_a_design_reads_the_same(tmp_path: Path) -> None:
-    """With a limit wider than the machine's, a share above the whole and a count among it."""
+    """It has a limit wider than the machine's, a share above 100 %, and a count."""
     text = (
         f'{NAMED}limit = "1200 mm/s"\n'
         + '[[criteria]]\nname = "repeatability"\nlimit = "1 mm"\nrecordings = 5\n'
@@ -336,7 +336,7 @@ def test_a_specification_written_beside_a_design_reads_the_same(tmp_path: Path) 
 def test_a_machine_without_a_specification_gets_one_that_says_so(
     tmp_path: Path, library: str, place: bool
 ) -> None:
-    """A copy of a library's file under another name: its limits, and of axes their place."""
+    """A copy of a library's file with another name: its limits, and a contour error with axes."""
     text = (resources.files("threadline.machine") / "library" / f"{library}.toml").read_text(
         "utf-8"
     )

@@ -1,4 +1,4 @@
-"""The document on specifications and the registry of measures say the same."""
+"""The document on specifications agrees with the registry of measures."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_every_key_and_status_is_named() -> None:
 
 
 def test_what_is_judged_without_being_named_is_so(tmp_path: Path) -> None:
-    """The two paragraphs name what a file that names one criterion is given besides."""
+    """Two paragraphs name the criteria that are judged in addition to the named ones."""
     paragraphs = part("What is judged without being named").strip().split("\n\n")
     for text, machine, named in zip(
         paragraphs, ("lathe-winder", "letter-placer"), ("current_rms", "current_peak"), strict=True

@@ -1,4 +1,4 @@
-"""The stitcher's own specification asks for all that its thesis does, and keeps the needle even."""
+"""The stitcher's own specification has all limits of its thesis, and an even needle."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_its_limits_are_those_of_chapter_two() -> None:
         "stitches_to_speed": 2.0,
         "needle_time_error": 0.001,
     }
-    # The other one asks for place and length, and reports the rest.
+    # The other specification limits place and length, and reports the rest.
     place = load_spec(EXAMPLES / "stitcher-place.spec.toml", load_machine("stitcher"))
     assert [c.name for c in place.criteria] == [c.name for c in spec.criteria]
     fewer = {c.name: c.limit for c in place.criteria if c.required}
@@ -57,7 +57,7 @@ def test_its_limits_are_those_of_chapter_two() -> None:
 
 
 def test_the_limits_of_a_frame_on_tables_are_those_of_its_machine() -> None:
-    """The steps a second of its controller's table, and whole shares of force, window and fetch."""
+    """The step rate of its controller's table, and 100 % of force, window and fetch."""
     machine = load_machine("schiffli-frame")
     assert machine.tables is not None
     always = {c.name: c.limit for c in load_spec(None, machine).criteria if c.hard}
@@ -72,9 +72,9 @@ def test_the_limits_of_a_frame_on_tables_are_those_of_its_machine() -> None:
         (STEEP, "60 stitch/s", "42 ms", set()),
         # Ramps and smoothing take two turns of a slower needle than this one.
         (STEEP, "64 stitch/s", "42 ms", {"stitches_to_speed"}),
-        # With less smoothing the head is there in time, and rings.
+        # With less smoothing the head reaches its speed in time, and rings.
         (STEEP, "62 stitch/s", "38 ms", {"stitch_speed_error", "stitch_length_error"}),
-        # The plan that was said to do 73 stitches a second, by place and length alone.
+        # By place and length alone, this plan does 73 stitches a second.
         (SLOW, "73 stitch/s", "40 ms", {"stitches_to_speed", "stitch_speed_error"}),
     ],
 )
@@ -86,13 +86,13 @@ def test_speed_counts_as_place_does(seam: str, speed: str, smoothing: str, which
 
 
 def test_a_needle_that_would_have_to_wait_fails() -> None:
-    """Of a seam with a constant needle, by a plan whose times are a spline, not turns of it."""
+    """A seam with a constant needle, by a plan whose times are a spline, not turns of it."""
     verdict = proved(SLOW, "20 stitch/s", Options())
     assert "needle_time_error" in failed(verdict)
 
 
 def test_a_recording_of_few_samples_does_not_fail_a_run_that_keeps_its_demands() -> None:
-    """Means over 5 ms and more see a start early and the speed late: 2.1 to 3 stitches of 1.9."""
+    """Means over 5 ms and more see a start early and the speed late: 2.1 to 3 stitches, not 1.9."""
     machine = load_machine("stitcher")
     job = read_job(EXAMPLES / "stitcher-even.seam.toml", machine)
     options = options_of("auto", None, "0.1 mm", feed_forward=True, robust="0 %")
@@ -112,7 +112,7 @@ def test_a_recording_of_few_samples_does_not_fail_a_run_that_keeps_its_demands()
             job_sha256=plan.job.sha256, simulated=False,
         )  # fmt: skip
         assert not failed(judge([thin], plan, spec)), every
-        # A head that takes a stitch longer than the limit and both ends fails all the same.
+        # A head that takes a stitch more than the limit and both ends still fails.
         strict = tuple(
             replace(one, limit=0.2) if one.name == "stitches_to_speed" else one
             for one in spec.criteria

@@ -1,6 +1,6 @@
-"""Stitches against closed forms: a tool on a known motion, needle-downs at known instants.
+"""Stitches, compared with closed forms: a known motion, and known needle-downs.
 
-Stitches of 2 mm at 50 a second on samples every 5 ms, so that every needle-down is on a sample:
+Stitches of 2 mm at 50 a second, on samples every 5 ms, so that every needle-down is on a sample:
 positions below 0.1 m leave 1e-11 of a stitch to rounding.
 """
 
@@ -69,7 +69,7 @@ def test_a_constant_lag_is_no_error() -> None:
 
 @pytest.mark.parametrize("per_block", [3, 64, 1000])
 def test_a_step_of_speed_is_that_error(per_block: int) -> None:
-    """8 % faster from the needle-down at 0.4 s on: the 21st stitch is the first, 8 % too long."""
+    """8 % faster from the needle-down at 0.4 s on: stitch 21 is the first, 8 % too long."""
     faster = SPEED_M_S * np.where(TIME_S > 0.4, TIME_S + 0.08 * (TIME_S - 0.4), TIME_S)
     result = sewn(np.where(TIME_S > 0.42, faster[84] + SPEED_M_S * (TIME_S - 0.42), faster),
                   per_block=per_block).result("stitch_length_error")  # fmt: skip
@@ -81,7 +81,7 @@ def test_a_step_of_speed_is_that_error(per_block: int) -> None:
 
 
 def test_exempt_stitches_are_excepted() -> None:
-    """The tool starts 0.03 s late: the first stitch is missed, half of the second; then none."""
+    """The tool starts 0.03 s late: the first stitch and half of the second fail, then none."""
     late = SPEED_M_S * np.maximum(TIME_S - 0.03, 0.0)
     full = sewn(late).result("stitch_length_error")
     assert (full.measured, full.note) == (pytest.approx(1.0, abs=1e-10), "too short")
@@ -94,14 +94,14 @@ def test_exempt_stitches_are_excepted() -> None:
 
 
 def test_a_needle_set_to_the_lag_sees_the_whole_start() -> None:
-    """With the needle as late as the tool even the first stitch is right."""
+    """With the needle as late as the tool, even the first stitch is right."""
     late = SPEED_M_S * np.maximum(TIME_S - 0.03, 0.0)
     result = sewn(late, delay=0.03).result("stitch_length_error")
     assert result.measured == pytest.approx(0.0, abs=1e-10)
 
 
 def test_placement_is_across_the_seam_at_the_needle_only() -> None:
-    """A swing of one stitch's time vanishes at every needle-down but for its own sine."""
+    """A swing within one stitch is 0 at every needle-down, except for its own sine."""
     swing = 3e-4 * np.sin(2 * np.pi * TIME_S / PERIOD_S + 0.5)
     result = sewn(SPEED_M_S * (TIME_S - 0.004), swing).result("stitch_placement_error")
     # Needle-downs are on samples, where the swing is 3e-4 sin(0.5).
@@ -109,7 +109,7 @@ def test_placement_is_across_the_seam_at_the_needle_only() -> None:
 
 
 def test_needle_time_is_against_the_programmed_speed() -> None:
-    """The plan sews 50 a second; asked for were 55."""
+    """The plan sews 50 stitches a second, and the program has 55."""
     result = sewn(SPEED_M_S * TIME_S, plan=seam(feed_hz=55.0)).result("needle_time_error")
     assert result.measured == pytest.approx(0.1, abs=1e-9)
     assert result.note == "too long"
@@ -128,7 +128,7 @@ def test_a_swing_within_a_stitch_is_an_error_of_speed_and_none_of_length() -> No
     """Along the seam b sin(2 pi t / period): the speed is off by b w / v, over 5 ms by a sinc less.
 
     Means over a quarter of the period: |error| is at most b w / v sin(pi / 4) / (pi / 4); samples
-    every 5 ms see the one that is centred a half sample from the top: cos(pi / 4) times that.
+    every 5 ms contain the one that is centred half a sample from the top: cos(pi / 4) times that.
     """
     swing_m = 4e-5
     omega = 2 * np.pi / PERIOD_S
@@ -146,9 +146,9 @@ def test_a_swing_within_a_stitch_is_an_error_of_speed_and_none_of_length() -> No
 
 @pytest.mark.parametrize("over", [PERIOD_S, 5 * PERIOD_S, 100 * PERIOD_S])
 def test_a_mean_over_whole_stitches_does_not_hide_a_swing(over: float) -> None:
-    """It would be 0 over whole periods of the swing: a quarter of a stitch is the longest mean.
+    """Over whole periods of the swing it would be 0: the longest mean is a quarter of a stitch.
 
-    The closed form is that of the test before. A quarter of a period is one sample here.
+    The closed form is the same as in the test before. A quarter of a period is one sample here.
     """
     swing_m, omega = 4e-5, 2 * np.pi / PERIOD_S
     x = SPEED_M_S * TIME_S + swing_m * np.sin(omega * TIME_S)
@@ -189,11 +189,11 @@ def test_the_speed_of_exempt_stitches_is_not_asked() -> None:
 def test_stitches_to_speed_are_those_from_the_command_to_95_per_cent(
     per_block: int, lag: float
 ) -> None:
-    """Command and head at one acceleration for 0.06 s, the head ``lag`` behind: 95 % in 0.057 s.
+    """Command and head accelerate equally for 0.06 s, the head ``lag`` behind: 95 % in 0.057 s.
 
-    Speeds are means over one sample of 5 ms, told at its end, so 2.5 ms late, and straight between
-    samples. The command departs at 0; it has moved where it passes the levels from 0.5 to
-    1.5 % of the speed, beyond what one count of it makes.
+    Speeds are means over one sample of 5 ms, dated at its end, so 2.5 ms late, and straight between
+    samples. The command departs at 0; its start is found where it passes the levels from 0.5 to 1.5
+    % of the speed, which one count cannot cause.
     """
     ramp_s = 0.06
 
@@ -243,8 +243,8 @@ def counted(command: FloatArray) -> float:
 
 
 def test_a_swing_before_the_start_does_not_reset_the_clock() -> None:
-    """It stands from 0.05 s to 0.06 s; from there on it would take 1.1 stitches."""
-    there_s = 0.083  # means of 87.5 % at 0.08 s, and of all at 0.085 s
+    """It stands from 0.05 s to 0.06 s; a count from there would give 1.1 stitches."""
+    there_s = 0.083  # means of 87.5 % at 0.08 s, and of 100 % at 0.085 s
     plain, swinging = counted(swung(0.0)), counted(swung(0.25))
     assert plain == pytest.approx((there_s - moved_s(swung(0.0))) / PERIOD_S, abs=0.03)
     assert plain < 1.2
@@ -253,7 +253,7 @@ def test_a_swing_before_the_start_does_not_reset_the_clock() -> None:
 
 
 def test_the_count_grows_little_by_little_with_a_swing() -> None:
-    """Two stitches lie between the swing and the departure: no step of 0.1 % jumps by a half.
+    """Two stitches lie between the swing and the departure: 0.1 % never changes half a stitch.
 
     The level rises by 1 % of the speed while the count rises by the time in between.
     """
@@ -264,19 +264,19 @@ def test_the_count_grows_little_by_little_with_a_swing() -> None:
 
 
 def test_a_corner_that_is_not_stopped_in_is_left_where_it_is_slowest() -> None:
-    """The command dips to half its speed, lowest at 0.4 s, and back within 0.04 s on both sides."""
+    """The command dips to half its speed, lowest at 0.4 s, within 0.04 s on both sides."""
     dip = 0.5 * np.maximum(1.0 - np.abs(TIME_S - 0.4) / 0.04, 0.0)
     speed = SPEED_M_S * (1.0 - dip)
     x = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * TICK_S)])
     found = sewn(
         x, names=("stitches_to_speed",), options={"over": TICK_S}, commanded=x,
     ).result("stitches_to_speed")  # fmt: skip
-    # Of the means, told at their ends, the lowest is at 0.4 s or 0.405 s, 95 % are at 0.44 s.
+    # The lowest mean ends at 0.4 s or 0.405 s, and the means of 95 % end at 0.44 s.
     assert found.measured == pytest.approx(0.0375 / PERIOD_S, abs=TICK_S / PERIOD_S)
 
 
 def test_stitches_that_share_a_piece_of_the_motion_have_times_of_their_own() -> None:
-    """Two moves of the job under one label, as where pieces are longer than stitches."""
+    """Two moves of the job have one label, as if pieces were longer than stitches."""
     plan = seam()
 
     def merged(block):
@@ -293,7 +293,7 @@ def test_stitches_that_share_a_piece_of_the_motion_have_times_of_their_own() -> 
 
 
 def test_a_stitch_that_the_motion_leaves_out_fails_in_numbers() -> None:
-    """Its point lies beside that of the one before, where the head does not go: it has no time."""
+    """Its point lies beside the previous one, off the head's path: it has no time."""
     plan = seam()
     moves = list(plan.job)
     moves[5] = replace(moves[5], target=(5 * LENGTH_M, 1e-4))
@@ -301,17 +301,17 @@ def test_a_stitch_that_the_motion_leaves_out_fails_in_numbers() -> None:
     verdict = sewn(SPEED_M_S * TIME_S, plan=given, names=("stitch_speed_error", *NAMES))
     speed = verdict.result("stitch_speed_error")
     assert speed.status is Status.FAILED
-    assert speed.measured == pytest.approx(1.0)  # at no speed, and the next at twice its own
+    assert speed.measured == pytest.approx(1.0)  # and the next at twice its speed
 
 
 def block_of(time_s: FloatArray, actual: FloatArray) -> Block:
-    """Return a block that tells where the tool was, and nothing else."""
+    """Return a block that has the place of the tool, and nothing else."""
     names = {field.name for field in fields(Block)} - {"first", "time_s", "actual"}
     return Block(first=0, time_s=time_s, actual=actual, **dict.fromkeys(names))
 
 
 def test_figures_that_nobody_asks_for_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is asked for is the same to the bit, and the others are not worked out."""
+    """The wanted figures are the same to the bit, and the others are not computed."""
     plan, every_s = seam(), 1e-4
     still = np.zeros((2, 2))
     recording = record(("X", "Y"), {ChannelKind.LOAD: still}, np.zeros(2))
@@ -332,7 +332,7 @@ def test_figures_that_nobody_asks_for_are_left_out(monkeypatch: pytest.MonkeyPat
 
 
 def test_stitches_of_a_million_ticks_are_followed_in_bounded_memory() -> None:
-    """Samples every 20 ns, a million in a stitch: what is kept says the same to 1e-9."""
+    """Samples every 20 ns, a million in a stitch: the kept ones give the same to 1e-9."""
     plan, every_s, count = seam(), 2e-8, 50_000
     still = np.zeros((2, 2))
     recording = record(("X", "Y"), {ChannelKind.LOAD: still}, np.zeros(2))

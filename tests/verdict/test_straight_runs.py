@@ -1,4 +1,4 @@
-"""Straight moves that are cut into several: joined where they are one line, and judged as one."""
+"""Straight moves that are cut into parts: joined along one line, and judged as one move."""
 
 from __future__ import annotations
 
@@ -69,10 +69,10 @@ def test_runs_end_where_the_machine_rests_or_its_speed_changes() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_no_dropped_vertex_is_beside_its_run(seed: int) -> None:
-    """Fine curves and lines with noise, in three axes: all within 3 nm of what is kept.
+    """Fine curves and noisy lines in three axes: every vertex is within 3 nm of a kept one's run.
 
-    A run accepts a direction in which each of its vertices is within 1 nm; what ends it may be off
-    in that direction by as much, and so may the vertex before.
+    A run accepts a direction in which each of its vertices is within 1 nm. Its last vertex may be
+    off in that direction by as much, and so may the vertex before.
     """
     draw = np.random.default_rng(seed)
     count = 4000
@@ -96,7 +96,7 @@ def test_no_dropped_vertex_is_beside_its_run(seed: int) -> None:
 
 
 def cut(points, parts: int):
-    """Return the points with every move in so many equal parts."""
+    """Return the points, with every move cut into a number of equal parts."""
     points = np.asarray(points, dtype=float)
     at = np.arange(parts * (len(points) - 1) + 1) / parts
     return np.column_stack([np.interp(at, np.arange(len(points)), p) for p in points.T])
@@ -104,9 +104,9 @@ def cut(points, parts: int):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_a_verdict_does_not_depend_on_how_its_moves_are_cut(seed: int) -> None:
-    """Random paths of two axes, cut in 1, 2, 5 and 30 parts; the load trails, rings and strays.
+    """Random paths of two axes, cut into 1, 2, 5 and 30 parts; the load trails, rings and strays.
 
-    The samples, and so the commands, are the same; only the program is written otherwise.
+    The samples and the commands are the same; only the text of the program differs.
     """
     draw = np.random.default_rng(seed)
     points = np.cumsum(draw.uniform(-0.1, 0.1, (int(draw.integers(2, 7)), 2)), axis=0)
@@ -132,9 +132,9 @@ def test_a_verdict_does_not_depend_on_how_its_moves_are_cut(seed: int) -> None:
 
 
 def test_a_load_that_trails_by_more_than_the_lag_is_charged_within_a_move() -> None:
-    """1.25 mm in each sample, 20 samples late, 10 of them free: 12.5 mm, of one move or of many.
+    """1.25 mm in each sample, 20 samples late, 10 of them free: 12.5 mm, in one move or in many.
 
-    All of it lies on the line.
+    The whole motion lies on the line.
     """
     for parts in (1, 2, 80):
         program = cut([[0.0, 0.0], [0.1, 0.0]], parts)
@@ -149,7 +149,7 @@ def test_a_load_that_trails_by_more_than_the_lag_is_charged_within_a_move() -> N
 
 
 def test_the_worst_place_is_told_with_the_line_of_its_move() -> None:
-    """The load strays in the 7th of ten parts of one straight line, which is written in line 70."""
+    """The load strays in the 7th of ten parts of one straight line, which is in line 70."""
     program = cut([[0.0, 0.0], [0.1, 0.0]], 10)
     commanded, operation = follow(program, 10)
     load = commanded.copy()
@@ -161,9 +161,9 @@ def test_the_worst_place_is_told_with_the_line_of_its_move() -> None:
 
 
 def test_a_line_of_many_moves_is_one_chord_and_read_in_little_time() -> None:
-    """300 000 moves along one line: two vertices are held, and reading them takes seconds at most.
+    """300 000 moves along one line: two vertices are kept, and reading them takes seconds.
 
-    Their lines are told to within eight moves.
+    The lines of the moves are right to within eight moves.
     """
     count = 300_000
     program = 1e-6 * np.arange(count + 1)[:, None]

@@ -1,7 +1,7 @@
-"""The sweep of all measures over samples: however few are brought in at once, the same is found.
+"""The sweep of all measures finds the same, however few samples it takes at once.
 
-The reference is a sweep that brings in all samples of a block together, in which every measure goes
-over all of them before the next one does.
+The reference is a sweep that takes all samples of a block at once, so that every measure reads all
+of them before the next one does.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def recorded(plan: Plan) -> Recording:
 
 
 def found(plan: Plan, names: tuple[str, ...], only: int | None = None) -> list[Finding]:
-    """Return the finding of every run, or of one, axis and measure, with its place."""
+    """Return every run's finding, or one run's, by axis and measure, with its place."""
     recording = recorded(plan) if only is None else recorded(plan).run(only + 1)
     run = open_run(recording, plan, load_spec(None, plan.machine).lag_s)
     one = Pass(run, {(name, ()): MEASURES[name] for name in names}, together=False)
@@ -79,7 +79,7 @@ def found(plan: Plan, names: tuple[str, ...], only: int | None = None) -> list[F
 def test_findings_and_places_are_the_same_however_few_samples_are_brought_in(
     tmp_path, monkeypatch, profile
 ) -> None:
-    """Of corners that are cut: between two samples the tool is farther from both chords."""
+    """With cut corners: between two samples the tool is farther from both chords."""
     (tmp_path / "machine.toml").write_text(f'base = "lathe-winder"\nname = "own"\n{profile}')
     (tmp_path / "job.prg").write_text(PROGRAM)
     machine = load_machine(tmp_path / "machine.toml")
@@ -89,12 +89,12 @@ def test_findings_and_places_are_the_same_however_few_samples_are_brought_in(
     whole = found(plan, SWEPT)
     monkeypatch.setattr(sweep, "AT_ONCE", 7 * RUNS)
     assert found(plan, SWEPT) == whole
-    # A measure finds alone what it finds in company.
+    # A measure finds the same alone as together with others.
     alone = [finding for name in SWEPT for finding in found(plan, (name,))]
     assert alone == whole
-    # So does a run by itself, which is in no sweep.
+    # So does a single run, which is in no sweep.
     for k in (0, RUNS - 1):
         assert found(plan, SWEPT, k) == whole[k::RUNS]
-    # Somewhere the worst is between two samples, which are whole ticks.
+    # Some worst value lies between two samples, which are whole ticks.
     ticks = np.array([finding.time_s for finding in whole[:RUNS]]) / machine.tick_clock.period_s
     assert (np.abs(ticks.astype(float) - np.rint(ticks.astype(float))) > 1e-3).any()

@@ -1,4 +1,4 @@
-"""The turning-point error against displacements put into the load by hand.
+"""The turning-point error, compared with displacements added to the load by hand.
 
 Values are copied, scaled by 1 or by 0.1 m and subtracted: 1e-12 m covers the rounding.
 """
@@ -54,7 +54,7 @@ def test_short_and_past(error: float, note: str) -> None:
 
 
 def test_a_dwell_at_the_turning_is_one_turning_and_an_overshoot_within_it_counts() -> None:
-    """The axis stands at 0.1 m for three moves of another; it overshoots in the second of them."""
+    """The axis stands at 0.1 m for three moves of another axis, and overshoots in the second."""
     points = [[0, 0], [0.1, 0], [0.1, 0.01], [0.1, 0.02], [0.1, 0.03], [0, 0.03]]
     commanded, operation = follow(points, 40)
     actual = commanded.copy()
@@ -81,7 +81,7 @@ def test_wiggles_below_the_smallest_are_no_turnings() -> None:
     points = [[0.0], [0.05], [0.05 - 2e-5], [0.1], [0.0]]
     commanded, operation = follow(points, 40)
     actual = commanded.copy()
-    actual[60:70] += 1e-2  # well past the first wiggle, which is no place to turn
+    actual[60:70] += 1e-2  # well past the first wiggle, which is no turning point
     assert turning(points, actual, operation).result("turning_point_error").measured < 1e-12
     fine = Criterion(name="turning_point_error", limit=5e-4, options={"smallest": 1e-5})
     found = turning(points, actual, operation, criterion=fine).result("turning_point_error")
@@ -127,7 +127,7 @@ def test_a_machine_that_stops_on_its_way_fails() -> None:
     result = turning(points, commanded[stands], operation[stands], move_s=40 * TICK_S).result(
         "turning_point_error"
     )
-    # It stands on the way out: what it lacks to the reversal is less than the way to the end.
+    # It stands on the way forth: the reversal is missed by less than the end.
     assert result.measured == pytest.approx(0.1 * 29 / 40, abs=1e-12)
     assert result.note == "short"
 
@@ -156,7 +156,7 @@ def test_a_turning_that_bears_the_next_operations_name_early() -> None:
 
 
 def test_strokes_shorter_than_the_lag_do_not_hide_each_other() -> None:
-    """Peaks of 10, 10 and 10 mm, the first 0.3 mm short; the lag spans two strokes."""
+    """Three peaks of 10 mm, the first 0.3 mm short; the lag spans two strokes."""
     points = [[0.0], [0.01], [0.0], [0.01], [0.0], [0.01], [0.0]]
     moved = [[0.0], [0.0097], *points[2:]]
     _, operation = follow(points, 20)
@@ -175,7 +175,7 @@ def test_strokes_shorter_than_the_lag_do_not_hide_each_other() -> None:
     per_vertex_block=st.integers(1, 7),
 )
 def test_random_strokes(seed, strokes, splits, lag, per_block, per_vertex_block) -> None:
-    """Each turning is missed by its own random amount; the largest must come out.
+    """Each turning is missed by its own random amount; the largest one is the result.
 
     The load is the command, late by ``lag`` samples and stretched between displaced turnings, so
     the expected errors are known without a search.

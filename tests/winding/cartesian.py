@@ -19,7 +19,7 @@ from threadline.base.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Quadric:
-    """F(P) = (P - centre)^T diag(weights) (P - centre) - level."""
+    """The function F(P) = (P - centre)^T diag(weights) (P - centre) - level."""
 
     weights: FloatArray
     centre: FloatArray
@@ -48,7 +48,7 @@ def cone(apex: float, slope: float) -> Quadric:
 
 
 def eye_in_mandrel(columns: FloatArray) -> FloatArray:
-    """Return (3,) the eye in the mandrel's frame: along, across and up turned back by the turn."""
+    """Return (3,) the eye in the mandrel's frame: along, across and up, turned back by the turn."""
     turn, along, across, up = columns[:4]
     cos, sin = np.cos(turn), np.sin(turn)
     return np.array([along, across * cos + up * sin, up * cos - across * sin])
@@ -56,7 +56,7 @@ def eye_in_mandrel(columns: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Roller:
-    """A roller: its centre and axis on the carrier, its radius, and the way to its chosen side."""
+    """A roller: its centre and axis on the carrier, its radius, and the direction to its side."""
 
     centre: FloatArray
     axis: FloatArray
@@ -64,10 +64,10 @@ class Roller:
     side: FloatArray
 
     def leaves(self, columns: FloatArray, point: FloatArray) -> FloatArray:
-        """Return (3,) where the fibre to a point leaves the roller, in the mandrel's frame.
+        """Return (3,) the point where the fibre leaves the roller, in the mandrel's frame.
 
         Roll turns up to along about across, yaw turns along to across about up. The tangent to the
-        circle is searched for as a root, on the chosen side.
+        circle is searched as a root, on the used side.
         """
         turn, yaw, roll = columns[0], columns[4], columns[5]
         carrier = Rotation.from_rotvec([0.0, 0.0, yaw]) * Rotation.from_rotvec([0.0, roll, 0.0])
@@ -97,7 +97,7 @@ def laid(
     until: float,
     roller: Roller | None = None,
 ) -> Callable[[FloatArray], FloatArray]:
-    """Return a function of times, (n,), to places (n, 3) of the point of the fibre that is laid."""
+    """Return a function of times, (n,), to places (n, 3) of the laid point of the fibre."""
 
     def seen(time: float, point: FloatArray) -> FloatArray:
         if roller is None:
@@ -122,7 +122,7 @@ def laid(
 
 
 def tangent_at(surface: Quadric, eye: FloatArray, along: float, radius: float) -> FloatArray:
-    """Return the point of a circle of the surface where the eye sees it edge-on, ahead of it."""
+    """Return the point of a circle of the surface at which the eye sees it edge-on, ahead of it."""
     at = float(np.arctan2(eye[2], eye[1]))
 
     def point(angle: float) -> FloatArray:

@@ -1,7 +1,7 @@
-"""Part programs for the vessel of the examples, and the same with one fault each.
+"""Part programs for the vessel of the examples, and the same programs with one fault each.
 
 The eye is always 40 mm ahead on the tangent of a geodesic of the drawn meridian. The circuit ends
-where it began, 63/44 of a turn further on, so that 44 circuits close the pattern.
+at its start, 63/44 of a turn further on, so that 44 circuits close the pattern.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TURNS = 63
 def geodesic(surface: Surface, turn_m: float = TURN_M) -> tuple[FloatArray, FloatArray]:
     """Return lengths, (n,), and (n, 3) u, angle and winding angle of a circuit's geodesic.
 
-    It begins where it turns back at the left pole, and ends there.
+    It begins at its turn at the left pole, and ends there.
     """
 
     def rates(_: float, y: FloatArray) -> list[float]:

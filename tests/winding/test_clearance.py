@@ -1,4 +1,4 @@
-"""Clearance against triangle meshes in space, and the growth of the mandrel by closed forms."""
+"""Clearance, compared with triangle meshes in space; the mandrel's growth by closed forms."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def mesh(product: Product) -> tuple[FloatArray, cKDTree]:
 def test_eye_and_arm_are_as_far_as_from_a_mesh(
     product: Product, mesh: tuple[FloatArray, cKDTree]
 ) -> None:
-    """Bar of 0.05 mm; the mesh of 1.5 mm and 2 degrees is off by at most 9 um."""
+    """The bar is 0.05 mm; the mesh of 1.5 mm and 2 degrees is off by at most 9 um."""
     triangles, tree = mesh
     chance = np.random.default_rng(2)
     for arm in (None, (3.0, 40.0)):
@@ -125,7 +125,7 @@ def test_eye_and_arm_are_as_far_as_from_a_mesh(
             r = product.surface.at(inside)[1][:, 0]
             away = np.hypot(points[:, 1], points[:, 2])
             if (away < np.maximum(r, 0.058) + 1e-3).any():
-                continue  # the mesh knows no inside
+                continue  # the mesh does not know its inside
             tested += 1
             wanted = 0.2
             found = wanted - Clearance(product.surface, product.rings, tool, wanted).feed(eye[None])
@@ -136,7 +136,7 @@ def test_eye_and_arm_are_as_far_as_from_a_mesh(
 
 
 def test_the_free_fibre_is_as_deep_in_a_boss_as_by_points_on_it(product: Product) -> None:
-    """A fibre from the left dome to an eye beside the boss, at 20 000 points of it."""
+    """A fibre from the left dome to an eye beside the boss, checked at 20 000 points."""
     surface, tool = product.surface, _tool(1.0)
     eyes = np.zeros((120, 6))
     eyes[:, 0] = -0.05 * np.arange(120)
@@ -176,9 +176,9 @@ def _helix(layers: int) -> tuple[Product, Tool, FloatArray, Fibre]:
 
 
 def test_layers_grow_by_their_thickness_and_come_near_the_eye() -> None:
-    """Bands side by side: each layer is one thickness, and the eye has so much less room.
+    """Bands lie side by side: each layer adds one thickness, and the eye has so much less room.
 
-    The eye that winds the fifth layer has four below it, and some of the fifth beside it.
+    When the eye winds the fifth layer, four lie below it, and some of the fifth beside it.
     """
     product, tool, eyes, fibre = _helix(5)
     assert product.thickness is not None
@@ -186,7 +186,7 @@ def test_layers_grow_by_their_thickness_and_come_near_the_eye() -> None:
     found = near.feed(eyes, fibre)
     middle = near.thickness_m[(near._x > 0.05) & (near._x < 0.15)]
     np.testing.assert_allclose(middle, 5 * 0.4e-3, rtol=0.03)
-    # 10 mm from the bare mandrel, less the eye's 1 mm and the 9 mm wanted, less the layers.
+    # 10 mm from the bare mandrel, less 1 mm of the eye, the wanted 9 mm, and the layers.
     assert 0.97 * 4 * 0.4e-3 < found.max() < 5 * 0.4e-3
     cut = Clearance(product.surface, (), tool, 0.009, product.width.si * product.thickness, 5e-3)
     replay = Replay(product.surface, tool, 1.0, 0.02)
@@ -247,7 +247,7 @@ def _free_fibre(
 
 
 def test_layers_that_a_free_fibre_cannot_meet_change_nothing(product: Product) -> None:
-    """The hollows over the layers are the same to the bit if all of the free fibre is looked at."""
+    """The hollows over the layers are the same to the bit if the whole free fibre is checked."""
     surface, tool = product.surface, _tool(0.0)
     circuit = programs.eyes(surface, programs.geodesic(surface)[1])
     turn = circuit[-1, 0]
@@ -255,7 +255,7 @@ def test_layers_that_a_free_fibre_cannot_meet_change_nothing(product: Product) -
     eyes[:, :3] = np.vstack([circuit + np.array([k * turn, 0.0, 0.0]) for k in range(12)])
     eyes[:, 1] -= programs.AT_M
     fibre = Replay(surface, tool, 1.0, product.tied).feed(eyes)
-    # On a mandrel that is not said to be convex nothing ahead is left out.
+    # On a mandrel that is not declared convex nothing ahead is left out.
     whole = Surface(surface.nodes, surface.x, surface.r, convex=False)
     near, all_of_it = (Clearance(one, (), tool, 0.0, 5e-3 * 5e-4, 5e-3) for one in (surface, whole))
     for one in (near, all_of_it):
@@ -269,10 +269,10 @@ def test_layers_that_a_free_fibre_cannot_meet_change_nothing(product: Product) -
 
 
 def test_a_bead_is_in_the_way_of_a_free_fibre_that_comes_back() -> None:
-    """Twelve turns in one place make a bead of 5 mm; the fibre that crosses it runs into it.
+    """Twelve turns in one place make a bead of 5 mm; a fibre that crosses it runs into it.
 
     The hollow before the bead agrees with a mesh of the layers within 0.15 mm: the bead's flank is
-    upright, and the layers are looked at every 0.4 mm.
+    upright, and the layers are checked every 0.4 mm.
     """
     product, tool, _, _ = _helix(1)
     turns = np.linspace(0.0, 25.0, 5001)
@@ -283,7 +283,7 @@ def test_a_bead_is_in_the_way_of_a_free_fibre_that_comes_back() -> None:
     pile = Clearance(product.surface, (), tool, 0.0, 5e-3 * 0.4e-3, 5e-3)
     found = pile.feed(eyes, fibre)
     at = int(found.argmax())
-    # Half a width beside its middle the bead ends, and no hollow is as high as the bead.
+    # The bead ends half a width beside its middle, and no hollow is as high as the bead.
     assert 1e-3 < found[at] < 12 * 0.4e-3
     assert pile.words(int(pile.pair[at])) == "the free fibre and the layers wound before"
     # It is found while the fibre comes from the left of the bead, not before.
@@ -302,7 +302,7 @@ def test_a_bead_is_in_the_way_of_a_free_fibre_that_comes_back() -> None:
 
 
 def test_a_sound_vessel_is_clear_of_its_own_polar_layers() -> None:
-    """44 circuits pile up 2 mm at the poles, and no fibre of them is in its own way."""
+    """44 circuits pile up 2 mm at the poles, and no fibre is in the way of another."""
     vessel = product_of_text(product_text(VESSEL))
     circuit = programs.eyes(vessel.surface, programs.geodesic(vessel.surface)[1])
     turn = circuit[-1, 0] - circuit[0, 0]
@@ -319,7 +319,7 @@ def test_a_sound_vessel_is_clear_of_its_own_polar_layers() -> None:
     )  # fmt: skip
     assert near.feed(eyes, fibre).max() == 0.0
     assert near.thickness_m.max() > 1e-3
-    # Near the pole the fibre spans less than a band before the ridge, as it does over a mesh.
+    # Near the pole the fibre spans less than a band before the ridge, as over a mesh.
     for row in range(len(eyes) - len(circuit) + 20, len(eyes) - 1, 60):
         found = near.hollow_m(eyes[row], fibre.u[row], fibre.angle[row])
         by_mesh = _hollow_of_mesh(near, *_free_fibre(vessel, eyes, fibre, row))

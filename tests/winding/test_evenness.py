@@ -1,4 +1,4 @@
-"""How even the speed of the fibre is, as a measure and as a criterion with a limit."""
+"""The evenness of the fibre's speed, as a measure and as a criterion with a limit."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SECONDS = 8.0
 
 
 def _program(turns: tuple[float, ...], rest: str = "") -> str:
-    """Hoops: the mandrel turns by ``turns``, deg, each in the same time, with the eye beside it."""
+    """Return hoops: each turn of ``turns``, deg, takes the same time, with the eye beside it."""
     lines = ["G21", "G90", "G1 Y60 F1200", "G1 X20 F1200", "G91", "G93"]
     rate = 60.0 / SECONDS
     for turn in turns:
@@ -71,7 +71,7 @@ def test_two_speeds_of_equal_time_have_the_deviation_of_two_values(tmp_path: Pat
 
 @pytest.mark.long(shown_by="test_a_rest_is_not_even")
 def test_one_speed_is_even(tmp_path: Path) -> None:
-    """What is left is the start from rest."""
+    """Only the start from rest is left."""
     even = _judged(tmp_path, _program((360.0,) * 6), 0.1)
     assert even.measured is not None and even.measured < 0.05
     assert str(even.status) == "passed"

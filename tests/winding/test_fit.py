@@ -1,4 +1,4 @@
-"""Why the fibre of a program is never known, and the mandrel that would fit it."""
+"""Reasons why a program's fibre is never known, and the mandrel that would fit it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _found(plan: Plan) -> dict[str, Finding]:
 def test_a_program_that_lays_nothing_says_why(
     tmp_path: Path, machine: Machine, start: str, step: str, times: int, said: str
 ) -> None:
-    """One reason, at one criterion; the others only say that the fibre is never known."""
+    """One criterion gives the reason; the others only say that the fibre is never known."""
     product = tmp_path / "c.wind.toml"
     product.write_text(
         '[[part]]\nkind = "cylinder"\nradius = "50 mm"\nlength = "200 mm"\n'
@@ -83,7 +83,7 @@ def test_an_eye_at_a_fixed_distance_is_not_inside_the_mandrel(
 
 
 def test_the_reason_counts_the_pay_out_point_as_the_replay_does() -> None:
-    """By yaw and roll, against the compiled code of the replay."""
+    """With yaw and roll, compared with the compiled code of the replay."""
     rng = np.random.default_rng(3)
     eyes, offset = rng.uniform(-1.0, 1.0, (50, 6)), (0.02, 0.08, -0.03)
     surface = product_of_text(product_text(VESSEL)).surface
@@ -94,7 +94,7 @@ def test_the_reason_counts_the_pay_out_point_as_the_replay_does() -> None:
 
 
 def test_the_radius_that_would_fit_is_found() -> None:
-    """The program of the vessel on mandrels 6 mm thinner and 12 mm thicker than its own."""
+    """The program of the vessel is wound on mandrels 6 mm thinner and 12 mm thicker."""
     tool = load_machine("lathe-winder").tool
     assert tool is not None
     vessel = product_of_text(product_text(VESSEL))

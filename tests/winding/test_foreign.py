@@ -1,4 +1,4 @@
-"""Programs of other planners: the tool map alone says what their axes do."""
+"""Programs of other planners: the tool map alone gives the meaning of their axes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ value = 0.25
 
 @dataclass(frozen=True)
 class Replayed:
-    """The fibre at the points of a program: its samples, and (n, 3) places and angles."""
+    """Return the fibre at the points of a program: its samples, and (n, 3) places and angles."""
 
     samples: Wound
     places: FloatArray
@@ -45,7 +45,7 @@ class Replayed:
 
     @property
     def ends(self) -> FloatArray:
-        """The places at the ends of the operations."""
+        """Return the places at the ends of the operations."""
         operation = self.samples.operation
         assert operation is not None
         return self.places[np.append(np.diff(operation) != 0, True)]
@@ -106,7 +106,7 @@ def _azxb(eyes: FloatArray) -> str:
 
 
 def _xyca(eyes: FloatArray) -> str:
-    """The head yaws to and fro; what C turns stands where its arm then ends at the eye."""
+    """The head yaws to and fro; C turns a stand at whose arm's end the eye is then."""
     yaw = 20.0 * np.sin(np.arange(len(eyes)) / 15.0)
     cos, sin = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
     rows = [eyes[:, 1] + ARM_MM * sin, eyes[:, 2] - ARM_MM * cos, yaw, eyes[:, 0]]
@@ -114,7 +114,7 @@ def _xyca(eyes: FloatArray) -> str:
 
 
 def _axyzb(eyes: FloatArray) -> str:
-    """The eye goes up and down by Z: it stands round the axis, and the mandrel turns with it."""
+    """Z moves the eye up and down: it stands round the axis, and the mandrel turns with it."""
     up = 15.0 * np.sin(np.arange(len(eyes)) / 15.0)
     across, turn = np.sqrt(eyes[:, 2] ** 2 - up**2), np.degrees(np.arcsin(up / eyes[:, 2]))
     rows = np.column_stack([eyes[:, 0] + turn, eyes[:, 1], across, up, 2.0 * up])
@@ -146,7 +146,7 @@ def test_the_same_eye_in_other_axes_lays_the_same_fibre(
 ) -> None:
     """A circuit on the vessel, converted by hand: equal within 0.01 mm.
 
-    The words have four places, which is 0.1 um; chords of a head that yaws or is lifted differ.
+    The words have four places, which is 0.1 um; the chords of a yawing or lifted head differ.
     """
     vessel = EXAMPLES / "vessel.wind.toml"
     surface = product_of_text(product_text(vessel)).surface
@@ -168,7 +168,7 @@ def test_the_same_eye_in_other_axes_lays_the_same_fibre(
 
 @pytest.mark.parametrize("dialect", ["grbl", "marlin", "linuxcnc"])
 def test_a_program_that_zeroes_its_mandrel_again_winds_on(tmp_path: Path, dialect: str) -> None:
-    """G92 names the same place anew: the mandrel of an endless program goes on turning."""
+    """G92 gives the same place a new number: the mandrel of an endless program goes on turning."""
     machine = load_machine("stepper-winder+xyca")
     product = tmp_path / "t.wind.toml"
     product.write_text(TUBE.format(radius=50, length=200))
@@ -196,7 +196,7 @@ def test_a_program_that_zeroes_its_mandrel_again_winds_on(tmp_path: Path, dialec
 
 
 def test_a_head_at_one_distance_is_read_in_both_of_its_spellings(tmp_path: Path) -> None:
-    """X A B and X Y Z, with the mandrel set to zero between two circuits in one of them."""
+    """X A B and X Y Z, one of them with the mandrel set to zero between two circuits."""
     product = _product(tmp_path, TUBE.format(radius=50, length=400))
     along = np.concatenate([np.arange(0.0, 300.0, 5.0), np.arange(300.0, 0.0, -5.0)])
     turn = 4.2 * 5.0 * np.arange(len(along))
@@ -220,10 +220,10 @@ def test_a_head_at_one_distance_is_read_in_both_of_its_spellings(tmp_path: Path)
 def test_the_sample_of_a_postprocessor_lies_beside_its_design(
     tmp_path: Path, shared_samples: Path
 ) -> None:
-    """The eye stands 10 mm above each point of the designed fibre: what that costs.
+    """An eye 10 mm above each point of the designed fibre displaces the laid fibre.
 
     The fibre lies acos(40 / 50) behind the eye round the mandrel and sqrt(50^2 - 40^2) / tan(angle)
-    along it. It begins as a hoop where it is tied, and takes five free lengths to its angle.
+    along it. It begins as a hoop at its tie, and takes five free lengths to its angle.
     """
     folder = shared_samples / "winding"
     tube = '[mandrel]\nat = "50 mm"\n' + TUBE.format(radius=40, length=200)
@@ -253,7 +253,7 @@ def test_the_sample_of_a_postprocessor_lies_beside_its_design(
     reached = design[-1, 2] - 40.0 * math.radians(behind) / math.tan(math.radians(planned))
     across = abs(found.along_mm[end] - reached) * math.sin(math.radians(planned))
     assert across == pytest.approx(2.25, abs=0.02)
-    # What the start costs: laid as a hoop, and steered by more than any friction.
+    # The start: laid as a hoop, and steered beyond any friction.
     off = np.abs(found.winding_deg[layer] - planned)
     assert found.winding_deg[layer[0]] > 85.0
     right = layer[np.argmax(off < 1.0)]
@@ -266,7 +266,7 @@ def test_the_sample_of_a_postprocessor_lies_beside_its_design(
 def test_a_pass_of_x_winder_has_the_angle_that_its_file_states(
     tmp_path: Path, shared_samples: Path
 ) -> None:
-    """WA=55 on a mandrel of 3.25 in: at the end of the first pass, where its start is forgotten."""
+    """WA=55 on a mandrel of 3.25 in: at the end of the first pass its start is forgotten."""
     path = shared_samples / "winding" / "RyanL2NoseCone.X4G"
     first = path.read_text().partition("[Layer 1 : Pass 2]")[0]
     assert "WA=55 " in first

@@ -109,7 +109,7 @@ def test_the_examples_are_what_the_tests_write(circuit: FloatArray) -> None:
 def test_a_geodesic_program_slips_nowhere(
     tmp_path: Path, machine: Machine, circuit: FloatArray
 ) -> None:
-    """Planned on the programmed chords: steering by rounding alone, no bridge and no lifting."""
+    """It is planned on the programmed chords: only rounding steers, no bridge and no lifting."""
     found = _found(_plan(tmp_path, machine, programs.program(circuit, 2)))
     assert found["planned_slip_tendency"].value == pytest.approx(0.0, abs=0.03)
     assert found["planned_bridging"].value == 0.0
@@ -134,18 +134,18 @@ def test_lifting_is_found_at_its_line(
     finding = _found(plan)["planned_lifting"]
     assert finding.value is not None and finding.value > 1e-3
     faulty = text.splitlines().index("M98 P 999 L 1;") + 2 + programs.FAULTY
-    # Where it begins: the most is unwound in the next block, as the planner rounds the corner.
+    # At its begin: most is unwound in the next block, as the planner rounds the corner.
     assert _line(plan, finding) == faulty
 
 
 def test_a_waist_is_bridged(tmp_path: Path, machine: Machine, circuit: FloatArray) -> None:
-    """The program of the smooth vessel on a vessel with a waist of 5 mm over its cylinder."""
+    """The program of the smooth vessel, on a vessel with a waist of 5 mm in its cylinder."""
     plan = _plan(tmp_path, machine, programs.program(circuit, 1), WAIST)
     finding = _found(plan)["planned_bridging"]
-    # Less than the depth of the waist: the fibre lies on the cone in front of it for a while.
+    # Less than the depth of the waist: for a while the fibre lies on the cone before it.
     assert finding.value is not None and 5e-4 < finding.value < 5e-3
     block = _line(plan, finding) - FIRST_LINE
-    # Where the fibre of the smooth vessel enters the waist: between its two rims.
+    # The place where the smooth vessel's fibre enters the waist: between its two rims.
     smooth = product_of_text(product_text(VESSEL)).surface
     path = programs.geodesic(smooth)[1]
     dome = (smooth.at(np.array([smooth.length_m]))[0][0, 0] - 0.09605) / 2.0
@@ -176,7 +176,7 @@ def test_the_pattern_closes_and_missing_circuits_leave_a_gap(
     vessel: Product, machine: Machine, circuit: FloatArray
 ) -> None:
     assert _gap(vessel, machine, circuit, programs.CIRCUITS).width_m == 0.0
-    # Bare is only where a missing band of one direction crosses one of the other.
+    # It is bare only where a missing band of one direction crosses one of the other.
     missing = _gap(vessel, machine, circuit, programs.TOO_FEW)
     assert 2e-3 < missing.width_m < 8e-3
     assert 0.0 < missing.share < 0.03
@@ -191,7 +191,7 @@ def test_the_pattern_closes_and_missing_circuits_leave_a_gap(
 def test_a_run_is_judged_like_its_plan(
     tmp_path: Path, machine: Machine, circuit: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One circuit on the simulated machine: every measure has a value; a product stays recorded."""
+    """One circuit on the simulated machine: every measure has a value, the product is recorded."""
     plan = _plan(tmp_path, machine, programs.program(circuit, 1))
     options = options_from(describe(plan.job, machine, options_of(product=str(VESSEL))))
     assert options.product == plan.options["product"]
@@ -214,7 +214,7 @@ def test_a_run_is_judged_like_its_plan(
     # The page names the product and does not quote it.
     text = page.read_text()
     assert "vessel.wind.toml, sha256" in text and "isotensoid" not in text
-    # Every sample is drawn on the mandrel, though curves over time are thinned.
+    # Every sample is drawn on the mandrel, although curves over time are thinned.
     assert "samples those at an extreme" in text
     assert "samples those" not in text.split("The unrolled mandrel: the darker")[1][:500]
 
@@ -231,7 +231,7 @@ def test_a_machine_without_an_eye_takes_no_product(tmp_path: Path) -> None:
 def test_every_verb_that_judges_takes_the_fibre(
     tmp_path: Path, machine: Machine, circuit: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A program that only its fibre faults is out of spec for ``compare`` and ``yield`` as well."""
+    """A program with a fault in its fibre alone is out of spec for ``compare`` and ``yield``."""
     file = tmp_path / "p.prg"
     file.write_text(programs.program(circuit, 1, programs.slipping(circuit)))
     options = options_of(product=str(VESSEL), interpolation="linear")
@@ -268,7 +268,7 @@ def test_compile_says_who_takes_a_product(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
-    """A wandering eye beside, inside and beyond a cylinder, whose distance is a closed form."""
+    """An eye moves beside, inside and beyond a cylinder, whose distance is a closed form."""
     file = tmp_path / "c.wind.toml"
     file.write_text(
         '[[part]]\nkind = "cylinder"\nradius = "50 mm"\nlength = "200 mm"\n'
@@ -291,7 +291,7 @@ def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
     assert (wanted > 0.0).mean() > 0.1
     near = Clearance(product.surface, (), tool, 0.003)
     found = np.concatenate([near.feed(part) for part in np.array_split(eyes, 9)])
-    # Every sample is as far as it is said, or no nearer than one before.
+    # Every sample is as far as stated, or no nearer than an earlier one.
     said = found > 0.0
     np.testing.assert_allclose(found[said], wanted[said], atol=1e-6)
     before = np.maximum.accumulate(wanted)
@@ -323,7 +323,7 @@ def test_a_pattern_closes_after_its_number_of_circuits(
 
 
 def test_the_design_is_found_again_where_the_fibre_was_not_known() -> None:
-    """A helix of four turns, laid 0.1 mm beside in one part; neither it nor its design is whole."""
+    """A helix of four turns is laid 0.1 mm beside in one part, and it or its design has a gap."""
     angle = np.linspace(0.0, 8.0 * np.pi, 4001)
     length = angle * math.hypot(0.02, 0.05)
     helix = np.column_stack([0.02 * angle, 0.05 * np.cos(angle), 0.05 * np.sin(angle), length])
@@ -341,7 +341,7 @@ def test_the_design_is_found_again_where_the_fibre_was_not_known() -> None:
 
 
 def test_the_wound_mandrel_is_a_glb(vessel: Product, circuit: FloatArray, machine: Machine) -> None:
-    """Read as the specification of glTF 2.0 says: chunks, accessors, areas of mandrel and bands."""
+    """It is read by the specification of glTF 2.0: chunks, accessors, areas of all surfaces."""
     assert machine.tool is not None
     laid = Replay(vessel.surface, machine.tool, 0.2, vessel.tied).feed(_eyes(circuit, 2))
     fibre = np.column_stack([laid.u, laid.angle, laid.winding])
@@ -390,7 +390,7 @@ def test_the_wound_mandrel_is_a_glb(vessel: Product, circuit: FloatArray, machin
 def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     vessel: Product, machine: Machine, circuit: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Untied, the first five free lengths of 40 mm are not known: 0.2 m of two circuits."""
+    """Untied, the first five free lengths of 40 mm are unknown: 0.2 m of two circuits."""
     assert machine.tool is not None
     eyes = _eyes(circuit, 2)
     covering = Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
@@ -438,7 +438,7 @@ def test_a_mandrel_that_slips_leaves_a_pattern_open_on_one_side(
 
 
 def test_a_level_over_tolerances_draws_slip_and_friction(vessel: Product, machine: Machine) -> None:
-    """200 products: every draw within its tolerance, both ways, and different from the next."""
+    """200 products: every draw is within its tolerance, on both sides, and unlike the next."""
     assert machine.tool is not None
     product = replace(vessel, slip=Toleranced(0.0, 1e-3))
     drawn = product_at_random(np.arange(200))

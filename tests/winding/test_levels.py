@@ -1,7 +1,7 @@
-"""Faulty programs fail at the line of their fault at every level, and a sound one passes in runs.
+"""Faulty programs fail at the line of their fault at every level; a sound one passes in runs.
 
-The programs are short, and the search for the worst machine tries a few: what is tested is that a
-fault stays at its line whoever is the worst, and not how bad the worst machine is.
+The programs are short, and the search for the worst machine tries few machines: the test is that a
+fault stays at its line whichever machine is the worst, not how bad the worst machine is.
 """
 
 from __future__ import annotations
@@ -152,6 +152,6 @@ def test_a_fault_fails_at_its_line_at_every_level(
 
 
 def test_a_hoop_without_a_fault_passes_in_runs(tmp_path: Path) -> None:
-    """So that a gap of the faulty one is its fault."""
+    """So a gap of the faulty program comes from its fault."""
     verdict = _judged(tmp_path, Case(_hoop(0.0), TUBE, (0, 0)), LEVELS["repeated"])
     assert verdict.passed

@@ -1,4 +1,4 @@
-"""Product files: shapes against closed forms, and one line for each fault."""
+"""Product files: shapes, compared with closed forms, and one line for each fault."""
 
 from __future__ import annotations
 
@@ -183,12 +183,12 @@ DRAWN = '[[part]]\nfile = "m.dxf"\nlayer = "MERIDIAN"\n'
 
 
 def test_a_half_section_in_dxf_is_its_arc_and_line(tmp_path: Path) -> None:
-    """An arc stays an arc: a hemisphere has the radii of a circle, and its bend."""
+    """An arc stays an arc: a hemisphere has the radii of a circle, and its curvature."""
     _drawn(tmp_path)
     product = _read(tmp_path, DRAWN + BAND)
     surface = product.surface
     x, r = surface.at(np.linspace(0.0, surface.length_m, 501))
-    centre = 0.05 * math.sqrt(1.0 - 0.2**2)  # of the dome, from the left end
+    centre = 0.05 * math.sqrt(1.0 - 0.2**2)  # from the dome, beginning at the left end
     dome = x[:, 0] < centre
     expected = np.sqrt(0.05**2 - np.where(dome, x[:, 0] - centre, 0.0) ** 2)
     np.testing.assert_allclose(r[:, 0], expected, atol=1e-9)
@@ -244,7 +244,7 @@ def test_bosses_pins_and_shaft_are_placed(tmp_path: Path) -> None:
 
 
 def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
-    """2000 files with a damaged byte or a lost line are read or refused, never anything else."""
+    """2000 files with a damaged byte or a missing line are read or refused in one line."""
     text = (
         '[[part]]\nkind = "nose"\nradius = "50 mm"\nheight = "90 mm"\nopening = "5 mm"\n'
         'pole = "left"\n' + CYLINDER + BAND + '[coverage]\nbegin = "95 mm"\nend = "200 mm"\n'
@@ -322,7 +322,7 @@ def test_a_definition_of_fiberpath_is_a_product(tmp_path: Path) -> None:
     np.testing.assert_allclose(r, [0.049 - 0.012 * slope, 0.027 + 0.012 * slope], atol=1e-12)
     assert (found.width.si, found.thickness) == (pytest.approx(0.006), pytest.approx(0.0005))
     assert found.covered == (pytest.approx(0.012), pytest.approx(0.132))
-    # No planner writes a friction: the name says what was taken.
+    # No planner writes a friction: the name tells the assumed one.
     assert found.friction.si == 0.2 and "friction 0.2 assumed" in found.name
 
 
@@ -345,7 +345,7 @@ def test_paths_of_cadfil_show_their_mandrel(tmp_path: Path) -> None:
     middle = fibre.surface.place_of(np.array([0.01]))
     # The corner at this point is rounded by 1 mm.
     assert fibre.surface.at(middle)[1][0, 0] == pytest.approx(0.04, abs=1e-4)
-    assert fibre.width == found.width  # of the payout path beside it
+    assert fibre.width == found.width  # a point of the payout path beside it
     listed = _foreign(tmp_path, "all.ctl", "made.pay 2\nC:\\WIND\\MADE.PAY, 1\n")
     assert listed.surface.length_m == found.surface.length_m
     drawn = f'[[part]]\nfile = "MADE.FIB"\n{BAND}'

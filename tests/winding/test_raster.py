@@ -1,4 +1,4 @@
-"""Coverage against closed forms, and on the unrolled cylinder against shapely where it is there."""
+"""Coverage, compared with closed forms, and with shapely on the unrolled cylinder if installed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _strip(raster: Raster, winding: float, angle: float, step: float = 2e-3) -> 
 
 @pytest.mark.parametrize("winding", [0.3, 0.9, 1.3, -0.5, math.pi - 0.4])
 def test_strips_cover_their_share(winding: float) -> None:
-    """Strips side by side cover their number times width over circumference and cosine."""
+    """The share of parallel strips is number times width over circumference and cosine."""
     strips = 4
     raster = Raster(CYLINDER, WIDTH, 0.05, 0.25)
     for k in range(strips):
@@ -67,7 +67,7 @@ def test_a_gap_has_its_width_across(winding: float) -> None:
 
 
 def test_a_gap_names_the_band_beside_it() -> None:
-    """Of two rings far from each other, the nearer one to the widest gap, wherever it is round."""
+    """Of two rings far from each other, the one nearer to the widest gap, in any direction."""
     raster = Raster(CYLINDER, WIDTH, 0.05, 0.25)
     for number, u in ((7, 0.06), (8, 0.20)):
         angle = np.linspace(0.0, 2.0, 400)
@@ -92,7 +92,7 @@ def test_no_fibre_is_a_gap_and_all_is_none() -> None:
 
 
 def test_a_band_along_a_dome_keeps_its_width() -> None:
-    """A meridian band of a sphere: its area is its width times its length, nearly."""
+    """The area of a meridian band of a sphere is nearly its width times its length."""
     dome = surface_of([ellipse(0.0, 0.1, 0.1, 0.02, left=False)], 1e-3)
     end = 0.09
     raster = Raster(dome, WIDTH, 0.0, end)

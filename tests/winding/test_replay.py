@@ -1,4 +1,4 @@
-"""The replay against closed forms, printed figures and a Cartesian integrator of its own."""
+"""The replay, compared with closed forms, printed figures and a Cartesian integrator."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def _planned(
 ) -> FloatArray:
     """Return (n, 4) places, angles round, angles from the meridian and radii of a friction path.
 
-    ``meridian`` gives x, r, the meridian's angle and its bend at a length along it. A fibre with
-    k_g / k_n = ratio turns by k_g less r' / r sin(angle).
+    ``meridian`` gives x, r, the meridian's angle and its curvature at a length along it. A fibre
+    with k_g / k_n = ratio turns by k_g less r' / r sin(angle).
     """
 
     def rates(_: float, y: FloatArray) -> list[float]:
@@ -88,7 +88,7 @@ def _eyes_on_circle(path: FloatArray, radius: float, away: float) -> FloatArray:
 
 @pytest.mark.parametrize("ratio", [0.2, -0.2, 0.0])
 def test_a_friction_path_on_a_cylinder_comes_back(ratio: float) -> None:
-    """Issue bar: mean within 0.003 of the planned ratio, place within 0.005 mm."""
+    """The mean is within 0.003 of the planned ratio, the place within 0.005 mm."""
     radius = 0.05
     surface = _surface(line(-0.5, radius, 1.0, radius))
     path = _planned(lambda u: (u, radius, 0.0, 0.0), (0.0, 0.6), ratio, 400)
@@ -102,7 +102,7 @@ def test_a_friction_path_on_a_cylinder_comes_back(ratio: float) -> None:
 
 
 def test_the_wobble_on_a_cylinder_is_the_printed_one() -> None:
-    """Linear axes at 1 mm steps: 0.1965 to 0.2044 on a radius of 50 mm with the eye at 55 mm."""
+    """Linear axes with steps of 1 mm: 0.1965 to 0.2044 on a radius of 50 mm, the eye at 55 mm."""
     radius = 0.05
     surface = _surface(line(-0.5, radius, 1.0, radius))
     path = _planned(lambda u: (u, radius, 0.0, 0.0), (0.0, 0.6), 0.2, 400)
@@ -144,9 +144,9 @@ def _hemisphere(ratio: float, angle: float = 0.7) -> tuple[Surface, FloatArray, 
 
 @pytest.mark.parametrize("angle", [0.3, 0.7])
 def test_a_friction_path_on_a_hemisphere_comes_back(angle: float) -> None:
-    """Printed: the ratio wobbles from 0.180 to 0.215, its mean stays within 0.0025.
+    """Printed: the ratio varies from 0.180 to 0.215, and its mean stays within 0.0025.
 
-    Where that path starts is not printed: the wobble is wider the steeper it begins.
+    The start of this path is not printed: a steeper start varies more.
     """
     surface, eyes, places = _hemisphere(0.2, angle)
     fibre = _replayed(surface, eyes, tied=0.0)
@@ -205,7 +205,7 @@ def test_a_constant_ratio_on_a_cone_keeps_its_invariant() -> None:
 
 
 def _wavy(time: FloatArray | float) -> FloatArray:
-    """Return an eye that speeds up, sways and rises, far from any friction path."""
+    """Return an eye that accelerates, sways and rises, far from any friction path."""
     t = np.asarray(time, dtype=np.float64)
     turn = -1.3 * t + 0.15 * np.sin(1.1 * t)
     along = 0.01 * t + 0.004 * np.sin(0.9 * t)
@@ -231,7 +231,7 @@ def _wavy(time: FloatArray | float) -> FloatArray:
 def test_replay_agrees_with_a_cartesian_integrator(surface: Surface, quadric: Quadric) -> None:
     """Any motion of the eye: within 1 um of a string on an implicit surface, from a tied start.
 
-    The start is where the mandrel has turned by 0.1 mm, which is when winding begins.
+    The start is the point at which the mandrel has turned by 0.1 mm, where winding begins.
     """
     along = -0.03
     u = surface.place_of(np.array([along]))
@@ -267,7 +267,7 @@ def _turning(time: FloatArray | float) -> FloatArray:
 @pytest.mark.long(but="along--")
 @pytest.mark.parametrize(("axis", "side"), [("along", "+"), ("along", "-"), ("up", "+")])
 def test_a_roller_agrees_with_its_tangent_in_space(axis: str, side: str) -> None:
-    """The fibre runs to the root of its tangency on a roller of 8 mm that yaws and rolls."""
+    """The fibre runs to its tangent point, a root, on a roller of 8 mm that yaws and rolls."""
     quadric, surface = ellipsoid(0.05, 0.25, 0.1), _EGG
     tool = Tool(
         kind="eye", radius=TOOL.radius, turn=TOOL.turn, along=TOOL.along, across=TOOL.across,
@@ -286,7 +286,7 @@ def test_a_roller_agrees_with_its_tangent_in_space(axis: str, side: str) -> None
     start = found[first]
     eye = roller.leaves(_turning(times[first]), start)
     gradient = quadric.gradient(start)
-    # The first place is a tangent of both, and the rest follow from it.
+    # The first place lies on a common tangent, and the rest follow from it.
     away = eye - start
     assert abs(gradient @ away) < 1e-6 * np.linalg.norm(gradient) * np.linalg.norm(away)
     begin_s = float(times[first])
@@ -300,7 +300,7 @@ def test_a_roller_agrees_with_its_tangent_in_space(axis: str, side: str) -> None
 
 
 def test_the_roller_gives_out_what_the_taut_fibre_takes() -> None:
-    """Fibre given out is the growth of laid, free and wound-round length, by its shortest way."""
+    """The given-out fibre is the growth of laid, free and wound-round length, the shortest way."""
     radius, size = 0.05, 8e-3
     surface = _surface(line(-0.5, radius, 1.0, radius))
     tool = replace(TOOL, roller=TubeRoller(radius=_mm(1e3 * size), axis="along", side="+"))
@@ -320,7 +320,7 @@ def test_the_roller_gives_out_what_the_taut_fibre_takes() -> None:
 
 
 def test_a_wrong_start_is_forgotten_with_the_free_length() -> None:
-    """What is left of a wrong start falls as exp(-laid length / free length)."""
+    """The error of a wrong start decays as exp(-laid length / free length)."""
     radius = 0.05
     surface = _surface(line(-0.5, radius, 3.0, radius))
     path = _planned(lambda u: (u, radius, 0.0, 0.0), (0.0, 0.9), 0.0, 800)
@@ -360,7 +360,7 @@ def test_unwinding_is_lifting_and_then_not_known() -> None:
 
 
 def test_a_hollow_is_bridged_with_its_height() -> None:
-    """Two cones that meet in a waist: the fibre spans it as a straight line between the rims."""
+    """Two cones meet in a waist: the fibre spans it as a straight line between the rims."""
     surface = surface_of(
         [
             line(-0.1, 0.05, 0.0, 0.05),
@@ -373,7 +373,7 @@ def test_a_hollow_is_bridged_with_its_height() -> None:
     assert not surface.convex
     angle, away = 0.25, 0.06
     free = np.sqrt(away**2 - 0.05**2)
-    # A geodesic on the cylinder, wound on as if there were no waist.
+    # A geodesic on the cylinder, continued as if there were no waist.
     places = np.arange(-0.08, 0.2, 1e-3)
     eyes = np.zeros((len(places), 6))
     eyes[:, 0] = -(places * np.tan(angle) / 0.05)
@@ -382,7 +382,7 @@ def test_a_hollow_is_bridged_with_its_height() -> None:
     fibre = _replayed(surface, eyes)
     bridged = np.flatnonzero(fibre.state == BRIDGED)
     assert len(bridged) == 1
-    # Straight from the last place, on the cone behind the rim, to the eye at this block's end.
+    # Straight from the last place, on the cone after the rim, to the eye at this block's end.
     at = int(bridged[0])
     near = _places(surface, fibre)[at - 1]
     heights = []
@@ -401,7 +401,7 @@ def test_a_hollow_is_bridged_with_its_height() -> None:
 
 
 def test_an_eye_that_sinks_into_the_mandrel_lays_nothing_more() -> None:
-    """From 60 mm to 40 mm from the axis of a cylinder of 50 mm, while it turns on."""
+    """It moves from 60 mm to 40 mm from the axis of a cylinder of 50 mm, while that turns on."""
     radius = 0.05
     surface = _surface(line(-0.5, radius, 1.0, radius))
     eyes = np.zeros((400, 6))
@@ -413,7 +413,7 @@ def test_an_eye_that_sinks_into_the_mandrel_lays_nothing_more() -> None:
     assert fibre.state[int(np.argmax(inside))] == SUNK
     assert fibre.known[1 : int(np.argmax(inside)) - 1].all()
     assert not fibre.known[inside].any()
-    # Nothing is laid or given out from there on, and before it at most what the mandrel turns.
+    # Nothing is laid or given out from there on, and before it at most the mandrel's turn.
     assert np.nanmax(np.abs(fibre.used_m)) < 2.0 * 0.05 * 0.05
 
 
@@ -428,7 +428,7 @@ def test_a_fibre_that_runs_off_the_mandrel_is_said() -> None:
 
 
 def test_an_eye_beside_the_mandrel_is_not_looked_at_in_every_block() -> None:
-    """And the fibre is found again within a quarter of the eye's distance from the axis."""
+    """The fibre is found again within a quarter of the eye's distance from the axis."""
     radius, away, step = 0.05, 0.08, 1e-3
     surface = _surface(line(0.0, radius, 1.0, radius))
     beside, back = np.full(4000, 1.3), 1.3 - step * np.arange(1, 901)
@@ -452,7 +452,7 @@ def test_an_eye_beside_the_mandrel_is_not_looked_at_in_every_block() -> None:
 
 
 def test_an_eye_above_its_path_lays_behind_it() -> None:
-    """A planner that puts the eye radially above each point of a helix.
+    """A planner puts the eye radially above each point of a helix.
 
     The winding angle comes out as planned. The fibre lies behind the point by acos(R / eye radius)
     round the mandrel, and by sqrt(eye radius^2 - R^2) / tan(angle) along it.

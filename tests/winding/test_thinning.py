@@ -1,4 +1,4 @@
-"""Samples that a replay keeps: what lies between them is straight, wherever a run is cut."""
+"""Thinned samples of a replay: the motion between them is straight, wherever a run is cut."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_what_is_dropped_lies_on_the_line_between_what_is_kept() -> None:
     steps = np.diff(np.flatnonzero(kept))
     moves = np.linalg.norm(np.diff(size[kept], axis=0), axis=1)
     assert moves[steps > 1].max() <= LONGEST_M * (1.0 + 1e-6)
-    # Where the mandrel begins to turn the fibre begins: there nothing is off.
+    # The fibre begins where the mandrel begins to turn: there the error is 0.
     first = np.abs(size[:, 0] - size[0, 0]) < 0.9 * LONGEST_M
     assert away[: int(np.argmin(first))].max() < 2e-7
 

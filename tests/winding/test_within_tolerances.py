@@ -1,4 +1,4 @@
-"""Products within their tolerances, and what a gap points to, against closed forms."""
+"""Products within their tolerances, and the cause that gaps point to, by closed forms."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ def _plan(folder: Path, machine: Machine, circuits: int, product: Path = VESSEL)
 def test_numbers_of_the_product_vary_beside_those_of_the_machine(
     tmp_path: Path, machine: Machine
 ) -> None:
-    """A product at the ends of its tolerances is judged as the product file with those numbers."""
+    """A product at the ends of its tolerances is judged like a product file with those numbers."""
     plan = _plan(tmp_path, machine, 1)
     spec = with_shaping(load_spec(None, machine), machine, options_of(product=str(VESSEL)))
     within = WithinTolerances(plan, spec, threads=1, with_product=True)
     product = product_of(plan)
     assert product is not None
-    reason = "as the product file has it"
+    reason = "as in the product file"
     same = MachineYield(plan, spec, threads=1).same
     assert {name for name, why in same.items() if reason in why} == {
         "mandrel.radius_error", "mandrel.at", "band.width", "friction.value"
@@ -70,7 +70,7 @@ def test_numbers_of_the_product_vary_beside_those_of_the_machine(
     reports: list[float] = []
     asking: ContextVar[str] = ContextVar("asking")
     asking.set("this command")
-    # Threads tell it to the command that asked, or its minutes would pass in silence.
+    # Threads report progress to the calling command; otherwise it would be silent for minutes.
     found = within.judged(parts, lambda count: reports.append(count) if asking.get("") else None)
     assert sum(reports) == pytest.approx(2.0)
 
@@ -109,7 +109,7 @@ def test_numbers_of_the_product_vary_beside_those_of_the_machine(
 def test_many_machines_share_the_design_and_the_plan(
     tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A winding of half an hour is planned, and its designed fibre replayed, once for them all."""
+    """A winding of half an hour is planned, and its design replayed, once for all machines."""
     options = options_of(product=str(VESSEL), interpolation="linear")
     file = tmp_path / "rests.prg"
     file.write_text("G90\nG1 X10 F100\nG4 P1500\nG1 X0\nM30\n")
@@ -145,7 +145,7 @@ class _Replayed:
 
 
 def test_a_search_tries_fewer_machines_of_a_long_winding() -> None:
-    """50 million ticks of replayed runs, at least as many machines as one by one, at most all."""
+    """50 million ticks of replayed runs; at least as many machines as one by one, at most all."""
     for ticks, most in ((0, 1200), (10_000, 1200), (100_000, 500), (400_000, 125), (10**7, 60)):
         within = _Replayed(ticks)
         assert most_searched(within) == most  # type: ignore[arg-type]
@@ -156,7 +156,7 @@ def test_a_search_tries_fewer_machines_of_a_long_winding() -> None:
 
 
 def _gaps(turn: float, circuits: int, width_m: float) -> FloatArray:
-    """Return the gaps between bands that are each a turn behind the one before, round 50 mm."""
+    """Return the gaps between bands that are a turn apart, round 50 mm."""
     angle = np.sort((turn * np.arange(circuits)) % (2.0 * math.pi))
     across = 0.05 * math.sqrt(1.0 - (programs.TURN_M / 0.05) ** 2)
     return across * np.diff(angle, append=angle[0] + 2.0 * math.pi) - width_m
@@ -189,7 +189,7 @@ def test_each_factor_changes_the_gaps_as_by_its_closed_form(causes: Causes) -> N
     assert abs(zero.largest_m) < 1e-5
     assert zero.left_m == pytest.approx(zero.right_m, abs=5e-5) and abs(zero.left_m) > 1e-4
     radius = by_name["radius of the mandrel"]
-    # A larger mandrel has more room between as many bands.
+    # A larger mandrel has more room between equally many bands.
     assert radius.mean_m > 0.0
 
 

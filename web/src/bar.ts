@@ -18,16 +18,16 @@ const LOOKS: Record<string, string> = {
   fault: "wrong",
   gone: "wrong",
 };
-/** What a state without a reason of its own means for somebody who waits. */
+/** What a state means, for a reader who waits; used if the machine gives no reason. */
 const PREPARES: Record<string, string> = {
   connecting: "the machine is being prepared; the first time on a computer this takes up to a minute",
 };
-/** What somebody is to know whose page hears nothing. */
+/** Text for a page without a connection. */
 const ALONE = "trying again; a run goes on, unless the panel has ended: then the machine stops";
 const FEED_MS = 250;
 export const STEP_PERCENT = 10;
 
-/** Where a run is in what its operator counts: "circuit 2 of 3", "stitch 12 of 185"; empty where nothing is counted. */
+/** Progress of a run in the operator's units: "circuit 2 of 3", "stitch 12 of 185"; empty without a count. */
 export function placeInWords(
   figures: Pick<Figures, "lines" | "circuits" | "stitches">,
   time_s: number,
@@ -129,7 +129,7 @@ export class Bar {
     tell("feed-unit", unit);
   }
 
-  /** Mark what is pressed next, and say it. */
+  /** Mark the button to press next, and name it. */
   tellNext(step: Step | null): void {
     tell("next", step ? `Next: ${step.text}` : "");
     put(by("next"), "hidden", step === null);

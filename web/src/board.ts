@@ -24,7 +24,7 @@ export function inOrder(settings: BoardSetting[]): BoardSetting[] {
   return [...settings].sort((a, b) => weight(a) - weight(b) || a.number - b.number);
 }
 
-/** What a table of settings says in a sentence. */
+/** A table of settings, summed up in a sentence. */
 export function settingsInWords(settings: BoardSetting[]): string {
   const of = (mark: BoardSetting["mark"]) => settings.filter((one) => one.mark === mark).length;
   const counted = (count: number, words: string) => (count ? [`${count} ${words}`] : []);
@@ -188,7 +188,7 @@ export class Board {
     if (told.left_out) log.append(this.line("program", "", `${told.left_out} lines of the run are left out`));
     log.append(...told.lines.map((one) => this.line(one.kind, one.text, one.words, one.at_s)));
     while (log.childElementCount > MOST_LINES) log.firstElementChild!.remove();
-    if (atEnd) this.toEnd(); // somebody who reads further up is not moved
+    if (atEnd) this.toEnd(); // a reader further up stays there
   }
 
   private line(kind: Exchange["kind"], text: string, words: string, at_s?: number): HTMLLIElement {
@@ -206,7 +206,7 @@ export class Board {
   }
 }
 
-/** A number without the noughts at its end: "4800.000" is 4800. */
+/** A number without zeros at its end: "4800.000" is 4800. */
 export function shortly(text: string): string {
   return /^-?\d+\.\d+$/.test(text) ? text.replace(/\.?0+$/, "") : text;
 }

@@ -8,7 +8,7 @@ import { onScreen, sizeOf } from "./visibility";
 import { before, isOf } from "./wording";
 import { Zoom } from "./zoom";
 
-/** Upper ends of the shares of a limit, and the colours of what lies below them. */
+/** Upper ends of the bands of a limit's share, and the colours of the bands. */
 const BANDS: [number, string, string][] = [
   [0.5, "--planned", "half of the limit or less"],
   [0.8, "--done", "up to 80 %"],
@@ -38,7 +38,7 @@ export function pace(
   return lasts > 0 ? (0.6 * percent * (number[next]! - number[next - 1]!)) / lasts : null;
 }
 
-/** Time of the plan up to which a design is sewn: of its run, also of one that was broken off; null for all of it. */
+/** Time of the plan up to which a run has sewn the design, also after it was broken off; null for the whole design. */
 export function sewnUntil(
   run: Progress | null,
   job: Pick<Shown, "program" | "times_s"> | null,
@@ -56,20 +56,20 @@ export class Cloth implements Picture {
   private done = 0; // number of drawn holes that are sewn
   private sewing = false; // whether a run or a simulation is under way
   private head: Mark | null = null;
-  private stands: Mark | null = null; // where the next hold stands
-  private dirty = true; // the stitches are drawn anew; else only those that were sewn since
+  private stands: Mark | null = null; // where the next hold takes effect
+  private dirty = true; // all stitches are drawn again; else only the newly sewn ones
   private drawn = 0; // number of holes that are drawn as sewn
-  private inks: string[] = []; // of the bands, or of the threads; read once, because it costs much
-  private scale = 1; // pixels in a metre, where the whole work is seen
+  private inks: string[] = []; // colours of the bands or threads; read once, because reading is slow
+  private scale = 1; // pixels per metre if the whole work is shown
   private low: Mark = { x: 0, y: 0 }; // corners of the work
   private high: Mark = { x: 0, y: 0 };
   private readonly needle = made("i"); // marks above the stitches: they move, and nothing is drawn again
   private readonly ring = made("i");
   private percent = 100; // feed override of the run
   private readonly seen: () => boolean;
-  private readonly part: Zoom; // that is seen
+  private readonly part: Zoom; // the visible part of the work
 
-  /** @param recoloured called when other colours were chosen */
+  /** @param recoloured called when the operator chooses other colours */
   constructor(recoloured: () => void) {
     this.told.className = "hint";
     this.canvas.setAttribute("role", "img");

@@ -23,7 +23,7 @@ const WHOLE = new Set(["completed", "refused"]);
 /** Ends after which the page of the machine offers to go on. */
 const BROKEN = new Set(["stopped", "fault"]);
 
-/** Whether the last run can be gone on with: it was broken off, and its program is still calculated. */
+/** Whether the last run can be continued: it was broken off, and its program is still the calculated one. */
 export function brokenOff(state: State): boolean {
   const run = state.progress;
   return !!run && BROKEN.has(run.ended ?? "") && isOf(state.proven?.program ?? "", run.program);
@@ -38,7 +38,7 @@ export function lastRun(state: State): { text: string; wrong: boolean } | null {
   return { text, wrong: judged && !run.verdict.startsWith("IN SPEC") };
 }
 
-/** What is to be done to go on with a run that was broken off, in a sentence. */
+/** The next step to continue a broken-off run, in a sentence. */
 export function howToGoOn(
   state: State,
   known: { stitches: boolean; byHand: boolean; atStart: boolean },

@@ -1,4 +1,4 @@
-/** What an operator of each kind of machine wants to know beside the picture, in short sentences. */
+/** Facts beside the picture, in short sentences, for the operator of each kind of machine. */
 
 import { by, made, put } from "./dom";
 import type { Figures, State } from "./messages";
@@ -22,10 +22,10 @@ export function nextTurn(figures: Figures, time_s: number): { in_s: number; at: 
 
 const AT_REST_S = 0.02;
 
-const STILL_MS = 400; // after which a held run that has not gone on stands
+const STILL_MS = 400; // a held run without progress for this long stands still
 let still: { key: string; sinceMs: number } = { key: "", sinceMs: 0 };
 
-/** Whether a held run has not gone on for a while, as it is told by its states. */
+/** Whether the states of a held run show no progress for a while. */
 export function standsStill(state: State, nowMs: number): boolean {
   const run = state.progress;
   const key = state.state === "holding" && run ? `${run.run} ${run.time_s}` : "";
@@ -43,7 +43,7 @@ export function whyInWords(state: State, nowMs = performance.now()): string {
   return there || stands ? "it stands at a rest of the program" : state.why;
 }
 
-/** Where a hold stands that is asked for now, or stands that was asked for. */
+/** Where a hold takes effect: the present one, or one that is requested now. */
 export function holdInWords(state: State, figures: Figures | null): string {
   const run = state.progress!;
   const { stitches } = figures ?? {};

@@ -82,7 +82,7 @@ export class Jogging {
   private row(axis: Axis, pair: [string, string] | undefined): HTMLTableRowElement {
     const row = this.positions.row(axis.name);
     const { session } = this;
-    if (!session.byHand) return row; // what a machine has not is not shown
+    if (!session.byHand) return row; // without motion by hand there are no jog buttons
     const cell = (...inside: Node[]) => {
       const found = made("td");
       found.append(...inside);
@@ -251,6 +251,6 @@ export class Jogging {
       document.activeElement.blur(); // an open list would take the keys
     this.moved = moving;
     for (const file of document.querySelectorAll<HTMLInputElement>("input[type=file]"))
-      put(file, "disabled", moving || (file.id === "file" && !this.session.mine())); // a file dialog would, too
+      put(file, "disabled", moving || (file.id === "file" && !this.session.mine())); // a file dialog would take the keys
   }
 }

@@ -5,14 +5,14 @@ import type { FromPanel, State } from "./messages";
 const PROTOCOL = 1;
 const ALIVE_MS = 1000;
 const AGAIN_MS = 500;
-/** What changes in every state, also where nothing moves. */
+/** Fields that change in every state, even if nothing moves. */
 const PASSING = /"(?:seq|age_s|left_s)":[^,}]*/g;
 const REFUSED = 4401; // code with which the panel closes the connection
 
 export class Link {
   lease = "";
   state: State | null = null;
-  /** The state from which on nothing has changed but its number, its age and the time left of control. */
+  /** The latest state with a change in more than its number, its age and the time left of control. */
   changedState: State | null = null;
   /** Called at each stop that this page asks for. */
   stopped = (): void => {};
@@ -20,7 +20,7 @@ export class Link {
   hears = false;
   /** Time of arrival of the latest state, by the page's clock, ms. */
   heardMs = 0;
-  private lasting = ""; // the latest state, without what changes in every state
+  private lasting = ""; // the latest state, without the fields that change in every state
   private socket: WebSocket | null = null;
   private number = 0;
   private client = 0;

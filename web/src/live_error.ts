@@ -1,4 +1,4 @@
-/** The measured error of a run against its limit band: what was seen so far at each place of the plan. */
+/** The measured error of a run against its limit band: the largest so far at each place of the plan. */
 
 import { by, made, put, tell } from "./dom";
 import type { Figures, LiveContour, State } from "./messages";
@@ -9,7 +9,7 @@ import { amount, before, isOf } from "./wording";
 const TELLS_MS = 250;
 const BINS = 400;
 const HEIGHT = 96;
-const PAD = 14; // pixels above the limit line, for what lies beyond it
+const PAD = 14; // pixels above the limit line, for larger errors
 
 /** The largest value in each of a number of equal stretches of a time. */
 export class Stretches {
@@ -53,8 +53,8 @@ export class LiveError {
   private worst_s = 0;
   private now_s = 0;
   private dirty = true;
-  private told = ""; // what the words say, but for the error of now
-  private toldMs = Number.NEGATIVE_INFINITY; // and when they were written
+  private told = ""; // the shown words without the present error
+  private toldMs = Number.NEGATIVE_INFINITY; // when the words were written
 
   constructor(private readonly toLine: (line: number) => void) {
     this.canvas.setAttribute("role", "img");
@@ -140,7 +140,7 @@ export class LiveError {
     pen.fillRect(0, y(this.limit), wide, HEIGHT - y(this.limit));
     pen.globalAlpha = 1;
     const step = wide / largest.length;
-    const [within, beyond] = [colour("--done"), colour("--trouble")]; // read once: it costs much
+    const [within, beyond] = [colour("--done"), colour("--trouble")]; // read once, because reading is slow
     largest.forEach((value, k) => {
       if (value < 0) return;
       pen.fillStyle = value > this.limit ? beyond : within;

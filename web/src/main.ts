@@ -97,7 +97,7 @@ function welcomed(message: Welcome): void {
   session.welcome(message);
   const far = made("small", message.simulated ? "simulated" : message.link);
   by("machine").title = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
-  const comma = made("span", ", "); // to be heard: what follows stands on a line of its own
+  const comma = made("span", ", "); // for screen readers: the next words stand on a line of their own
   comma.className = "unseen";
   by("machine").replaceChildren(message.machine, comma, far);
   jogging.build();
@@ -114,7 +114,7 @@ function welcomed(message: Welcome): void {
   picture();
 }
 
-/** Show the parts that the machine has: it may not be taught, and nothing that is drawn may be work for it. */
+/** Show the parts of the page that the machine can use: teach-in and drawing may be missing. */
 function offerParts(welcome: Welcome): void {
   put(by("tab-teach-in"), "hidden", welcome.untaught !== "");
   put(by("tab-drawing"), "hidden", !welcome.by_hand);
@@ -122,7 +122,7 @@ function offerParts(welcome: Welcome): void {
   if (by(`tab-${part}`).hidden) open("run");
 }
 
-/** Show what the link leads to, and which commands it lacks. */
+/** Show the far end of the link, and the commands that it lacks. */
 function tellLink(welcome: Welcome): void {
   const lacking = Object.entries(welcome.lacks).map(
     ([what, why]) => `${what} is not available on this link: ${why}`,
@@ -186,7 +186,7 @@ function open(part: string): void {
   if (part === "guide") void guide.open();
 }
 
-/** Bring what is pressed in a step into sight, and the focus there; nothing is pressed. */
+/** Scroll to the button of a step and give it the focus, without pressing it. */
 function goTo(step: Step | null): void {
   if (!step) return;
   if (step.part) open(step.part);
@@ -247,7 +247,7 @@ function tellEnds(state: State): void {
   const wrong = ["fault", "gone"].includes(state.state);
   const fault = wrong ? `${state.state}: ${state.why}` : "";
   const end = run?.ended && run.verdict ? toldRun(run) : "";
-  // The bar and the list of what happened tell it in Run: no message covers the machine there.
+  // In Run the bar and the list of events show it, so that no message covers the machine.
   const tellEnd = document.body.dataset.part === "run" ? note : say;
   if (end !== toldEnd && end) tellEnd(end, !run!.verdict.startsWith("IN SPEC"));
   if (fault !== toldFault && fault) say(fault, true);
@@ -258,7 +258,7 @@ let hadControl = 0; // number of this page when it had control; 0 for none in th
 let askedForControl = false; // by this page, and not answered yet
 let released = false; // by this page
 
-/** Say what became of control, where this page has not done it itself. */
+/** Report a change of control that this page has not made itself. */
 function tellPassed(state: State): void {
   const held = state.control;
   const mine = session.mine();
@@ -374,18 +374,18 @@ function show(state: State | null): void {
 }
 
 /**
- * Everything is drawn by one clock, so that the browser draws all changes in one frame: by the states that
- * come. Numbers follow each; what is no number is looked at four times a second, or at once where the state
- * or the operator changes something. Where nothing has changed, nothing is done.
+ * One clock draws everything, so that the browser draws all changes in one frame; arriving states drive it.
+ * Numbers follow each state. Everything else is checked four times a second, or at once if the state or the
+ * operator changes something. If nothing has changed, nothing is drawn.
  */
 const TICK_MS = 50;
 const CURVE_TICKS = 4;
-const REST_MS = 240; // between two looks at everything where nothing but numbers changes
-const ALONE_MS = 100; // of the clock where no state comes
+const REST_MS = 240; // time between two full checks if only numbers change
+const ALONE_MS = 100; // period of the clock if no state comes
 let ticks = 0;
 let [tickedMs, allMs, drawnMs] = [0, 0, 0]; // when the page was last shown, all of it, and the view drawn
-let shownState: State | null = null; // which the page shows
-let shownWords = ""; // and what in it is no number
+let shownState: State | null = null; // the state that the page shows
+let shownWords = ""; // its content without the numbers
 let touched = true; // the operator has done something since
 for (const kind of ["input", "change", "click", "keydown", "keyup", "pointerdown", "pointerup", "focusin"])
   window.addEventListener(
@@ -396,7 +396,7 @@ for (const kind of ["input", "change", "click", "keydown", "keyup", "pointerdown
     true,
   );
 
-/** Show what there is; the clock goes on with each state, and by itself where none comes. */
+/** Show the latest state; the clock advances with each state, and by itself if none comes. */
 function tick(): void {
   ticks++;
   tickedMs = performance.now();
@@ -423,7 +423,7 @@ setInterval(() => {
   if (performance.now() - tickedMs > 0.8 * ALONE_MS || touched) tick();
 }, ALONE_MS);
 
-/** What the page does not have to follow at each tick is compared by this. */
+/** The part of a state that the page need not follow at each tick, for comparison. */
 function wordsOf(state: State): string {
   const { state: name, why, allowed, control, progress, rest, proven, busy, calculating } = state;
   const { client, asks } = control;

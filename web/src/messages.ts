@@ -15,7 +15,7 @@ export interface Axis {
   high: number | null;
   manual_feed: number;
 }
-/** The settings of a controller, each time that they were read. */
+/** The settings of a controller; sent each time that they are read. */
 export interface Board {
   type: "board";
   firmware: string;
@@ -133,7 +133,7 @@ export interface Leased {
   type: "leased";
   lease: string;
 }
-/** Lines and circuits of the job, and the times from which each is under way, s. */
+/** Lines and circuits of the job, and the time at which each begins, s. */
 export interface Lines {
   times_s: number[];
   line: number[];

@@ -1,4 +1,4 @@
-/** The next step of an operator: what is pressed next, and where. */
+/** The next step of an operator: the button to press next, and its place. */
 
 import type { State } from "./messages";
 
@@ -9,7 +9,7 @@ export interface Step {
   part: "prepare" | "run" | "";
 }
 
-/** What the page knows besides the state. */
+/** The page's knowledge besides the state. */
 export interface Known {
   mine: boolean;
   /** Whether a program is chosen. */

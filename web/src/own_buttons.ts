@@ -36,9 +36,9 @@ const KNOWN = `${PLAIN.join(", ")}, program NAME, feed N %, line TEXT`;
 const BY_HAND = new Set(["start", "approach", "jog", "step", "zero", "continue", "stop"]);
 const MOST_BUTTONS = 12;
 const MOST_STEPS = 20;
-/** What takes its time: the next step waits until the machine stands and nothing is calculated. */
+/** Commands that take time: the next step waits until the machine stands and nothing is calculated. */
 const LASTS = new Set(["enable", "disable", "home", "reset", "calculate"]);
-const LATER = 3; // states after an answer that show what it began
+const LATER = 3; // number of states after an answer until its effect shows
 
 /** The steps of a text, one on each line; a sentence that says what is wrong. */
 export function stepsOf(text: string, has: Has): OwnStep[] | string {
@@ -87,7 +87,7 @@ function programStep(text: string, more: string, has: Has): OwnStep | string {
   return { what: "calculate", text, program, priority: priority ?? "programmed" };
 }
 
-/** What a runner needs of the page: it sends a step, and gets the number of the command, 0 where there is none. */
+/** Sends a step for a runner, and returns the number of the command; 0 if none was sent. */
 export type Send = (step: OwnStep) => number;
 
 /** Goes through the steps of a button; ends at the first that is refused, and at any trouble. */

@@ -1,8 +1,8 @@
-/** What the view draws, and a picture that draws it: each kind of work has its own. */
+/** The data of the view, and the picture that draws them: each kind of work has its own. */
 
 import type { Figures, Mandrel, State } from "./messages";
 
-/** What is drawn of a job: its path, without times before it is calculated. */
+/** The drawn data of a job: its path, without times before it is calculated. */
 export interface Shown {
   program: string;
   proof: string;

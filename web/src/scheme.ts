@@ -45,7 +45,7 @@ export function others(cylinders: Cylinder[], names: string[]): string[] {
   return names.filter((name) => !own.has(name));
 }
 
-/** Where the pistons are, m or rad, and which signals are on; what is not known is not there. */
+/** Places of the pistons, m or rad, and signals that are on; unknown ones are missing. */
 export interface Told {
   at: Record<string, number>;
   on: Record<string, boolean>;
@@ -53,7 +53,7 @@ export interface Told {
   homed: boolean;
 }
 
-/** What a state tells. */
+/** The pistons and signals of a state. */
 export function toldBy(state: State): Told {
   const at: Record<string, number> = {};
   for (const [name, place] of Object.entries(state.axes)) {

@@ -254,7 +254,7 @@ export class Traces {
         by("trace"),
       ),
     ];
-    if (!measured) return; // a difference of nothing would look like a perfect run
+    if (!measured) return; // without a measurement the difference would be 0, as in a perfect run
     this.plots.push(
       new uPlot(
         { ...more, height: 200, scales: { x, y: { range: CLOSEST } }, series: differences },

@@ -8,7 +8,7 @@ import type { Parts } from "./scheme";
 import { Steps } from "./steps";
 import { View3d } from "./view3d";
 
-const CLOSER = 1.5; // at each press
+const CLOSER = 1.5; // factor of the zoom at each press
 const LONGEST_S = 15; // longest playing time of a simulation, s
 
 export class View {
@@ -18,7 +18,7 @@ export class View {
   private playing: number | null = null; // start of the simulation by the page's clock, ms
   private readonly made = new Map<string, Picture | null>();
   private parts: Parts = { cylinders: [], inputs: [], outputs: [] };
-  private bare = "space"; // what is drawn of the machine itself
+  private bare = "space"; // the picture of the machine without a job
 
   constructor(
     private readonly place: HTMLElement,

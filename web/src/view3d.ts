@@ -14,7 +14,7 @@ import { inSpace, Wound } from "./wound";
 
 type At = Record<string, number>;
 
-const TURN_RAD = 0.05; // of a mandrel between two drawn points of a move
+const TURN_RAD = 0.05; // turn of a mandrel between two drawn points of a move
 
 /** Places of moves with others between them, so that none turns the mandrel far. */
 export function roundly(ways: At[], turns: string): At[] {
@@ -44,7 +44,7 @@ export class View3d implements Picture {
   private readonly done: Path3d; // its first part
   private job: Shown | null = null;
   private bare: Mandrel | null = null; // of the machine or its job
-  private mandrel: Mandrel | null = null; // which is shown: a product's own, if there is one
+  private mandrel: Mandrel | null = null; // the shown one: a product's own mandrel, if there is one
   private size = 0.1; // m
   private dirty = true;
   private shown = ""; // the state last drawn
@@ -100,12 +100,12 @@ export class View3d implements Picture {
     this.wound.recolour();
     this.mandrel = this.wound.mandrel ?? mandrel;
     this.head.material.color.set(colour("--ink"));
-    // What is seen through is drawn twice: without a graphics card the picture has a ground of its own.
+    // A transparent picture is drawn twice: without a graphics card the picture has an opaque ground.
     if (this.slow) this.renderer.setClearColor(colour("--card"));
     this.shown = "";
     this.product.clear();
     const count = Object.values(job?.planned ?? {})[0]?.length ?? 0;
-    // Where the fibre lies is shown in place of the path of the eye that lays it.
+    // The laid fibre is shown instead of the path of the eye.
     const ways = this.wound.mandrel ? [] : Array.from({ length: count }, (_, k) => this.planned(k));
     const turns = mandrel?.axis ?? "";
     // Before the calculation a move is one straight way, which would cut through the mandrel.

@@ -95,7 +95,7 @@ export function sentence(one: Criterion): string {
   return `${text}: ${one.measured === null ? "not measured" : amount(one.measured, one.unit)}`;
 }
 
-/** A verdict in words: names of criteria without underscores, and what its runs were. */
+/** A verdict in words: names of criteria without underscores, and its runs. */
 export function verdictWords(closing: string): string {
   return closing
     .replace(/\((?:nominal|repeated): (\d+) (runs?)/, "($1 simulated $2")
@@ -103,7 +103,7 @@ export function verdictWords(closing: string): string {
     .replace(/[a-z]+(?:_[a-z]+)+/g, (name) => name.replaceAll("_", " "));
 }
 
-/** The verdict of a run of the machine: the run that was judged is the one that was made. */
+/** The verdict of a run of the machine, without the number of judged runs: it is this one. */
 export function verdictOfRun(closing: string): string {
   const judged = closing.replace(/ \((?:nominal|repeated): 1 run\)/, "");
   const short = judged.replace(/: the run ended in operation \d+, .*$/, ": it did not reach its end");
@@ -173,7 +173,7 @@ export function isHomed(state: string): boolean {
   return !NOT_HOMED.has(state);
 }
 
-/** What stands in the place of a position that is not known. */
+/** Text in place of an unknown position. */
 export function unknownPlace(homed: boolean): string {
   return homed ? "told in a run" : "not homed";
 }

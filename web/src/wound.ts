@@ -28,7 +28,7 @@ const ASKS_MS = 400; // between two requests in a run
 const LIFT = 0.004; // of the first band over the mandrel, and of the last over the first, in radii
 const EDGE = 0.6; // brightness of one edge of a band, so that one is told from the next
 
-/** Where a place of the fibre is in space: the eye is above, where the angle is minus the mandrel's turn. */
+/** A place of the fibre in space: the eye is above, at an angle of minus the mandrel's turn. */
 export function inSpace(along: number, radius: number, angle: number): [number, number, number] {
   return [along, -radius * Math.sin(angle), radius * Math.cos(angle)];
 }
@@ -43,8 +43,8 @@ export class Wound {
   private width = 0; // m
   private last: [number, number, number] = [0, 0, 0]; // the place read last
   private filled = 0; // places that were read
-  private laid = 0; // and of them those that the last run laid; without a run all of them
-  private inks: three.Color[] = []; // of fibre that stays, and of fibre that slips
+  private laid = 0; // number of read places that the last run laid; all of them without a run
+  private inks: three.Color[] = []; // colours of fibre that stays, and of fibre that slips
   private asking = false;
   private askedMs = 0;
 
@@ -66,8 +66,8 @@ export class Wound {
   }
 
   /**
-   * Read on while a run lays more; show what it has laid until a time of the plan, null for all of it. What
-   * was read as a run was broken off is the whole work.
+   * Read on while a run lays more; show the fibre laid until a time of the plan, null for all of it. If a
+   * run was broken off, the fibre read so far is the whole work.
    */
   live(state: State, until_s: number | null): void {
     const runs = state.progress !== null && state.progress.ended === null;
@@ -180,7 +180,7 @@ export class Wound {
       attributes.position!.setXYZ(2 * k + side, corner.x, corner.y, corner.z);
       attributes.normal!.setXYZ(2 * k + side, normal.x, normal.y, normal.z);
     }
-    const from = begins ? 2 * k : 2 * k - 2; // where fibre begins nothing leads to it
+    const from = begins ? 2 * k : 2 * k - 2; // the first place of a fibre has no place before it
     [from, from + 1, 2 * k, 2 * k, from + 1, 2 * k + 1].forEach((corner, n) => {
       index!.setX(6 * k + n, corner);
     });

@@ -28,19 +28,19 @@ LOCAL = ("127.0.0.1", "localhost", "[::1]")
 """Names of this computer, for which no token is needed."""
 _READS = frozenset({"GET", "HEAD"})
 _LEAST_TOKEN = 16
-_FIRST, _LAST = "!", "~"  # of the visible ASCII characters
+_FIRST, _LAST = "!", "~"  # the first and the last visible ASCII character
 _MOST_NAMED = 5
 HALF_OPEN_S = 5.0
-"""Time in s within which a request must be complete, and then each further part of its body."""
+"""Time limit in s for the head of a request, and for each further part of its body."""
 MOST_HALF_OPEN = 256
 """Most connections without a complete request; beyond that the oldest is dropped."""
 MOST_BODY_S = 60.0  # from the first part of a body to its last
 HELLO_S = 5.0
-"""Time in s within which a websocket must say who it is."""
+"""Time limit in s for the hello of a websocket."""
 MOST_WITHOUT_HELLO = 256
-"""Most websockets that did not say who they are; beyond that the oldest is closed."""
+"""Most websockets without a hello so far; beyond that the oldest is closed."""
 CLOSING_S = 1.0
-"""Time in s for the answer to the close of a websocket; then its connection is dropped."""
+"""Time limit in s for the answer to the close of a websocket; then its connection is dropped."""
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (
         "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; "
@@ -81,7 +81,7 @@ class Admission:
             named = ", ".join(map(ascii, wrong[:_MOST_NAMED]))
             more = " and others" if len(wrong) > _MOST_NAMED else ""
             raise OptionError(
-                f"--token holds {named}{more}, which cannot stand in a word of an HTTP header",
+                f"--token holds {named}{more}, which an HTTP header does not allow in a word",
                 remedy="Give 16 or more of the characters ! to ~: letters, digits, signs.",
             )
         if self.token and len(self.token) < _LEAST_TOKEN:
@@ -101,7 +101,7 @@ class Admission:
         Parameters
         ----------
         reads
-            Whether it is read-only.
+            Whether the request is read-only.
         """
         host = headers.get("host", "")
         name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
@@ -161,8 +161,8 @@ class AdmittingApp:
 class PromptHttp(H11Protocol):
     """A connection that is dropped if its request is not complete in time.
 
-    uvicorn waits for ever for the rest of a request, and each such connection uses one of the
-    files that a process may open: in the end a stop would not get through.
+    uvicorn waits for ever for the rest of a request. Each waiting connection holds one of the
+    files that a process may open, and once no file is left, a stop cannot get through.
     """
 
     half_open: ClassVar[dict[PromptHttp, None]] = {}
@@ -224,7 +224,7 @@ class PromptWebsocket(WebSocketsSansIOProtocol):
 
 
 class Unknown:
-    """Websockets that did not say who they are: a limited number, for a limited time."""
+    """Websockets without a hello so far: a limited number, for a limited time."""
 
     def __init__(self) -> None:
         self._due: dict[asyncio.Timeout, None] = {}  # the oldest first
@@ -236,7 +236,7 @@ class Unknown:
         Raises
         ------
         TimeoutError
-            If it takes more than ``HELLO_S``, or newer ones need the place.
+            If no hello comes within ``HELLO_S``, or newer websockets need the place.
         """
         async with asyncio.timeout(HELLO_S) as due:
             self._due[due] = None

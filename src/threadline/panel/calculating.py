@@ -42,9 +42,9 @@ from threadline.verdict.rendering import criteria_json
 from threadline.verdict.replayed import least_friction, recorded_fibre, wound_job
 
 _SHOWN = 2000  # points of a plot
-_MOST_PLACES = 20_000  # on the middle of the bands of a winding
+_MOST_PLACES = 20_000  # places along the middle of the bands of a winding
 _OUTLINE = 241  # places of the meridian of a mandrel
-_NICE = 10  # the executor comes first
+_NICE = 10  # the executor gets processor time first
 
 
 def machine_of(content: Mapping[str, Any]) -> Machine:
@@ -123,14 +123,14 @@ def figures(proof: Proof) -> dict[str, Any]:
 def wound(proof: Proof) -> dict[str, Any] | None:
     """Return the mandrel of a proof's product with the fibre of the simulated run, for drawing.
 
-    Of the fibre, at most ``_MOST_PLACES`` places are kept: half a band apart, or further.
+    At most ``_MOST_PLACES`` places of the fibre are kept, at least half a band apart.
     """
     job = wound_job(proof.plan)
     samples = None if job is None else recorded_fibre(proof.recording, job)
     if job is None or samples is None:
         return None
     turn, along = job.tool.turn, job.tool.along
-    assert turn is not None and along is not None  # of every eye
+    assert turn is not None and along is not None  # every eye has both
     surface, fibre = job.surface, samples.fibre
     u = np.linspace(0.0, surface.length_m, _OUTLINE)
     known = np.flatnonzero(fibre.known)
@@ -216,7 +216,7 @@ def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:
 
 
 def _share(_what: str, share: float) -> None:
-    if share:  # a stage without a share does not begin anew
+    if share:  # a stage without a share must not set the bar back to 0
         _print({"share": round(share, 3)})
 
 

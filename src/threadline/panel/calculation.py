@@ -1,4 +1,4 @@
-"""Processes that answer one request of the panel; each is ended when nobody waits any more."""
+"""Processes that answer one request of the panel; each is killed when nobody waits for it."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class Calculation:
         return found if why is None else str(why)
 
     def begin(self, request: Calculate, tell: Callable[[Figures | str], None]) -> None:
-        """Begin a calculation; the last one is forgotten.
+        """Begin a calculation, and forget the previous one.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class Calculation:
         Raises
         ------
         CommandError
-            If one is under way.
+            If a calculation is under way.
         """
         if self.share is not None:
             raise CommandError("a calculation is under way", remedy="Wait for it.")
@@ -198,7 +198,7 @@ class Calculation:
     def _over(self, task: asyncio.Task[None], tell: Callable[[Figures | str], None]) -> None:
         """Note that the calculation is over; report an unexpected error.
 
-        A task that is cancelled before its first step never runs, and cannot do this by itself.
+        The task cannot do this itself: if it is cancelled before its first step, it never runs.
         """
         self.share = None
         if not task.cancelled() and (error := task.exception()) is not None:
@@ -214,7 +214,7 @@ class Calculation:
         Raises
         ------
         CommandError
-            If it is not the program that the client was shown.
+            If ``proof`` is not the calculation that the client was shown.
         """
         if self.proven is None or self.proven.proof != proof:
             raise CommandError(
@@ -297,8 +297,8 @@ def add_winding(
 ) -> None:
     """Add the request for the fibre of the latest calculation, which is read-only.
 
-    ``running_s`` returns the time of a run of it, None without a run: then the whole fibre is
-    given, else what is laid at that time by the simulated run.
+    ``running_s`` returns the time of its run in s, or None if it does not run. During a run, the
+    answer holds the fibre that the simulated run has laid by that time; otherwise all of it.
     """
 
     @app.get("/api/wound", responses=_NOT_WOUND)  # type: ignore[arg-type]

@@ -1,7 +1,7 @@
 """Clients of the panel: control over the machine, and messages in the words of the page.
 
-Errors and warnings are shared with the command line, and name its options. The page has fields for
-some of these, under other names; an option without a field is marked as the command line's.
+Errors and warnings are shared with the command line, and name its options. If the page has a field
+for an option, its label replaces the name; otherwise the option is marked as the command line's.
 
 Time is an argument of every method, so that nothing here waits.
 """
@@ -69,7 +69,7 @@ def in_words_of_page(message: BaseModel) -> BaseModel:
 
 
 CONTROL_LEASE_S = 5.0
-"""Time in s after which control is free unless its holder was heard."""
+"""Time in s after which control is free unless its holder sends something."""
 ASKED_S = 10.0
 """Time in s after which control passes to the client that asks, unless its holder keeps it."""
 
@@ -136,7 +136,7 @@ class ControlLease:
         return None
 
     def give(self, client: int, now_s: float) -> Lease | None:
-        """Give control to the asking client; None without one, or if ``client`` has none."""
+        """Give control to the asking client; None if none asks, or ``client`` is not in control."""
         held = self.holder(now_s)
         if held is None or held.client != client or self._asks is None:
             return None

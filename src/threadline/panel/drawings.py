@@ -123,9 +123,9 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
     ]
     if not found or len(found) > MOST_SHAPES:
         raise JobError(
-            f"the drawing has {len(found)} lines, from 1 to {MOST_SHAPES} can be edited",
+            f"the drawing has {len(found)} lines, the page can edit 1 to {MOST_SHAPES}",
             place=Place(name),
-            remedy="Sew it as it is: a seam file reads it.",
+            remedy="Sew it unedited: name it in a seam file.",
         )
     known = _add_remarks(found, name, content) if name.lower().endswith(".dxf") else set()
     refusals = [refusal for refusal in drawing.refusals if refusal.line not in known]
@@ -141,9 +141,9 @@ def _refuse_points(strokes: Sequence[Stroke], name: str) -> None:
         points += 2 * straight + _CHORDS * (len(stroke.pieces) - straight)
         if points > MOST_POINTS:
             raise JobError(
-                f"the drawing has more than {MOST_POINTS} points as it would be edited",
+                f"the drawing becomes more than {MOST_POINTS} points for editing",
                 place=Place(name, stroke.line),
-                remedy="Simplify its curves, or sew it as it is: a seam file reads it.",
+                remedy="Simplify its curves, or sew it unedited: name it in a seam file.",
             )
 
 
@@ -203,7 +203,7 @@ def _read(name: str, content: bytes) -> Drawing:
     with _as_file(name, content) as file:
         try:
             return reader(content, str(file), most_lines=MOST_SHAPES)
-        except JobError as error:  # people know the client's file name
+        except JobError as error:  # name the client's file, not the temporary one
             line = 0 if error.place is None else error.place.line
             raise JobError(error.message, place=Place(name, line), remedy=error.remedy) from error
 
@@ -260,7 +260,7 @@ def why_invalid(error: ValidationError) -> str:
 
 
 def answered(what: str, name: str, content: bytes) -> tuple[int, bytes]:
-    """Read a drawing (``what`` is ``shapes``), or make one of shapes.
+    """Read the shapes of a drawing (``what`` is ``shapes``), or write shapes as a DXF.
 
     Returns
     -------

@@ -45,7 +45,7 @@ async def _apart(what: str, name: str, content: bytes) -> bytes | str:
         return output
     if status == WRONG:
         return why.decode("utf-8", "replace").strip()
-    return f"{name[:60]!r} cannot be read: the process that did has ended"
+    return f"{name[:60]!r} cannot be read: the reading process has ended"
 
 
 _TELLS: dict[int | str, dict[str, Any]] = {

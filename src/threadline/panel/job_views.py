@@ -41,7 +41,7 @@ from threadline.verdict.needle import has_stitches
 from threadline.verdict.stitch_run import StitchRun
 
 MOST_POINTS = 6000
-"""Most points of a path, stitches, or changes of the line under way that the page is told."""
+"""Most points of a path, stitches, or changes of line that are sent to the page."""
 _MOST_SWITCHED = 400  # changes of an output beyond which its lane would be a grey area
 _MOST_READ = 2_000_000  # moves of a job that is shown before it is calculated
 _MOST_TEXT = 300_000  # bytes of a program whose text is shown
@@ -207,7 +207,7 @@ def _turn_rounds(proof: Proof) -> dict[str, Any] | None:
 
 
 def _tension(recording: Recording) -> dict[str, Any] | None:
-    """Return the fibre's tension in the simulated run: means over pieces, its least and its most.
+    """Return the fibre's tension in the simulated run: means over pieces, smallest and largest.
 
     None on a machine without a spool, or without a product that says what is wound.
     """
@@ -229,7 +229,7 @@ def _tension(recording: Recording) -> dict[str, Any] | None:
 
 
 def _further_apart(places: FloatArray, least: float) -> NDArray[np.bool_]:
-    """Return which places a carriage really turns at: a quiver of rounding turns, too."""
+    """Return which places are real turns of the carriage, not a quiver of rounded positions."""
     kept = np.zeros(len(places), dtype=np.bool_)
     before = -np.inf
     for k, place in enumerate(places.tolist()):
@@ -248,7 +248,7 @@ def _stitches(
     begun
         When the operations begin; None before the job is planned.
     uses
-        The words for, and the (s,) shares of the limit that each stitch uses.
+        Name of the limit, and the (s,) share of it that each stitch uses.
     """
     places, sewn, blocks, operations = [], [], [], []
     first = 0
@@ -271,7 +271,7 @@ def _stitches(
     holes = np.flatnonzero(is_sewn)
     holes_kept = np.arange(len(holes))[:: max(1, -(-len(holes) // MOST_POINTS))]
     kept = holes[holes_kept]
-    joined = np.append(False, is_sewn[holes[1:] - 1])  # no travel on the way from the hole before
+    joined = np.append(False, is_sewn[holes[1:] - 1])  # no travel since the previous hole
     thread = np.concatenate(blocks).astype(np.int64)[kept]
     share = None if uses is None or len(uses[1]) != len(holes) else uses[1][holes_kept]
     return {
@@ -289,7 +289,7 @@ def _stitches(
 
 
 def _uses(proof: Proof) -> tuple[str, FloatArray] | None:
-    """Return the words for a limit, and the (s,) share of it that each stitch of a proof uses."""
+    """Return the name of a limit, and the (s,) share of it that each stitch of a proof uses."""
     job = proof.plan.job
     limits = {(r.name, r.axis): r.limit for r in proof.verdict.results if r.limit}
     if has_stitches(job):
@@ -351,7 +351,7 @@ _NOT_BEGUN = _Operations(np.zeros(0, np.int64), np.zeros(0), 0.0)
 
 
 def _programmed(job: Job) -> tuple[FloatArray, IntArray, int, bool]:
-    """Return (n, axes) positions of a job, their lines, their number, and whether that is all."""
+    """Return (n, axes) positions of a job, their lines, their number, and whether they are all."""
     at, lines, count = [np.array([job.start], np.float64)], [np.zeros(1, np.int64)], 0
     for item in move_runs(job):
         if not isinstance(item, MoveRun):

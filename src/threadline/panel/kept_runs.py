@@ -1,8 +1,8 @@
 """Runs of the panel: the check of the proof beforehand, the store, and the verdict afterwards.
 
-Check and verdict take seconds, while the executor keeps listening, and may move. So the check is a
-thread, whose start is dropped if another command comes. The simulations of the check, and the
-judge, are processes: this one stays small.
+The check and the verdict take seconds, in which the executor still has to listen and may move. So
+the check is a thread, and its start is dropped if another command comes. The simulations of the
+check and the judge are separate processes, so that the owner's process stays small.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ class Prepared:
     may
         What holds and overrides of the feed do to its work.
     rests_s
-        (n, 2) instants of the plan between which a hold can stand, if holds wait for a rest.
+        (n, 2) begin and end of the rests for which a hold waits, s; None: it takes effect at once.
     again, continues
-        The rest of an interrupted run, and that run's name; else None, and empty.
+        The rest of an interrupted run, and the name of that run; None and empty for a whole run.
     """
 
     number: int
@@ -142,7 +142,7 @@ class KeptRuns:
     Attributes
     ----------
     why
-        The reason of the latest change of state, if it had one.
+        Reason of the latest change of state; may be empty.
     """
 
     def __init__(self, owned: Owned, label: str, said: Callable[[str, bool], None]) -> None:
@@ -160,7 +160,7 @@ class KeptRuns:
         self._live: LiveContour | None = None  # of the open run
         self._may: tuple[str, Interventions] | None = None  # of the latest proof, by its hash
         self._completed: dict[str, int] = {}  # runs by program
-        self._left_out_s = 0.0  # of its commands, if it does the rest of a job
+        self._left_out_s = 0.0  # time of the job before its rest; 0 for a whole run
         self._open: tuple[OpenRun, Prepared, ExitStack] | None = None
         self._progress: dict[str, Any] | None = None
         self._held = 0  # ticks of the run spent in holds
@@ -259,7 +259,7 @@ class KeptRuns:
         return self._rest_of(str(head["run"]), str(head["at"]), found, executor)
 
     def _interventions(self, proof: str, plan: Plan, spec: Spec) -> Interventions:
-        """Return what holds and overrides do to the work of a proof; simulated once for each."""
+        """Return what holds and overrides do to the work of a proof; simulated once per proof."""
         if self._may is None or self._may[0] != proof:
             self._may = proof, interventions_apart(plan, spec)
         return self._may[1]
@@ -281,7 +281,7 @@ class KeptRuns:
         Raises
         ------
         CommandError
-            If the machine is not idle, or the run begins elsewhere.
+            If the machine is not idle, or not where the run begins.
         """
         plan, sent = ready.load.plan, ready.load.sent
         known = {**self._link, **self._known_of(ready)}
@@ -385,7 +385,7 @@ class KeptRuns:
     def progress(self, executor: Operated) -> dict[str, Any] | None:
         """Return the progress of the open run, or the end of the last one; None without one.
 
-        Holds do not count: the time left of a run is its duration without them.
+        ``time_s`` does not advance during a hold, so the time left is the time without holds.
         """
         if self._progress is None or self._open is None:
             return self._progress
@@ -397,7 +397,7 @@ class KeptRuns:
         return {**self._progress, "time_s": time_s, **next_hold(ready.rests_s, time_s)}
 
     def _end_live(self) -> None:
-        """End the measurement beside the run; the last state of it is kept."""
+        """End the live measurement of the contour error, and keep its last report."""
         live, self._live = self._live, None
         if live is None or self._progress is None:
             return
@@ -407,9 +407,9 @@ class KeptRuns:
             self._said(f"the error of the run was not followed to its end: {live.failed}", True)
 
     def _time_s(self, executor: Operated) -> float:
-        """Return the instant of the whole job that a run is at, s, from its recording.
+        """Return the present instant of the whole job, s, from the plan times of the recording.
 
-        Without such events, each hold is subtracted from its command to its end.
+        If the machine reports no plan times, the duration of each hold is subtracted instead.
         """
         if self._tells:
             due_s, _ = self._plan_clock.at(np.array([executor.time_s]))
@@ -439,12 +439,12 @@ class KeptRuns:
 
 
 def next_hold(rests_s: FloatArray | None, time_s: float) -> dict[str, Any]:
-    """Return where a hold that is asked for now stands, as ``Progress`` tells it.
+    """Return where a hold that is asked for now takes effect, as fields of ``Progress``.
 
     Parameters
     ----------
     rests_s
-        (n, 2) rests that holds wait for, s; None: a hold stands at once.
+        (n, 2) begin and end of the rests for which a hold waits, s; None: it takes effect at once.
     time_s
         Instant of the plan, s.
 

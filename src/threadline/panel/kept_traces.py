@@ -61,7 +61,7 @@ async def in_process(trace: Path, out: Path) -> str:
     """
     async with _one_at_a_time:
         status, said, _ = await answer_of(*program_apart(_CHILD), str(trace), str(out))
-    ended = "the trace cannot be read: the process that did has ended" if status else ""
+    ended = "the trace cannot be read: the reading process has ended" if status else ""
     return said.decode("utf-8", "replace").strip() or ended
 
 
@@ -71,7 +71,7 @@ async def report_of(store: Path, run: str, out: Path) -> str:
     Parameters
     ----------
     out
-        The file ``report.pdf`` of a folder, where the other files of the report go, too.
+        The file ``report.pdf``; the other files of the report go into the same folder.
     """
     async with _one_at_a_time:
         status, _, said = await answer_of(

@@ -1,8 +1,9 @@
 """The contour error of a run while it goes on, from the samples that the executor receives.
 
 It is measured as the criterion ``contour_error`` measures it, sample by sample: the distance of the
-load from the chords that the command visits within the lag around it. Between the samples, and at
-programmed points that were missed, only the judge looks. A link that measures no position has none.
+load from the chords that the command visits within the lag around it. Only the judge measures
+between the samples and at missed programmed points. A link without measured positions has no live
+error.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class LiveContour:
     channels
         Channels of the blocks.
     kinds
-        Kinds of channels that hold the position, the first that there is.
+        Kinds of channels that hold the position, the preferred kind first.
     """
 
     def __init__(
@@ -72,10 +73,10 @@ class LiveContour:
         self._plan, self._limit_m, self._lag_s = plan, limit_m, lag_s
         self._kinds = kinds
         self._queue: SimpleQueue[list[RecordingBlock] | None] = SimpleQueue()
-        self._held, self._count = list[RecordingBlock](), 0  # of the next piece, and its samples
+        self._held, self._count = list[RecordingBlock](), 0  # the next piece: blocks and samples
         self._seen, self._lock = _Seen(), threading.Lock()
         self.failed = ""
-        """Why it has ended before the run; empty otherwise."""
+        """Why the measurement ended before the run; empty otherwise."""
         needed = tuple(c for c in channels if c.kind in {*kinds, *_ASKED})
         recording = Recording(
             channels=needed,
@@ -106,7 +107,7 @@ class LiveContour:
 
     @classmethod
     def rehearse(cls, plan: Plan, spec: Spec, channels: tuple[Channel, ...]) -> None:
-        """Measure a moment at rest before a run: what it needs is loaded then."""
+        """Measure a few samples at rest, so that modules are loaded before the run begins."""
         live = cls.of(plan, spec, channels)
         if live is None:
             return
@@ -124,13 +125,13 @@ class LiveContour:
     # --- a sink ----------------------------------------------------------------------------
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Take the channels, which are known."""
+        """Ignore the channels: they are known."""
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
-        """Take a change of state, which changes nothing."""
+        """Ignore a change of state."""
 
     def block(self, block: RecordingBlock) -> None:
-        """Take samples; the thread measures them in pieces, and is not woken in between."""
+        """Take samples; the thread wakes once per piece and measures it."""
         fresh = max(len(block.samples[name]) for name in self._names)
         if not fresh:
             return
@@ -144,7 +145,7 @@ class LiveContour:
         self._held, self._count = [], 0
 
     def close(self) -> None:
-        """End: what was received is still measured."""
+        """Measure the samples received so far, and end the thread."""
         if self._held:
             self._hand_over()
         self._queue.put(None)
@@ -153,7 +154,7 @@ class LiveContour:
     # --- its result ------------------------------------------------------------------------
 
     def report(self) -> dict[str, Any] | None:
-        """Return the largest distance since the last report, and of the run; None before one.
+        """Return the largest distance since the last report, and of the run; None before a sample.
 
         Lengths are m, ``worst_s`` is the instant of the plan, s.
         """
@@ -227,7 +228,7 @@ class Also:
 
 
 class _Feed:
-    """The channels ``names`` of pieces of a run as they come; it ends with the run."""
+    """Pieces of a run as they arrive, with the channels ``names``; it ends with the run."""
 
     def __init__(
         self, queue: SimpleQueue[list[RecordingBlock] | None], names: Sequence[str]

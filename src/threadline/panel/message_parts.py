@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 
 class Lines(BaseModel):
-    """Lines and circuits of the job, and the times from which each is under way, s."""
+    """Lines and circuits of the job, and the time at which each begins, s."""
 
     times_s: list[float]
     line: list[int]
@@ -22,7 +22,7 @@ class Stitches(BaseModel):
     x: list[float]
     y: list[float]
     joined: list[bool]
-    """Whether the thread comes from the hole before, without travel between."""
+    """Whether the thread comes from the previous hole without travel in between."""
     block: list[int]
     """Number of the thread, from 1; 0 for a seam."""
     threads: list[str | None]
@@ -87,7 +87,7 @@ class Tension(BaseModel):
     times_s: list[float]
     """Instants of the plan, s."""
     mean: list[float]
-    """The mean from each of them to the next."""
+    """Mean tension from each instant to the next."""
     least: float
     most: float
 
@@ -113,11 +113,11 @@ class BoardSetting(BaseModel):
     file: str
     """Value of the machine file; empty if it has none."""
     mark: Literal["", "same", "lower", "other", "refused"]
-    """How they compare: a speed may be ``lower``; nothing moves while one is ``refused``."""
+    """Result of the comparison: a speed may be ``lower``; a ``refused`` value blocks all motion."""
 
 
 class Board(BaseModel):
-    """The settings of a controller, each time that they were read."""
+    """The settings of a controller; sent each time that they are read."""
 
     type: Literal["board"] = "board"
     firmware: str
@@ -141,9 +141,9 @@ class Console(BaseModel):
     type: Literal["console"] = "console"
     lines: list[Exchange]
     left_out: int = 0
-    """Lines of a program before these that are not listed."""
+    """Number of program lines that are left out before these."""
     whole: bool = False
-    """Whether these are all that are kept, as a client gets them at its hello."""
+    """Whether these are all kept lines: a client gets them after its hello."""
 
 
 class EndSwitch(BaseModel):

@@ -1,4 +1,4 @@
-"""The process that owns the machine: it executes the web server's requests, and stops alone.
+"""The process that owns the machine: it executes the web server's requests, and can stop alone.
 
 It does not need the web server to be safe. A separate thread receives a stop, ahead of all other
 requests. If the server is gone, or silent for ``SILENT_S``, nobody could stop the machine any more;
@@ -123,7 +123,7 @@ class Owner:
     server
         Connection to the web server.
     executor
-        The machine at the far end of its link, not connected yet.
+        Executor of the machine, not connected to it yet.
     machine
         The machine.
     desk
@@ -400,7 +400,7 @@ class Owner:
         self._tell_board()
 
     def _tell_board(self) -> None:
-        """Report what a controller's board has told since."""
+        """Report the news of a controller's board since the last report."""
         for kind, head in self._board.news(clock_s()):
             self._say(kind, **head)
 
@@ -412,7 +412,7 @@ class Owner:
 
 
 class BoardReports:
-    """What a board has told since the last report.
+    """The news of a board since the last report.
 
     Parameters
     ----------
@@ -434,7 +434,7 @@ class BoardReports:
     def news(self, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield kind and content of each report that is due.
 
-        The lines of a program come in batches; the latest batches are kept.
+        The lines of a program come in batches, each cut to its latest ``_MOST_SAID`` lines.
         """
         board = self._executor.board
         if board is None:

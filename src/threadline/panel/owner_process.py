@@ -149,10 +149,11 @@ SEND_S = 2.0
 def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
     """Start the process, and return it with the connection to it.
 
-    It has a session of its own: keys of the terminal are for the server, which asks it to stop.
+    It has a session of its own, so that Ctrl-C in the terminal reaches the server alone; the server
+    then asks it to stop.
     """
     ours, theirs = socket.socketpair()
-    process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
+    process = subprocess.Popen(  # noqa: S603  # this interpreter with fixed arguments
         [*program_apart(_CHILD), str(theirs.fileno())],
         stdin=subprocess.PIPE,
         pass_fds=(theirs.fileno(),),
@@ -169,7 +170,7 @@ def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
 
 def owner_main() -> None:
     """Serve as the owner of the machine that the parent process names through a pipe."""
-    owned: Owned = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through its pipe
+    owned: Owned = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the parent process
     end = socket.socket(fileno=int(sys.argv[1]))
     end.settimeout(SEND_S)
     own(Connection(end), owned)

@@ -27,16 +27,16 @@ from threadline.panel.welcoming import welcome_of
 BEAT_S = 0.05
 """Period of the states sent to clients, s."""
 _REST_BEATS = 2
-"""Beats between two states in which nothing has changed."""
+"""Beats between two states if nothing has changed."""
 _PASSING: Any = {"seq": True, "age_s": True, "control": {"left_s"}}
-"""What changes in every state."""
+"""Fields that change in every state."""
 _ALIVE_BEATS = 4
 """The owner is told every 0.2 s that the server lives; it waits five times as long."""
 _STANDS_S = 10.0
 """Longest wait in s for the machine to stand, at the end of the panel."""
-_LINES_KEPT = 400  # of the console, for a page that is loaded again
-_STOPS_KNOWN = 64  # latest stops, each reported once though it may come by two ways
-_NOT_AWAITED = "the machine is stopped by its own process, which was not waited for"
+_LINES_KEPT = 400  # lines of the console, for a page that is loaded again
+_STOPS_KNOWN = 64  # latest stops: one may come twice, by websocket and HTTP, and is reported once
+_NOT_AWAITED = "the machine's own process stops it; the panel did not wait for that"
 _MOVING = frozenset({State.HOMING, State.JOGGING, State.RUNNING, State.HOLDING, State.STOPPING})
 _SAFE = frozenset({"let-go", "hold"})
 """Commands for which the age of the client's latest state does not matter."""
@@ -50,7 +50,7 @@ _CAUSES = {
 _OF_PROVEN = frozenset({"start", "approach", "continue", "approach-rest", "start-rest"})
 _OF_REST = frozenset({"approach-rest", "start-rest"})
 _OF_REST_ALONE = frozenset({Cause.JOG, Cause.HOME})
-"""Causes that wait until nothing moves, and for nothing else; switching off never waits."""
+"""Causes that wait only until nothing moves; switching off never waits."""
 _BROKEN = frozenset({State.FAULT, State.DISABLED})
 """States in which a link may be started again."""
 
@@ -115,18 +115,18 @@ class Panel:
         await self._owner.close()
 
     async def _stopped(self) -> str:
-        """Stop the machine, wait for the report that it stands, and return that."""
+        """Stop the machine, wait for the report that it stands, and return its final state."""
         owner, since_s = self._owner, clock_s()
         if not owner.gone and not owner.now:
             return "the machine was not reached yet"
         owner.send("stop")
         while not owner.gone and clock_s() < since_s + _STANDS_S:
-            known = owner.heard_s > since_s + 2.0 * TELL_S  # reports on their way have come
+            known = owner.heard_s > since_s + 2.0 * TELL_S  # the report is newer than the stop
             if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
                 return end_words(owner.now)
             owner.send("alive")
             await asyncio.sleep(BEAT_S)
-        return owner.gone or "the machine was told to stop, and has not said that it stands"
+        return owner.gone or "the machine was told to stop, and has not reported that it stands"
 
     # --- clients ---------------------------------------------------------------------------
 
@@ -419,8 +419,7 @@ class Panel:
     async def beat(self) -> None:
         """Show the state to all clients periodically, and tell the owner that the server lives.
 
-        A state in which nothing has changed is shown half as often: each costs a page as much as a
-        number that changes.
+        An unchanged state is shown half as often: a page works as much for it as for a new one.
         """
         shown: dict[str, Any] = {}
         while True:
@@ -441,5 +440,5 @@ class Panel:
 def end_words(now: Mapping[str, Any]) -> str:
     """Return the final state of a machine that was stopped, in words."""
     if State(now["state"]) is State.FAULT:
-        return f"the machine stands, in a fault: {now['why'] or 'it tells of none'}"
+        return f"the machine stands, in a fault: {now['why'] or 'no reason is known'}"
     return f"the machine was stopped, and is {now['state']}"

@@ -47,8 +47,8 @@ def by_priority(
     Parameters
     ----------
     priority
-        ``accuracy`` is the operator's normal feed; ``speed`` the fastest feed, and share of the
-        limits, in spec; ``optimum`` the fastest that keeps 20 % of every limit free.
+        ``accuracy`` is the operator's normal feed; ``speed`` the fastest feed and share of the
+        machine's limits in spec; ``optimum`` the fastest that keeps 20 % of every limit free.
     trials
         The runs that judge every feed of the search.
     share
@@ -96,8 +96,8 @@ _SHARED = {
     ".toml": re.compile(rb"^[ \t]*(?:\[\[[ \t]*operation[ \t]*\]\]|operation[ \t]*=)", re.M),
     ".txt": re.compile(rb"^[ \t]*(?:%|/?[GMNO][ \t]*[0-9]|\[G-CODE GENERATED)", re.M | re.I),
 }
-"""Suffixes that other files have, too, and the first words of a job's lines: of a move list, and of
-a part program."""
+"""Suffixes that are not for jobs alone, each with the lines that mark a job: a move list, and a
+part program."""
 _SEAM = "seam"
 _PART_PROGRAMS = FORMATS[0].extensions
 _REALTIME = re.compile(rb"[?!~\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\xff]")
@@ -108,7 +108,7 @@ def program_names(folder: Path, machine: Machine) -> list[str]:
     """Return the names of the jobs in a folder that suit a machine, sorted, at most 500.
 
     The suffix gives the format; if other files use it too, the content decides whether it is a job.
-    Its errors show when it is calculated.
+    The errors of a job appear when it is calculated.
     """
     found = sorted(
         file.name
@@ -123,7 +123,7 @@ def program_names(folder: Path, machine: Machine) -> list[str]:
 
 
 def _is_done(name: str, machine: Machine) -> bool:
-    """Return whether a machine accepts jobs of a suffix's format directly.
+    """Return whether a machine accepts the format of a file name's suffix.
 
     A drawing alone is no seam: the seam file adds stitch length and speed.
     """
@@ -143,7 +143,7 @@ def _may_be_job(file: Path) -> bool:
         with file.open("rb") as stream:
             return bool(_SHARED[ending].search(stream.read(_MOST_LOOKED_AT)))
     except OSError:
-        return True  # its error shows when it is calculated
+        return True  # the error appears when it is calculated
 
 
 def program_path(folder: Path, name: str) -> Path:
@@ -220,7 +220,7 @@ def _refuse_realtime(name: str, content: bytes) -> None:
             raise JobError(
                 f"controllers execute the byte {found[0][0]:#04x} at once",
                 place=Place(name, number),
-                remedy="Take it out, also of comments.",
+                remedy="Take it out, even from comments.",
             )
 
 

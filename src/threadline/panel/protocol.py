@@ -38,7 +38,7 @@ MOST_STEP = 10.0
 
 Priority = Literal["programmed", "accuracy", "optimum", "speed"]
 """The operator's priority: the feed of the program or of the message; the operator's normal feed;
-the fastest that keeps 20 % of every limit free; the fastest in spec."""
+the fastest feed that keeps 20 % of every limit free; the fastest feed in spec."""
 Text = Annotated[str, Field(max_length=200)]
 Name = Annotated[str, Field(min_length=1, max_length=40)]
 
@@ -55,7 +55,7 @@ class Simple(_Strict):
 
     ``home`` finds the positions of the axes; ``zero`` moves every axis to 0, linear ones first;
     ``approach`` moves them to where the proven program begins; ``let-go`` ends a jog or a move;
-    ``renew`` prolongs one by its lease; ``cancel`` ends a calculation; ``reconnect`` starts a new
+    ``renew`` renews its lease; ``cancel`` ends a calculation; ``reconnect`` starts a new
     process and link. ``approach-rest`` moves the axes to where the rest of a run begins, and
     ``start-rest`` confirms and starts it.
     """
@@ -74,7 +74,7 @@ class ZeroAxis(_Strict):
 
 
 class Jog(_Strict):
-    """Move an axis until it is let go, or was not renewed for the lease of a jog."""
+    """Move an axis until a ``let-go`` comes, or until no ``renew`` came for the lease of a jog."""
 
     what: Literal["jog"]
     axis: Name
@@ -182,7 +182,7 @@ class Stop(_Strict):
 
     type: Literal["stop"]
     number: Annotated[int, Field(ge=1)] | None = None
-    """Number of this stop, if it is sent by an HTTP request, too: it is reported once then."""
+    """Number of this stop: if an HTTP request has the same number, the stop is reported once."""
 
 
 class Control(_Strict):
@@ -333,7 +333,7 @@ class Progress(BaseModel):
     completed: int = 0
     """Completed runs of this program since the machine was connected."""
     hold: Literal["at once", "at a rest", "at the end"] = "at once"
-    """Where a hold stands: on the path, at the next rest of the program, or only at its end."""
+    """Where a hold takes effect: on the path, at the next rest of the program, or at its end."""
     hold_at_s: float | None = None
     """Instant of the plan of that rest, s; None without one."""
     contour: LiveContour | None = None
@@ -367,14 +367,14 @@ class State(BaseModel):
     allowed: list[str]
     """Commands that are possible now."""
     age_s: float
-    """Age of the positions when this was sent."""
+    """Age of the positions when this was sent, s."""
     time_s: float
-    """Machine time since the start of this motion."""
+    """Machine time since the start of this motion, s."""
     axes: dict[str, Where]
     signals: dict[str, float]
     """State of each digital input and output."""
     readings: dict[str, Reading] = {}
-    """Whatever else the machine reports that belongs to no axis."""
+    """Reported quantities that belong to no axis."""
     late_ticks: int
     feed_percent: int = 100
     """Override of the feed of the run, %."""
@@ -458,7 +458,7 @@ class Preview(BaseModel):
     warnings: list[str]
     mandrel: Mandrel | None
     file: str
-    """The file in which the lines are; the drawing or table of a seam is another than its job."""
+    """The file that holds the lines: for a seam its drawing or table, otherwise the job."""
     text: list[str]
     """Its text; empty for a binary or a very long file."""
 

@@ -1,7 +1,7 @@
 """Work for a run in other processes: the simulations before it, and its verdict.
 
 In the process that owns the machine they would take processor time from the executor, and some
-90 MB that are never returned. What is to be done, and what comes of it, go through pipes.
+90 MB of memory that are never returned. Requests and results go through pipes.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def interventions_apart(plan: Plan, spec: Spec) -> Interventions:
 
 def interventions_main() -> None:
     """Simulate holds and overrides of the plan on standard input; write what they do."""
-    plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe
+    plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the parent process
     try:
         found: Interventions | str = interventions(plan, spec)
     except ThreadlineError as error:
@@ -72,7 +72,7 @@ def judged_apart(trace: Path, plan: Plan, spec: Spec) -> tuple[Mapping[str, Any]
 def judge_main() -> None:
     """Judge the recording named on standard input; write the verdict, or why there is none."""
     os.nice(_NICE)
-    trace, plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe
+    trace, plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the parent process
     try:
         verdict = judge([whole_recording(trace)], plan, spec)
         found: tuple[Mapping[str, Any], str] | str = (verdict_json(verdict, plan), closing(verdict))
@@ -82,9 +82,9 @@ def judge_main() -> None:
 
 
 def _asked(child: str, given: object, who: str) -> Any:
-    """Return the answer of a Python process to an object; ``who`` it is, for people."""
+    """Send an object to a Python process, and return its answer; ``who`` names it in errors."""
     try:
-        done = subprocess.run(  # noqa: S603  # this interpreter, and words of ours
+        done = subprocess.run(  # noqa: S603  # this interpreter with fixed arguments
             program_apart(child),
             input=pickle.dumps(given),
             stdout=subprocess.PIPE,
@@ -96,4 +96,4 @@ def _asked(child: str, given: object, who: str) -> Any:
         raise CommandError(f"{who} cannot be started: {error.strerror or error}") from error
     if done.returncode:
         raise CommandError(f"{who} has ended without an answer")
-    return pickle.loads(done.stdout)  # noqa: S301  # of our child
+    return pickle.loads(done.stdout)  # noqa: S301  # written by the child process

@@ -255,7 +255,7 @@ def check_page() -> None:
 
 
 class _BuiltPage(StaticFiles):
-    """The built page: compressed where the browser takes it, and kept where a hash names it."""
+    """The built page, compressed if the browser accepts that."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         packed = PAGE / f"{path}.gz"
@@ -316,7 +316,7 @@ async def _send(socket: WebSocket, client: Client) -> None:
     while not client.full:
         if (text := await client.next_text(clock_s)) is not None:
             await socket.send_text(text)
-    await _close(socket, _SLOW, "the client does not take what it is sent")
+    await _close(socket, _SLOW, "the client does not read its messages")
 
 
 async def _close(socket: WebSocket, code: int, why: str) -> None:

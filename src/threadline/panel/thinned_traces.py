@@ -19,16 +19,16 @@ from threadline.files import Channel, ChannelKind, Recording
 from threadline.files.formats import read_recording, write_recording
 
 STRETCHES = 1000
-"""Time intervals of a trace; each shows its least and its largest deviation."""
+"""Time intervals of a trace; each shows its smallest and its largest deviation."""
 _ACTUAL = (ChannelKind.LOAD, ChannelKind.MEASURED)
 
 
 def thinned(recording: Recording) -> dict[str, Any]:
     """Return commanded and actual positions of all axes, SI.
 
-    Instants are common to all axes: in each time interval those at which some deviation is least
-    or largest, so that no peak is lost. Actual is the load position, or without one the encoder
-    reading, or the command if nothing is measured; ``measured`` says which.
+    All axes share the instants: in each time interval the smallest and the largest deviation of
+    every axis, so that no peak is lost. Actual is the load position, or without one the encoder
+    reading, or the command if nothing is measured; then ``measured`` is False.
     """
     pairs = _pairs(recording)
     if not pairs:

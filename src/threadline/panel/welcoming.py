@@ -87,7 +87,7 @@ def readings(
 def mandrel_of(machine: Machine) -> Mandrel | None:
     """Return the mandrel of a machine: its first rotary axis beside a linear one; None without.
 
-    If the machine has no profile of it, its radius is everywhere the one at which that axis acts.
+    Without a profile in the machine file, its radius is the radius at which that axis acts.
     """
     linear = [name for name, axis in machine.axes.items() if axis.kind == "linear"]
     for (name, axis), radius_m in zip(machine.axes.items(), machine.radius_m, strict=True):
@@ -146,7 +146,7 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
 
 
 def cylinders_of(machine: Machine) -> list[Cylinder]:
-    """Return the cylinders of a machine with what moves them and what they close."""
+    """Return the cylinders of a machine with their outputs and their contacts."""
     return [
         Cylinder(
             name=name,

@@ -46,7 +46,7 @@ class Rung:
     contour_m
         Allowed distance of the loads from the path; None where the timing has no such limit.
     options
-        Options of the plan, where all that a plan may choose is searched; else None.
+        Options of the plan if the search chose them; None if it chose the allowance or share alone.
     """
 
     share: float
@@ -73,20 +73,19 @@ class FastestJob:
         Shares of the limits that the search skipped, because even at the highest feed the job takes
         no less time with them than with the best share.
     moves, judged_moves, parts
-        Number of moves of the job; number of moves that every trial was judged by, and number of
-        distinct stretches that hold them. 0 where the whole job was judged.
+        Number of moves of the job; number of moves in every trial, and number of distinct
+        stretches that hold them. 0 where the whole job was judged.
     cut
         Whether trials were judged without the middles of long moves.
     whole
-        Whether the best plan of the whole job was judged, too, where trials were judged by a part.
+        Whether the best plan of the whole job was judged, too, after trials of a part of the job.
     in_one_run
-        Whether every trial was one run of the machine of the file, and ``whole`` its answer alone
-        was judged at the level that was asked for.
+        Whether every trial was one run of the machine of the file. Then only the answer was judged
+        at the wanted level, if ``whole``.
     ended
         Why the search stopped early; empty where it came to its end.
     left
-        With ``optimal``: number of places that a search that stopped early has left untried, at
-        most.
+        With ``optimal``: largest number of places that a search left untried when it stopped early.
     by
         Meaning of the feeds.
     enough
@@ -116,11 +115,11 @@ ALLOWED = "contour"
 """``limited_by`` of a plan that passes with the given contour allowance."""
 _SHARES = (0.95, 0.9, 0.85, 0.75, 0.6, 0.4, 0.2)
 _MOST_PROOFS = 8
-_CLOSE = 1.03  # ratio of the failing allowance to the passing one: closer, the search ends
-_AIM = 0.97  # of the limit: the next allowance aims at this share
+_CLOSE = 1.03  # the search ends below this ratio of a failing allowance to a passing one
+_AIM = 0.97  # share of the limit that the next allowance aims at
 _LEAST_GROWTH, _MOST_GROWTH = 1.06, 1.5
 _LEAST_FALL = 0.4
-_BESIDE = 0.995  # of the allowance: a neighbour, which must pass as well
+_BESIDE = 0.995  # factor from an allowance to its neighbour, which must pass as well
 _MOST_ALONE = 3
 _PLACED = ("contour_error", "turning_point_error", "progress_error")
 

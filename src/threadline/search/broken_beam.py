@@ -61,7 +61,7 @@ class BrokenBeam:
 
 
 def broken_beam(scheduled: Scheduled) -> BrokenBeam | None:
-    """Return the vibration after a break in the longest move; None where no cylinder moves."""
+    """Return the vibration after a break in the longest move; None if no cylinder moves."""
     # Every cylinder starts retracted, so its first move is forward.
     forward = [move for move in scheduled.moves if move.forward]
     if not forward:

@@ -5,8 +5,8 @@ much of volts and current it leaves to the loops, over which time feed-forward s
 the loops may leave the path. Each choice makes the plan shorter the bolder it is, up to a point: a
 bolder plan has larger errors. Whether a plan passes is not monotone in any of them, since a tick of
 0 V or a step of the DAC moves to another instant. So the search neither bisects nor changes one
-choice after the other. It keeps everything that was tried, fits a plane to durations and another to
-the errors, and tries next what promises the largest gain by these planes.
+choice after the other. It keeps all trials, fits a plane to their durations and one to each of
+their errors, and tries next the plan with the largest expected gain by these planes.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ from threadline.verdict.contour import POINT_MISSED
 CHOSEN = (
     "tolerance", "outside", "narrow", "reserve", "smoothing", "contour", "feed_forward",
 )  # fmt: skip
-"""Options of a plan that a search may choose, where they were not given."""
+"""Options of a plan that a search may choose if the user gave none."""
 LIMIT_SHARE = "limits"
-"""Option that a search chooses where no plan within the full limits is in specification."""
+"""Option that a search may choose, too, if no plan with the full limits is in specification."""
 RESERVES = ("volts", "current")
 """The two knobs of ``reserve``."""
 BUDGET = "contour_error"
-"""Criterion whose limit bounds what path and loops may spend together."""
+"""Criterion whose limit bounds the error of the path and the error of the loops together."""
 _SEED = 1994
 _CANDIDATES = 600
-AS_GOOD = 0.5  # ticks: a plan that is no shorter than the best less this is not simulated
+AS_GOOD = 0.5  # ticks: a plan must be shorter than the best by this, or it is not simulated
 _FIRST, _LAST, _WIDER, _NARROWER = 0.15, 0.02, 1.3, 0.8  # half width of the candidates
 _PATIENCE = 4  # failures in a row until candidates come from nearer the best
-_LEAST, _MOST = 0.2, 1.5  # used shares beyond these say no more
+_LEAST, _MOST = 0.2, 1.5  # used shares are clamped to this range before the fit
 _NOISE = 0.03  # least scatter of errors about their plane
 _TICKS = 0.5  # least scatter of durations about their plane, in ticks
 _NEAR = 0.3  # trials farther from the best than this count little
 _RIDGE = 1e-3
 _CAUTION = 2.0  # power of the chance to pass: small steps that pass teach more than long ones
-_CLAMPED, _FREE = 1.1, 0.9  # stand for the use of a limit of 0 that is broken, and kept
-_MENDED = 0.1  # of a limit: corners that are missed by more are not mended one by one
-_BESIDES = 0.01  # of a limit: by how much more a corner is mended than it was missed
-_LEAST_SHARE = 0.05  # of the limits of acceleration and jerk
-_LEAST_VOLTS = 0.0025  # reserve: a loop asks for some, whatever the motion
+_CLAMPED, _FREE = 1.1, 0.9  # used share of a limit of 0 that is broken, or kept
+_MENDED = 0.1  # share of the limit: a corner missed by more is not mended alone
+_BESIDES = 0.01  # share of the limit by which a corner is mended more than it was missed
+_LEAST_SHARE = 0.05  # least share of the limits of acceleration and jerk
+_LEAST_VOLTS = 0.0025  # least reserve: loops need some volts in every motion
 _AT_CORNERS = frozenset({"contour_error", "turning_point_error"})
 _OF_PLANS = frozenset({"travel", "velocity", "acceleration", "jerk"})
 """Criteria that every plan keeps, however bold."""
@@ -79,9 +79,9 @@ class Knob:
     digit
         Values are multiples of this.
     typed
-        Reads a number in the unit that is typed, so that what is typed gives the same value.
+        Rounds a value to the value that its text on a command line gives, in the option's unit.
     power
-        Values follow this power of the place, so that small ones lie closer together.
+        Values follow this power of the place, so that small values lie closer together.
     """
 
     word: str
@@ -111,9 +111,9 @@ def knobs_of(
     *,
     limits_too: bool = False,
 ) -> tuple[Knob, ...]:
-    """Return what a search may choose for a job.
+    """Return the choices of a search for a job.
 
-    Without a limit of the contour error nothing bounds the path, and its options stay as they are.
+    Without a limit of the contour error nothing bounds the path; then its options are not searched.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def knobs_of(
         found.append(
             Knob(word="tolerance", careful=least_m, bold=0.98 * spent_m, digit=um, typed=_mm)
         )
-        found.append(Knob(word="outside", careful=0.0, bold=1.0, digit=0.005))  # of the tolerance
+        found.append(Knob(word="outside", careful=0.0, bold=1.0, digit=0.005))
         if forward or (options.follows_contour and not machine.takes_positions):
             least_m = max(min(0.5 * DEFAULT_CONTOUR_M, 0.2 * spent_m), LEAST_CONTOUR_M)
             most_m = (1.0 if forward else 1.5) * spent_m
@@ -168,7 +168,7 @@ def knobs_of(
 
 
 def budget_m(spec: Spec) -> float | None:
-    """Return what path and loops may spend together, m; None without a limit."""
+    """Return the limit for the errors of path and loops together, m; None without a limit."""
     limits = [one.limit for one in spec.criteria if one.name == BUDGET and one.limit is not None]
     return min(limits, default=None)
 
@@ -240,11 +240,12 @@ def _typed_m(length_m: float) -> float:
 def narrowed(
     options: Options, verdict: Verdict, lines: Sequence[int], end_s: float
 ) -> Options | None:
-    """Return options with a smaller tolerance at the corner that alone is missed by too much.
+    """Return options with a smaller tolerance at the corner that fails.
 
-    None where another criterion fails, or the corner fails by much more than its tolerance gives.
-    Beside a leg, and not at a programmed point, both corners of the leg get a smaller tolerance.
-    After the end of a table of feed-forward the loads may leave their motion by less.
+    None if another criterion fails, or if a smaller tolerance there cannot make up for the excess.
+    If the error lies beside a leg and not at a programmed point, both corners of the leg get a
+    smaller tolerance. If it comes after the end of a table of feed-forward, the contour allowance
+    shrinks instead.
 
     Parameters
     ----------
@@ -279,7 +280,7 @@ def narrowed(
 
 
 def places_of(options: Options, knobs: Sequence[Knob], machine: Machine) -> tuple[float, ...]:
-    """Return the places of the knobs at which ``chosen`` returns about these options."""
+    """Return the places of the knobs whose options are nearest to these options."""
     kept = _kept(machine) if options.reserve is None else options.reserve
     values = {
         "tolerance": options.tolerance_m,
@@ -329,7 +330,7 @@ def used_of(verdict: Verdict) -> dict[str, float]:
 
 
 Try = Callable[[tuple[float, ...], float], Tried]
-"""Plans at places of the knobs, and judges the plan if it is shorter than a time in s."""
+"""Makes a plan at places of the knobs, and judges it if it is shorter than a time in s."""
 
 
 def boldest(
@@ -349,7 +350,7 @@ def boldest(
 def improved(
     attempt: Try, tried: list[Tried], most: int, tick_s: float, careful: tuple[float, ...]
 ) -> None:
-    """Try plans that promise to be shorter than the best one, ``most`` of them.
+    """Try ``most`` plans that are expected to be shorter than the best one.
 
     Parameters
     ----------
@@ -360,7 +361,7 @@ def improved(
     most
         Largest number of further plans.
     tick_s
-        Tick of the machine: a plan is shorter than another by whole ticks.
+        Tick of the machine: durations of plans differ by whole ticks.
     careful
         Places to begin from where no plan passes yet.
     """
@@ -381,7 +382,8 @@ def improved(
             width, failed = min(width * _WIDER, _FIRST), 0
             continue
         failed += 1 if tried[-1].used else 0
-        width = width if tried[-1].used else min(width * _WIDER, _FIRST)  # a level stretch
+        # A plan that was not simulated was no shorter: look farther away.
+        width = width if tried[-1].used else min(width * _WIDER, _FIRST)
         if tried[-1].used and failed % _PATIENCE == 0:
             width = width * _NARROWER if width > _LAST else _FIRST
 
@@ -426,7 +428,10 @@ def _promising(
 def _plane(
     tried: Sequence[Tried], values: Sequence[float], centre: FloatArray, at: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return the values at places by a plane fitted about ``centre``, and the scatter about it."""
+    """Return a plane's values at places, and the scatter of ``values`` about the plane.
+
+    The plane is fitted to ``values``; trials near ``centre`` have the most weight.
+    """
     away = np.array([one.places for one in tried]) - centre
     weight = np.exp(-0.5 * (away**2).sum(axis=1) / _NEAR**2) + 1e-6
     rows = np.concatenate([np.ones((len(away), 1)), away], axis=1)

@@ -1,9 +1,9 @@
-"""The fastest plan of a job over all that a plan of ``optimal`` may choose.
+"""The fastest plan of a job over all choices of a plan of ``optimal``.
 
 ``choices`` says what to try next; here each plan is made, judged and kept. A plan that is no
-shorter than the best one is not simulated. A plan that is out of specification at single corners
-alone gets a smaller tolerance at these, one after the other, before it is given up: so that the
-others can use all of theirs.
+shorter than the best one is not simulated. If a plan is out of specification only at single
+corners, these corners get a smaller tolerance, one after the other, and the other corners keep
+their full tolerance.
 """
 
 from __future__ import annotations
@@ -46,23 +46,23 @@ from threadline.search.least_times import Bound, bounds_of, least_on_any_path
 from threadline.search.paced import Question, beyond
 from threadline.verdict import Verdict
 
-_CONFIRMED = 200  # runs, by which a plan must pass that is to be the best so far
+_CONFIRMED = 200  # runs that a plan must pass to become the best so far
 _MOST_NARROWED = 6
 _STEPS = 6  # plans between careful and bold
 _LEAST_PLANS, _MOST_PLANS = 12, 240
-_ALL_TICKS = 150_000  # of all plans of a search together
+_ALL_TICKS = 150_000  # ticks of all further plans of a search together
 PROCESSOR_S = 600.0
-"""Processor time after which a search without ``--within`` that has an answer plans no more."""
+"""Processor time in s after which a search without ``--within`` ends, if it has an answer."""
 BOLD: Mapping[str, float] = {
     "tolerance": 0.8, "outside": 1.0, "volts": 0.9, "current": 0.7, "contour": 0.6,
     "smoothing": 0.57, LIMIT_SHARE: 0.8,
 }  # fmt: skip
-"""Places of the knobs of the boldest plan that is tried first."""
+"""Places of the knobs of the first plan, the boldest."""
 
 
 @dataclass
 class Choosing:
-    """A search over all that the plans of a job may choose.
+    """A search over all choices of a job's plans.
 
     Parameters
     ----------
@@ -71,11 +71,11 @@ class Choosing:
     knobs
         The choices.
     options
-        Options of the plans, but for the choices.
+        Options of the plans without the choices.
     rungs
-        Every plan that was planned, in order; a plan that is longer than the best is not judged.
+        Every judged plan, and every plan beyond a limit of the machine, in order.
     most, tried
-        Number of places that the search tries, at most, and has tried.
+        Largest number of places that the search tries, and number that it has tried.
     begun_s, started_s
         Processor time and clock at the beginning.
     narrower
@@ -98,7 +98,7 @@ class Choosing:
         return min((one.duration_s for one in self.rungs if one.duration_s), default=math.inf)
 
     def attempt(self, places: tuple[float, ...], below_s: float) -> Tried:
-        """Plan and judge; narrow single corners while they alone are missed."""
+        """Plan and judge; while only single corners are missed, lower their tolerance."""
         options = chosen(self.options, self.knobs, places, self.narrower)
         self.tried += 1
         used: dict[str, float] = {}
@@ -158,7 +158,7 @@ class Choosing:
         return plan_job(question.job, question.machine, options)
 
     def _judged(self, plan: Plan) -> Verdict:
-        """Judge a plan; one that passes by few runs must pass many, and a search for a bad run."""
+        """Judge a plan; if it passes few runs, it must pass many, and a search for a bad run."""
         question = self.question
         verdict = question.judged(plan)
         if not verdict.passed or not 1 < question.trials.repeats < _CONFIRMED:
@@ -178,8 +178,8 @@ class Choosing:
 def fastest_chosen(question: Question) -> FastestJob:
     """Return the fastest plan in spec over all options of ``optimal`` that were not given.
 
-    Plans use the full limits of acceleration and jerk. Only where none of them is in specification
-    the search may choose the share of these limits, too.
+    Plans use the full limits of acceleration and jerk. Only if no such plan is in specification,
+    the search also chooses the share of these limits.
     """
     question = replace(question, progress=never_back(question.progress))
     machine, until = question.machine, question.until
@@ -224,12 +224,12 @@ def fastest_chosen(question: Question) -> FastestJob:
 
 
 def _left(search: Choosing) -> int:
-    """Return how many places a search has left that ended in the middle of one."""
+    """Return the number of untried places; the place at which the search was interrupted counts."""
     return max(search.most - search.tried + 1, 0)
 
 
 def _with_limits(options: Options, question: Question) -> Iterator[tuple[Options, bool]]:
-    """Yield options to search with, each with whether the share of the limits is chosen, too."""
+    """Yield options to search with, and whether the share of the limits is searched, too."""
     for limits_too in (False, True):
         for one in _followings(options, question):
             yield one, limits_too
@@ -238,8 +238,7 @@ def _with_limits(options: Options, question: Question) -> Iterator[tuple[Options
 def _followings(options: Options, question: Question) -> Iterator[Options]:
     """Yield the options with feed-forward, if the machine and the question allow it, and as given.
 
-    Loads that follow the motion itself leave it by less than the loops of motors that follow it, so
-    they come first.
+    Feed-forward comes first, because then the loads leave the motion by less.
     """
     able = not question.machine.takes_positions and options.timing.shaper is None
     if options.feed_forward_s is None and "feed_forward" in question.free and able:

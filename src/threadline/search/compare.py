@@ -95,7 +95,7 @@ class Comparison(Summarised):
             for key in ("interpolation", "feed", "shaper")
             if any(one.plan.options.get(key) != first.get(key) for one in self.proofs)
         ]
-        fastest = "; .fastest has the fastest of each" if self.fastest else ""
+        fastest = "; .fastest has the fastest job of each" if self.fastest else ""
         below = f"{closing_of_all([one.verdict for one in self.proofs])}{fastest}"
         return Summary(*compared_table(self, differ or ["interpolation"]), below)
 
@@ -194,7 +194,7 @@ def compare(
     planned
         Planning options of each proof, interpolations outermost.
     trials
-        Runs that each plan is judged by.
+        Runs by which each plan is judged.
 
     Raises
     ------
@@ -254,8 +254,8 @@ def compare(
 def as_run_s(plan: Plan) -> float | None:
     """Return the duration of a plan's written program under the machine's own firmware.
 
-    None where the machine file names no planner, and where the program cannot state the plan: a
-    plan with a shaper or feed-forward, or with words that the program loses.
+    None if the machine file names no planner, or if a program cannot state the plan: a plan with a
+    shaper or feed-forward, or with words that the written program loses.
     """
     planner = plan.machine.planner
     if planner is None or planner.kind not in kind_of(plan.machine).targets:

@@ -63,8 +63,8 @@ class Wanted:
     axes
         The two axes of ``cross-coupled``; the first two linear ones.
     direction, coupling
-        Direction of the line of ``cross-coupled``, ``"45 deg"``, and what an error across it weighs
-        more than lag, ``"50 %"``.
+        Direction of the line of ``cross-coupled``, ``"45 deg"``, and by how much more an error
+        across the line weighs than lag, ``"50 %"``.
     """
 
     design: str
@@ -140,7 +140,7 @@ class ControlDesign(Summarised):
 def design_controllers(machine: Machine, wanted: Wanted, file: Path) -> ControlDesign:
     """Design controllers, and write the machine with them, which is based on ``machine``.
 
-    The file is written when the machine in it can be read and analysed, and not at all otherwise.
+    The file is written only if the machine in it can be read and analysed.
 
     Raises
     ------

@@ -24,12 +24,12 @@ from threadline.verdict.switch_run import SwitchRun
 
 _BEAM = 300
 _BRANCHES = 24  # pairs of command and wait that are followed from each state
-_GRID = 0.25  # of the limit: states whose ringing differs by less count as equal
+_GRID = 0.25  # share of the limit: states whose ringing differs by less count as equal
 _LONGEST_WAIT = 6  # steps: a longer wait costs more than another command
 _MEASURE = "residual_vibration"
 _LESS = 0.93
-_LEAST_SEEN = 0.7  # of a period: a shorter record cannot separate amplitude from rest position
-_BY_SPEED = 0.05  # of a period: a shorter record cannot separate place from speed
+_LEAST_SEEN = 0.7  # periods: a shorter record cannot separate amplitude from rest position
+_BY_SPEED = 0.05  # periods: a shorter record cannot separate place from speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +76,7 @@ class _State:
     commands: tuple[LevelCommand, ...] = ()
     waits: tuple[int, ...] = ()
     left: tuple[complex, ...] = ()
-    lasts: int = 0  # scans so far of the operation, which may move several cylinders; with rest
+    lasts: int = 0  # scans so far of the operation with its rest; it may move several cylinders
 
 
 class CycleForecast:

@@ -94,9 +94,9 @@ _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)
 _FREQUENCIES = 33  # frequencies of the band in the closed form
 _LONGEST_PERIODS = 1.5
 _SEEDS = 3  # commands of one duration for each share
-_LONGER_PERIODS = 0.4  # above the bound, for the commands of real valves
+_LONGER_PERIODS = 0.4  # periods by which commands of real valves may exceed the bound
 _ROUNDS = 10
-_SHORTER = 24  # cycles that are tried with one command of the first cycle in spec shortened
+_SHORTER = 24  # cycles to try with one command shorter than in the first cycle in spec
 _BEAM = 200
 _LESS = 0.97
 _HOPED = 1.6  # first share of the limit: amplitudes seldom add up in full
@@ -113,9 +113,9 @@ class RobustMove:
     levels
         Levels as text of a move list.
     command_s, unshaped_s, bound_s
-        Durations of the chosen command, of the unshaped command, and of the shortest command that
-        ideal valves could make in whole scans: levels free between 0 and 1, the move alone, the
-        whole limit for it.
+        Durations of the chosen command, of the unshaped command, and a lower bound: the shortest
+        command of ideal valves in whole scans, with any level between 0 and 1, if the move alone
+        may use the whole limit.
     """
 
     step: str
@@ -385,7 +385,7 @@ class _Search:
         return states[0][2]
 
     def shorter(self, chosen: Sequence[FlowCommand]) -> Iterator[list[FlowCommand]]:
-        """Yield the commands with one of them exchanged for one that is next shorter."""
+        """Yield the commands, each time with one of them replaced by the next shorter one."""
         for index, now in enumerate(chosen):
             own = [one for one in self._made[index][1] if one.scans < now.scans]
             longest = max((one.scans for one in own), default=0)

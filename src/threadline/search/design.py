@@ -80,11 +80,11 @@ class DesignResult(Summarised):
     level
         Wanted level of the design.
     screened
-        Runs over which ``Candidate.ratio`` is the worst, in words.
+        The runs that ``Candidate.ratio`` covers, in words.
     refused
         Why the proof refused candidates that the search accepted.
     front
-        Yields of candidates by their cost, the cheapest first; empty where none were asked for.
+        Yields of candidates by their cost, the cheapest first; empty if they were not asked for.
     """
 
     machine: Machine
@@ -153,9 +153,8 @@ class Wanted:
     ----------
     trials
         The runs that prove the design: its level. The search tries candidates in as many runs.
-        Other machines within the file's tolerances, or a yield, are left to the proof: the proof
-        tries candidates along the trade of cost for margin, and the cheapest that passes is the
-        design.
+        Only the proof covers other machines within the file's tolerances, or a yield: it tries
+        candidates along the trade of cost for margin, and the cheapest that passes is the design.
     corners
         Whether the design must hold at every corner of the parameter tolerances, too.
     plotted
@@ -167,8 +166,8 @@ class Wanted:
     effort
         Effort of the search; None: as much as the kind of machine allows.
     front
-        Number of machines that are drawn of each candidate for the front of cost against yield; 0
-        for no front.
+        Number of machines to draw of each candidate for the front of cost against yield; 0 for no
+        front.
     searches
         Number of searches, each from random numbers of its own.
     """
@@ -196,7 +195,7 @@ class Redesign:
     wanted
         Requirements on the design.
     space, evaluator
-        Where candidates are, and what judges them.
+        The space of the candidates, and their judge.
     read
         Reads the job.
     """
@@ -333,7 +332,7 @@ def _nearest(space: Space, tried: Tried) -> int:
 
 
 def _best_of(space: Space, evaluator: Evaluator, tried: Tried, parameters: FloatArray) -> Candidate:
-    """Return the best tried candidate that has these parameters, with any settings."""
+    """Return the best tried candidate with these parameters and any settings."""
     same = np.abs(tried.points[:, : space.parameters] - parameters).max(axis=1) < 1e-9
     own = tried.taken(np.flatnonzero(same))
     if evaluator.others.asked:
@@ -436,7 +435,7 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
     given = {(c.name, c.axis) for c in spec.criteria if not c.hard}
     for criterion in spec.criteria:
         if criterion.hard and (criterion.name, criterion.axis) in given:
-            continue  # the machine's limit holds beside a wider one without being named
+            continue  # the machine's own, narrower limit holds without being named
         kind = MEASURES[criterion.name]
         lines += ["", "[[criteria]]", f"name = {toml_string(criterion.name)}"]
         if criterion.axis:

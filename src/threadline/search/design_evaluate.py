@@ -167,8 +167,8 @@ class Effort:
     side
         Side of the region's grid; 0 for no region.
     modelled
-        Whether each round of the search for the least change also tries what planes fitted to the
-        ratio say is cheapest. It pays where a candidate takes long.
+        Whether each round of the search for the least change also tries the cheapest candidates by
+        planes fitted to the ratio. This pays if a candidate takes long.
     """
 
     sample_log2: int = 8

@@ -123,8 +123,8 @@ def yield_of(
 def marked(found: Sequence[CandidateYield]) -> tuple[CandidateYield, ...]:
     """Return the candidates, the cheapest first, each with whether it is on the front.
 
-    Of candidates whose factors agree within a thousandth (they differ in their settings) and that
-    have as many machines in specification, the cheapest is kept.
+    Candidates may differ in their settings alone: if their factors agree within a thousandth, and
+    they have equally many machines in specification, only the cheapest is kept.
 
     >>> def of(cost, passed):
     ...     factors = {"mass": cost}

@@ -39,8 +39,8 @@ class Ratios:
     others
         (n, criteria) ratio of measured to limit.
     length
-        (n, D) ratio of the stitch length for each delay; None where the stitch length isn't asked
-        for.
+        (n, D) ratio of the stitch length for each delay; None without a criterion of the stitch
+        length.
     """
 
     names: tuple[str, ...]
@@ -108,8 +108,8 @@ class DesignJudge:
     others
         Criteria other than the stitch length.
     length
-        Criteria of the stitch length, one for each of ``delays_s``; empty where it is not asked
-        for.
+        Criteria of the stitch length, one for each of ``delays_s``; empty if the specification has
+        none.
     delays_s
         (D,) needle delays; the specification's own delay where no delays are tried.
     """

@@ -2,8 +2,8 @@
 
 Part i of n has consecutive searches, by their numbers alone. A file holds one part: its record in
 the first line, then a line for each search with all its candidates. The record has the hashes of
-all that the results depend on, the result of the machine as its file says, and the words of the
-command, so that the merge needs the files alone. The merge proves the cheapest candidate of all.
+everything that affects the results, the result of the machine as its file says, and the words of
+the command, so that the merge needs no other file. The merge proves the cheapest of all candidates.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _MOST_TRIED = 1 << 22  # candidates of one search
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignRecord:
-    """What a part is of.
+    """The redesign to which a part belongs.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class DesignRecord:
     part: Part
 
     def check_same(self, path: Path, other: DesignRecord, than: str) -> None:
-        """Refuse this part, in the file ``path``, if it is of another redesign than ``other``.
+        """Refuse this part, in the file ``path``, if it belongs to another redesign than ``other``.
 
         Raises
         ------
@@ -110,7 +110,7 @@ def searches_of(part: Part, searches: int) -> range:
 
 
 def design_identity(question: Redesign) -> dict[str, str]:
-    """Return everything that the results of a part depend on."""
+    """Return everything that affects the results of a part."""
     wanted = question.wanted
     settings = repr(
         (question.options, wanted.trials, wanted.smoothing_s, question.evaluator.effort)
@@ -127,18 +127,18 @@ def design_identity(question: Redesign) -> dict[str, str]:
 
 
 def _known(question: Redesign) -> str:
-    """Return a digest of the bits that the machine of the file comes to, at its least settings."""
+    """Return a digest of the result of the file's machine at its least settings, bit by bit."""
     space, evaluator = question.space, question.evaluator
     point = np.clip(np.zeros((1, len(space.low))), space.low, space.high)
     simulated = evaluator.simulated
     found = evaluator.tried(point, np.zeros(1, dtype=np.int64), beyond=-1.0)
-    evaluator.simulated = simulated  # it is no candidate
+    evaluator.simulated = simulated  # the machine of the file counts as no candidate
     bits = found.ratio.tobytes() + found.nominal.tobytes() + "".join(found.binding).encode()
     return hashlib.sha256(bits).hexdigest()
 
 
 def write_design_part(path: Path, record: DesignRecord, searches: Sequence[Search]) -> None:
-    """Write a part; the file appears whole, and stands on the disk, or not at all.
+    """Write a part; the file appears whole on the disk, or not at all.
 
     Raises
     ------

@@ -111,7 +111,7 @@ def cheapest_first(space: Space, tried: Tried) -> IntArray:
 
 
 def candidate_at(space: Space, evaluator: Evaluator, tried: Tried, index: int) -> Candidate:
-    """Return a tried candidate, in the words of its machine."""
+    """Return a tried candidate with the names and units of its machine."""
     point, level = tried.points[index], int(tried.level[index])
     gains = space.designs_gains
     return Candidate(
@@ -137,7 +137,7 @@ def proved(
     if trials.machines or trials != trials.alone:
         # Many candidates cost nearly the same; if one fails, all of them fail by about as much.
         order = pareto(space, tried, 1.0 + 1e-9)
-        # Spread evenly, from the cheapest to the largest margin, which passes if any passes.
+        # Spread evenly from the cheapest to the one with the largest margin, the likeliest to pass.
         most = min(len(order), _MOST_PROOFS)
         order = order[np.linspace(0, len(order) - 1, most).round().astype(int)]
     for index in order[:_MOST_PROOFS]:

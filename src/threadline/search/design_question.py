@@ -22,7 +22,7 @@ _SEARCHED = "10 ms, 80 ms"  # smoothing, where none is given
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignAims:
-    """What a redesign has to find, besides the options that other verbs have too.
+    """The options that only a redesign has.
 
     Parameters
     ----------

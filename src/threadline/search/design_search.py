@@ -153,7 +153,7 @@ def _slice(
 SEED = 1994
 _ELITE = 8
 _PATIENCE = 4
-_ENOUGH = 2e-3  # relative gain: less in several rounds is no progress
+_ENOUGH = 2e-3  # relative gain; a smaller gain over several rounds counts as no progress
 _FIRST_STEP, _STEP_DECAY = 0.15, 0.85
 _SHRINK = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98)
 TARGETS = (0.8, 0.6)
@@ -285,8 +285,8 @@ def _elite(space: Space, tried: Tried, target: float) -> IntArray:
 
 
 _FITTED = 4  # candidates per dimension to which a plane is fitted
-_FAR = 1.6  # ratio: farther candidates say nothing of the edge
-_ROOM = (0.0, 0.01, 0.03)  # of the target: how far within it a modelled candidate should be
+_FAR = 1.6  # largest ratio of a candidate that is used for a plane
+_ROOM = (0.0, 0.01, 0.03)  # shares of the target that a modelled candidate should leave free
 _MODELLED = 6  # candidates about which planes are fitted
 
 
@@ -295,9 +295,9 @@ def cheapest_by_planes(
 ) -> tuple[FloatArray, IntArray]:
     """Return the cheapest candidates by planes that are fitted to the ratio about the elite.
 
-    A sum of magnitudes is least where one number trades against another; moves of one number alone,
-    or of all in proportion, do not find that. Each plane holds within ``step`` of the range, and
-    without each number that changes: what several numbers do, fewer may do cheaper.
+    The least sum of magnitudes lies where one number trades against another; moves of one number,
+    or of all numbers in proportion, do not find it. Each plane holds within ``step`` of the range.
+    It is also used with each changed number left unchanged, because fewer changes may be cheaper.
     """
     from scipy.optimize import linprog
 
@@ -392,7 +392,7 @@ def _proposals(
 
 
 _FEW = 3  # numbers that may change: with more, moves along the edge find dearer designs
-_WITHIN = (0.0005, 0.002, 0.005)  # of the target: how far within it a crossing should be
+_WITHIN = (0.0005, 0.002, 0.005)  # shares of the target that a crossing should leave free
 
 
 def _both_sides(tried: Tried, elite: IntArray, target: float) -> bool:
@@ -411,11 +411,11 @@ def _along_edge(
 ) -> tuple[FloatArray, IntArray]:
     """Return candidates on the edge of the specification and along it, ``most`` of each.
 
-    A crossing lies between one of the elite that meets the target and a cheaper one that does not,
-    where the ratio of measured to limit, linear between them, is just within the target. The elite
-    lies along the edge, so that its differences follow it and trade one number for another, as in
-    differential evolution (Storn and Price, "Differential evolution", J. of Global Optimization 11,
-    1997).
+    A crossing lies between a candidate of the elite that meets the target and a cheaper one that
+    does not: at the point where the ratio, interpolated linearly, is just within the target. The
+    elite lies along the edge, so differences between its candidates run along the edge, too, and
+    trade one number for another, as in differential evolution (Storn and Price, "Differential
+    evolution", J. of Global Optimization 11, 1997).
     """
     met = tried.ratio[elite] <= target
     inside = random.choice(elite[met], most)

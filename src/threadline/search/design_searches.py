@@ -1,4 +1,4 @@
-"""The searches of one redesign: each from random numbers of its own; the best of all counts.
+"""The searches of one redesign, each with its own random numbers; the best result of all counts.
 
 A search depends on its number alone, so that searches of one redesign may be made anywhere.
 """
@@ -19,8 +19,8 @@ from threadline.search.design_space import Space
 from threadline.verdict import Spec
 
 MOST_SEARCHES = 10_000
-_APART = 100  # seeds from one search to the next; a search takes one for each level
-_LEAST_TRIED = 2  # candidates of a search whose machines are drawn
+_APART = 100  # distance of the seeds of two searches; a search takes one seed for each level
+_LEAST_TRIED = 2  # least number of candidates of a search whose machines are drawn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,9 +52,9 @@ class Searching:
     Parameters
     ----------
     space, evaluator, spec
-        Where candidates are, what judges them, and by what.
+        The space of the candidates, their judge, and the specification.
     front
-        Number of machines that are drawn of each candidate for the front of cost against yield.
+        Number of machines to draw of each candidate for the front of cost against yield.
     searches
         Number of all searches.
     """

@@ -24,7 +24,7 @@ NO_COMMANDS = "no commands"
 
 @dataclass(frozen=True, slots=True)
 class JobReader:
-    """Reads a job anew for each machine; another computer has its file at the same place.
+    """Reads a job anew for each machine; every computer needs the file at the same path.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class JobReader:
     options
         Planning options.
     sha256
-        Of the file, where it was first read.
+        SHA-256 of the file when it was first read.
     """
 
     file: Path
@@ -70,7 +70,7 @@ def _sha256(file: Path) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SingleItem:
-    """A candidate: numbers of its machine that differ, by path; and when further runs follow."""
+    """A candidate: changed numbers of its machine, by path; and a bound for further runs."""
 
     numbers: Mapping[str, float]
     beyond: float

@@ -45,7 +45,7 @@ class Space:
     tolerance
         (P,) tolerance of each parameter, as a share.
     levels
-        Shares of the acceleration to try; with ``ahead`` one alone, for points hold theirs.
+        Shares of the acceleration to try; with ``ahead`` a single one: each point has its own.
     ahead
         Whether the commands go through the exact inverse of each candidate: feed-forward.
     alone
@@ -195,7 +195,7 @@ def _bounds(machine: Machine, name: str, parameter: DesignParameter) -> tuple[fl
     whole = [path for path in parameter.of if is_whole(machine, path)]
     if whole:
         raise MachineError(
-            f"{where}: {whole[0]} takes whole numbers alone, which no factor keeps",
+            f"{where}: {whole[0]} takes whole numbers alone, and a factor would not keep it whole",
             place=place,
             remedy="Take it out; make a machine file for each of its values instead.",
         )

@@ -84,7 +84,7 @@ class StepRun:
     share, load_share
         (k,) positions of the sensor and of the load as shares of the step.
     current_a
-        (k,) largest magnitude since the sample before.
+        (k,) largest magnitude since the previous sample.
     """
 
     size_si: float
@@ -135,7 +135,7 @@ def stepped_sine(
         raise OptionError(
             f"axis {axis}: references come on the clock {controller.reference_clock!r}, slower "
             "than its controller",
-            remedy="Take away reference_clock for this experiment.",
+            remedy="Remove reference_clock for this experiment.",
         )
     tick = float(machine.tick_clock.period_s)
     highest = float(np.max(frequency_hz))

@@ -2,8 +2,8 @@
 
 Passing is not monotone in speed: a loop that rings at one feed can be quiet at a higher feed. So
 the search first scans the whole range, from above. Then it scans more finely about every change
-between pass and fail, because thin margins there depend on the rounding of times to whole ticks. At
-last it refines the edges of every interval that passes.
+between pass and fail, because thin margins there depend on the rounding of times to whole ticks.
+Finally it refines the edges of every interval that passes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from threadline.search.feed_ranges import (
 from threadline.verdict import Status, Verdict
 
 EDGE_RELATIVE = 2e-3
-_AT_ENDS = 2  # feeds that stand for all between them
+_AT_ENDS = 2  # feeds at the ends that stand for all feeds between them
 _ENOUGH = 4  # feeds in a row that must pass to end a scan from above
 _SLOWED = 3.0
 """Factor by which the motion must be slower for an error that stays the same to count as fixed."""
@@ -61,13 +61,13 @@ class Grid:
     every
         Whether every interval is examined closely. If not, only the fastest interval and feeds near
         its upper edge are examined closely; the scan then goes down from above until a few feeds in
-        a row pass, or until an error is fixed: above its limit by the same value at every feed,
-        however slow the motion was. Slower intervals that this scan meets come from the scan and
-        the bisection of edges alone.
+        a row pass, or until an error is fixed: it exceeds its limit by the same value at every
+        feed, however slow the motion is. Slower intervals are found by the scan and the bisection
+        of edges alone.
     between
-        Whether every feed between two passing feeds passes, too, as where nothing is judged but
-        limits that the planner keeps at every feed. If both ends of the range pass, no other is
-        tried; without ``every``, the highest feed and one a few steps below it.
+        Whether every feed between two passing feeds passes, too. This holds if only limits are
+        judged that the planner keeps at every feed. If both ends of the range pass, no other feed
+        is tried; without ``every``, the ends are the highest feed and one a few steps below it.
     """
 
     points: int = 48
@@ -101,7 +101,7 @@ class Fastest:
         Number of tried feeds.
     step, near_step
         Relative distance of neighbouring feeds in the scan, and near the edges of intervals. The
-        search can miss a narrower interval. 0 where two feeds stand for all between them.
+        search can miss a narrower interval. 0 where two feeds stand for all feeds between them.
     low
         Lowest feed of the scan; feeds below it are unknown.
     edge
@@ -157,7 +157,7 @@ def check_range(low: float, high: float, unit: str) -> None:
     if not 0.0 < low < high < math.inf:
         raise OptionError(
             f"nothing to scan from {low:.6g} {unit} to {high:.6g} {unit}",
-            remedy="Give a --low below --high; each has a value of its own where it is not given.",
+            remedy="Give a --low below --high; an end that is not given has a default.",
         )
 
 
@@ -181,7 +181,7 @@ def find_fastest(
         Ends of the scan, ``0 < low < high``. Feeds are evenly spaced on a logarithmic scale,
         because the load on a machine's limits grows with powers of its speed.
     trials
-        Reports how far the search is.
+        Receives the progress of the search.
     until
         Deadline of the search. With a deadline, an interrupt ends the search and not the program,
         once a feed was judged.
@@ -295,7 +295,7 @@ def _between_tried(seen: Mapping[float, Verdict]) -> list[Interval]:
 
 
 def _whole_range(verdict_at: Judged, span: tuple[float, float], grid: Grid) -> list[Interval]:
-    """Return the interval between two feeds that stand for all between them; none if one fails."""
+    """Return the interval between two feeds that stand for the rest; none if one of them fails."""
     if not grid.between:
         return []
     low, high = span
@@ -385,8 +385,8 @@ def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:
 def _fixed(verdicts: Sequence[Verdict]) -> str:
     """Return the criterion whose error is above its limit by the same value at every speed.
 
-    So are an offset of the loops under a pull, and a program that leaves a part of its product
-    bare. Empty if there is none. ``verdicts`` are of one job, the slowest first.
+    Examples are an offset of the loops under a pull, and a program that leaves a part of its
+    product bare. Empty if there is none. ``verdicts`` belong to one job, the slowest run first.
     """
     slowest, errors = _speeds(verdicts[0]), _failing(verdicts[0])
     for verdict in verdicts:
@@ -425,8 +425,8 @@ def _failing(verdict: Verdict) -> dict[tuple[str, str, str], float]:
 def _passes(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:
     """Return whether each feed passes. The highest feed is tried first.
 
-    A high feed takes the least time to simulate, and a failing feed shows at once. So a search that
-    ends early has the highest of the passing feeds, and has spent no time on slow feeds.
+    A high feed takes the least time to simulate, and a failing feed fails at once. So a search that
+    ends early knows the highest passing feed, and has spent no time on slow feeds.
     """
     return [verdict_at(feed).passed for feed in reversed(feeds)][::-1]
 

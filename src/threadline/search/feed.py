@@ -65,12 +65,12 @@ def _feeds_differ(job: Job) -> bool:
 def search_range(job: Job, machine: Machine, by: FeedMode) -> tuple[float, float]:
     """Return the useful feed range of a search, in the unit of ``by``.
 
-    The range is the result of ``feed_range_m_s``, except for an override. The highest override
-    brings the fastest of the moves that are free to their axes' limits, and is at least 1: beyond
-    it only slower moves get faster, and the ratios are lost. A move is free unless an axis is at
-    its limit at the programmed feed, as the slow Z of a lift is. Where no free move reaches the
-    feed of the fastest others, the override is 1. At the lowest override the fastest moves of all
-    make one count per tick.
+    The range is the result of ``feed_range_m_s``, except for an override. A move is free if no axis
+    is at its limit at the programmed feed; a lift with a slow Z, for example, is not free. The
+    highest override brings the fastest free moves to the limit of an axis, and is at least 1. With
+    a higher one only slower moves would get faster, and the ratios of the feeds would be lost. If
+    no free move then reaches the speed of the fastest move, the highest override is 1. At the
+    lowest override the fastest move makes one count per tick.
     """
     if by is not FeedMode.OVERRIDE:
         return feed_range_m_s(machine, by, job.feed_rule)
@@ -189,7 +189,7 @@ def feed_unit(by: FeedMode) -> str:
     return "" if by is FeedMode.OVERRIDE else "m/s"
 
 
-_SLOWEST = 0.025  # of the highest needle speed: lowest speed of a search
+_SLOWEST = 0.025  # lowest speed of a search, as a share of the highest needle speed
 
 
 def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:

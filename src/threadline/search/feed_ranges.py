@@ -13,7 +13,7 @@ Judged = Callable[[float], Verdict]
 INSIDE = 16
 """Number of feeds tried inside an interval before it is accepted."""
 _THIN = 0.96
-"""Used share of the tightest limit above which a close neighbour may exceed the limit."""
+"""Used share of the tightest limit above which a close neighbour may exceed it."""
 _BESIDE = (-47, -29, -16, -7, -3, -1, 1, 3, 7, 16, 29, 47)
 """Neighbours that are tried beside such a feed, in multiples of ``_JUMP``."""
 _JUMP = 2e-4

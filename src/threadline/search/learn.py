@@ -45,7 +45,7 @@ MOST_REPEATS = 100
 _HALVINGS = 5
 _RINGING_S = 0.25  # after the motion: the error is still learned, and then fades over as long
 _MOST_TICKS = 400_000
-_FULL = 0.999  # of a limit of a drive: the simulated amplifier gives no more than its limit
+_FULL = 0.999  # share of a drive's limit that counts as reached: the amplifier gives no more
 
 
 class Learner:
@@ -61,7 +61,7 @@ class Learner:
     Raises
     ------
     OptionError
-        If the machine has no control loops, the job is too long, or its needle is timed for a head
+        If the machine has no control loops, the job is too long, or the needle is timed for a head
         that lags behind its references.
     MachineError
         If an axis shares bodies with another drive.
@@ -71,8 +71,8 @@ class Learner:
         check_learnable(plan.job, plan.machine, plan.motion.following)
         if (ticks := plan.commands.tick_count() or 0) > _MOST_TICKS:
             raise OptionError(
-                f"{plan.job.name} takes {ticks} ticks, and a job of at most {_MOST_TICKS} is "
-                "learned",
+                f"{plan.job.name} takes {ticks} ticks, and a job can be learned up to "
+                f"{_MOST_TICKS}",
                 remedy="Divide the job.",
             )
         self.plan, self.rules = plan, rules
@@ -224,7 +224,7 @@ class Learner:
     def account(
         self, run: Tried, recording: Recording, verdict: Verdict, step: tuple[int, float, str]
     ) -> Repeat:
-        """Return the account of a run; whether it is followed is known later.
+        """Return the record of a run; ``followed`` is set later.
 
         ``step`` has the number of the run, and the gain and the note of the change before it.
         """
@@ -265,8 +265,8 @@ def learn(
     repeats
         Number of runs after the first one.
     trials
-        Runs that the best table is proved by. With several, each repeat has its own friction,
-        supply and phases of the encoders, too.
+        Runs that prove the best table. With several, each repeat has its own friction, supply and
+        phases of the encoders, too.
 
     Raises
     ------
@@ -314,15 +314,16 @@ def learn(
 def learned_verdict(
     plan: Plan, spec: Spec, repeats: int, trials: Trials, actual: Machine | None
 ) -> Verdict:
-    """Return the verdict on what a plan becomes after repeats.
+    """Return the verdict on the table that is learned from a plan.
 
     Parameters
     ----------
     repeats
         Number of runs after the first one.
     trials
-        Runs that a table is proved by. With ``ends`` each of those machines learns its own table,
-        and the first one out of specification, or the one nearest to a limit, is answered.
+        Runs that prove a table. With ``ends`` each machine at the ends of the tolerances learns its
+        own table; the verdict is that of the first machine out of specification, or otherwise of
+        the machine nearest to a limit.
     actual
         The machine that runs, without ``ends``; None: the machine of the plan.
     """
@@ -347,15 +348,15 @@ def check_learnable(job: Job, machine: Machine, following: Following) -> None:
     Raises
     ------
     OptionError
-        If the machine has no loops, or the needle is set to a head that lags.
+        If the machine has no loops, or the needle is timed for a head that lags.
     """
     if not machine.controllers or machine.takes_positions:
         raise OptionError(
-            f"{machine.name} has no control loops, whose references could be learned",
+            f"{machine.name} has no control loops, so there are no references to learn",
             remedy="Learning needs axes with controllers of kind pd or lead.",
         )
     if has_stitches(job) and following is Following.MOTOR:
         raise OptionError(
-            f"{job.name}: its needle is set to a head that lags, and learning ends the lag",
-            remedy="Give --feed-forward, by which the head follows its motion.",
+            f"{job.name}: its needle is timed for a head that lags, and learning ends the lag",
+            remedy="Give --feed-forward: with it the head follows its motion.",
         )

@@ -40,12 +40,12 @@ from threadline.verdict import Judge, Spec, closing, verdict_json
 
 
 def check_table_file(file: Path) -> None:
-    """Refuse the name of a learned table whose ending says no format that can hold it.
+    """Refuse the name of a learned table unless its ending names a format that can hold it.
 
     Raises
     ------
     OptionError
-        Names the endings.
+        If it does not; the message names the endings.
     """
     if file.suffix.lower() not in {".npz", ".csv"}:
         raise OptionError(
@@ -60,7 +60,7 @@ def write_table(table: TickTable, file: Path) -> Written:
     Raises
     ------
     OptionError
-        As ``check_table_file``.
+        If the ending names no format for it.
     RecordingError
         If the file cannot be written.
     """
@@ -71,7 +71,7 @@ def write_table(table: TickTable, file: Path) -> Written:
 
 
 def rules_of(gain: str | float, low_pass: str | None, sensed: Sensed) -> Rules:
-    """Return how a job is learned, from the words of the command line.
+    """Return the rules of learning from the words of the command line.
 
     Raises
     ------
@@ -322,8 +322,8 @@ def learned_from(
     Raises
     ------
     OptionError
-        If there is no recording, one is of another job, machine or plan, or an option of planning
-        is given that differs from the recording's.
+        If there is no recording, if one belongs to another job, machine or plan, or if a given
+        planning option differs from the recording's.
     """
     if not recorded:
         raise OptionError("there is no run to learn from", remedy="Name one with --from.")

@@ -61,7 +61,7 @@ class Shares:
     progress, until
         As in ``Question``.
     rungs, left_out
-        Results by share; and shares with which even the highest feed takes no less time than the
+        Results by share; and skipped shares: even their highest feed takes no less time than the
         best result so far.
     top_s
         The job's duration with the full limits at the highest feed; None until it is calculated.
@@ -181,8 +181,9 @@ def fastest_job(question: Question) -> FastestJob:
     In a job of more than five minutes a share of the limits is skipped if even its highest feed
     takes no less time than the best result so far: it cannot be the answer. There, and in every
     winding, feeds are tried from above until four in a row are in spec. At the end only the fastest
-    interval and its upper edge are examined closely. A winding is searched in one run of each plan;
-    the answer is judged in as many as asked, and over the tolerances where that is asked.
+    interval and its upper edge are examined closely. A winding is searched with one run of each
+    plan; only the answer is judged in all runs that are asked for, and over the tolerances if that
+    is asked.
     """
     job, machine, options, until = question.job, question.machine, question.options, question.until
     check_loops(machine)
@@ -206,7 +207,7 @@ def fastest_job(question: Question) -> FastestJob:
         part = scanned if parts == (job,) else of_a_part(scanned)
         with_share = replace(part.options, limit_share=share)
         at_share = replace(part, options=with_share, progress=telling)
-        # The slow feeds of a winding take longest to judge, and are never its answer.
+        # The slow feeds of a winding take longest to judge, and are never the answer.
         every = options.product is None and (by_feed or not shares.long)
         closely = replace(grid, every=every, between=limits_alone)
         return fastest_feed(at_share, closely, parts, seen.setdefault(share, {}))
@@ -279,7 +280,7 @@ def _span(question: Question, by: FeedMode) -> tuple[float, float]:
 
 
 _OF_SEARCH = 0.7
-"""Share of the progress that the search itself has; the rest is for the lowest feed as fast."""
+"""Share of the progress for the search itself; the rest is for the lowest feed as fast."""
 _SAME_TIME = 1e-3
 _LOWEST = "looking for the lowest feed as fast"
 _ENOUGH_STEP = 1.02  # ratio of neighbouring feeds at which the search for ``enough`` ends
@@ -315,9 +316,9 @@ _OF_WHOLE = ("planned_coverage_gap", "coverage_gap")
 
 
 def of_a_part(question: Question) -> Question:
-    """Return the question about parts of a winding, which begin where the fibre is not tied.
+    """Return the question about parts of a winding, at whose begin the fibre is not tied.
 
-    Its coverage is judged at the end, by the whole job.
+    The coverage is judged at the end, by the whole job.
     """
     if question.options.product is None:
         return question
@@ -387,5 +388,5 @@ def ignores_limits(job: Job, machine: Machine, options: Options) -> bool:
     """Return whether a share of the limits makes no difference to a plan."""
     if options.timing.pace is Pace.PROGRAMMED:
         return True
-    # Planned without feed-forward, whose smoothing would hide the path's timing.
+    # Without feed-forward, because its smoothing would hide the timing of the path.
     return plan_job(job, machine, replace(options, feed_forward_s=None)).intent.historical

@@ -1,9 +1,9 @@
 """Lower bounds of the time that a job takes: along the path of a plan, and along any path.
 
-A bound along the path of a plan keeps velocity, acceleration and jerk of the axes, and then volts
-and current of their drives, too. A bound for any path looks at one axis at a time: whatever the
-others do, the axis goes from each end of its way to the next, and may turn back within the
-allowed deviation of either. The slowest axis bounds the job.
+One bound along the path of a plan keeps velocity, acceleration and jerk of the axes; another keeps
+volts and current of their drives, too. A bound for any path looks at one axis at a time: whatever
+the others do, the axis goes from each reversal to the next, and may turn back before either by the
+allowed deviation. The slowest axis bounds the job.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ def least_on_any_path(
 ) -> tuple[Bound, ...]:
     """Return about the least time of any plan that leaves the program by ``within_m`` at most.
 
-    Volts and current are used in full. The least time of each axis is found to about half a percent
-    of it.
+    Volts and current are used in full. The least time of each axis is accurate to about half a
+    percent.
     """
     timing = options.timing
     programmed = programmed_path(job, machine, feed=timing.feed, at_limits=True)
@@ -100,11 +100,11 @@ def _tick_s(machine: Machine) -> float:
     return float(machine.tick_clock.period_s)
 
 
-_SHARP = 1e-3  # of the allowed deviation: what the path of one axis turns back before its ends
+_SHARP = 1e-3  # tolerance of the path of one axis at its reversals, per allowed deviation
 
 
 def shortened_way(places: FloatArray, rests: IntArray, within: float) -> FloatArray:
-    """Return the places at which an axis must turn back, each nearer by what it may fall short.
+    """Return the places at which an axis must turn back, each nearer by the allowed deviation.
 
     Parameters
     ----------

@@ -32,15 +32,14 @@ AT_ONCE = 4096
 """Machines that are judged, and kept in a state, as one part; results do not depend on it."""
 _AT_ONCE_ALONE = 32
 _AT_ONCE_LATE = 16_384
-"""The same where dead times vary: only machines of equal dead times are simulated together."""
+"""The same number if dead times vary: only machines with equal dead times are simulated together.
+"""
 _AT_ONCE_AWAY, _TURNS = 256, 8
-"""Most machines together where workers judge, which may be lost at any time; parts for each core.
+"""Most machines that a worker judges together, as it may be lost at any time; parts for each core.
 """
 _SEARCHED = 2000
 """Most machines that the search for the worst tries, where they are simulated in batches."""
-_OF_PRODUCT = (
-    "as the product file has it: a yield counts machines, and prove varies the product too"
-)
+_OF_PRODUCT = "as in the product file: a yield counts machines, and prove varies the product too"
 
 
 def planned_yield(words: Words, job: Path, machine: Machine) -> tuple[MachineYield, Spec]:
@@ -121,9 +120,9 @@ class MachineYield(WithinTolerances):
         for criterion in compared:
             if criterion.required:
                 raise OptionError(
-                    f"{criterion.name} is required, and is of many runs of one machine: a yield is "
-                    "of one run of each",
-                    remedy="Let it not be required; prove --yield measures it in 20 runs.",
+                    f"{criterion.name} is required and compares runs of one machine, but a yield "
+                    "has one run of each machine",
+                    remedy="Remove required there; prove --yield measures it in 20 runs.",
                 )
         self.left_out = tuple(dict.fromkeys(c.name for c in compared if c.limit is not None))
         super().__init__(plan, spec, threads=threads)
@@ -193,7 +192,7 @@ class MachineYield(WithinTolerances):
         elsewhere = workers()
         if elsewhere is None:
             return AT_ONCE
-        # Few enough that all workers end at about the same time, and that a lost part is no loss.
+        # Few enough that all workers end at about the same time, and a lost part costs little.
         return max(min(_AT_ONCE_AWAY, variants // (_TURNS * elsewhere.cores)), 1)
 
     def worst(self, known: Yield | None = None, done: Done | None = None) -> Worst:

@@ -14,8 +14,8 @@ from threadline.search.paced import Question
 
 ENDS = (-1.0, 0.0, 1.0)
 """Lower end of the tolerance, the file's own value, upper end."""
-_SLOWEST = 0.25  # of the highest speed of the search: lowest speed
-_ABOVE = 1.1  # of the nominal best: highest speed
+_SLOWEST = 0.25  # lowest speed of a search, as a share of the highest
+_ABOVE = 1.1  # highest speed of a search, as a share of the nominal best
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,8 +92,8 @@ def at_tolerance_ends(
 ) -> tuple[Mismatch, ...]:
     """Return the results of a search on machines at the ends of the tolerances, one run each.
 
-    Plans are made for the machine of the file. The machine that runs them has other numbers, as a
-    real machine has.
+    Plans are made for the machine of the file. The machine that runs them has other numbers, like a
+    real machine.
 
     Parameters
     ----------

@@ -194,8 +194,8 @@ SHAPERS = ("none", "zv", "um-zv", "um-zvd")
 """Shapers tried for every move; other shapers take longer than gaps or levels made for it."""
 _LEAST_LEFT, _OTHERS = 8, 12  # kept commands of each duration
 _ENOUGH = 12
-_STEPS = 34  # of a period: finer steps gain no time
-_OVER = 2.0  # earlier ringing may cancel as much again as the limit
+_STEPS = 34  # steps in a period: finer steps gain no time
+_OVER = 2.0  # a command may ring at twice the limit: earlier ringing may cancel the excess
 
 
 class MoveCommands:

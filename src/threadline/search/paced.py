@@ -59,8 +59,8 @@ class Question:
     free
         Options of ``optimal`` that were not given, so that the search may choose them.
     learned
-        Number of repeats after which a plan is judged, by the table that the machine has learned by
-        then; None: as it is planned.
+        Number of repeats after which the learned table of a plan is judged; None: the plan itself
+        is judged.
     suspects
         Machines within the tolerances that were out of specification at another pace: they are
         tried first. The search adds to them.
@@ -93,7 +93,7 @@ class Question:
     def judged(self, plan: Plan, progress: Progress | None = None) -> Verdict:
         """Return the verdict on a plan, or on the tables learned from it.
 
-        ``progress`` receives the share of the runs that is read.
+        ``progress`` receives the share of the runs that are read.
         """
         if self.learned is not None:
             return learned_verdict(plan, self.spec, self.learned, self.trials, self.actual)
@@ -103,19 +103,19 @@ class Question:
 
     @property
     def searches(self) -> bool:
-        """Whether a bad run is looked for at the answer: ``searched`` may change a verdict."""
+        """Whether a bad run of the answer is searched: ``searched`` may change a verdict."""
         alone = self.actual is None and self.learned is None
         return alone and self.trials.repeats >= REPEATED_RUNS
 
     def searched(self, plan: Plan, verdict: Verdict) -> Verdict:
         """Return the verdict on a plan that may be the answer, after a search for a bad run.
 
-        Over the tolerances a bad machine is looked for together with its day, where machines are
-        simulated side by side and the worst one known is close to a limit. Otherwise a bad day is
-        looked for near a limit. If one is out of specification, so is the verdict. If none is, the
-        verdict keeps its results, which ``prove`` gives, too, and tells the worst of the search.
-        Verdicts of less than the level *repeated* are returned as they are, and so are verdicts on
-        another machine and on learned tables.
+        Over the tolerances, a bad machine and its day are searched together if the worst known
+        machine is close to a limit. Otherwise a bad day is searched if the verdict is near a limit.
+        If a run of the search is out of specification, its verdict is returned. If none is, the
+        given verdict is returned with the same results as from ``prove``, and with the worst run of
+        the search. Verdicts below the level *repeated*, on another machine, or on learned tables
+        are returned unchanged.
         """
         if not (verdict.passed and self.searches):
             return verdict
@@ -165,8 +165,8 @@ class Paced:
     judged
         Judges the plan at a pace; None: ``Question.judged`` judges it.
     searched
-        Returns the verdict at a pace, from the verdict before, after a search for a bad run. Every
-        end of an interval must pass it. None: nothing is searched here.
+        Takes a pace and its verdict, and returns the verdict after a search for a bad run. Every
+        end of an interval must pass it. None: no search.
     """
 
     low: float
@@ -245,7 +245,7 @@ def fastest_paced(
 
 
 def _of_all(passed: Sequence[Verdict]) -> Verdict:
-    """Return one verdict over all stretches of a job that passes: the worst of each row.
+    """Return one verdict over all stretches of a job that passes: the worst result of each row.
 
     Stretches with the same criteria and axes have the same rows. A stretch that is judged without
     ends of travel has other rows; then the verdict of the stretch closest to a limit is returned.

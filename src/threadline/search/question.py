@@ -246,7 +246,8 @@ def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int 
 def _free(words: Words) -> frozenset[str]:
     """Return the options of a plan that were not given.
 
-    ``--contour`` without feed-forward stays without it: the motors then follow the path.
+    If ``--contour`` is given without ``--feed-forward``, feed-forward counts as given, so that the
+    motors follow the path.
     """
     free = {word for word in CHOSEN if words.given.get(word) in (None, False)}
     if words.text("contour") is not None:
@@ -255,10 +256,10 @@ def _free(words: Words) -> frozenset[str]:
 
 
 def _planned_for(words: Words, machine: Machine) -> str | None:
-    """Return the share of tolerances that plans are made for; None for the file's machine.
+    """Return the share of the tolerances that plans must be robust to; None for none.
 
-    If a kind of work has feed-forward, only plans with feed-forward are made for other machines.
-    Plans without it are made for the file's machine, and judged on the other machines, too.
+    If a kind of work has feed-forward, only plans with feed-forward are made robust. Plans without
+    it are made for the file's machine, and judged on the other machines, too.
     """
     taken = kind_of(machine).planned_by
     if "robust" in taken and "feed-forward" not in taken:

@@ -1,4 +1,4 @@
-"""Repeats of a job: what each run showed, and which run is followed."""
+"""Repeats of a job: the result of each run, and the choice of the run to go on from."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ GAIN = 0.9
 _WORSE = 1.1  # times the least error: a larger error is undone
 
 
-GIVEN_UP = 1.0 / 16.0  # of the first gain: from there on the best table is kept
+GIVEN_UP = 1.0 / 16.0  # share of the first gain from which on the best table is kept
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
-    """How a job is learned.
+    """The rules of learning a job.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def best_of(runs: Sequence[tuple[bool, float]], gain: float) -> tuple[int, float
 
 
 def follows(best_passed: bool, least: float, passed: bool, error: float) -> bool:
-    """Return whether a run is followed: in spec where no run was, or not worse than the best."""
+    """Return whether learning goes on from a run: the first in spec, or not worse than the best."""
     if passed != best_passed:
         return passed
     return error <= _WORSE * least

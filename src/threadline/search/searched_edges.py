@@ -1,8 +1,9 @@
 """Ends of intervals of a pace that also pass a search for a bad day, or for a bad machine.
 
-A search by pace ends at the plan that passes by the least, so drawn days say too little of its
-answer. Near a limit every end of an interval is therefore judged on the worst day of a search, and
-moved inwards until it passes. The plans between the ends keep their verdicts on drawn days.
+A search by pace ends at the plan that passes by the smallest margin, so a few drawn days prove too
+little. Near a limit every end of an interval is therefore judged on the worst day that a search
+finds, and moved inwards until it passes. The plans between the ends keep their verdicts on drawn
+days.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def with_searched_edges(
     judged
         Returns the verdict at a pace, as in the search of ``found``.
     searched
-        Returns the verdict at a pace after the search for a bad run, from the verdict before.
+        Takes a pace and its verdict; returns the verdict after the search for a bad run.
     best_alone
         Whether only the upper end of the fastest interval is searched.
 
@@ -82,8 +83,8 @@ def with_searched_edges(
 def _held(verdict_at: Judged, end: float, other: float, edge: float) -> float | None:
     """Return the pace nearest to an end of an interval that passes; None if none is found.
 
-    Steps from the end towards the other end double until a pace passes. Then the gap to the last
-    one that fails is bisected.
+    Steps from the end towards the other end double until a pace passes. Then the gap between it and
+    the last failing pace is bisected.
     """
     if verdict_at(end).passed:
         return end
@@ -101,7 +102,7 @@ def _held(verdict_at: Judged, end: float, other: float, edge: float) -> float | 
 
 
 def _with_kept(found: Fastest, kept: tuple[Interval, ...], known: dict[float, Verdict]) -> Fastest:
-    """Return a result with other intervals, and what limits the fastest of them."""
+    """Return a result with other intervals, and with the criterion that limits the fastest."""
     assert found.best is not None
     ends = {end for one in found.intervals for end in (one.low, one.high)}
     tried = found.tried + len(known.keys() - ends)

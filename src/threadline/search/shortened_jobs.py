@@ -167,9 +167,10 @@ class _Moves:
 def distinct_parts(job: Job, machine: Machine, *, joined: bool = False) -> tuple[Job, ...]:
     """Return jobs that hold every new stretch of ``job``, each with its surroundings.
 
-    A stretch begins and ends at a rest that the job does not have. There a mandrel would stop from
-    full speed and lift its fibre, and the fibre would not be tied where the stretch begins. With
-    ``joined`` one job goes on from each stretch to the next, as rotary axes without ends let it.
+    A stretch begins and ends at rest, where the whole job goes on. There a mandrel would stop from
+    full speed and lift its fibre, and the fibre would not be tied at the begin of the stretch. With
+    ``joined`` a single job goes on from each stretch to the next; this needs rotary axes without
+    ends.
 
     ``job`` itself is returned if most of it is new, if its stretches cannot be joined, if it holds
     more than two million moves, or if feeds do not set its speed.
@@ -206,11 +207,11 @@ def distinct_parts(job: Job, machine: Machine, *, joined: bool = False) -> tuple
 
 
 def _again(code: IntArray, end: int, before: int, beside: int) -> int | None:
-    """Return the last move up to ``before`` to which the machine comes as it does to ``end``."""
+    """Return the last move up to ``before`` that follows the same moves as move ``end``."""
     came = code[end - beside : end]
     for at in np.flatnonzero((code[end:before] == code[end - 1]).all(axis=1))[::-1]:
         found = end + int(at) + 1
-        # What stands before a first move would be lost: a dwell, a switch.
+        # An operation before the first move of a stretch, such as a dwell, would be lost.
         if not code[found, -1] and np.array_equal(code[found - beside : found], came):
             return found
     return None
@@ -272,7 +273,7 @@ def _clustered(values: FloatArray) -> IntArray:
     ascending = values[order]
     gap = np.diff(ascending, prepend=ascending[0]) > _NEAR
     group = np.cumsum(gap)
-    # A chain of near values may be long: a long chain is split by place.
+    # A chain of near values may be long, so it is split by value.
     first = ascending[np.flatnonzero(np.concatenate([[True], gap[1:]]))]
     place = np.floor((ascending - first[group]) / (4.0 * _NEAR)).astype(np.int64)
     number = np.cumsum(gap | (np.diff(place, prepend=0) != 0))

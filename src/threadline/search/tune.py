@@ -1,9 +1,8 @@
 """Tune the loops of a machine: controllers of five kinds by four rules, side by side on jobs.
 
-The rules are the margins of the loop (``loop_design``), Ziegler and Nichols's two
-(``ziegler_nichols``), and the fastest settling of a PD controller, which the thesis on the winder
-looked for by hand over the operable range of Kp and Kd. The tuned loops are written as a machine
-file.
+The rules are the margins of the loop (``loop_design``), the two of Ziegler and Nichols
+(``ziegler_nichols``), and the fastest settling of a PD controller. The thesis on the winder
+searched the last one by hand over the operable range of Kp and Kd.
 """
 
 from __future__ import annotations
@@ -48,16 +47,16 @@ from threadline.verdict import Spec
 from threadline.verdict.spec import load_spec
 
 _ZIEGLER: tuple[ControllerKind, ...] = ("p", "pi", "pid")
-_STEP_RAD = 60.0  # of the crossover, until which a step response is computed
+_STEP_RAD = 60.0  # length of a computed step response, in radians at the crossover
 _STEP_LEAST_S = 0.2
 _SMOOTH = 1e-3  # overshoot that counts as none
-_OVERSHOOT, _MODULUS = 0.05, 0.5  # of the fastest settling, at most and at least
+_OVERSHOOT, _MODULUS = 0.05, 0.5  # fastest settling: most overshoot, least modulus margin
 _TRIES = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wanted:
-    """What loops are tuned for.
+    """The goal of a tuning.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ def tune(
     spec
         The specification of the jobs; its measures are read, not its limits.
     progress
-        Called with what is done and its share.
+        Called with the name of the present step and the share done.
 
     Raises
     ------
@@ -111,8 +110,8 @@ def tune(
         if not loop.single:
             raise MachineError(
                 f"axis {loop.axis}: controllers.{machine.axes[loop.axis].controller} or one beside "
-                "it has the kind state-space, and the rules are for a controller of one error and "
-                "one drive",
+                "it has the kind state-space, and the rules are for a controller with one error "
+                "and one drive",
                 place=machine.place,
                 remedy="Name another --axis, or tune the machine file without that controller.",
             )
@@ -272,7 +271,7 @@ def _job_runs(tuning: Tuning, job: Path, spec: Spec | None) -> list[JobRun]:
 
 
 def wanted_tuning(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
-    """Return what loops are tuned for, as it was typed.
+    """Return the goal of a tuning from its options as typed.
 
     Raises
     ------

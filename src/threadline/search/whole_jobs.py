@@ -1,4 +1,4 @@
-"""The answer of a search that was judged in part, judged by the whole job in all of its runs."""
+"""The whole job in all runs, judged after a search that judged parts of the job, or one run."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from threadline.search.paced import Question
 from threadline.search.searched_edges import with_searched_edges
 from threadline.verdict import Verdict
 
-_LOWERED = 8  # feeds at which the whole job is tried
+_LOWERED = 8  # most feeds at which the whole job is tried
 _LOWER = 0.98
-_OVER_MACHINES = 12  # feeds of a share of the limits that are tried over the tolerances
+_OVER_MACHINES = 12  # most feeds that are tried over the tolerances, for a share of the limits
 _LEAST_SLOWER, _MOST_SLOWER, _POWER = 1.04, 1.4, 0.7  # the time grows with the used share
-_CLOSE = 1.02  # ratio of feeds whose time is near enough
-_UNKNOWN = 1.2  # used share of a limit of 0 that is not kept
-_SLOWED, _FIXED = 3.0, 0.01  # as in ``fastest``: no slower motion mends this error
+_CLOSE = 1.02  # ratio of feeds at which a bisection ends
+_UNKNOWN = 1.2  # used share of a broken limit of 0
+_SLOWED, _FIXED = 3.0, 0.01  # as in ``fastest``: an error that no slower motion mends
 
 
 def planned_at(question: Question, share: float, feed: float) -> Plan:
@@ -33,10 +33,10 @@ def planned_at(question: Question, share: float, feed: float) -> Plan:
 
 
 def in_one_run(question: Question) -> Question:
-    """Return the question that a search asks at every feed: of a winding in one run.
+    """Return the question that a search asks at every feed: for a winding, in one run.
 
-    Near a limit a verdict over repeats takes hundreds of runs, one over tolerances takes hundreds
-    of machines, and a winding runs long.
+    Near a limit a verdict over repeats takes hundreds of runs, a verdict over tolerances takes
+    hundreds of machines, and a winding is long.
     """
     if question.options.product is None or question.trials != question.trials.alone:
         return question
@@ -46,10 +46,10 @@ def in_one_run(question: Question) -> Question:
 
 
 def judged_whole(best: Rung, rungs: dict[float, Rung], question: Question, most: int) -> Rung:
-    """Return the best rung as the whole job is judged; where it fails, the next ones.
+    """Judge the whole job at the best rung and, if it fails, at the next ones; return the best.
 
-    ``most`` rungs are tried, and over the tolerances of a winding every rung that can be the
-    answer. ``rungs`` take what was found.
+    At most ``most`` rungs are tried. For a winding over the tolerances, every one of them that can
+    be the answer is tried. The results are written into ``rungs``.
     """
     over = question.options.product is not None and question.trials.machines > 0
     found, shortest_s = [best], math.inf
@@ -71,10 +71,10 @@ def with_searched_best(
     question: Question,
     seen: Mapping[float, Mapping[float, Verdict]] | None,
 ) -> Rung:
-    """Return the best rung whose feeds also pass a search for a bad run; ``rungs`` take it.
+    """Return the best rung whose feeds also pass a search for a bad run; write it into ``rungs``.
 
-    Where that makes another rung the best, its feeds are searched next. Once the time is over,
-    nothing is searched.
+    If another rung becomes the best, its feeds are searched next. Once the time is over, nothing is
+    searched.
 
     Parameters
     ----------
@@ -140,15 +140,15 @@ def _of_whole(best: Rung, question: Question) -> Rung:
 def _over_machines(best: Rung, question: Question, shortest_s: float) -> Rung:
     """Return ``best`` at the first feed at which all machines are in spec.
 
-    A feed that fails does so in the first machines, as they failed at the feed above. It takes
-    hundreds of machines to pass, so the job is slowed down at once by what the error asks for.
-    Machines come before the repeats of the machine of the file: near a limit these are hundreds,
+    A failing feed fails on the first machines, because they failed at the feed above, too. A
+    passing feed takes hundreds of machines, so the error sets the next feed, not a fixed step. The
+    machines are tried before the repeats of the file's machine: near a limit these are hundreds,
     too.
 
     Parameters
     ----------
     shortest_s
-        Duration from which on the rung is not the answer.
+        Duration from which on the rung cannot be the answer.
     """
     interval = best.found.fastest
     assert interval is not None
@@ -197,7 +197,7 @@ def _slower(question: Question, share: float, feed: float, lasts_s: float) -> fl
 
 
 def _same(worst: tuple[str, float], first: tuple[str, float]) -> bool:
-    """Return whether a criterion exceeds its limit by the same as at the first duration."""
+    """Return whether a criterion uses the same share of its limit as at the first duration."""
     return worst[0] == first[0] and abs(worst[1] - first[1]) <= _FIXED * first[1] > 0.0
 
 
@@ -206,7 +206,7 @@ def _passed(best: Rung, feed: float, verdict: Verdict, duration_s: float) -> Run
     assert interval is not None
     kept = best.found.intervals
     if feed < interval.high:
-        # Parts, or the machine of the file, passed above this feed; the whole did not.
+        # Parts of the job, or the file's machine, passed above this feed; the whole job did not.
         own = Interval(low=min(interval.low, feed), high=feed)
         kept = (own, *(i for i in kept if i.high < own.low))
     found = replace(best.found, intervals=kept, verdict=verdict)

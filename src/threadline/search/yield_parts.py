@@ -2,8 +2,8 @@
 
 Part i of n has consecutive machines of the whole sequence, by their numbers alone. A file holds one
 part: its record in the first line, then its machines as in ``yield_state``. The record has the
-hashes of all that the results depend on, and the words of the command, so that the merge needs the
-files alone. Every file must be of the same yield, and its first machine is judged again.
+hashes of everything that affects the results, and the words of the command, so that the merge needs
+no other file. Every file must belong to the same yield, and its first machine is judged again.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Part:
         Parameters
         ----------
         what, more
-            The things in words, and how to have more of them.
+            The name of the things, and how to get more of them.
 
         Raises
         ------
@@ -118,12 +118,12 @@ def parse_part(text: str) -> Part:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """What a part is of.
+    """The yield to which a part belongs.
 
     Parameters
     ----------
     identity
-        Names and values of everything that the results depend on.
+        Names and values of everything that affects the results.
     words
         Job, machine and options as typed, by name.
     seed, variants
@@ -139,7 +139,7 @@ class Record:
     part: Part
 
     def differences(self, other: Record) -> list[str]:
-        """Return the names of what differs from another part of the same yield."""
+        """Return the names of the entries that differ from another part's."""
         names = dict.fromkeys([*other.identity, *self.identity])
         found = [name for name in names if self.identity.get(name) != other.identity.get(name)]
         counts = {
@@ -159,7 +159,7 @@ class PartFile:
     path
         The file.
     record
-        What it is of.
+        The yield to which it belongs.
     found
         The results of its machines.
     """
@@ -186,7 +186,7 @@ OnePartT = TypeVar("OnePartT", bound=_OnePart)
 
 
 def write_part(path: Path, record: Record, found: EachRun) -> None:
-    """Write a part; the file appears whole, and stands on the disk, or not at all.
+    """Write a part; the file appears whole on the disk, or not at all.
 
     Raises
     ------
@@ -289,7 +289,7 @@ def read_parts(paths: Sequence[Path]) -> list[PartFile]:
 
 
 def in_order(parts: Sequence[OnePartT]) -> list[OnePartT]:
-    """Return all parts of one whole, in their order.
+    """Return all parts of a yield or of a redesign, in their order.
 
     Raises
     ------
@@ -342,7 +342,7 @@ def merged(parts: Sequence[PartFile], judged: MachineYield, done: Done | None = 
     Raises
     ------
     RecordingError
-        If a machine comes to something else here.
+        If a machine's result is another one here.
     """
     for one in parts:
         record = one.record
@@ -350,7 +350,7 @@ def merged(parts: Sequence[PartFile], judged: MachineYield, done: Done | None = 
         again = judged.judged(drawn(judged.plan.machine, record.seed, np.array([first])), done)
         if not same_first(one.found, again):
             raise RecordingError(
-                f"part {record.part} in {str(one.path)!r} comes to something else here: "
+                f"part {record.part} in {str(one.path)!r} has other results here: "
                 f"its first machine, number {first}, differs",
                 remedy="Make that part again on a computer like this one.",
             )

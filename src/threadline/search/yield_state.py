@@ -7,7 +7,7 @@ answer is the same to the bit.
 
 A line begins with its check sum, and its rows are numbered. A line does not store whether a machine
 failed: failure follows from value and limit. A process that continues a yield judges the first
-machine again, and so finds a file of other criteria or values.
+machine again, and so notices a file with other criteria or values.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FORMAT = "threadline yield 2"
 _REMEDY = "Give another file to --resume, or remove this one to begin anew."
 MOST_LINE = 64 << 20
 NOT_AS_WRITTEN = KeyError, TypeError, ValueError, AttributeError, OverflowError, zlib.error
-"""What reading the content of a line raises if something else than Threadline wrote it."""
+"""Errors from the content of a line that Threadline did not write."""
 _MOST_RUNS = 1 << 20  # machines in one line
 _TEXTS = ("name", "axis", "step", "unit")
 _FLAGS = ("required", "hard", "of_plan")
@@ -55,7 +55,7 @@ class Lines:
     path
         The file.
     subject, remedy
-        What cannot be read, and what to do, for the messages.
+        Name of the file's content, and the remedy, for messages.
     """
 
     path: Path
@@ -185,7 +185,7 @@ class YieldState:
         known = self.known
         assert known is not None
         if not same_first(known, found) or known.incomplete != found.incomplete:
-            self._lines.refuse("its first machine comes to something else today", 2)
+            self._lines.refuse("its first machine has another result today", 2)
 
     def _lock(self) -> None:
         """Keep other processes from writing the file, until this process closes it or ends."""
@@ -208,7 +208,7 @@ class YieldState:
         try:
             self._file.write(line_of(content))
             self._file.flush()
-        except OSError as error:  # a disk is full: what the file holds already is not lost
+        except OSError as error:  # the disk is full: the machines in the file are not lost
             raise OptionError(
                 f"cannot write {str(self._path)!r}: {error.strerror}",
                 remedy="Make room on its disk, and repeat the command: it goes on with the "
@@ -262,12 +262,12 @@ def line_of(content: Mapping[str, Any]) -> bytes:
 
 
 def same_rows(one: EachRun, other: EachRun) -> bool:
-    """Return whether two results are of the same criteria, axes, steps and limits."""
+    """Return whether two results have the same criteria, axes, steps and limits."""
     return [*map(_table, one.rows)] == [*map(_table, other.rows)]
 
 
 def same_first(known: EachRun, found: EachRun) -> bool:
-    """Return whether the first machine of both comes to the same, to the bit."""
+    """Return whether the first machine has the same result in both, to the bit."""
     stated, now = (
         [(*_table(row), row.values[:1].tobytes()) for row in one.rows] for one in (known, found)
     )

@@ -1,4 +1,4 @@
-"""Ziegler and Nichols's rules, by the ultimate gain and by a step, from runs of the twin.
+"""The rules of Ziegler and Nichols, by the ultimate gain and by a step, from runs of the twin.
 
 J. G. Ziegler and N. B. Nichols, "Optimum settings for automatic controllers", Trans. ASME 64,
 1942. Both experiments run on the simulated machine; on a machine they would overheat belts and
@@ -31,7 +31,7 @@ from threadline.twin.batch import simulate_batch
 
 _GAINS = 24  # tried side by side in each round
 _ROUNDS = 3
-_SWINGS = 60  # of a run, at the ultimate gain
+_SWINGS = 60  # swings in a run at the ultimate gain
 _VOLT_SHARE = 0.1
 _HALVINGS = 7
 _SLOWEST = 12.0  # time constants of the slowest pole until the line is straight
@@ -131,7 +131,7 @@ def ultimate(machine: Machine, axis: str) -> Ultimate:
     Raises
     ------
     MachineError
-        If no gain brings the loop to its limit, or none that the model expects does on the twin.
+        If no gain brings the loop to its limit, in the model or on the twin.
     """
     guess = foreseen_ultimate(machine, axis)
     made = with_controller(machine, axis, "p", {"kp": guess.kp})
