@@ -235,7 +235,10 @@ def test_bytes_that_act_at_once_are_refused_with_their_line(tmp_path: Path, byte
 
 
 def test_jobs_of_the_machine_are_offered_and_no_other_files(tmp_path: Path) -> None:
-    """Machines and specifications are TOML, too; a drawing is sewn through a seam file."""
+    """Machines and specifications are TOML, too; a drawing is sewn through a seam file.
+
+    A product without layers is no job: nothing is wound on it.
+    """
     for name in (
         "a.seam.toml", "a.svg", "a.dxf", "a.csv", "a.prg", "a.dst", "a.json", ".a.prg",
     ):  # fmt: skip
@@ -246,12 +249,15 @@ def test_jobs_of_the_machine_are_offered_and_no_other_files(tmp_path: Path) -> N
     (tmp_path / "machine.toml").write_text('base = "letter-placer"\n# [[operation]]\n')
     (tmp_path / "mine.spec.toml").write_text('[[criteria]]\nname = "travel"\n')
     (tmp_path / "job.txt").write_text("; notes first\nG1 X5 F100\n")
+    (tmp_path / "vessel.wind.toml").write_text('name = "vessel"\n[[layer]]\nkind = "hoop"\n')
+    (tmp_path / "mandrel.wind.toml").write_text('name = "mandrel"\n# [[layer]]\n[band]\n')
     (tmp_path / "notes.txt").write_text("$0=10\ngrease the axes G and X\n")
     (tmp_path / "folder.prg").mkdir()
     programs = ["a.prg", "a.seam.toml", "job.txt"]
     for machine, offered in (
-        ("lathe-winder", programs),
-        ("stitcher", programs),
+        ("lathe-winder", [*programs, "vessel.wind.toml"]),
+        ("stepper-winder", ["a.prg", "job.txt", "vessel.wind.toml"]),
+        ("stitcher", programs),  # it has no eye
         ("letter-placer", ["cycle.toml", "damaged.toml", "inline.toml"]),
         ("schiffli-frame", ["a.dst"]),
     ):

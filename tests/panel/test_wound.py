@@ -35,9 +35,8 @@ PRODUCT = (
 
 
 def _calculate(folder: Path, machine: str = "lathe-winder", **words: Any) -> dict[str, Any]:
-    asked = Calculate(
-        what="calculate", program="helix.prg", interpolation="linear", level="nominal", **words
-    )
+    usual = {"program": "helix.prg", "interpolation": "linear", "level": "nominal"}
+    asked = Calculate(what="calculate", **{**usual, **words})
     told = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
     return calculate({**told, "folder": str(folder), "machine": machine, "par": None, "spec": None})
 
@@ -74,6 +73,15 @@ def test_the_fibre_of_a_calculation_is_the_helix_of_its_program(folder: Path) ->
     np.testing.assert_allclose(np.median(pitch), PITCH_M, rtol=0.02)
     assert wound["begins"] == [True] + [False] * (len(along) - 1)
     assert not any(wound["slips"][1:])
+
+
+def test_a_winding_is_judged_on_its_own_product(folder: Path) -> None:
+    """A job that is a product file with layers needs no other product, as ``threadline prove``."""
+    (folder / "wound.wind.toml").write_text(f'{PRODUCT}[[layer]]\nkind = "hoop"\n')
+    found = _calculate(folder, program="wound.wind.toml", interpolation="auto")
+    assert found["wound"]["mandrel"]["at"][-1] == pytest.approx(0.1)
+    judged = {one["name"]: one["status"] for one in found["criteria"]}
+    assert judged["slip_tendency"] == "passed" and "lifting" in judged
 
 
 def test_the_tension_is_told_in_pieces_with_its_least_and_its_most() -> None:

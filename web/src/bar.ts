@@ -78,7 +78,7 @@ export class Bar {
     const runs = !!run && run.ended === null;
     const program = runs ? run.program : (state.proven?.program ?? value("program"));
     tell("now-program", program || "no program yet");
-    const own = figures && (!runs || isOf(figures.program, run.program));
+    const own = figures && (!runs || isOf(figures.program, run));
     const at = runs && own ? before(figures.lines.times_s, run.time_s) : -1;
     const line = at < 0 ? 0 : figures!.lines.line[at]!;
     put(by("now-line"), "hidden", !runs || line === 0 || this.session.embroiders); // a design has no lines

@@ -14,6 +14,8 @@ import type { Traces } from "./traces";
 const OF_PROGRAMS = new Set(["teach", "zero-here"]);
 const BY_PLACE = new Set(["jog", "step", "zero", "zero-axis"]);
 const OF_CALCULATION = new Set(["start", "approach"]);
+/** Commands that need no data of the machine: where its link is gone none come any more. */
+const WITHOUT_DATA = new Set(["reconnect", "calculate", "cancel"]);
 const HOME_FIRST = "home first: the positions of the axes are unknown";
 
 export class Buttons {
@@ -26,13 +28,18 @@ export class Buttons {
     private readonly continuing: Continuing,
   ) {}
 
-  show(state: State | null, stale: boolean): void {
+  /**
+   * @param stale whether the data of the machine are too old to command it by them
+   * @param deaf whether nothing comes from the panel itself
+   */
+  show(state: State | null, stale: boolean, deaf: boolean): void {
     const changed = state !== null && this.program.changed(state);
     const unreasoned = state !== null && this.program.wantsReason(state);
     for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) {
       const what = one.dataset.what!;
       const waits = (what === "start" && unreasoned) || (changed && OF_CALCULATION.has(what));
-      const may = !stale && this.can(one, what, state) && !waits && !this.ends(one);
+      const may =
+        !(WITHOUT_DATA.has(what) ? deaf : stale) && this.can(one, what, state) && !waits && !this.ends(one);
       put(one, "disabled", !this.jogging.keeps(one) && !may);
       put(one, "title", this.why(one, what, state));
     }

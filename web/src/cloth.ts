@@ -43,7 +43,7 @@ export function sewnUntil(
   run: Progress | null,
   job: Pick<Shown, "program" | "times_s"> | null,
 ): number | null {
-  if (!run || !job?.times_s.length || !isOf(job.program, run.program)) return null;
+  if (!run || !job?.times_s.length || !isOf(job.program, run)) return null;
   return run.ended === null || ["stopped", "fault"].includes(run.ended) ? run.time_s : null;
 }
 

@@ -26,7 +26,7 @@ const BROKEN = new Set(["stopped", "fault"]);
 /** Whether the last run can be continued: it was broken off, and its program is still the calculated one. */
 export function brokenOff(state: State): boolean {
   const run = state.progress;
-  return !!run && BROKEN.has(run.ended ?? "") && isOf(state.proven?.program ?? "", run.program);
+  return !!run && BROKEN.has(run.ended ?? "") && isOf(state.proven?.program ?? "", run);
 }
 
 /** How the last run ended, and its verdict, for the part of the page where the machine is operated. */

@@ -71,7 +71,7 @@ export function tensionInWords(figures: Figures, time_s: number): string {
 /** The facts of a state, one to a line. */
 export function facts(state: State, figures: Figures | null): string[] {
   const run = state.progress;
-  const own = run && figures && isOf(figures.program, run.program) ? figures : null;
+  const own = run && figures && isOf(figures.program, run) ? figures : null;
   const found: string[] = [];
   if (run && run.ended === null) {
     const turn = own && nextTurn(own, run.time_s);

@@ -110,7 +110,7 @@ export class LiveError {
       `${now}so far at most ${amount(told.worst_m, "m")} of ${amount(told.limit_m, "m")}, ${where}`,
     );
     put(by("error-told"), "className", beyond ? "wrong" : "");
-    const own = this.figures !== null && isOf(this.figures.program, run.program);
+    const own = this.figures !== null && isOf(this.figures.program, run);
     const line = own ? lineAt(this.figures, told.worst_s) : 0;
     put(by("error-line"), "hidden", line === 0);
     if (line) tell("error-line", `worst at line ${line}`);

@@ -342,7 +342,7 @@ function show(state: State | null): void {
   const knocks = state === null && session.link.refused !== "";
   put(by("token-row"), "hidden", !knocks);
   bar.tellState(state, knocks ? session.link.refused : "");
-  buttons.show(state, stale);
+  buttons.show(state, stale, state === null || silent > STALE_S);
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) {
     jogging.disarm();

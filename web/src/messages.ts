@@ -179,6 +179,7 @@ export interface Preview {
 export interface Progress {
   run: string;
   program: string;
+  file: string;
   time_s: number;
   duration_s: number;
   ended: string | null;

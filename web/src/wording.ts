@@ -129,9 +129,9 @@ export function worst(criteria: Criterion[]): Criterion[] {
   return [...found.values()].sort((a, b) => order(b) - order(a));
 }
 
-/** Whether a run is one of a program: runs of a TOML file have its name without the ending. */
-export function isOf(program: string, run: string): boolean {
-  return program === run || program.startsWith(`${run}.`);
+/** Whether a run is one of a program, by its file: a winding and a cycle have names of their own. */
+export function isOf(program: string, run: { file: string }): boolean {
+  return program === run.file;
 }
 
 /** A time for people: "0:07", "12:30", "2:05:00". */

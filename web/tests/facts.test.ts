@@ -8,7 +8,8 @@ import { extend } from "../src/steps";
 
 const run = (more: Partial<Progress> = {}): Progress => ({
   run: "1",
-  program: "a",
+  program: "small vessel",
+  file: "a.wind.toml",
   time_s: 2,
   duration_s: 10,
   ended: null,
@@ -31,7 +32,7 @@ const state = (progress: Progress | null, more: object = {}) =>
     ...more,
   }) as unknown as State;
 const figures = (more: object) =>
-  ({ program: "a", steps: [], turn_rounds: null, stitches: null, ...more }) as unknown as Figures;
+  ({ program: "a.wind.toml", steps: [], turn_rounds: null, stitches: null, ...more }) as unknown as Figures;
 const sewn = { stitches: { times_s: [1, 4, 7], number: [1, 2, 3], threads: [] } };
 
 describe("the next turn-round", () => {
@@ -126,20 +127,20 @@ describe("the last run", () => {
     expect(lastRun(state(run()))).toBeNull();
     expect(lastRun(state(run({ ended: "completed" })))!.text).toContain("Its verdict is being worked out.");
     const judged = lastRun(state(run({ ended: "completed", verdict: "IN SPEC (nominal)" })));
-    expect(judged).toEqual({ text: "a: completed. IN SPEC (nominal)", wrong: false });
+    expect(judged).toEqual({ text: "small vessel: completed. IN SPEC (nominal)", wrong: false });
     expect(lastRun(state(run({ ended: "stopped", verdict: "NOT PROVEN" })))!.wrong).toBe(true);
   });
 });
 
 describe("a run that was broken off", () => {
   const stopped = (more: object = {}) =>
-    state(run({ ended: "stopped" }), { proven: { program: "a" }, state: "idle", ...more });
+    state(run({ ended: "stopped" }), { proven: { program: "a.wind.toml" }, state: "idle", ...more });
   const known = { stitches: true, byHand: false, atStart: true };
   it("can be gone on with while its program is the calculated one", () => {
     expect(brokenOff(stopped())).toBe(true);
-    expect(brokenOff(stopped({ proven: { program: "a.seam.toml" } }))).toBe(true);
-    expect(brokenOff(stopped({ proven: { program: "ab.prg" } }))).toBe(false);
-    expect(brokenOff(state(run({ ended: "completed" }), { proven: { program: "a" } }))).toBe(false);
+    expect(brokenOff(stopped({ proven: { program: "small vessel" } }))).toBe(false);
+    expect(brokenOff(stopped({ proven: { program: "a.prg" } }))).toBe(false);
+    expect(brokenOff(state(run({ ended: "completed" }), { proven: { program: "a.wind.toml" } }))).toBe(false);
     expect(brokenOff(state(null))).toBe(false);
   });
   it("leads by sentences: idle, home, back", () => {

@@ -63,12 +63,12 @@ describe("the pace of a design", () => {
 
 describe("what is sewn", () => {
   it("ends where a run is, or was broken off; another program's run sews nothing of it", () => {
-    const run = (ended: string | null, program = "rosette") =>
-      ({ program, ended, time_s: 7 }) as unknown as Progress;
+    const run = (ended: string | null, file = "rosette.dst") =>
+      ({ program: "a rose", file, ended, time_s: 7 }) as unknown as Progress;
     const job = { program: "rosette.dst", times_s: [0, 10] };
     expect([null, "stopped", "fault"].map((ended) => sewnUntil(run(ended), job))).toEqual([7, 7, 7]);
     expect(sewnUntil(run("completed"), job)).toBeNull();
-    expect(sewnUntil(run("stopped", "badge"), job)).toBeNull();
+    expect(sewnUntil(run("stopped", "badge.dst"), job)).toBeNull();
     expect(sewnUntil(run(null), { program: "rosette.dst", times_s: [] })).toBeNull();
     expect([sewnUntil(null, job), sewnUntil(run(null), null)]).toEqual([null, null]);
   });

@@ -88,8 +88,9 @@ def _by_priority(
 ) -> Mapping[str, Any]:
     if content["priority"] == PROGRAMMED:
         return {}
-    options = words_of(content)
-    job = open_job(program_path(folder, str(content["program"])), machine, options)
+    path = program_path(folder, str(content["program"]))
+    options = words_of(content, path)
+    job = open_job(path, machine, options)
     spec = with_shaping(wanted, machine, options)
     return by_priority(str(content["priority"]), job, machine, spec, options, trials, _share)
 

@@ -306,6 +306,7 @@ class KeptRuns:
         self._progress = {
             "run": run.path.name,
             "program": plan.job.name,
+            "file": Path(plan.job.file).name,
             "time_s": self._left_out_s,
             "duration_s": plan.duration_s,
             "completed": self._completed.get(plan.job.name, 0),

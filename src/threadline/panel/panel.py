@@ -370,7 +370,7 @@ class Panel:
         progress, proven = self._owner.now.get("progress"), self.calculation.proven
         if progress is None or proven is None or progress.get("ended") is not None:
             return None
-        return float(progress["time_s"]) if progress["program"] == proven.program else None
+        return float(progress["time_s"]) if progress["file"] == proven.program else None
 
     def state(self) -> say.State:
         """Return the present state, without a number of its own."""

@@ -14,7 +14,7 @@ from threadline.base.reading import reading_within
 from threadline.commands.plan import Plan
 from threadline.errors import JobError, OptionError, Place
 from threadline.files.formats.common import atomic_file
-from threadline.jobs import FORMATS
+from threadline.jobs import FORMATS, own_product
 from threadline.jobs.operations import Job
 from threadline.jobs.seam.job import AXES as SEAM_AXES
 from threadline.machine import Machine
@@ -93,12 +93,15 @@ _BESIDE = (".svg", ".dxf", ".csv")
 """Drawings and tables that stand beside a program."""
 _MOST_LOOKED_AT = 4 << 20
 _SHARED = {
+    ".wind.toml": re.compile(rb"^[ \t]*(?:\[\[[ \t]*layer[ \t]*\]\]|layer[ \t]*=)", re.M),
+    ".seam.toml": re.compile(b""),
     ".toml": re.compile(rb"^[ \t]*(?:\[\[[ \t]*operation[ \t]*\]\]|operation[ \t]*=)", re.M),
     ".txt": re.compile(rb"^[ \t]*(?:%|/?[GMNO][ \t]*[0-9]|\[G-CODE GENERATED)", re.M | re.I),
 }
-"""Suffixes that are not for jobs alone, each with the lines that mark a job: a move list, and a
-part program."""
-_SEAM = "seam"
+"""Suffixes that other files have, too, and the words by which a job is known: the layers of a
+winding (a product without layers is no job), the operations of a move list, and the first words of
+a part program's lines. The first suffix that fits applies; every seam file is a job."""
+_SEAM, _WINDING = "seam", "winding"
 _PART_PROGRAMS = FORMATS[0].extensions
 _REALTIME = re.compile(rb"[?!~\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\xff]")
 """Bytes that a controller executes wherever they are, even in a comment."""
@@ -131,17 +134,20 @@ def _is_done(name: str, machine: Machine) -> bool:
     if known is None or known.name not in kind_of(machine).takes or name.endswith(_BESIDE):
         return False
     axes = machine.axes
+    if known.name == _WINDING:
+        return machine.tool is not None and machine.tool.kind == "eye"
     return known.name != _SEAM or all(a in axes and axes[a].kind == "linear" for a in SEAM_AXES)
 
 
 def _may_be_job(file: Path) -> bool:
     """Return whether a file with an ambiguous suffix looks like a job."""
-    ending = file.suffix.lower()
-    if ending not in _SHARED or file.name.lower().endswith(".seam.toml"):
+    name = file.name.lower()
+    words = next((words for ending, words in _SHARED.items() if name.endswith(ending)), None)
+    if words is None:
         return True
     try:
         with file.open("rb") as stream:
-            return bool(_SHARED[ending].search(stream.read(_MOST_LOOKED_AT)))
+            return bool(words.search(stream.read(_MOST_LOOKED_AT)))
     except OSError:
         return True  # the error appears when it is calculated
 
@@ -224,16 +230,21 @@ def _refuse_realtime(name: str, content: bytes) -> None:
             )
 
 
-def words_of(content: Mapping[str, Any]) -> Options:
+def words_of(content: Mapping[str, Any], program: Path | None = None) -> Options:
     """Return the options of a calculation from a client's request.
+
+    A ``program`` that is a winding is judged on its own product, unless the request names another.
 
     Raises
     ------
-    OptionError
-        If an option cannot be read.
+    InputError
+        If an option cannot be read, or the winding.
     """
     words = [one.word for one in options_for("panel", Door.PANEL, [Group.PLAN])]
-    return options_of(**{word: content[word] for word in words})
+    given = {word: content[word] for word in words}
+    if program is not None and given["product"] is None:
+        given["product"] = own_product(program)
+    return options_of(**given)
 
 
 def planned(folder: Path, content: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:
@@ -247,6 +258,6 @@ def planned(folder: Path, content: Mapping[str, Any], machine: Machine) -> tuple
         If the program cannot be read or planned.
     """
     with reading_within(folder):
-        options = words_of(content)
-        job = open_job(program_path(folder, str(content["program"])), machine, options)
-        return plan_job(job, machine, options), options
+        path = program_path(folder, str(content["program"]))
+        options = words_of(content, path)
+        return plan_job(open_job(path, machine, options), machine, options), options

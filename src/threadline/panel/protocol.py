@@ -325,6 +325,9 @@ class Progress(BaseModel):
 
     run: str
     program: str
+    """Name of the job, which a winding or a cycle gives itself."""
+    file: str
+    """Name of the job's file, as a request to calculate it gives it."""
     time_s: float
     duration_s: float
     ended: str | None = None

@@ -397,7 +397,7 @@ def _of_table(name: str) -> Target:
 
 KIND = Kind(
     name="ticks",
-    takes=("part program", "seam"),
+    takes=("part program", "seam", "winding"),
     commands=TickTable,
     intent=Motion,
     check=check_loops,
