@@ -7,7 +7,7 @@ import pytest
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.machine import load_machine
-from threadline.winding.thinning import LONGEST_M, STRAIGHT_M, Thinning, moves_of
+from threadline.winding.replay import LONGEST_M, STRAIGHT_M, Thinning, moves_of
 
 AXES, REACH_M = ("A", "X", "Y"), 0.05
 

@@ -19,9 +19,16 @@ from threadline.machine.tool import Tool
 from threadline.verdict.samples import Block, Setting
 from threadline.winding.laying import LAID
 from threadline.winding.product import Product, Ring, product_of_text
-from threadline.winding.replay import Fibre, Replay, eye_columns
+from threadline.winding.replay import (
+    LONGEST_M,
+    STRAIGHT_M,
+    Fibre,
+    Replay,
+    Thinning,
+    eye_columns,
+    moves_of,
+)
 from threadline.winding.surface import Surface
-from threadline.winding.thinning import LONGEST_M, STRAIGHT_M, Thinning, moves_of
 
 _FINE_M = 5e-4  # longest chord of the designed fibre
 _DRAWS = 20_000_717  # seed of the products within their tolerances
