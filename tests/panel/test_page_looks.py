@@ -115,6 +115,35 @@ def test_a_desk_at_twice_its_size_has_room_for_the_work(browser: Browser, plant:
     page.close()
 
 
+def test_a_hold_moves_nothing_and_the_decimal_points_are_in_line(
+    browser: Browser, plant: Plant
+) -> None:
+    """The next step of a held run has its place in the bar; A in degrees, X in millimetres."""
+    page = opened(browser, plant)
+    ready(page)
+    calculate(page)
+    press_until(page, "Start", "running")
+    tops = []
+    for text, name in (("Hold", "holding"), ("Resume", "running")):
+        press_until(page, text, name)
+        expect(page.locator("#next")).to_be_visible(visible=name == "holding")
+        tops.append(page.locator("#work").bounding_box())
+    assert tops[0] == tops[1]
+    for size in SIZES:
+        page.set_viewport_size({"width": size[0], "height": size[1]})
+        ends = set()
+        for axis in ("A", "X"):
+            digits, unit = (
+                page.locator(f"#{part}-{axis}").bounding_box() for part in ("digits", "unit")
+            )
+            number = page.locator(f"#at-{axis}").bounding_box()
+            assert digits is not None and unit is not None and number is not None
+            assert unit["x"] + unit["width"] <= number["x"] + number["width"] + 0.5  # not cut off
+            ends.add(round(digits["x"] + digits["width"]))
+        assert len(ends) == 1, size
+    page.close()
+
+
 def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
     browser: Browser, plant: Plant
 ) -> None:

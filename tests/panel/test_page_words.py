@@ -52,9 +52,11 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
     expect(page.locator("#log li", has_text=re.compile("  stopped by"))).to_have_count(1)
     once = re.compile(r"^stopped by the operator\. NOT PROVEN: it did not reach its end$")
     expect(page.locator("#progress-text")).to_contain_text(once)
+    expect(page.locator("#last-run-told")).to_have_class("verdict")
+    expect(page.locator(".wrong", has_text="not proven")).to_have_count(0)
     part(page, "Review")
     for told in ("stopped by the operator", "not proven"):
-        expect(page.locator("#kept tbody td", has_text=told)).to_have_count(1)
+        expect(page.locator("#kept tbody td:not(.wrong)", has_text=told)).to_have_count(1)
     page.close()
 
 

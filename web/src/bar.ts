@@ -69,7 +69,9 @@ export class Bar {
     if (told === this.chip) return;
     this.chip = told;
     by("state").title = why;
-    by("state").replaceChildren(made("b", word), ...(why ? [`: ${why}`] : []));
+    const colon = made("span", ": "); // read aloud only: the reason stands under the chip
+    colon.className = "unseen";
+    by("state").replaceChildren(made("b", word), ...(why ? [colon, why] : []));
   }
 
   /** Show the program and its line, and the time left; return the line under way, 0 for none. */
@@ -91,7 +93,8 @@ export class Bar {
         ? figures.duration_s
         : null;
     tell("time-left", left === null ? "–" : clock(left));
-    tell("left-told", runs ? "time left" : program && left === null ? "not calculated" : "duration");
+    const whole = state.feed_percent === 100 ? `left of ${clock(run?.duration_s ?? 0)}` : "time left";
+    tell("left-told", runs ? whole : program && left === null ? "not calculated" : "duration");
     const sewn = runs && own ? stitchesAMinute(figures, run.time_s, state.feed_percent) : null;
     this.tellFeed(state, sewn);
     this.tellOverride(state, runs);

@@ -6,7 +6,7 @@ import type { Program } from "./program";
 import type { Session } from "./session";
 import { toldRun } from "./session";
 import type { Kept } from "./traces";
-import { isOf } from "./wording";
+import { inTrouble, isOf } from "./wording";
 
 /** How the rest of a run is prepared, with the places that the machine's work has. */
 export function hintOf(known: { cylinders: unknown[]; embroiders: boolean }): string {
@@ -34,8 +34,8 @@ export function lastRun(state: State): { text: string; wrong: boolean } | null {
   const run = state.progress;
   if (!run || run.ended === null) return null;
   const judged = run.verdict !== "";
-  const text = judged ? toldRun(run) : `${toldRun(run)} Its verdict is being worked out.`;
-  return { text, wrong: judged && !run.verdict.startsWith("IN SPEC") };
+  const text = judged ? toldRun(state) : `${toldRun(state)} Its verdict is being worked out.`;
+  return { text, wrong: inTrouble(run) };
 }
 
 /** The next step to continue a broken-off run, in a sentence. */

@@ -169,6 +169,7 @@ export class Curves {
         planned.push(this.planned[1][k]);
       });
     }
+    this.above.toggleAttribute("data-empty", times.length === 0);
     const difference = measured.map((m, k) => {
       const c = commanded[k];
       return typeof m !== "number" || typeof c !== "number" ? null : m - c;

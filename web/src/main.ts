@@ -19,11 +19,12 @@ import { nextStep, type Step } from "./next_step";
 import { OwnButtons } from "./own_buttons";
 import { Positions } from "./positions";
 import { Program } from "./program";
-import { Session, toldRun, unitOf } from "./session";
+import { measuresNothing, Session, toldRun, unitOf } from "./session";
 import { Teach } from "./teach";
 import { filterLog, note, say } from "./toasts";
 import { Traces } from "./traces";
 import { View } from "./view";
+import { inTrouble } from "./wording";
 
 const STALE_S = 0.5;
 const USUAL_S = 0.2;
@@ -246,10 +247,10 @@ function tellEnds(state: State): void {
   const run = state.progress;
   const wrong = ["fault", "gone"].includes(state.state);
   const fault = wrong ? `${state.state}: ${state.why}` : "";
-  const end = run?.ended && run.verdict ? toldRun(run) : "";
+  const end = run?.ended && run.verdict ? toldRun(state) : "";
   // In Run the bar and the list of events show it, so that no message covers the machine.
   const tellEnd = document.body.dataset.part === "run" ? note : say;
-  if (end !== toldEnd && end) tellEnd(end, !run!.verdict.startsWith("IN SPEC"));
+  if (end !== toldEnd && end) tellEnd(end, inTrouble(run!));
   if (fault !== toldFault && fault) say(fault, true);
   [toldEnd, toldFault] = [end, fault];
 }
@@ -293,11 +294,7 @@ function tellControl(state: State): void {
 
 /** Hide the difference of the measured position on a link that measures none. */
 function tellMeasured(state: State): void {
-  const places = Object.values(state.axes);
-  const blind =
-    places.some((at) => at.commanded !== null) &&
-    !places.some((at) => at.measured !== null || at.load !== null);
-  put(by("measured-minus"), "hidden", blind);
+  put(by("measured-minus"), "hidden", measuresNothing(state));
 }
 
 let lineNow = 0; // the line under way

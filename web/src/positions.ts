@@ -20,11 +20,16 @@ export class Positions {
     const head = made("th", name);
     const cell = made("td");
     const at = made("span");
+    const digits = made("span");
+    const unit = made("small");
     const more = made("small");
     const axis = this.session.axes.find((one) => one.name === name);
     head.scope = "row";
     at.id = `at-${name}`;
     at.className = "number";
+    digits.id = `digits-${name}`;
+    unit.id = `unit-${name}`; // in a column of its own, so that the decimal points of the axes are in line
+    at.append(digits, unit);
     more.id = `more-${name}`;
     more.className = "more";
     cell.className = "place";
@@ -52,7 +57,8 @@ export class Positions {
       const where = at.measured ?? at.load ?? at.commanded;
       const own = this.session.axes.find((axis) => axis.name === name);
       const unknown = unknownPlace(own === undefined && isHomed(state.state));
-      tell(`at-${name}`, where === null ? unknown : `${shown(where * scale)} ${unit}`);
+      tell(`digits-${name}`, where === null ? unknown : shown(where * scale));
+      tell(`unit-${name}`, where === null ? "" : ` ${unit}`);
       put(by(`at-${name}`), "className", where === null ? "number unknown" : "number");
       if (!more) continue;
       const commanded = at.commanded === null || where === null ? null : at.commanded * scale;

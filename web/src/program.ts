@@ -7,7 +7,7 @@ import type { Session } from "./session";
 import { toldEnd, toldRun, unitOf } from "./session";
 import { note, say } from "./toasts";
 import { tellVerdict } from "./verdict";
-import { isOf, timeOfDay } from "./wording";
+import { inTrouble, isOf, timeOfDay } from "./wording";
 
 type Field = HTMLInputElement | HTMLSelectElement;
 
@@ -300,22 +300,25 @@ export class Program {
     const run = state.progress;
     const share = state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0);
     put(by<HTMLProgressElement>("progress"), "value", Math.round(share * SHARES) / SHARES);
-    const text = this.progressText(state);
-    tell("progress-text", text);
-    put(by("progress-text"), "title", run?.ended ? text : ""); // a narrow bar cuts the end of a run off
-    const judged = run?.ended && state.calculating === null && run.verdict;
-    put(by("progress-text"), "className", judged && !run.verdict.startsWith("IN SPEC") ? "wrong" : "");
+    const [percent, more] = this.progressText(state);
+    tell("percent", percent);
+    tell("progress-more", more);
+    put(by("progress-text"), "title", run?.ended ? more : ""); // a narrow bar cuts the end of a run off
+    const wrong = !!run?.ended && state.calculating === null && inTrouble(run);
+    put(by("progress-text"), "className", wrong ? "wrong" : "");
   }
 
-  private progressText(state: State): string {
-    if (state.calculating !== null) return `calculating, ${Math.round(state.calculating * 100)} %`;
+  /** The share of a run that is done, and what stands behind it. */
+  private progressText(state: State): [string, string] {
+    if (state.calculating !== null) return ["", `calculating, ${Math.round(state.calculating * 100)} %`];
     const run = state.progress;
-    if (!run) return "";
-    if (run.ended) return isOf(state.proven?.program ?? "", run) ? toldEnd(run) : toldRun(run);
+    if (!run) return ["", ""];
+    if (run.ended)
+      return ["", isOf(state.proven?.program ?? "", run) ? toldEnd(state) : toldRun(state)];
     const left = (Math.max(run.duration_s - run.time_s, 0) * 100) / state.feed_percent;
     const percent = Math.floor((100 * Math.min(run.time_s, run.duration_s)) / run.duration_s);
     const ends = state.state === "running" && left >= LONG_S ? `, ends at ${timeOfDay(left)}` : "";
-    return `${percent} %${ends}`;
+    return [`${percent} %`, ends];
   }
 
   /** Whether a start lacks its reason to run out of specification. */

@@ -2,8 +2,8 @@
 
 import { deviceName } from "./device";
 import { Link } from "./link";
-import type { Axis, Cylinder, Figures, FromPanel, Progress, State, Welcome } from "./messages";
-import { verdictOfRun } from "./wording";
+import type { Axis, Cylinder, Figures, FromPanel, State, Welcome } from "./messages";
+import { verdictOfBlindRun, verdictOfRun } from "./wording";
 
 const RENEW_MS = 80;
 const [LEAST_PERCENT, MOST_PERCENT] = [10, 100]; // the panel refuses more
@@ -177,13 +177,23 @@ export function endOf(ended: string, why: string): string {
   return why === "" ? ended : why.startsWith(ended) ? why : `${ended}: ${why}`;
 }
 
-/** How a run of this panel ended, with its verdict, if there is one. */
-export function toldRun(run: Progress): string {
-  return `${run.program}: ${toldEnd(run)}`;
+/** Whether a machine tells its commands, and measures none of its positions. */
+export function measuresNothing({ axes }: Pick<State, "axes">): boolean {
+  const places = Object.values(axes);
+  return (
+    places.some((at) => at.commanded !== null) &&
+    !places.some((at) => at.measured !== null || at.load !== null)
+  );
+}
+
+/** How the last run of this panel ended, with its verdict, if there is one. */
+export function toldRun(state: State): string {
+  return `${state.progress!.program}: ${toldEnd(state)}`;
 }
 
 /** The same without the name of its program, for a place that names it already. */
-export function toldEnd({ ended, why, verdict }: Progress): string {
-  const words = verdictOfRun(verdict);
+export function toldEnd(state: State): string {
+  const { ended, why, verdict } = state.progress!;
+  const words = measuresNothing(state) ? verdictOfBlindRun(verdict) : verdictOfRun(verdict);
   return `${endOf(ended ?? "", why !== "" && words.includes(why) ? "" : why)}. ${words}`.trim();
 }

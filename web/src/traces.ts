@@ -9,6 +9,7 @@ import type { Session } from "./session";
 import { endOf, unitOf } from "./session";
 import { onTheme } from "./theme";
 import { say } from "./toasts";
+import { clock, inTrouble } from "./wording";
 
 export interface Kept {
   run: string;
@@ -19,6 +20,8 @@ export interface Kept {
   verdict: string;
 }
 const IN_SPEC = "in spec";
+const LONG_S = 60; // from here on minutes are easier to read
+const BEGUN = new Intl.DateTimeFormat([], { dateStyle: "medium", timeStyle: "short" });
 const MOST_PICTURES = 12; // of the latest runs: each is read from its recording
 
 /** Whether a run is one of those that the operator filters by words and verdict. */
@@ -38,7 +41,7 @@ export function matches(one: Kept, words: string, only: string): boolean {
 /** The time of a trace over which its program ran: "12.3 s"; empty if it is not known. */
 function lasted(trace: Pick<Trace, "times_s">): string {
   const last = trace.times_s[trace.times_s.length - 1];
-  return last === undefined ? "" : `${last.toFixed(1)} s`;
+  return last === undefined ? "" : last < LONG_S ? `${last.toFixed(1)} s` : clock(last);
 }
 
 export class Traces {
@@ -158,12 +161,14 @@ export class Traces {
     const known = this.seen.get(one.run);
     name.append(pictureOf(known?.picture), choose);
     const verdict = made("td", one.verdict === one.ended ? "" : one.verdict);
-    if (one.verdict !== IN_SPEC && one.verdict !== "not judged") verdict.className = "wrong";
+    if (inTrouble(one)) verdict.className = "wrong";
     const begun = new Date(one.started);
-    const when = Number.isNaN(begun.getTime()) ? one.started : begun.toLocaleString();
+    const when = Number.isNaN(begun.getTime()) ? one.started : BEGUN.format(begun);
     const time = made("td", known?.lasted ?? "");
     time.className = "amount";
-    row.append(name, made("td", when), time, made("td", endOf(one.ended, one.text)), verdict);
+    const end = made("td", endOf(one.ended, one.text));
+    if (one.ended === "fault") end.className = "wrong";
+    row.append(name, made("td", when), time, end, verdict);
     return row;
   }
 

@@ -110,6 +110,17 @@ export function verdictOfRun(closing: string): string {
   return verdictWords(short.replace(/\((?:nominal|repeated): 1 run; /, "("));
 }
 
+/** The verdict of a run of a machine that measures nothing: it says so in place of a list of criteria. */
+export function verdictOfBlindRun(closing: string): string {
+  const why = "nothing was measured, because this controller reports commanded positions only";
+  return verdictOfRun(closing).replace(/(^NOT PROVEN[^:]*): [^;]+ (?:was|were) not measured/, `$1: ${why}`);
+}
+
+/** Whether a run ended in trouble: out of spec, by a fault, or without a judge. NOT PROVEN is none of these. */
+export function inTrouble(run: { ended: string | null; verdict: string }): boolean {
+  return run.ended === "fault" || /^(OUT|out|NOT JUDGED)/.test(run.verdict);
+}
+
 /** The used share of a limit; null where there is none. */
 export function used(one: Criterion): number | null {
   if (one.measured === null || one.limit === null || one.limit === 0) return null;

@@ -24,6 +24,7 @@ const run = (more: Partial<Progress> = {}): Progress => ({
 const state = (progress: Progress | null, more: object = {}) =>
   ({
     progress,
+    axes: {},
     readings: {},
     feed_percent: 100,
     state: "running",
@@ -128,7 +129,9 @@ describe("the last run", () => {
     expect(lastRun(state(run({ ended: "completed" })))!.text).toContain("Its verdict is being worked out.");
     const judged = lastRun(state(run({ ended: "completed", verdict: "IN SPEC (nominal)" })));
     expect(judged).toEqual({ text: "small vessel: completed. IN SPEC (nominal)", wrong: false });
-    expect(lastRun(state(run({ ended: "stopped", verdict: "NOT PROVEN" })))!.wrong).toBe(true);
+    expect(lastRun(state(run({ ended: "completed", verdict: "OUT OF SPEC" })))!.wrong).toBe(true);
+    expect(lastRun(state(run({ ended: "stopped", verdict: "NOT PROVEN" })))!.wrong).toBe(false);
+    expect(lastRun(state(run({ ended: "fault" })))!.wrong).toBe(true);
   });
 });
 

@@ -1,12 +1,13 @@
 import { describe, expect, it } from "vitest";
 import { feedOf, placeInWords } from "../src/bar";
 import { extentInWords } from "../src/extent";
-import type { Criterion, Figures, Progress } from "../src/messages";
+import type { Criterion, Figures, Progress, State } from "../src/messages";
 import { toldEnd } from "../src/session";
 import {
   amount,
   before,
   clock,
+  inTrouble,
   sentence,
   timeOfDay,
   used,
@@ -61,8 +62,30 @@ describe("what a program has", () => {
 describe("the end of a run", () => {
   it("says once who stopped it, and no number that nobody knows", () => {
     const verdict = "NOT PROVEN (nominal: 1 run): the run ended in operation 177, stopped by the operator";
-    const run = { ended: "stopped", why: "stopped by the operator", verdict } as Progress;
-    expect(toldEnd(run)).toBe("stopped by the operator. NOT PROVEN: it did not reach its end");
+    const progress = { ended: "stopped", why: "stopped by the operator", verdict } as Progress;
+    expect(toldEnd({ progress, axes: {} } as State)).toBe(
+      "stopped by the operator. NOT PROVEN: it did not reach its end",
+    );
+  });
+  it("says where nothing was measured, in place of the criteria that were not", () => {
+    const lacks = "contour error and progress error were not measured";
+    const verdict = `NOT PROVEN (nominal: 1 run): ${lacks}; Judged as one with what 7 did`;
+    const progress = { ended: "completed", why: "", verdict } as Progress;
+    const told = (measured: number | null) =>
+      toldEnd({ progress, axes: { X: { commanded: 1, measured, load: null } } } as unknown as State);
+    expect(told(1)).toBe(`completed. NOT PROVEN: ${lacks}; Judged as one with what 7 did`);
+    expect(told(null)).toBe(
+      "completed. NOT PROVEN: nothing was measured, because this controller reports commanded positions only; Judged as one with what 7 did",
+    );
+  });
+  it("is trouble out of spec, after a fault or without a judge, and not where it is not proven", () => {
+    const wrong = (verdict: string, ended = "completed") => inTrouble({ ended, verdict });
+    for (const verdict of ["OUT OF SPEC (nominal)", "out of spec", "NOT JUDGED: no disk"])
+      expect(wrong(verdict), verdict).toBe(true);
+    for (const verdict of ["IN SPEC", "in spec", "NOT PROVEN: x", "not proven", "LIMITS KEPT", "not judged"])
+      expect(wrong(verdict), verdict).toBe(false);
+    expect(wrong("NOT PROVEN: it did not reach its end", "fault")).toBe(true);
+    expect(wrong("NOT PROVEN: it did not reach its end", "stopped")).toBe(false);
   });
 });
 
