@@ -115,10 +115,7 @@ def test_the_worst_margins_are_those_of_the_worst_of_all_corners():
 
 def test_a_loop_that_is_unstable_on_some_machines_says_so():
     machine = load_machine("lathe-winder")
-    gains = {
-        "kp": 8.39,
-        "ki": 0.915,
-    }  # stable for the file's numbers alone
+    gains = {"kp": 8.39, "ki": 0.915}  # stable for the file's numbers alone
     found = spread_of(machine, "X").worst("pi", gains)
     assert margins("pi", gains)[1] > 0.0
     assert not found.stable and found.phase_margin_deg < 0.0
