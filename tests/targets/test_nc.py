@@ -199,7 +199,7 @@ def passes(count: int, *words: str, feed: int | None = None) -> list[OutBlock]:
 
 
 def test_bodies_that_are_held_together_are_not_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What does not fit beside those that are held is written out, and what still fits is held."""
+    """A body that does not fit beside those kept is written out; a body that still fits is kept."""
     monkeypatch.setattr(nc, "_MAX_KEPT", 5)
     first, second = passes(2, "X1", "X2", "X3"), passes(2, "X4", "X5", "X6")
     assert written([*first, *second, *passes(2, "X7", "X8")]) == [2, *[0] * 6, 2]
