@@ -138,7 +138,7 @@ def test_fluidnc_rounds_within_its_functions(tmp_path: Path, xyza: Machine) -> N
 
 
 def test_fluidnc_breaks_repeats_and_uses_labels_again(tmp_path: Path, xyza: Machine) -> None:
-    """As in its examples/gcode_conditionals_test.nc, of which all 59 tests pass here."""
+    """FluidNC's own examples/gcode_conditionals_test.nc does so; all its 59 tests pass here."""
     text = (
         "#101=0 (a) )\no9 repeat [5] ; (a\no7 if [#101 EQ 2]\no9 break\no7 endif\n"
         "#101=[#101+1]\nG0 X#101\no9 endrepeat\no7 if [EXISTS[_what] EQ 0]\nG0 Y1\no7 endif\n"

@@ -65,7 +65,7 @@ def blocks(draw: st.DrawFn) -> str:
 
 @st.composite
 def programs(draw: st.DrawFn) -> str:
-    """A main program with calls of two subroutines, one of which calls the other."""
+    """A main program calls two subroutines, and one of these calls the other."""
     body = st.lists(blocks(), min_size=1, max_size=6)
     lines = ["%", "O 7", *draw(body), "M99", "O 8", *draw(body)]
     lines += [f"M98 P7 L{draw(st.integers(1, 2))}", *draw(body), "M99", "O 1", "G91 G1 F600 A1"]

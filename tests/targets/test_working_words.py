@@ -39,7 +39,7 @@ PEN = (
     "G21\nG92 X0 Y0\nM300 S30\nG4 P150\nM18\nM17\nG1 X10 Y2 F3500\nM117 half way\nM300 S30.00\n"
     "G4 P150\nG0 X12 Y9 F6000\nM106 S255\nG1 X14\nM280 P0 S90\nG28 X\nM84\n"
 )
-NEAR_MM = 0.11  # the tolerance of the plan, and that of its chords
+NEAR_MM = 0.11  # the plan's tolerance plus its chords' tolerance
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The targets by name: what they write, what they refuse, and the part program of a plan."""
+"""The targets by name, their files and refusals, and the part program of a plan."""
 
 from __future__ import annotations
 

@@ -210,7 +210,7 @@ def compiled(folder: Path, lines: list[str], rotary: str, target: str) -> list[s
 def compiled_with(
     folder: Path, lines: list[str], rotary: str, target: str, dialect: str, axes: str = ""
 ) -> list[str]:
-    """Return what ``compiled`` returns, of a program in any dialect."""
+    """Return the result of ``compiled`` for a program in any dialect."""
     planned(folder, GRBL, lines, rotary, dialect, axes)
     out = folder / "out.gcode"
     words = ["compile", str(folder / "job.nc"), "-m", str(folder / "measured.toml")]

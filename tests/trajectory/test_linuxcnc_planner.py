@@ -81,7 +81,7 @@ SQUARE = "G1 F3000 X40\nY40\nX0\nY0\nX40\nY40\n"
 
 
 def bends() -> str:
-    """Twenty moves of X and Y of half a millimetre to three, some of which almost go back."""
+    """Twenty moves of -2 to 3 mm along each of X and Y; some almost go back."""
     rng, lines, x, y = random.Random(12), ["G1 F3000"], 0.0, 0.0
     for _ in range(20):
         x, y = x + rng.uniform(-2.0, 3.0), y + rng.uniform(-2.0, 3.0)

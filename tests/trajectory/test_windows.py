@@ -1,6 +1,6 @@
 """Runs planned some pieces at a time: as fast as in one, and without a step in between.
 
-The motion is compared with that of the whole run, which the same solver plans without a window, and
+The tests compare the motion with a plan of the whole run by the same solver without a window, and
 with its limits at random instants.
 """
 
