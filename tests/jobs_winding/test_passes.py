@@ -88,7 +88,7 @@ def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect
 
 
 def test_both_programs_of_one_winding_move_alike(tmp_path: Path, examples: Path) -> None:
-    """The times of the moves too, and the size: at most a twentieth of all moves written out."""
+    """Targets and feeds agree, and the program has less than 5 bytes per move of the winding."""
     product, program = examples / "vessel.wind.toml", tmp_path / "vessel.prg"
     assert run("wind", product, "-m", "lathe-winder", "-o", program) == 0
     machine = load_machine("lathe-winder")
@@ -168,7 +168,7 @@ def test_a_firmware_without_subprograms_is_named(
 @pytest.mark.long(but="linuxcnc")
 @pytest.mark.parametrize("target", ["nc", "linuxcnc", "fanuc"])
 def test_compile_writes_passes_too(tmp_path: Path, target: str) -> None:
-    """The same bytes as ``wind -o``, after the limits of the plan were checked."""
+    """It writes the same bytes as ``wind -o``, but checks the limits of the plan first."""
     product = tmp_path / "short.wind.toml"
     short = TUBE.partition('[[layer]]\nangle = "50 deg"')[0]
     product.write_text(short.replace("circuits = 30", "circuits = 30\nshift = 7"))
