@@ -31,7 +31,7 @@ def planned(job: Path, contour_m: float | None, machine: str = "lathe-winder") -
 def driven(plan: Plan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return times, places of X in m, and levels in V, of a loop that is written out here.
 
-    One inertia behind a winding without inductance: the speed approaches that of the voltage by
+    One inertia behind a winding without inductance: the speed approaches the voltage's by
     exp(-t / tau), and the way is the exact integral. PD with whole counts, levels of the DAC, and 0
     V at the first tick after a reversal, as the thesis describes its card.
     """

@@ -49,7 +49,7 @@ SOURCE = Path(threadline.__file__).parent
 
 @pytest.fixture(scope="module")
 def elsewhere() -> Iterator[ProcessPoolExecutor]:
-    """A process that was started anew, which has only what it is sent."""
+    """A freshly started process knows only the data that it is sent."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         yield pool
 

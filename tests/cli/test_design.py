@@ -127,7 +127,7 @@ def test_the_work_goes_on_with_what_was_found(
 
 
 def test_none_within_the_bounds(capsys: pytest.CaptureFixture[str], files: Path) -> None:
-    """If belts may only be softer there is none: exit status 1, the criterion, and no file."""
+    """If belts may only be softer, no design passes: exit status 1, the criterion, and no file."""
     seam, out = str(files / "corner.seam.toml"), files / "found.toml"
     code, text, _ = run(
         capsys, "design", seam, "-m", str(files / "stuck.toml"), "-s", str(PLACE), "-o", str(out)

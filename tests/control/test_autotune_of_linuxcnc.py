@@ -1,7 +1,8 @@
 """LinuxCNC's ``pid`` tunes itself on a plant of HAL's components; Threadline tunes the same plant.
 
 It swings the plant by a relay (Astrom and Hagglund, 1984), whose first harmonic gives the ultimate
-gain: exact to a fifth on a plant of third order. Its gains follow by Ziegler and Nichols's rule.
+gain, exact to a fifth on a plant of third order. Its gains follow by the rule of Ziegler and
+Nichols.
 """
 
 from __future__ import annotations

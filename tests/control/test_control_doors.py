@@ -1,4 +1,4 @@
-"""``threadline control`` and ``tl.control``: one door, and nothing half written."""
+"""``threadline control`` and ``tl.control``: the same result, and no half-written file."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_rules_for_one_error_refuse_a_designed_machine_in_words(designed, capsys
 
 
 def test_outputs_never_replace_what_the_call_reads(tmp_path):
-    """As on the command line: machine files, data and jobs stay as they are."""
+    """As on the command line: machine files, data and jobs are not overwritten."""
     own, sweep = tmp_path / "own.toml", tmp_path / "sweep.toml"
     own.write_text('base = "stitcher"\nname = "own"\n')
     root = Path(__file__).parents[2] / "examples"
@@ -139,7 +139,7 @@ def test_outputs_never_replace_what_the_call_reads(tmp_path):
 def test_a_sweep_of_a_designed_machine_finds_the_plant_that_the_old_controller_finds(
     designed, tmp_path
 ):
-    """The response from volts to counts is the plant's, whatever controller made the volts."""
+    """The response from volts to counts belongs to the plant, with any controller."""
     own, other = (
         tl.measure(machine, "X", band="2 Hz, 20 Hz").response
         for machine in ("lathe-winder", str(designed))
@@ -147,7 +147,7 @@ def test_a_sweep_of_a_designed_machine_finds_the_plant_that_the_old_controller_f
     assert own is not None and other is not None
     np.testing.assert_allclose(other.frequency_hz, own.frequency_hz)
     apart = np.abs(other.value / own.value - 1.0)
-    assert np.median(apart) < 0.02 and apart.max() < 0.1  # the rounding of the DAC is the rest
+    assert np.median(apart) < 0.02 and apart.max() < 0.1  # the DAC's rounding
 
 
 def test_a_sweep_is_refused_where_volts_are_seen_at_some_ticks_only(tmp_path, capsys):

@@ -97,7 +97,7 @@ def test_volts_of_the_inverse_drive_the_plant_along_the_motion(axis):
 
 
 def load_error(machine, axis, reference_si, start_s, motion):
-    """Largest distance of the load from the motion, sampled loop with references held 1 ms."""
+    """Return the largest distance of the load from the motion, with references held for 1 ms."""
     loop = axis_loop(machine, axis)
     closed = loop.closed()
     ticks = int((len(reference_si) - 1) * 1e-3 / loop.period_s)
@@ -120,7 +120,7 @@ def test_the_loop_follows_to_the_micrometre(axis):
     assert plain > 2e-3
     assert made.bound_by == "current" and made.within_limits
     assert 0.5 * made.current_limit_a < made.peak_current_a < made.current_limit_a
-    # Each millisecond of preview counts: a reference that is one tick late is far off.
+    # Each millisecond of preview counts: a reference one tick late is far off.
     late = np.concatenate([made.reference_si[:1], made.reference_si[:-1]])
     assert load_error(machine, axis, late, made.start_s, motion) > 50e-6
 
@@ -153,7 +153,7 @@ def test_the_quantised_machine_follows_too():
         recording = simulate(table, machine, settle_s=0.01)
         for axis in "XY":
             times, load = recording.samples(f"{axis}.load")
-            # A row moves during its tick: what it leads to is due one tick later.
+            # A row moves during its tick: its end is due one tick later.
             errors[kind, axis] = np.abs(load - motion(times + start - 1e-3)).max()
             assert np.abs(recording.samples(f"{axis}.current_peak")[1]).max() < 27
     for axis in "XY":
@@ -162,7 +162,7 @@ def test_the_quantised_machine_follows_too():
 
 
 def test_errors_of_the_model_show():
-    """A mass 10 % off is felt, and no more than in proportion: still better than without."""
+    """A mass 10 % off has an effect, at most in proportion: still better than without."""
     machine = load_machine("stitcher")
     motion = smooth_motion(*trapezoid(), WIDTHS)
     wrong = Values.of(machine, {"bodies.x_head.inertia": np.array([1.1 * 111])})

@@ -1,4 +1,4 @@
-"""Lead filters: the printed ones come back from their crossovers and margins."""
+"""Lead filters: the printed ones follow from their crossovers and margins."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PRINTED = {
 def test_printed_filters_come_back(where, printed):
     """From the printed filter's own crossover and margin, started from another filter.
 
-    B is given where it is not at the chip's limit: two wishes leave one of three numbers open.
+    B is given unless it is at the chip's limit: two wishes leave one of three numbers open.
     """
     machine = load_machine(where[0])
     controller = where[1].lower()
@@ -47,7 +47,7 @@ def test_printed_filters_come_back(where, printed):
     assert found.gain == pytest.approx(gain, rel=0.1)
     assert 1 - found.zero == pytest.approx(1 - zero, rel=0.1)
     assert found.pole == pytest.approx(pole, rel=0.1)
-    # Whatever B is, the filter does the same: 5 % in gain at ten times the crossover.
+    # With any B the filter does the same: 5 % in gain at ten times the crossover.
     default = design_lead(loop, worst.omega_rad_s / (2 * np.pi), worst.phase_margin_deg)
     omega = worst.omega_rad_s * np.geomspace(0.1, 10, 50)
     z = np.exp(1j * omega * default.period_s)
@@ -82,7 +82,7 @@ def test_lead_needed_at_25_hz(axis, printed, ours):
     name=st.sampled_from(["stitcher-rigid", "stitcher-rigid-half-mass"]),
 )  # fmt: skip
 def test_designs_have_what_was_asked(crossover, margin, axis, name):
-    """The loop closed with the design, on its own frequency response: gain 1, the margin."""
+    """The loop is closed with the design, on its own frequency response: gain 1, the margin."""
     machine = load_machine(name)
     try:
         found = design_lead(axis_loop(machine, axis), crossover, margin)

@@ -1,4 +1,4 @@
-"""What a DAC that loses the first tick after a reversal puts out, by its rule written anew here."""
+"""The output of a DAC that loses the first tick after a reversal, by its rule written anew."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NUMERATOR = np.array([3 * COUNT_V, -2 * COUNT_V])  # 0.05 V for a count of the s
 
 
 def put_out(levels: np.ndarray) -> np.ndarray:
-    """The printed rule: no output where the sign is not that of the tick before."""
+    """The printed rule: no output if the sign differs from the previous tick."""
     out, last = [], 0.0
     for level in levels.tolist():
         last = 0.0 if level * last < 0.0 else level
@@ -36,7 +36,7 @@ def levels_for(volts: np.ndarray, run: int = 10_000) -> np.ndarray:
 
 
 def wave(random: np.random.Generator, ticks: int = 400) -> np.ndarray:
-    """Volts as a motion asks for: some sines, of 8 ticks a period at the fastest."""
+    """Return volts of a motion: some sines, the fastest with 8 ticks a period."""
     t = np.arange(ticks)
     return sum(
         random.uniform(0.5, 3.0) * np.sin(2 * np.pi * t / random.uniform(8, 80) + phase)
@@ -45,9 +45,9 @@ def wave(random: np.random.Generator, ticks: int = 400) -> np.ndarray:
 
 
 def moved(error: np.ndarray) -> float:
-    """How far a load of a double integrator is moved by volts that it should not get.
+    """Return the motion of a double integrator by the wrong part of its volts.
 
-    It is held by a loop that forgets a half in five ticks.
+    A loop that forgets a half in five ticks holds it.
     """
     position = velocity = worst = 0.0
     for volt in error.tolist():
@@ -59,7 +59,7 @@ def moved(error: np.ndarray) -> float:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_what_is_lost_is_given_to_its_neighbours(seed: int) -> None:
-    """A load is moved less than a third of what the plain levels move it, in the mean."""
+    """A load moves less than a third as far as with the plain levels, on average."""
     random = np.random.default_rng(seed)
     plain = better = 0.0
     for _ in range(20):
@@ -104,7 +104,7 @@ def test_the_winders_job_repeats_at_all_that_its_drives_have(
 ) -> None:
     """In spec in twenty runs without any search; without the rule it repeats to 0.2 mm.
 
-    Two counts of X are 0.036 mm; 0.1 mm are asked for.
+    Two counts of X are 0.036 mm, and the limit is 0.1 mm.
     """
     winder = load_machine(machine)
     job = read_job(examples / "cone-dome-cylinder.prg", winder)

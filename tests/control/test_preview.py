@@ -1,4 +1,4 @@
-"""The streaming inverse against the one in a piece, whose equations are tested with DOP853."""
+"""The streaming inverse, compared with the inverse in one piece, which DOP853 tests."""
 
 from __future__ import annotations
 
@@ -71,9 +71,9 @@ def test_filters_without_a_stable_inverse_are_refused(tmp_path):
 def test_damped_belts_are_followed_however_fast_their_zero_decays(tmp_path, damping):
     """The zero k/c of the belt times the controller's tick: 17, 4.2 and 0.42.
 
-    The sampled loop under these references stays within 2.5 um (1.5 um without damping; 2 to 3 mm
-    without feed-forward): the volts are what is left of two large terms, so that an inverse that
-    is off by a share is off by metres.
+    With these references the sampled loop stays within 2.5 um (1.5 um without damping; 2 to 3 mm
+    without feed-forward): the volts are the difference of two large terms, so a small relative
+    error of the inverse means metres.
     """
     file = tmp_path / "damped.toml"
     file.write_text(

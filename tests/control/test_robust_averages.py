@@ -1,4 +1,4 @@
-"""Averages that leave many machines without ringing, against simulations of other code."""
+"""Averages that leave many machines without ringing, compared with independent simulations."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def change(stop: bool) -> ChangeOfSpeed:
 
 
 def believed_and(factor: float) -> tuple[list[float], list[float]]:
-    """Return a mode in place of the one that the inverse takes away, as polynomials in s."""
+    """Return a mode in place of the one that the inverse cancels, as polynomials in s."""
     w = MODE * factor
     zeros = [1.0 / MODE**2, 2.0 * DAMPING / MODE, 1.0]
     return zeros, [1.0 / w**2, 2.0 * DAMPING / w, 1.0]
@@ -97,17 +97,17 @@ def test_no_machine_rings_more_than_is_said(stops):
     worst = 0.0
     for factor in factors:
         speed = answer(found.weights, factor, t)
-        if False in stops:  # even from the end of its change on, and no way before it begins
+        if False in stops:  # even from the end of its change on, and no motion before it begins
             worst = max(worst, float(np.abs(speed - 1.0)[t >= CHANGE_S / 2].max()))
             assert abs(np.cumsum(speed * 2e-5)[t <= 0.0] * 0.1).max() < 1e-3 * 1.02
-        if True in stops:  # even until it, and no way after it
+        if True in stops:  # even until it, and no motion after it
             worst = max(worst, float(np.abs(speed)[t <= -CHANGE_S / 2].max()))
             left = np.cumsum((1.0 - speed)[::-1] * 2e-5)[::-1][t >= 0.0]
             assert abs(left * 0.1).max() < 1e-3 * 1.02
-    # Rows are met to 1e-6 at instants 0.9 ms apart; between them the speed moves a little more.
+    # Rows are met to 1e-6 at instants 0.9 ms apart; in between the speed moves a little more.
     assert worst == pytest.approx(found.error, abs=3e-3)
     assert found.error < 0.02
-    # The test can fail: averages of the same width that know nothing of the machines ring more.
+    # The test can fail: averages of the same width, made without the machines, ring more.
     even = np.convolve(np.ones(22) / 22, np.ones(22) / 22)
     after = t >= CHANGE_S / 2
     plain = max(np.abs(answer(even, f, t) - 1.0)[after].max() for f in factors)
@@ -115,7 +115,7 @@ def test_no_machine_rings_more_than_is_said(stops):
 
 
 def test_the_answer_is_the_same_wherever_the_programs_begin():
-    """With the instants that bound other machines, another start or a stop, or with none."""
+    """With the instants that bound other machines, another start or a stop, or without any."""
     for stops in ((False,), (False, True)):
         alone = found_for((1.0, 0.7, 1.4), *stops)
         led = found_for((1.0, 0.7, 1.4), *stops, near=found_for((1.0, 0.85, 1.15), True))
@@ -129,7 +129,7 @@ def test_the_answer_is_the_same_wherever_the_programs_begin():
 
 
 def test_a_mean_is_even_where_the_speed_is_not():
-    """Stitches keep their length where no average of that width keeps the speed so well."""
+    """Stitches keep their length where no average of this width keeps the speed as well."""
     mean_s, factors = 0.6 * CHANGE_S, (1.0, 0.7, 1.4)
     omega = frequencies_rad_s(GRID_S, SAMPLES)
     axis = StepOfSpeed(
@@ -155,14 +155,14 @@ def test_a_mean_is_even_where_the_speed_is_not():
     for factor in factors:
         way = np.cumsum(answer(of_mean.weights, factor, t)) * step_s
         gone = (way[lasts:] - way[:-lasts]) / mean_s
-        # The first mean that is looked at begins a sample of the grid later.
+        # The first checked mean begins a sample of the grid later.
         begins = t[:-lasts] >= early.even_s + GRID_S
         off.append(np.abs(gone - 1.0)[begins].max())
     assert max(off) == pytest.approx(of_mean.error, abs=3e-3)
 
 
 def test_what_serves_a_start_alone_is_better_at_it():
-    """A stop asks for the same backwards, and both share the weights that serve both."""
+    """A stop needs the same backwards, and both share the weights that serve both."""
     factors = (1.0, 0.8, 1.2)
     assert found_for(factors, False).cost < 0.98 * found_for(factors, False, True).cost
 
@@ -172,9 +172,10 @@ TURN_S = 1.0 / 71.0
 
 
 def start_of_y(share_of_limit: float, seed: int) -> RobustWeights | None:
-    """The start of a leg of ``stitcher-even.seam.toml``, by coefficients that are off a little.
+    """Return the start of a leg of ``stitcher-even.seam.toml``, with slightly wrong coefficients.
 
-    The seed 0 is of none; others are of parts in 1e12 to 1e10, more than kernels round differently.
+    Seed 0 changes nothing; the others change parts in 1e12 to 1e10, more than kernels round
+    differently.
     """
     machine = load_machine("stitcher")
     step_s = 4.0 * TURN_S / 28
@@ -214,7 +215,7 @@ def start_of_y(share_of_limit: float, seed: int) -> RobustWeights | None:
 
 @pytest.mark.long(shown_by="test_the_answer_is_the_same_wherever_the_programs_begin")
 def test_an_answer_at_the_edge_is_that_of_no_last_digit():
-    """With 27 A less 5 % there is one, and the same; with a hundredth less there is none."""
+    """With 27 A less 5 % every seed finds the same answer; with 1 % less no seed finds one."""
     first = start_of_y(1.0, 0)
     assert first is not None
     for seed in range(1, 11):
@@ -226,7 +227,7 @@ def test_an_answer_at_the_edge_is_that_of_no_last_digit():
 
 
 def test_a_program_without_an_answer_is_not_taken_for_one_without_weights(monkeypatch):
-    """Of either algorithm: the other is asked, and where both fail that is said."""
+    """For either algorithm: the other one is tried, and if both fail, a message says so."""
     asked: list[str] = []
 
     def failing(solvers: tuple[str, ...]):

@@ -1,4 +1,4 @@
-"""Designs of state-space controllers, against least squares, recursions, scipy and other runs."""
+"""Designs of state-space controllers, compared with least squares, recursions and scipy."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ def written(folder, machine: Machine, base: str, designs: list[Designed]) -> Mac
 
 @pytest.mark.parametrize("ahead", [0, 1, 4, 12])
 def test_gains_are_those_of_least_squares_over_a_long_horizon(ahead):
-    """The first output of the outputs that make ``sum (q e)^2 + u^2`` least over 500 ticks of 1 ms.
+    """The first of the outputs that make ``sum (q e)^2 + u^2`` least over 500 ticks of 1 ms.
 
-    Nothing but the plant is shared: no Riccati equation. 500 ticks are ten times the slowest pole.
+    Only the plant is shared: there is no Riccati equation. 500 ticks are ten times the slowest
+    pole.
     """
     regulator = regulators(load_machine("stitcher"), 2.0)[0]
     F, G, C, q = regulator.F, regulator.G[:, 0], regulator.load[0], regulator.weight[0]
@@ -82,7 +83,7 @@ def test_the_observer_is_the_limit_of_kalmans_recursion():
 
 @pytest.mark.parametrize("base", ["stitcher", "lathe-winder"])
 def test_the_loop_has_the_poles_of_feedback_and_observer_apart(tmp_path, base):
-    """What the file says closes to the poles of ``F - G K`` and of the observer: separation."""
+    """The file's controller closes to the poles of ``F - G K`` and of the observer: separation."""
     machine = load_machine(base)
     found = regulators(machine)
     made = written(tmp_path, machine, base, [lqg(one) for one in found])
@@ -155,7 +156,7 @@ def test_a_quantised_run_of_the_winder_lags_by_that_delay_alone(tmp_path):
 
 
 def test_preview_within_the_dead_time_changes_nothing(tmp_path):
-    """The stitcher's 3 ms and the tick of the held output: four references act as none."""
+    """The stitcher's 3 ms and the tick of the held output: four references act like none."""
     regulator = regulators(load_machine("stitcher"))[0]
     gains = regulator.ahead(4)
     assert all(abs(float(g[0, 0])) < 1e-9 * abs(float(gains[0][0, 0])) for g in gains[1:])

@@ -1,4 +1,4 @@
-"""Designed controllers, limits of gains, and ``threadline tune``, against other computations."""
+"""Designed controllers, limits of gains, and ``threadline tune``, by other computations."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def run(capsys, *arguments):
 
 
 def winder_x(inertia=1.0, torque=1.0, emf=1.0, resistance=1.0):
-    """X of the winder, counts per DAC level, held for 5 ms: numerator and denominator in z."""
+    """Return X of the winder, counts per DAC level, held for 5 ms: numerator, denominator in z."""
     per_volt = 0.45 * KT * torque / (R * resistance * J * inertia)
     pole = KT * torque * KE * emf / (R * resistance * J * inertia)
     counts = 4000 / (2 * np.pi) * 20 / 4096
@@ -44,7 +44,7 @@ def winder_x(inertia=1.0, torque=1.0, emf=1.0, resistance=1.0):
 
 
 def filter_of(kind, gains):
-    """The difference equations of the documents: numerator and denominator in z."""
+    """Return the difference equations of the documents: numerator and denominator in z."""
     if kind == "lead":
         return gains["gain"] * np.array([1, -gains["zero"]]), np.array([1, gains["pole"]])
     kp, ki, kd = (gains.get(key, 0.0) for key in ("kp", "ki", "kd"))
@@ -54,7 +54,7 @@ def filter_of(kind, gains):
 
 
 def margins(kind, gains, **plant):
-    """Gain margin and phase margin on a fine grid."""
+    """Return gain margin and phase margin on a fine grid."""
     z = np.exp(1j * np.geomspace(1e-3, np.pi * (1 - 1e-9), 200_000))
     (a, b), (c, d) = winder_x(**plant), filter_of(kind, gains)
     L = np.polyval(np.polymul(a, c), z) / np.polyval(np.polymul(b, d), z)
@@ -115,7 +115,7 @@ def test_the_worst_margins_are_those_of_the_worst_of_all_corners():
 
 def test_a_loop_that_is_unstable_on_some_machines_says_so():
     machine = load_machine("lathe-winder")
-    gains = {"kp": 8.39, "ki": 0.915}  # Ziegler and Nichols's PI: stable as typed, not beyond
+    gains = {"kp": 8.39, "ki": 0.915}  # stable for the file's numbers alone
     found = spread_of(machine, "X").worst("pi", gains)
     assert margins("pi", gains)[1] > 0.0
     assert not found.stable and found.phase_margin_deg < 0.0
@@ -124,7 +124,7 @@ def test_a_loop_that_is_unstable_on_some_machines_says_so():
 @pytest.mark.long(but="lathe-winder")
 @pytest.mark.parametrize("name", ["stitcher", "stitcher+unloaded", "lathe-winder"])
 def test_the_ultimate_gain_of_the_twin_is_the_gain_margin_of_analyse(name):
-    """Within 1 %. The twin's motion finds it; the linear model says only where to look."""
+    """Within 1 %. The twin's motion finds it; the linear model only gives the search range."""
     machine = load_machine(name)
     controllers = {
         key: dataclasses.replace(one, dac=dataclasses.replace(one.dac, zero_on_reversal=False))
@@ -137,7 +137,7 @@ def test_the_ultimate_gain_of_the_twin_is_the_gain_margin_of_analyse(name):
 
 
 def test_a_tick_of_zero_volts_at_each_reversal_costs_a_quarter_of_the_gain():
-    """The linear model does not know it; the experiment does."""
+    """The linear model does not know it, but the experiment does."""
     found = ultimate(load_machine("lathe-winder"), "X")
     limit = margins("p", {"kp": 1.0})[0]
     assert limit == pytest.approx(24.43, rel=1e-3)
@@ -163,7 +163,7 @@ def test_the_rules_are_those_of_ziegler_and_nichols():
 
 
 def test_a_table_of_controllers_on_a_job_and_a_machine_file(capsys, tmp_path):
-    """The file that it writes has the margins and the contour error of its table."""
+    """The written file has the margins and the contour error of its table."""
     file = tmp_path / "tuned.toml"
     job = EXAMPLES / "x-180.prg"
     words = ("lathe-winder", "--axis", "X", "--job", job, "--controller", "pid", "-o", file)
@@ -194,7 +194,7 @@ def test_a_table_of_controllers_on_a_job_and_a_machine_file(capsys, tmp_path):
 
 @pytest.mark.long(shown_by="test_a_table_of_controllers_on_a_job_and_a_machine_file")
 def test_the_table_for_people_and_a_lead_filter_that_becomes_a_pd(tmp_path):
-    """The numbers of the filter go out of the file that is based on it."""
+    """The numbers of the filter are removed from the file that is based on it."""
     file = tmp_path / "tuned.toml"
     found = tl.tune("stitcher+unloaded", file, axis="X", controller="pd")
     assert "gain" not in dir(load_machine(str(file)).controllers["x"])

@@ -46,7 +46,7 @@ def at_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 @pytest.mark.parametrize("command", dict.fromkeys(row.command for row in QUICK), ids=str)
 def test_rows_have_the_figures_that_their_command_answers(command: str) -> None:
-    """The printed digits agree; verdict and level are those of the answer."""
+    """The command answers with the printed digits, the verdict and the level of the row."""
     wrong = [
         f"{row.page.name}:{row.line}: {row.claim}: {text}"
         for row in QUICK

@@ -1,4 +1,4 @@
-"""Arc-length tables against closed forms, elliptic integrals and dense sums."""
+"""Arc-length tables, compared with closed forms, elliptic integrals and dense sums."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ NEAR_M = 1e-11  # a table is good to 1e-12 m a span; a few dozen spans add up
 
 
 def dense_length(pieces: Pieces, samples: int = 200_001) -> float:
-    """Sum of chords, extrapolated: knows nothing of derivatives or quadrature."""
+    """Return an extrapolated sum of chords, without derivatives or quadrature."""
     total = 0.0
     for k in range(len(pieces)):
         lengths = []
@@ -92,7 +92,7 @@ def test_cusp_is_measured_and_inverted() -> None:
     )
 )
 def test_bezier_lengths_agree_with_dense_sums(control: list[tuple[float, float]]) -> None:
-    """Any cubic, cusps and loops included, against a million chords (good to about 1e-9)."""
+    """Any cubic, cusps and loops included, against a million chords (accurate to about 1e-9)."""
     pieces = bezier(np.array(control))
     table = arc_table(pieces)
 
@@ -101,7 +101,7 @@ def test_bezier_lengths_agree_with_dense_sums(control: list[tuple[float, float]]
 
 @given(st.floats(0.0, 1.0), st.integers(0, 10**6))
 def test_inverse_is_the_inverse(share: float, seed: int) -> None:
-    """The length measured up to the point found is the length asked for, within 1e-9 m."""
+    """The length measured up to the found point is the wanted length, within 1e-9 m."""
     control = np.random.default_rng(seed).uniform(-0.1, 0.1, (4, 2))
     table = arc_table(bezier(control))
     wanted = share * table.length_m
@@ -109,7 +109,7 @@ def test_inverse_is_the_inverse(share: float, seed: int) -> None:
     n = 2 * int(20_000 * u[0]) + 3
     points = bezier(control).evaluate(np.zeros(n, dtype=np.int64), np.linspace(0, u[0], n))[0]
     again = np.hypot(*np.diff(points, axis=0).T).sum()
-    # Half as many chords are four times as far off: Richardson takes the error out.
+    # Half as many chords are four times as far off: Richardson removes the error.
     again += (again - np.hypot(*np.diff(points[::2], axis=0).T).sum()) / 3.0
 
     assert again == pytest.approx(wanted, abs=1e-9)

@@ -1,4 +1,4 @@
-"""Drawings that explode are refused before they do, and long ones stay within their budget."""
+"""A drawing that would explode is refused beforehand, and a long one stays within its budget."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def read(path: Path) -> read_dxf.Drawing:
 
 
 def nested(levels: int) -> ezdxf.document.Drawing:
-    """Ten copies in each of ten copies in each of ..."""
+    """Return blocks that each hold ten copies of the next block."""
     document = ezdxf.new(units=4)
     document.blocks.new("B0").add_line((0, 0), (1, 0))
     for k in range(1, levels):
@@ -41,7 +41,7 @@ def nested(levels: int) -> ezdxf.document.Drawing:
 def test_nine_levels_of_ten_copies_are_refused_before_they_are_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A thousand million lines: not one of them is followed."""
+    """They would make a thousand million lines; the reader follows none of them."""
     path = saved(tmp_path, nested(10))
     monkeypatch.setattr(read_dxf, "entity_pieces", None)  # calling it would be a TypeError
     with pytest.raises(JobError) as caught:
@@ -71,7 +71,7 @@ def test_a_repeated_insert_counts_as_often(tmp_path: Path, monkeypatch: pytest.M
 def test_only_the_beginning_of_a_text_is_looked_at(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """ezdxf takes the square of a text's length to make it plain: a minute for a megabyte."""
+    """ezdxf needs the square of a text's length to make it plain: a minute for a megabyte."""
     document = ezdxf.new(units=4)
     document.modelspace().add_line((0, 0), (1, 0))
     getattr(document.modelspace(), f"add_{kind.lower()}")("collar " * 20_000)
@@ -92,12 +92,12 @@ def test_only_the_beginning_of_a_text_is_looked_at(
 
 
 def test_a_line_of_a_drawing_takes_little_memory(tmp_path: Path) -> None:
-    """4 kB each with all that ezdxf keeps: 200 000 are within a gigabyte."""
+    """A line takes 4 kB with all that ezdxf keeps, so 200 000 lines fit into a gigabyte."""
     document = ezdxf.new(units=4)
     for k in range(2000):
         document.modelspace().add_line((k, 0), (k, 1))
     path = saved(tmp_path, document)
-    read(path)  # what is loaded once is not counted
+    read(path)  # modules that are loaded once do not count
     tracemalloc.start()
     drawing = read(path)
     peak = tracemalloc.get_traced_memory()[1]
@@ -119,7 +119,7 @@ def test_clones_of_an_svg_have_a_budget(monkeypatch: pytest.MonkeyPatch) -> None
     ("code", "metres"), [(1, 0.0254), (9, 2.54e-5), (14, 0.1), (21, 1200 / 3937), (24, 1609.347219)]
 )
 def test_every_unit_of_a_dxf(code: int, metres: float, tmp_path: Path) -> None:
-    """Mils and the units of surveyors ended in a traceback."""
+    """Mils and surveyors' units once ended in a traceback."""
     document = ezdxf.new(units=code)
     document.modelspace().add_line((0, 0), (1, 0))
     (stroke,) = read(saved(tmp_path, document)).strokes

@@ -39,7 +39,7 @@ def hull(seed: int, count: int = 12) -> list[tuple[float, float]]:
 
 @given(st.integers(0, 10**6), st.floats(1e-4, 0.05))
 def test_outside_of_a_convex_polygon_obeys_steiner(seed: int, distance: float) -> None:
-    """Rounded parallel body: P + 2 pi d around, A + P d + pi d^2 within (Steiner 1840)."""
+    """The parallel body has P + 2 pi d around and A + P d + pi d^2 within (Steiner 1840)."""
     body = polygon(hull(seed))
     (outer,) = offset_contour(body, allowance(distance), "test")
 
@@ -87,19 +87,19 @@ def test_sharp_corner_is_rounded_past_the_mitre_limit() -> None:
 
 
 def test_mitres_that_would_meet_stay_round() -> None:
-    """Two sharp teeth side by side, offset outwards by more than their gap."""
+    """Two sharp teeth stand side by side; the offset outwards is wider than their gap."""
     teeth = [(0, 0), (0.08, 0), (0.08, 0.01), (0.042, 0.06), (0.04, 0.02), (0.038, 0.06), (0, 0.01)]
     (outer,) = offset_contour(polygon(teeth), allowance(0.02, "outside", "mitre"), "test")
     begin, end = outer.pieces.ends()
 
     assert not len(crossings(begin, end, True)[0])
-    # The outer corners below are square, and pointed; the tips above are round.
+    # The outer corners below are square and pointed; the tips above are round.
     assert np.hypot(*(begin - [-0.02, -0.02]).T).min() < 1e-9
     assert begin[:, 1].max() == pytest.approx(0.08, abs=2e-6)
 
 
 def test_narrow_waist_splits_into_two() -> None:
-    """A dumbbell: two squares of 40 mm and a neck of 8 mm; 5 mm inside leaves two of 30 mm."""
+    """Two squares of 40 mm and a neck of 8 mm, offset 5 mm inwards, leave two of 30 mm."""
     body = polygon(
         [
             (0, 0), (0.04, 0), (0.04, 0.016), (0.08, 0.016), (0.08, 0), (0.12, 0),
@@ -122,7 +122,7 @@ def test_narrow_waist_splits_into_two() -> None:
 def test_offset_of_any_star_keeps_its_distance(
     join: str, seed: int, distance: float, side: str
 ) -> None:
-    """No point nearer than the allowance, every vertex as near as its corner lets it be."""
+    """No point is nearer than the allowance, and every vertex is as near as its corner allows."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2 * np.pi, 17)[:-1]
     radius = rng.uniform(0.02, 0.06, 16)
@@ -142,7 +142,7 @@ def test_offset_of_any_star_keeps_its_distance(
         along = np.clip((q * d).sum(-1) / (d * d).sum(-1), 0, 1)[..., None]
         nearest = np.sqrt(((q - along * d) ** 2).sum(-1)).min(axis=1)
         assert nearest.min() > distance - 1e-8
-        # A mitre's point is up to four allowances away, a round's nowhere.
+        # The point of a mitre is up to four allowances away; on a round corner no point is.
         assert nearest.max() < distance * (4.0 if join == "mitre" else 1.0) + NEAR_M
 
 
@@ -154,14 +154,14 @@ def test_parallel_of_an_open_curve_has_the_radius_plus_the_distance() -> None:
         assert length_m(moved) == pytest.approx(2.0 * radius, abs=1e-6)
 
 
-def test_bend_tighter_than_the_allowance_is_trimmed() -> None:
-    """A slot end of radius 5 mm, offset by 8 mm inwards of a U: the legs meet before the bend."""
+def test_a_bend_is_tighter_by_the_allowance_on_its_inside() -> None:
+    """The end of a slot, of radius 5 mm, keeps a bend of radius 1 mm after 4 mm inwards."""
     u_shape = bulges(
         np.array([[0.0, 0.03], [0, 0], [0.01, 0], [0.01, 0.03]]), np.array([0, 1.0, 0])
     )
     outside = offset_contour(Contour(pieces=u_shape, closed=False), allowance(0.004, "left"), "t")
     (part,) = outside
-    # 4 mm inside a bend of 5 mm: a bend of 1 mm.
+    # 4 mm inside a bend of 5 mm there is a bend of 1 mm.
     assert length_m(part) == pytest.approx(0.06 + np.pi * 0.001, abs=1e-5)
 
 
@@ -179,7 +179,7 @@ def test_what_has_no_offset_is_refused(contour: Contour, side: str, text: str) -
 
 
 def test_flattening_stays_within_its_tolerance() -> None:
-    """Against a dense sampling of a cubic with a tight bend."""
+    """A dense sampling of a cubic with a tight bend measures the tolerance."""
     piece = bezier(np.array([[0, 0], [0.1, 0.12], [0.0, 0.12], [0.09, 0.0]]))
     begin, end, _ = flatten(piece, 1e-5)
     dense = piece.evaluate(np.zeros(20001, dtype=np.int64), np.linspace(0, 1, 20001))[0]
@@ -212,7 +212,7 @@ def test_sweep_finds_what_brute_force_finds(seed: int) -> None:
 
 
 def test_a_chord_of_no_length_is_met_by_none() -> None:
-    """Of a curve that turns back on itself, with an odd number of chords: it divided by nothing."""
+    """A curve that turns back on itself after an odd number of chords has one in its middle."""
     points = np.array([[0.0, 0.0], [1.0, 0.5], [2.0, 1.0], [2.0, 1.0], [1.0, 0.5], [0.0, 0.0]])
     first, second, *_, complete = crossings(points[:-1], points[1:], False)
     assert complete

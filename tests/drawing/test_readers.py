@@ -1,4 +1,4 @@
-"""What drawings become: against hand-computed geometry and ezdxf's own flattening."""
+"""Drawings as read, compared with hand-computed geometry and ezdxf's own flattening."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def svg(body: str, head: str = SVG_HEAD) -> Drawing:
 
 
 def nearest(points: np.ndarray, drawing: Drawing) -> float:
-    """Largest distance from ``points`` to the strokes, by dense sampling."""
+    """Return the largest distance from ``points`` to the strokes, by dense sampling."""
     samples = []
     for stroke in drawing.strokes:
         n = len(stroke.pieces)
@@ -79,14 +79,14 @@ def test_collar_of_inkscape(examples: Path) -> None:
     # A rounded rectangle keeps its length under rotation.
     label = arc_table(by_colour["#0044aa"].pieces).length_m
     assert label == pytest.approx(2 * (24 + 8) * 1e-3 + 2 * np.pi * 3e-3, abs=1e-10)
-    # The layer Notes holds a text, which is not read as a shape but remembered.
+    # The layer Notes holds a text, which is no shape but remembered.
     assert [(r.layer, r.message) for r in drawing.refusals] == [("Notes", "text cannot be sewn")]
     lines = (examples / "collar.svg").read_text().splitlines()
     assert "<path" in lines[collar.line - 1]
 
 
 def test_badge_with_spline_ellipse_and_scaled_blocks(examples: Path) -> None:
-    """ezdxf's own paths of the exploded blocks lie on ours, in inches, and scipy's spline does.
+    """ezdxf's own paths of the exploded blocks lie on these, in inches, and so does scipy's spline.
 
     (ezdxf draws an unclamped spline from its first knot, where its basis is not complete.)
     """
@@ -105,7 +105,7 @@ def test_badge_with_spline_ellipse_and_scaled_blocks(examples: Path) -> None:
                 points += [p.vec2 for p in make_path(part).flattening(0.05)]
 
     assert len(points) > 60
-    # ezdxf turns arcs into Bezier curves, good to about 3e-4 of the radius.
+    # ezdxf turns arcs into Bezier curves, accurate to about 3e-4 of the radius.
     assert nearest(np.array(points) * 0.0254, drawing) < 2e-5
     assert [s.layer for s in drawing.strokes] == ["SEAM", "PETALS", "PETALS", "PETALS", "SEAM"]
     assert all(s.line > 0 for s in drawing.strokes)
@@ -200,7 +200,7 @@ def test_hidden_layers_are_left_out_with_a_word(tmp_path: Path) -> None:
 
 
 def test_invisible_entities_are_left_out_with_a_word(tmp_path: Path) -> None:
-    """Group code 60: a line, all that an invisible insert holds, and invisible attributes."""
+    """Group code 60: a line, every entity of an invisible insert, and invisible attributes."""
     path, document = make_dxf(tmp_path)
     block = document.blocks.new("B")
     block.add_line((0, 0), (5, 0))
@@ -333,7 +333,7 @@ def test_csv_in_all_its_spellings() -> None:
 
 
 def test_the_unit_of_a_column_goes_before_that_of_the_table():
-    """An inch is 25.4 mm; the column without a unit has the one that was given."""
+    """An inch is 25.4 mm; a column without a unit has the given one."""
     content = b"x [in],y\n0,0\n2,3\n"
     (stroke,) = read_csv(content, "t.csv", "mm").strokes
     point, *_ = stroke.pieces.evaluate(np.array([0]), np.array([1.0]))
@@ -349,7 +349,7 @@ def test_csv_blank_rows_part_contours_and_layers() -> None:
 
 
 def test_toml_arcs_by_bulge_centre_and_radius_are_one() -> None:
-    """A quarter of a circle of 10 mm, given in three ways, both hands."""
+    """A quarter of a circle of 10 mm, given in three ways, in both directions."""
     for sign, turn in ((1, "ccw"), (-1, "cw")):
         bulge = sign * np.tan(np.pi / 8)
         centre = [0, 10] if sign > 0 else [10, 0]
@@ -388,7 +388,7 @@ def test_toml_large_arc_and_full_circle() -> None:
 def test_what_ezdxf_leaves_out_is_a_warning(
     examples: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """An end without a begin among the blocks: ezdxf drops it and says so to its log only."""
+    """An end without a begin among the blocks: ezdxf drops it and only logs it."""
     lines = (examples / "pocket.dxf").read_text().splitlines()
     at = lines.index("BLOCKS") + 1
     file = tmp_path / "a.dxf"

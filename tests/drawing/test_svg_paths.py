@@ -1,4 +1,4 @@
-"""Path data of SVG against an evaluator of its own, written from SVG 1.1, chapter 8 and F.6."""
+"""Path data of SVG, compared with an evaluator written from SVG 1.1, chapter 8 and F.6."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def arc(a: complex, b: complex, v: list[float]) -> list[complex]:
 
 
 def drawn(commands: list[tuple[str, list[float]]]) -> list[list[list[complex]]]:
-    """Subpaths of segments of points, from the commands as the specification tells them."""
+    """Return subpaths of segments of points, from the commands by the specification."""
     paths: list[list[list[complex]]] = []
     here = start = 0j
     reflected: dict[str, complex] = {}
@@ -73,7 +73,7 @@ def drawn(commands: list[tuple[str, list[float]]]) -> list[list[list[complex]]]:
             here = start = points[0]
             fresh = False
         elif kind == "Z":
-            # A path that goes nowhere is kept, so that it is said to be left out.
+            # A path without motion is kept, so that a message can name it.
             if here != start or not (paths[-1] or fresh):
                 segment = casteljau([here, start])
             here = start
@@ -111,7 +111,7 @@ def drawn(commands: list[tuple[str, list[float]]]) -> list[list[list[complex]]]:
 
 
 def written(commands: list[tuple[str, list[float]]], chance: random.Random) -> str:
-    """The commands as text: letters left out where they may be, any separators, tight signs."""
+    """Return the commands as text: optional letters left out, any separators, tight signs."""
     text, last = "", ""
     for letter, values in commands:
         implied = {"M": "L", "m": "l"}.get(last, last)
@@ -147,7 +147,7 @@ def commands(chance: random.Random) -> list[tuple[str, list[float]]]:
 
 
 def sampled(data: str) -> list[list[np.ndarray]]:
-    """What is read, back in the drawing's own millimetres, segment by segment."""
+    """Return the read path in the drawing's own millimetres, segment by segment."""
     drawing = read_svg(f'{HEAD}<path stroke="red" d="{data}"/></svg>'.encode(), "t.svg")
     found = []
     for stroke in drawing.strokes:

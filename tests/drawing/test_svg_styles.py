@@ -1,4 +1,4 @@
-"""Styles, transforms, clipping and sizes of SVG: done as CSS 2.1 and SVG 1.1 say, or refused."""
+"""Styles, transforms, clipping and sizes of SVG: applied as in CSS 2.1 and SVG 1.1, or refused."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_sheets_and_shapes_that_are_not_read(body: str, text: str) -> None:
     "way", ['clip-path="url(#c)"', 'style="clip-path:url(#c)"', 'mask="url(#m)"']
 )
 def test_cut_shapes_are_refused_where_they_are_wanted(way: str) -> None:
-    """The whole shape was sewn; whoever does not choose it is not bothered."""
+    """The whole shape was sewn; a user who does not choose it gets no message."""
     drawing = svg(
         f'<g id="cut" {way}><path stroke="red" d="M0 0H9"/><path stroke="blue" d="M0 0H9"/></g>'
         f'<g id="whole">{SHOWN}</g><path clip-path="none" stroke="red" d="M0 0H9"/>'

@@ -40,11 +40,11 @@ def length_m(kind: ShapeKind, points: np.ndarray, folder: Path) -> float:
         ("arc", QUARTER, 0.03 * np.pi / 2),
         ("arc", QUARTER[::-1], 0.03 * np.pi / 2),
         ("arc", QUARTER[[0, 2, 1]], 0.03 * np.pi * 7 / 4),  # the long way round
-        ("arc", np.array([[0.0, 0.0], [0.01, 0.0], [0.03, 0.0]]), 0.03),  # no arc, but a line
+        ("arc", np.array([[0.0, 0.0], [0.01, 0.0], [0.03, 0.0]]), 0.03),  # a line, not an arc
     ],
 )
 def test_lengths(kind: ShapeKind, points: np.ndarray, expected_m: float, tmp_path: Path) -> None:
-    """Closed forms; 1e-9 m is what 16 digits of mm in a DXF leave, and more."""
+    """Closed forms; 1e-9 m allows for the 16 digits of mm in a DXF."""
     assert length_m(kind, points, tmp_path) == pytest.approx(expected_m, abs=1e-9)
 
 

@@ -1,1 +1,1 @@
-"""Tests of the room from measurements to a machine file."""
+"""Tests of the step from measurements to a machine file."""

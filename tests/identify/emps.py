@@ -67,7 +67,7 @@ load = {{ car = "1 exact, printed" }}
 
 
 def least_squares(position, force):
-    """Mass, damping, friction and offset by the authors' method: filter, differentiate, solve."""
+    """Return mass, damping, friction and offset by filtering, differentiating, solving."""
     smooth = filtfilt(*butter(4, 100.0 / 500.0), position)
     speed = np.gradient(smooth, TICK)
     columns = [np.gradient(speed, TICK), speed, np.sign(speed), np.ones(len(speed))]

@@ -1,4 +1,4 @@
-"""Responses of the stitcher's axes by textbook impedances; nothing of the package is used."""
+"""Responses of the stitcher's axes by textbook impedances, independent of the package."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ KT, KE, R, L, DELAY = 0.5, 60 * 60 / (2 * np.pi * 1000), 0.8, 4e-3, 3e-3
 
 
 def stitcher_x(k=6.24e5, mass=111.0, damping=3330.0, delay=DELAY, loaded=True):
-    """Motor angle per volt, rad/V, at ``HERTZ``."""
+    """Return the motor angle per volt, rad/V, at ``HERTZ``."""
     motor = 4.75e-4 * S**2 + 0.24 * S + KT * KE * S / (R + L * S)
     if loaded:
         load = mass * S**2 + damping * S
@@ -22,7 +22,7 @@ def stitcher_x(k=6.24e5, mass=111.0, damping=3330.0, delay=DELAY, loaded=True):
 
 
 def stitcher_y(k=1e6, mass=70.0, mount=5e6, frame=175.0):
-    """Encoder counts and potentiometer volts per volt, by solving the three bodies' forces."""
+    """Return encoder counts and potentiometer volts per volt, from the three bodies' forces."""
     encoder, pot = [], []
     for s in S:
         motor = 8.1e-4 * s**2 + 0.29 * s + KT * KE * s / (R + L * s)
@@ -42,14 +42,14 @@ def stitcher_y(k=1e6, mass=70.0, mount=5e6, frame=175.0):
 
 
 def noisy(response, seed, size=0.02):
-    """The response with noise of ``size`` in log magnitude and in phase."""
+    """Return the response with noise of ``size`` in log magnitude and in phase."""
     rng = np.random.default_rng(seed)
     noise = rng.normal(size=(2, len(response)))
     return response * np.exp(size * (noise[0] + 1j * noise[1]))
 
 
 def write_csv(path, response, unit="rad/s/V", head="# axis: X\n"):
-    """An analyser's table; without a unit in dB of some reference."""
+    """Return an analyser's table; without a unit in dB of some reference."""
     column = f"magnitude [{unit}]" if unit else "magnitude_db"
     size = np.abs(response) if unit else 20 * np.log10(np.abs(response)) - 30
     rows = zip(HERTZ, size, np.degrees(np.angle(response)), strict=True)

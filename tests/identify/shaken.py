@@ -15,7 +15,7 @@ RATE_HZ = 800.0
 def sweep(rate_hz: float = RATE_HZ, *, first_hz: float = 10.0, last_hz: float = 90.0) -> FloatArray:
     """Return the commanded acceleration: half periods of either sign, 60 mm/s^2 for every Hz.
 
-    It moves on by 1 Hz a second, as TEST_RESONANCES does.
+    The frequency rises by 1 Hz a second, as in TEST_RESONANCES.
     """
     ends, levels = [], []
     f, sign, time = first_hz, 1.0, 0.0

@@ -48,7 +48,7 @@ def command() -> FloatArray:
 def test_the_mode_is_found_with_its_interval(command: FloatArray) -> None:
     """Every frequency is within 1 %; the damping's intervals hold 95 % of 16.
 
-    Fewer than 14 of 16 would have a probability of 4 % at 95 %. Both from whole runs and from
+    Fewer than 14 of 16 would have a probability of 4 % at 95 %. Both come from whole runs and from
     Klipper's spectra, whose window widens the peak by up to five times the mode's own width.
     """
     rng = np.random.default_rng(4)
@@ -67,7 +67,7 @@ def test_the_mode_is_found_with_its_interval(command: FloatArray) -> None:
 
 
 def test_a_second_mode_widens_the_interval(command: FloatArray) -> None:
-    """Its tail bends the first one's peak; it is named, with its height, as another peak."""
+    """Its tail bends the first peak; it is named, with its height, as another peak."""
     along = shaken(command, 40.0, 0.045) + 0.25 * shaken(command, 75.0, 0.03)
     whole = Vibration(
         rate_hz=RATE_HZ, acceleration_m_s2=three_axes(along, 200.0, 1), place=Place("run")
@@ -143,7 +143,7 @@ def test_the_shaper_stands_beside_klippers(
     monkeypatch: pytest.MonkeyPatch,
     command: FloatArray,
 ) -> None:
-    """It leaves less of the measured mode than any that Klipper tries of its length or shorter."""
+    """It leaves less of the measured mode than any of Klipper's shapers of its length or less."""
     noisy = three_axes(shaken(command, 45.0, 0.06), 100.0, 2)
     path = write_spectrum(tmp_path / "spectrum.csv", *klipper_psd(noisy))
     blank_pictures(monkeypatch)
@@ -169,7 +169,7 @@ def test_the_shaper_stands_beside_klippers(
 def test_a_spectrum_too_coarse_for_its_damping(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: FloatArray
 ) -> None:
-    """A mode of 0.3 Hz width on lines 1.56 Hz apart: one line; --damping takes it."""
+    """A mode of 0.3 Hz width on lines 1.56 Hz apart is one line; --damping accepts it."""
     f, psd = klipper_psd(three_axes(shaken(command, 30.0, 0.005), 20.0, 2))
     path = write_spectrum(tmp_path / "coarse.csv", f, psd)
     code, out, err = run(capsys, "--measured", path, "--axis", "x")
@@ -181,7 +181,7 @@ def test_a_spectrum_too_coarse_for_its_damping(
 
 
 def test_bad_files(tmp_path: Path) -> None:
-    """One line each, with the line of the file where there is one."""
+    """One line each, with the line of the file if there is one."""
     time = np.arange(2000) / 1000.0
     good = three_axes(1000.0 * np.sin(2.0 * np.pi * 40.0 * time), 50.0, 1)
 
@@ -228,7 +228,7 @@ def test_bad_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("factor", [1e-40, 1e40])
 def test_the_unit_of_a_spectrum_does_not_matter(tmp_path: Path, factor: float) -> None:
-    """A mode is where a spectrum peaks, whatever its numbers: these are beyond any usual unit."""
+    """A mode is at the peak of a spectrum, with any numbers: these are beyond any usual unit."""
     text = (EXAMPLES / "printer-x-spectrum.csv").read_text()
     head, *lines = text.splitlines()
     found = []

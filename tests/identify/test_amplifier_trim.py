@@ -1,4 +1,4 @@
-"""``threadline tune --trim``: gains of amplifiers that are off, found from runs within travel."""
+"""``threadline tune --trim``: wrong gains of amplifiers, found from runs within the travel."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run(capsys, *arguments):
 
 @pytest.fixture(scope="module", params=["lathe-winder", "lathe-winder+stiction"])
 def off(request, tmp_path_factory):
-    """The machine as typed, and one whose three amplifiers are off."""
+    """Return the machine of the file, and one whose three amplifiers are off."""
     file = tmp_path_factory.mktemp("trim") / "off.toml"
     gains = [
         f'[drives.{name}.amplifier]\ngain = "{0.45 * factor:.5f} exact, assumed"'

@@ -1,4 +1,4 @@
-"""``threadline measure --experiment coast``: an axis that loses its supply shows its friction."""
+"""``threadline measure --experiment coast``: an axis without supply shows its friction."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COAST = ("--axis", "X", "--experiment", "coast", "-o", "x.npz")
 
 @pytest.fixture
 def damped(tmp_path):
-    """X of the winder with a damping, and nothing else that could stop it."""
+    """Return X of the winder with a damping, and nothing else that could stop it."""
     (tmp_path / "damped.toml").write_text(DAMPED)
     return load_machine(str(tmp_path / "damped.toml"))
 
@@ -52,7 +52,7 @@ def test_it_slows_down_as_its_damping_and_its_inertia_alone_make_it(damped):
     speed = load[-1] / (1.0 - left[-1])
     assert speed > 0.1 * 3.606e-4 / 0.002
     assert np.abs(load - speed * (1.0 - left)).max() < 1e-9
-    # The axis would stop by its command as well, if the supply were not cut.
+    # Without the cut the axis would stop by its command as well.
     assert rows["X.commanded"][-1] == rows["X.commanded"][-20] > rows["X.load"][-1]
 
 
@@ -97,7 +97,7 @@ def test_it_ends_within_the_amplitude_by_the_machine_file(damped):
 
 
 def test_room_is_kept_for_twice_the_coast(damped):
-    """Friction is what it is to find: the axis may coast farther than its file says."""
+    """The friction is unknown: the axis may coast farther than its file says."""
     axis = damped.axes["X"]
     low, high = axis.travel
     short = replace(axis, travel=(low, replace(high, si=0.12)))

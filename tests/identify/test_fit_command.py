@@ -1,4 +1,4 @@
-"""``threadline fit``: the written machine file, combinations that are known, wrong input."""
+"""``threadline fit``: the written machine file, known combinations, wrong input."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def write(path, response, seed=1, unit="rad/s/V", head="# axis: X\n"):
 
 
 def test_from_a_file_that_is_30_percent_off_two_sweeps_give_every_number(capsys, tmp_path):
-    """As the thesis did: the motor uncoupled, then loaded; here both at once."""
+    """As in the thesis: the motor uncoupled, then loaded; here both at once."""
     (tmp_path / "off.toml").write_text(OFF)
     out_file = tmp_path / "mine.toml"
     code, out, err = run(
@@ -109,7 +109,7 @@ def test_json_has_intervals_bounds_and_correlations(capsys, tmp_path):
 def test_numbers_that_only_act_together_are_refused_by_the_name_of_their_combination(
     capsys, tmp_path
 ):
-    """A coil hides behind nothing, but a motor's constants scale each other."""
+    """The coil can be told apart, but a motor's constants scale each other."""
     numbers = f"{MOTOR},drives.x.torque_constant,drives.x.back_emf"
     file = tmp_path / "no.toml"
     data = sweep(tmp_path / "x.csv", loaded=False)

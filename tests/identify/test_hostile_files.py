@@ -1,4 +1,4 @@
-"""Measured data that is damaged at random: an error in one line, or a response."""
+"""Randomly damaged measured data: an error in one line, or a response."""
 
 from __future__ import annotations
 

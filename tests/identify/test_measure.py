@@ -38,7 +38,7 @@ def run(capsys, *arguments):
 
 
 def winder_plant(hertz):
-    """X of the winder from its printed numbers: counts per volt of the controller."""
+    """Return X of the winder from its printed numbers: counts per volt of the controller."""
     s = 2j * np.pi * hertz
     J, Kt, Ke, R = 3.606e-4, 0.082, 8.6 * 60 / (2 * np.pi * 1000), 0.4
     return 4000 / (2 * np.pi) * 0.45 * Kt / (R * J) / (s * (s + Kt * Ke / (R * J)))
@@ -46,7 +46,7 @@ def winder_plant(hertz):
 
 @pytest.mark.usefixtures("forked_machine")
 def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path, monkeypatch):
-    """Measure over the link, fit, and analyse: the whole chain as a workshop runs it."""
+    """Measure over the link, fit, and analyse: the whole chain, as in a workshop."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "off.toml").write_text(OFF)
     sweep = ("--axis", "X", "--band", "1 Hz, 20 Hz", "--actual", "lathe-winder", "-o", "x.npz")
@@ -58,7 +58,7 @@ def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path,
     assert found is not None and found.coherence.min() > 0.99
     assert answer["response"]["frequency_hz"] == found.frequency_hz.tolist()
     plant = winder_plant(found.frequency_hz)
-    slow = found.frequency_hz < 8.0  # above, what aliases at 200 Hz reaches a percent
+    slow = found.frequency_hz < 8.0  # above it, aliases at 200 Hz reach a percent
     assert np.abs(found.value / plant - 1.0)[slow].max() < 0.015
     stiffness = ("--numbers", "links.x_belt.stiffness")
     code, _, err = run(capsys, "fit", "response:x.npz", "-m", "stitcher", *stiffness)
@@ -83,7 +83,7 @@ def test_from_a_file_that_is_30_percent_off_to_one_that_agrees(capsys, tmp_path,
 @pytest.mark.usefixtures("forked_machine")
 @pytest.mark.long(shown_by="test_from_a_file_that_is_30_percent_off_to_one_that_agrees")
 def test_friction_and_stiction_are_found_from_slow_reversals(capsys, tmp_path, monkeypatch):
-    """Within 10 %; from fast moves stiction is not known, since a body breaks away at once."""
+    """Within 10 %; fast moves do not show stiction, because a body breaks away at once."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sticks.toml").write_text(STICKS)
     slow = ("--axis", "X", "--experiment", "backlash", "--amplitude", "20 mm", "-o", "x.npz")
@@ -248,14 +248,14 @@ delay = "3.9 ms +- 30 %, assumed"
 def test_a_controller_that_is_faster_than_its_references_is_measured_by_its_error(
     capsys, tmp_path, monkeypatch
 ):
-    """The volts are seen at some ticks only; the error gives belt and load within 3 %."""
+    """The volts are recorded at some ticks only; the error gives belt and load within 3 %."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "off.toml").write_text(OFF_STITCHER)
     words = ("measure", "off.toml", "--axis", "X", "--actual", "stitcher", "-o", "x.npz")
     assert run(capsys, *words)[0] == 0
     found = response_of(read_recording("x.npz").origin)
     s = 2j * np.pi * found.frequency_hz
-    # The head behind its belt seen from the motor, from the printed numbers.
+    # The head behind its belt as seen from the motor, from the printed numbers.
     ratio, k, M, B = 29e-3 / 6, 6.24e5, 111.0, 3330.0
     load = M * s**2 + B * s
     torque = 4.75e-4 * s**2 + 0.24 * s + ratio**2 / (1 / k + 1 / load)

@@ -1,4 +1,4 @@
-"""``threadline measure`` over LinuxCNC's HAL: the real one, with the plant of its components."""
+"""``threadline measure`` over LinuxCNC's real HAL, with a plant of its components."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def commands(job, machine):
 
 @pytest.fixture(scope="module")
 def winder():
-    """Machine, and a recording of x-180 with its encoder somewhere between two counts."""
+    """Return the machine, and a recording of x-180 with its encoder between two counts."""
     machine = load_machine("lathe-winder")
     table = commands("x-180.prg", machine)
     recording = simulate(table, machine, encoder_phase=np.array([0.2, 0.83, 0.6]))
@@ -45,7 +45,7 @@ def off(machine, names, factors):
 
 
 def pole_and_gain(machine):
-    """Of the X plant of the winder, K / (s (s + p)), from the volts of its controller."""
+    """Return the X plant of the winder, K / (s (s + p)), from the volts of its controller."""
     J = number_at(machine, "bodies.x.inertia").si
     motor = machine.motors["x"]
     Kt, Ke, R = motor.torque_constant.si, motor.back_emf.si, motor.resistance.si
@@ -77,7 +77,7 @@ def test_samples_that_are_shifted_by_a_tick_give_a_pole_that_is_wrong_by_a_quart
 
 
 def test_the_machine_that_is_driven_by_volts_moves_as_the_one_in_the_loop(winder):
-    """Exactly, at the numbers of the machine: what is left over is the rounding of the encoder."""
+    """Exactly, with the numbers of the machine: only the rounding of the encoder is left."""
     machine, recording = winder
     data = recording_data(recording, machine, Path("x.npz"))
     residual = data.residuals({WINDER[0]: np.array([number_at(machine, WINDER[0]).si])})

@@ -53,7 +53,7 @@ def problem(machine, names, parts):
 
 
 def bound(names, parts, machine):
-    """The Cramer-Rao bound at the truth, for the noise as it is."""
+    """Return the Cramer-Rao bound at the truth, for the actual noise."""
     J = jacobian(problem(machine, names, parts), np.zeros(len(names))) / NOISE
     return np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
 
@@ -158,7 +158,7 @@ def test_the_profile_agrees_with_the_curvature_where_the_model_is_nearly_linear(
 
 
 def test_a_model_that_is_wrong_says_where():
-    """The frame is missing from the model: between 20 and 40 Hz the response has no such mode."""
+    """The frame is missing in the model: between 20 and 40 Hz the response has no such mode."""
     encoder, _ = forward.stitcher_y()
     machine = load_machine("stitcher+rigid-frame")
     names = ("links.y_belt.stiffness", "bodies.y_head.inertia", "bodies.y_head.damping")

@@ -1,4 +1,4 @@
-"""What every test of the readers starts from."""
+"""Fixtures for every test of the readers."""
 
 import pytest
 
@@ -7,5 +7,5 @@ from threadline.jobs.gcode import plain_blocks
 
 @pytest.fixture(autouse=True)
 def compiled_reader_from_the_first_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have the compiled reader tried at once: the programs of these tests are short."""
+    """Use the compiled reader from the first line: the programs of these tests are short."""
     monkeypatch.setattr(plain_blocks, "FIRST_LINES", 0)

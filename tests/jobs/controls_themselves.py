@@ -1,11 +1,11 @@
-"""The parsers of grbl and Marlin, built from their own sources around a main program of ours.
+"""The parsers of grbl and Marlin, built from their own sources around a main program of the tests.
 
-Both are GPL and no part of this project: an environment variable names a checkout, and what is
-built lies in a temporary folder. ``THREADLINE_GRBL`` is the folder ``grbl`` of a checkout of
-gnea/grbl, whose ``gcode.c``, ``motion_control.c`` and ``nuts_bolts.c`` are compiled as they are,
-with M7. ``THREADLINE_MARLIN`` is the folder ``Marlin`` of a checkout of MarlinFirmware/Marlin,
-whose ``parser.cpp`` is; what the commands do with its words is written here anew, from the files of
-each command as their configuration files build them.
+Both are GPL and no part of this project: an environment variable names a checkout, and the build
+lies in a temporary folder. ``THREADLINE_GRBL`` is the folder ``grbl`` of a checkout of gnea/grbl,
+whose ``gcode.c``, ``motion_control.c`` and ``nuts_bolts.c`` are compiled unchanged, with M7.
+``THREADLINE_MARLIN`` is the folder ``Marlin`` of a checkout of MarlinFirmware/Marlin, whose
+``parser.cpp`` is compiled; the effect of its commands is written here anew, from the files of each
+command as their configuration files build them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Line(NamedTuple):
 
 
 class Told(NamedTuple):
-    """What a control made of a program: moves by line, dwells in s, the first line it refused."""
+    """A control's reading of a program: moves by line, dwells in s, the first line it refused."""
 
     lines: dict[int, Line]
     dwells_s: list[float]
@@ -104,7 +104,7 @@ def build_klipper(source: Path, folder: Path) -> Path:
 
 
 def run(program: Path, programs: Sequence[Sequence[str]]) -> list[Told]:
-    """Return what a control makes of each program, begun anew for each."""
+    """Return the readings of a control for each program, started anew for each."""
     text = "".join(f"{_NEW}\n" + "\n".join(lines) + "\n" for lines in programs)
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     answers = [_told(part) for part in done.stdout.split(f"{_NEW}\n")[1:]]
@@ -119,11 +119,10 @@ def interpreted(
     settings: Path | None = None,
     more: tuple[str, ...] = (),
 ) -> str:
-    """Return what LinuxCNC's interpreter says of a program: its calls, or its refusal.
+    """Return the answer of LinuxCNC's interpreter to a program: its calls, or its refusal.
 
-    ``more`` are further words of its command line, such as a tool table.
-
-    LinuxCNC keeps the tools of an account in ``~/.tool.mmap``, shared: each run has its own home.
+    ``more`` are further words of its command line, such as a tool table. LinuxCNC shares the tools
+    of an account in ``~/.tool.mmap``, so each run has its own home.
     """
     given = [] if settings is None else ["-i", str(settings)]
     with tempfile.TemporaryDirectory() as home:

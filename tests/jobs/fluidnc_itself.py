@@ -1,8 +1,8 @@
-"""FluidNC's parser, built from its own sources around a main program and headers of ours.
+"""FluidNC's parser, built from its own sources around a main program and headers of the tests.
 
 It is GPL and no part of this project: ``THREADLINE_FLUIDNC`` names the folder ``FluidNC/src`` of a
 checkout of bdring/FluidNC, whose ``GCode.cpp``, ``Expression.cpp``, ``Parameters.cpp``,
-``Flowcontrol.cpp``, ``Job.cpp`` and ``MotionControl.cpp`` are compiled as they are, in a temporary
+``Flowcontrol.cpp``, ``Job.cpp`` and ``MotionControl.cpp`` are compiled unchanged, in a temporary
 folder. A program is run as a job from a file: the first error ends it.
 """
 

@@ -22,7 +22,7 @@ def moves(job: Job) -> list[Move]:
 
 
 def millimetres(job: Job) -> list[tuple[float, ...]]:
-    """Return X Y Z in mm and A in degrees behind every move."""
+    """Return X Y Z in mm and A in degrees after every move."""
     return [(*(1e3 * p for p in m.target[:3]), math.degrees(m.target[3])) for m in moves(job)]
 
 

@@ -1,4 +1,4 @@
-"""Machines of any axes, each moved by a stepper of its own, without loads."""
+"""Machines with any axes, each moved by its own stepper, without loads."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ endless = true
 
 
 def made_machine(folder: Path, linear: str, rotary: str, more: str = "") -> Machine:
-    """Return a machine with these axes, endless all."""
+    """Return a machine with these axes, all of them endless."""
     text = _HEAD
     for name in linear + rotary:
         straight = name in linear

@@ -1,4 +1,4 @@
-"""Random short programs: blocks that a control takes, and blocks of words thrown together."""
+"""Random short programs: valid blocks, and blocks of random words."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LETTERS = "XYZXYZXYZFPIJKRSNLQ"
 
 
 def _block(rng: random.Random) -> str:
-    """Return a block that most controls take."""
+    """Return a block that most controls accept."""
     n = lambda: rng.choice(_NUMBERS)  # noqa: E731
     kind = rng.randrange(14)
     x = rng.choice((2, 5, 8, 10, 20))
@@ -53,7 +53,7 @@ def _loose(rng: random.Random) -> str:
 
 
 def random_blocks(seed: int, loose: float = 0.35) -> list[str]:
-    """Return the lines of a program; of them ``loose`` are words thrown together."""
+    """Return the lines of a program; a share ``loose`` of them has random words."""
     rng = random.Random(seed)
     lines = ["G21 G90 G94 G17 G40", "G1 X1 F600"]
     lines += [
@@ -63,7 +63,7 @@ def random_blocks(seed: int, loose: float = 0.35) -> list[str]:
 
 
 def random_commands(seed: int, loose: float = 0.35, *, klipper: bool = False) -> list[str]:
-    """Return the lines of a program for a firmware that runs one command of a line.
+    """Return the lines of a program for a firmware that runs one command per line.
 
     For ``klipper`` more lines have small letters, I and J, and numbers in front.
     """

@@ -1,4 +1,4 @@
-"""Random programs with parameters, expressions and O words that LinuxCNC or FluidNC takes."""
+"""Random programs with parameters, expressions and O words that LinuxCNC or FluidNC accepts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FUNCTIONS = (
 
 @dataclass
 class Maker:
-    """Makes a program; nearly all end, and have a value wherever one is asked for.
+    """Makes a program; nearly all programs end, and have a value wherever one is read.
 
     FluidNC has no subroutines and no names as labels, and the machine of its tests has no A.
     """

@@ -1,4 +1,4 @@
-"""Bad input: each gets one line with file, line and what is wrong."""
+"""Bad input: each gets one line with file, line and fault."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write(folder: Path, data: str | bytes, name: str = "a.nc") -> Path:
 
 
 def refused(path: Path, **options: object) -> str:
-    """The error of reading and going through the job; one line without a traceback."""
+    """Return the error of reading a job and going through it; one line without a traceback."""
     with pytest.raises(InputError) as caught:
         list(read_job(path, MACHINE, **options))
     assert "\n" not in str(caught.value)
@@ -54,7 +54,7 @@ FILES = [
 
 @pytest.mark.parametrize("separator", ["\x85", "\u2028", "\u2029", "\r"])
 @pytest.mark.parametrize("block", ["X1 ; note{}X2", "; note{}X2", "X1 (note{}X2)", "(note){}X2"])
-@pytest.mark.parametrize("before", [0, 3000])  # plain blocks, which the compiled reader takes
+@pytest.mark.parametrize("before", [0, 3000])  # plain blocks, which the compiled reader reads
 def test_no_block_is_hidden_behind_a_line_separator(
     tmp_path: Path, separator: str, block: str, before: int
 ) -> None:
@@ -70,7 +70,7 @@ def test_no_block_is_hidden_behind_a_line_separator(
 def test_carriage_returns_before_a_line_feed_end_a_line(
     tmp_path: Path, end: str, before: int
 ) -> None:
-    """PyCAM's public programs for grbl, converted for Windows twice, end their lines so."""
+    """PyCAM's public programs for grbl have such line ends after two conversions for Windows."""
     text = program(*["X1"] * before, "X1 ; note", "X2 Y3 (rest)")
     moves = [
         [
@@ -157,7 +157,7 @@ def test_a_bad_block(tmp_path: Path, block: str, message: str) -> None:
 
 
 def test_an_error_late_in_a_file_has_its_line(tmp_path: Path) -> None:
-    """The 50 000th line, found before the job gives its first operation."""
+    """The 50 000th line, found before the job returns its first operation."""
     lines = ["G91 G1 F100", *["X1", "X-1"] * 25_000]
     lines[49_999] = "X1 Q5"
     path = write(tmp_path, "\n".join([*lines, "M30"]))
@@ -177,7 +177,7 @@ def test_an_error_late_in_a_file_has_its_line(tmp_path: Path) -> None:
     ],
 )
 def test_what_only_following_the_program_shows(tmp_path: Path, text: str, message: str) -> None:
-    """Modes carry over calls; going through the job refuses what lacks them."""
+    """Modes carry over calls; going through the job refuses a block without its mode."""
     assert message in refused(write(tmp_path, text))
 
 
@@ -210,9 +210,9 @@ def test_a_billion_passes_are_refused_unread(tmp_path: Path, passes: int) -> Non
 
 
 def test_nested_passes_multiply(tmp_path: Path) -> None:
-    """1000 x 1000 x 100 x 5 moves are above the budget, 1000 x 1000 x 100 x 3 are not.
+    """1000 x 1000 x 100 x 5 moves exceed the budget, 1000 x 1000 x 100 x 3 do not.
 
-    The nest of 99 with L 10^12 each has more moves than a float can say.
+    The nest of 99 with L 10^12 each has more moves than a float can express.
     """
     nest = "O1\nG91 G1 F5 X0\nM98 P2 L1000\nM30\nO2\nM98 P3 L1000\nM99\nO3\nM98 P4 L100\nM99\nO4\n"
     with pytest.raises(BudgetError, match="500000002 operations"):
@@ -241,7 +241,7 @@ def test_what_is_allowed_is_allowed(tmp_path: Path) -> None:
 
 
 def test_a_file_changed_between_readings_is_refused(tmp_path: Path) -> None:
-    """The hash of the job would no longer be that of the operations."""
+    """The hash of the job would no longer belong to the operations."""
     path = write(tmp_path, program("X1"))
     job = read_job(path, MACHINE)
     write(tmp_path, program("X1", "X2"))

@@ -35,7 +35,7 @@ def flat(runs) -> list[Operation]:
 
 
 def program(folder: Path, seed: int) -> Job:
-    """Some blocks have tags, alike or others than their neighbours; some stand in loops."""
+    """Some blocks have tags, equal or unlike their neighbours; some stand in loops."""
     chance = random.Random(seed)
     lines = ["G91 G94 F600"]
     for k in range(chance.randrange(1, 300)):

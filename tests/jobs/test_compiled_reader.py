@@ -1,4 +1,4 @@
-"""The compiled reader of part programs against the plain one."""
+"""The compiled reader of part programs, compared with the plain one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from threadline.jobs.gcode import plain_blocks
 from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.jobs.operations import MoveRun
 
-# --- the compiled reader does what the interpreter does -----------------------------------------
+# --- the compiled reader equals the interpreter -------------------------------------------------
 
 WORDS = (
     ["X1", "X-.5", "Y 2.25", "A+3.", "A -0.001", "X 0.1234567", "X0.12345678", "X12345678901.5",
@@ -50,7 +50,7 @@ def drawn(draw: Random, *kinds: Callable[[Random], str]) -> list[str]:
 
 
 def outcome(path: Path, kernel: bool) -> tuple[list[object], str]:
-    """All operations up to the error, and the error; with the kernel wherever it can, or never."""
+    """Return all operations up to the error, and the error; with the kernel or without it."""
     done: list[object] = []
     with patch.object(PlainReader, "worth_trying", lambda *_: kernel):
         try:
@@ -77,7 +77,7 @@ def test_the_kernel_does_what_the_interpreter_does(tmp_path: Path) -> None:
 
 
 def test_the_kernel_follows_modes_as_the_interpreter_does(tmp_path: Path) -> None:
-    """The same with programs that are right for most of their length."""
+    """The same holds for programs that are right for most of their length."""
     path = tmp_path / "kernel.nc"
     for seed in range(300):
         lines = drawn(Random(seed), right, right, right, words)
@@ -99,7 +99,7 @@ BEFORE = ["X1", "G1 Y.5 F60", "G90", "N7", "(c)", "", "G92 X1"]
 
 
 def number(draw: Random) -> str:
-    """Return thousandths, an integer of up to seventeen digits, or what may be no number."""
+    """Return thousandths, an integer of up to seventeen digits, or a wrong number."""
     kind = draw.randrange(3)
     if kind == 0:
         return f"{draw.randint(-999_000, 999_000) / 1000:.3f}"
@@ -120,7 +120,7 @@ def tagged(draw: Random) -> str:
 
 @pytest.mark.long(shown_by="test_the_kernel_does_what_the_interpreter_does")
 def test_the_kernel_names_the_numbers_that_the_interpreter_names(tmp_path: Path) -> None:
-    """Every tag of every move alike, signs of zero included, or the same error."""
+    """Every tag of every move is the same, signs of zero included, or the error is."""
     path = tmp_path / "tags.nc"
     for seed in range(1000):
         draw = Random(seed)
@@ -156,7 +156,7 @@ def test_tags_do_not_leave_the_kernel(tmp_path: Path) -> None:
 
 
 def test_more_names_than_the_kernel_keeps(tmp_path: Path) -> None:
-    """The seventeenth name and those after it are read block by block, and nothing is lost."""
+    """The seventeenth name and later ones are read block by block, and nothing is lost."""
     lines = [f"X1 ; name{k}={k} other{k}=1" for k in range(12)]
     found = moves(read(tmp_path, "G91 G1 F100", *lines, "X1 ; name3=8", "M30"))
     assert [dict(move.tags) for move in found] == [
@@ -169,7 +169,7 @@ def test_more_names_than_the_kernel_keeps(tmp_path: Path) -> None:
 def test_a_short_program_needs_no_compiled_reader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: int, compiled: bool
 ) -> None:
-    """It takes seconds to compile: the first 50 lines here are read without it, and the same."""
+    """Compiling takes seconds: the first 50 lines are read without it, with the same result."""
     program = ["G91 G1 F100 Y1", *(f"X{k % 3} F{k + 1} ; layer={k}" for k in range(lines)), "M30"]
     wanted = list(read(tmp_path, *program))
     used: list[int] = []

@@ -1,4 +1,4 @@
-"""Random programs go where the parsers of the controls themselves let them go, or are refused."""
+"""Random programs move as in the controls' own parsers, or are refused."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def xyz(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 def ours(folder: Path, machine: Machine, lines: list[str], dialect: str) -> Told | None:
-    """Return what the reader makes of a program, None where it refuses."""
+    """Return the reader's moves of a program, None if it refuses."""
     file = folder / "a.nc"
     file.write_text("\n".join(lines) + "\n")
     at: Point = (0.0, 0.0, 0.0)
@@ -77,7 +77,7 @@ def assert_same_moves(mine: Told, theirs: Told, feeds: bool) -> None:
 
 @pytest.mark.parametrize("kind", ["blocks", "loose words", "parameters"])
 def test_fluidnc_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine, kind: str) -> None:
-    """Moves, feeds and dwells; what it refuses, or ends with an error, is refused."""
+    """Moves, feeds and dwells agree; a program with an error of FluidNC is refused."""
     source = fluidnc_folder()
     if source is None:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_FLUIDNC names the folder FluidNC/src of a checkout")
@@ -104,9 +104,9 @@ def test_fluidnc_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine, kind:
 
 @pytest.mark.parametrize("dialect", ["grbl", "fluidnc"])
 def test_grbl_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine, dialect: str) -> None:
-    """FluidNC's parser came from grbl's: it takes P of arcs besides, which its programs lack here.
+    """FluidNC's parser came from grbl's: it also accepts P in arcs, which these programs lack.
 
-    What grbl refuses is refused.
+    A program that grbl refuses is refused.
     """
     source = themselves.grbl_folder()
     if source is None:
@@ -130,7 +130,7 @@ def test_grbl_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine, dialect:
 
 
 def test_marlin_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine) -> None:
-    """Moves, feeds and dwells; what it passes over, or runs otherwise, is refused."""
+    """Moves, feeds and dwells agree; words that Marlin ignores, or runs otherwise, are refused."""
     source = themselves.marlin_folder()
     if source is None:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_MARLIN names the folder Marlin of a checkout")
@@ -151,7 +151,7 @@ def test_marlin_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine) -> Non
 
 
 def test_klipper_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine) -> None:
-    """Moves, feeds and dwells by its own ``gcode.py``; what it answers with an error is refused."""
+    """Moves, feeds and dwells agree with ``gcode.py``; a program with its errors is refused."""
     source = themselves.klippy_folder()
     if source is None:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_KLIPPER names a checkout of Klipper")
@@ -172,11 +172,11 @@ def test_klipper_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine) -> No
         assert [one for one in mine.dwells_s if one] == pytest.approx(waits)
         same += 1
     print(f"{same} of {len(programs)} programs make the same moves; the others are refused")
-    assert same > len(programs) // 6  # R of arcs, S of G4 and what is no command are refused
+    assert same > len(programs) // 6  # R of arcs, S of G4 and unknown commands are refused
 
 
 def end_of_rs274(output: str) -> Point:
-    """Return where the canonical commands of LinuxCNC's interpreter end, from the first zero."""
+    """Return the ends of the canonical commands of LinuxCNC's interpreter, from the first zero."""
     plane, scale = "XY", 1.0
     last, shift = [0.0] * 3, [0.0] * 3
     for row in output.splitlines():
@@ -202,7 +202,7 @@ def end_of_rs274(output: str) -> Point:
 
 @pytest.mark.linuxcnc
 def test_linuxcnc_itself_ends_there(tmp_path: Path, xyz: Machine) -> None:
-    """What ``rs274`` refuses is refused."""
+    """A program that ``rs274`` refuses is refused."""
     rs274 = shutil.which("rs274")
     if rs274 is None:
         pytest.skip("rs274 (Debian's linuxcnc-uspace) is not installed")

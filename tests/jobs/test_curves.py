@@ -1,4 +1,4 @@
-"""Arcs and splines of dialects: what they are by their definition, and LinuxCNC as an oracle."""
+"""Arcs and splines of dialects: by their definition, and with LinuxCNC as the reference."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_spline_is_a_bezier_curve(tmp_path: Path, xyza: Machine) -> None:
     job = read(tmp_path, xyza, text, "linuxcnc")
     by_line = {n: list(g) for n, g in itertools.groupby(moves(job), lambda m: m.source.line)}
     start = np.zeros(2)
-    # P Q lead from the end, I J from the start; without I J minus the P Q of the one before.
+    # P Q lead from the end, I J from the start; without I J the negative P Q of the one before.
     for line, control in ((2, [(0, 30), (20, -10)]), (3, [(20, 50), (40, 20)])):
         points = np.array([[1e3 * p for p in m.target[:2]] for m in by_line[line]])
         end = points[-1]
@@ -78,7 +78,7 @@ def rs274() -> str:
 
 
 def random_program(rng: random.Random) -> list[str]:
-    """Moves, arcs in every plane by centre and by radius, shifted zeros, homes."""
+    """Return moves, arcs in every plane by centre and by radius, shifted zeros, homes."""
     lines = ["G21 G90 G94 G17 G40 G49 G54 G80 S100 M3", "G1 X1 Y2 Z3 A4 F600"]
     at = {"X": 1.0, "Y": 2.0, "Z": 3.0}
     planes = {"G17": "XYIJ", "G18": "ZXKI", "G19": "YZJK"}
@@ -127,9 +127,9 @@ def random_program(rng: random.Random) -> list[str]:
 def test_linuxcnc_bends_and_shifts_alike(
     rs274: str, tmp_path: Path, xyza: Machine, seed: int
 ) -> None:
-    """Every block ends where LinuxCNC's does, and an arc stays on its circle, its way round.
+    """Every block ends where LinuxCNC's does, and an arc stays on its circle, in its direction.
 
-    Ends and centres are printed to 4 decimals; offsets add another half of the last one each.
+    Ends and centres are printed to 4 decimals; offsets add half of the last decimal each.
     """
     program = tmp_path / "a.ngc"
     lines = "\n".join(random_program(random.Random(seed))).split("\n")

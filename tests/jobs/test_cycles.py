@@ -1,4 +1,4 @@
-"""Drilling cycles: the moves of LinuxCNC's interpreter, and blocks that it refuses."""
+"""Drilling cycles: the moves of LinuxCNC's interpreter, and refused blocks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 def places(job_text: str, folder: Path, machine: Machine) -> list[tuple[float, ...]]:
-    """Return X, Y and Z in mm behind every move of a program."""
+    """Return X, Y and Z in mm after every move of a program."""
     job = read(folder, machine, f"{HEAD}{job_text}\nM2\n", "linuxcnc")
     return [tuple(round(value, 6) for value in place[:3]) for place in millimetres(job)][1:]
 
@@ -34,7 +34,7 @@ def places(job_text: str, folder: Path, machine: Machine) -> list[tuple[float, .
 def test_a_series_of_holes_retracts_to_the_height_where_it_began(
     tmp_path: Path, xyza: Machine
 ) -> None:
-    """Written from the manual: over the place, down to R at the rapid, to Z at the feed, out."""
+    """By the manual: over the place, down to R at the rapid, to Z at the feed, out."""
     text = "G98 G81 X10 Y20 Z-5 R2\nX20\nG80\nG0 Z20"
     assert places(text, tmp_path, xyza) == [
         (10, 20, 10), (10, 20, 2), (10, 20, -5), (10, 20, 10),

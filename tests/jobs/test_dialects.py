@@ -1,4 +1,4 @@
-"""Dialects: what words do by the documents of their controllers."""
+"""Dialects: the meaning of words by the documents of their controllers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 def test_preambles_are_named_once(
     tmp_path: Path, xyza: Machine, dialect: str, preamble: str, words: str
 ) -> None:
-    """Each word without effect on motion stands once in one warning; the motion is the same."""
+    """One warning names each word without effect on motion once; the motion is the same."""
     text = f"{preamble}\nG1 X5. F60\n{preamble}\nG1 X7. F60\nM5\nM30\n"
     job = read(tmp_path, xyza, text, dialect)
     (said,) = [w for w in job.warnings if "without effect" in w]
@@ -53,7 +53,7 @@ def test_preambles_are_named_once(
 
 
 def test_g64_of_linuxcnc_is_said_to_be_the_machine_files(tmp_path: Path, xyza: Machine) -> None:
-    """It is LinuxCNC's own word, and the plan takes P from the machine file."""
+    """The word is LinuxCNC's own, and the plan takes P from the machine file."""
     job = read(tmp_path, xyza, "G64 P0.01\nG1 X5 F60\nM30\n", "linuxcnc")
     (said,) = [w for w in job.warnings if "G64" in w]
     assert "this G64 does not count" in said and "tolerance is P of G64" in said
@@ -72,7 +72,7 @@ def test_a_program_ends_with_its_file(tmp_path: Path, xyza: Machine, dialect: st
 
 @pytest.mark.parametrize("dialect", ["grbl", "fluidnc"])
 def test_a_program_may_end_twice(tmp_path: Path, xyza: Machine, dialect: str) -> None:
-    """Laser posts write M5 M2 M2; what moves behind an end is refused, but by grbl."""
+    """Laser posts write M5 M2 M2; moves after an end are refused, except by grbl."""
     text = "G1 X10 F600\nX20\nM2\n"
     once = millimetres(read(tmp_path, xyza, text, dialect, "once.nc"))
     assert millimetres(read(tmp_path, xyza, text + "M2\n\nM30\n", dialect, "twice.nc")) == once
@@ -84,14 +84,14 @@ def test_a_program_may_end_twice(tmp_path: Path, xyza: Machine, dialect: str) ->
 
 
 def test_a_shifted_zero_in_a_subroutine_moves_on(tmp_path: Path, xyza: Machine) -> None:
-    """G92 A0 behind each circuit: pass after pass begins where the last one ended."""
+    """G92 A0 after each circuit: pass after pass begins at the end of the last one."""
     text = "G1 X0 F60\nM98 P2 L500\nG92.1\nX0 A0\nM30\nO2\nX5 A90\nX0 A360\nG92 A0\nM99\n"
     job = read(tmp_path, xyza, text, "linuxcnc")
     points = millimetres(job)
     assert len(points) == 1 + 1000 + 1
     assert [p[3] for p in points[1:7]] == pytest.approx([90, 360, 450, 720, 810, 1080])
     assert points[-2][3] == pytest.approx(360.0 * 500) and points[-1][3] == 0.0
-    # The same folded: three passes stand for all, and what follows begins where they end.
+    # The same folded: three passes stand for all, and the next move begins at their end.
     folded = sum(times for item, times, _ in job.folded() if isinstance(item, Move))
     runs = sum(t * len(i) for i, t, _ in job.folded() if not isinstance(i, Move) and _sized(i))
     assert folded + runs == len(points)
@@ -115,11 +115,11 @@ def _time_one_by_one(job: Job, machine: Machine) -> float:
 
 
 def test_marlin_goes_at_the_feed_in_g0_too(tmp_path: Path, xyza: Machine) -> None:
-    """F 3000 alone on a G0 is the feed of all that follows (Cyclone and FiberPath write it so)."""
+    """F 3000 alone on a G0 is the feed of all later moves (Cyclone and FiberPath write this)."""
     text = "G0 X0 Y0 Z0\nG0 F3000\nG0 X10 Y0\nG0 X10 Y20\nG92 Y0\nG0 Y5\nG1 X0\n"
     job = read(tmp_path, xyza, text, "marlin")
     first, *others = moves(job)
-    assert first.target == (0.0,) * 4  # before any feed, and going nowhere
+    assert first.target == (0.0,) * 4  # before any feed, and without motion
     assert {(m.feed.mode, m.feed.value) for m in others if m.feed} == {(FeedMode.IN_TURN, 0.05)}
     assert millimetres(job)[3][:2] == pytest.approx((10.0, 25.0))
     assert programmed_time_s(job, xyza) == pytest.approx((10 + 20 + 5 + 10) / 50.0)
@@ -162,7 +162,7 @@ def test_a_dwell_counts_as_its_controller_does(
 
 
 def test_marlin_homes_and_waits(tmp_path: Path, xyza: Machine) -> None:
-    """G28 X: home and zero again there; M400 lets the motion end, M109 waits for a temperature."""
+    """G28 X: home, which becomes zero; M400 lets the motion end, M109 waits for a temperature."""
     first = numbered(1, "G1 X5 Y5 F60")
     text = f"{first}\nG92 X100 Y50\nG28 X\nG1 X1 Y51\nM400\nM109 S200\nM3 S9\nM5\n"
     job = read(tmp_path, xyza, text, "marlin")
@@ -174,7 +174,7 @@ def test_marlin_homes_and_waits(tmp_path: Path, xyza: Machine) -> None:
 
 
 def test_marlin_has_one_tool(tmp_path: Path, xyza: Machine) -> None:
-    """T0 selects the tool that is there; another, or one beside a move, is refused."""
+    """T0 selects the only tool; another tool, or one beside a move, is refused."""
     job = read(tmp_path, xyza, "T0\nG1 X5 F60\n", "marlin")
     assert list(working_words(job)) == [(1, "T0")]
     assert [p[0] for p in millimetres(job)] == [5.0]
@@ -220,7 +220,7 @@ _PIECES = (
 def test_the_kernel_follows_every_dialect(
     tmp_path: Path, xyza: Machine, dialect: str, seed: int
 ) -> None:
-    """The compiled reader and the plain one: the same operations and warnings, or error."""
+    """The compiled reader equals the plain one: operations and warnings, or the error."""
     rng = random.Random(seed)
     lines = ["G1 X0 F60"]
     for _ in range(40):

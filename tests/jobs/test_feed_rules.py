@@ -1,4 +1,4 @@
-"""What F means by the rules of controllers and planners, against figures of their own."""
+"""The meaning of F by the rules of controllers and planners, compared with their own figures."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_marlin_as_its_planner_reckons(tmp_path: Path, winder: Machine) -> None:
 
 @pytest.mark.parametrize("rule", ["cadfil", "grbl", "fluidnc"])
 def test_all_axes_in_one_length(tmp_path: Path, winder: Machine, rule: str) -> None:
-    """CADFIL's report: each block takes sqrt(A^2 + X^2 + Y^2) / F, degrees as they stand."""
+    """CADFIL's report: each block takes sqrt(A^2 + X^2 + Y^2) / F, with A in degrees."""
     rng = random.Random(3)
     steps = [[round(rng.uniform(-9, 9), 3) for _ in range(3)] for _ in range(50)]
     lines = [f"X{x} Y{y} A{a} F{100 + k}" for k, (x, y, a) in enumerate(steps)]
@@ -76,8 +76,8 @@ def test_all_axes_in_one_length(tmp_path: Path, winder: Machine, rule: str) -> N
 def test_linuxcnc_by_its_own_interpreter(tmp_path: Path, winder: Machine, rule: str) -> None:
     """In G93 with F 1 the interpreter sets the rate at which a move takes a minute.
 
-    That rate is LinuxCNC's own length of the move. Given as F in G94 it has to make every move of
-    ours take a minute, to the 4 decimals that are printed.
+    This rate is LinuxCNC's own length of the move. Given as F in G94 it has to make every move take
+    a minute here, to the 4 printed decimals.
     """
     rs274 = shutil.which("rs274")
     if rs274 is None:
@@ -150,18 +150,18 @@ def test_a_rule_without_u_is_refused_on_a_machine_with_u(tmp_path: Path) -> None
 
 
 def test_an_operator_stays_at_his_machine(tmp_path: Path, winder: Machine) -> None:
-    """F 12000 is 200 mm/s on a machine made from the winder; 10 count/tick of X was 36 mm/s."""
+    """F 12000 is 200 mm/s on a machine made from the winder; 10 count/tick of X were 36 mm/s."""
     job = read(tmp_path, winder, "G91 G1 X100 F12000")
     assert job.suspicions(own_feed=True) == ()
     assert minutes(job, winder)[0] * 60.0 == pytest.approx(0.5)
     old = read(tmp_path, WINDER, "G91 G1 X100 F12000")
     assert minutes(old, WINDER)[0] * 60.0 > 2.0
     assert "caps it" in old.capped[0]
-    assert programmed_time_s(old, WINDER) == pytest.approx(0.5)  # what F alone says
+    assert programmed_time_s(old, WINDER) == pytest.approx(0.5)  # the speed by F alone
 
 
 def test_rapids_dwells_and_repeats_count(tmp_path: Path, winder: Machine) -> None:
-    """Nominal time: rapids at the velocity limit, dwells, passes multiplied out."""
+    """Nominal time: rapids at the velocity limit, dwells, and all passes."""
     lines = ("G91 G1 F60", "M98 P2 L1000", "M30", "O2", "X1", "G4 P2", "G0 X-1", "G1", "M99")
     path = tmp_path / "a.nc"
     path.write_text("\n".join(lines) + "\n")

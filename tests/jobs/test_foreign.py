@@ -1,7 +1,7 @@
-"""Files that were made for another machine: renamed axes, guessed dialects, tables of axis values.
+"""Files for other machines: renamed axes, guessed dialects, tables of axis values.
 
-A renamed program is compared with the same program in which an editor has replaced the letters, and
-a table with the program that makes the same moves.
+A renamed program is compared with the same program after an editor replaced the letters, and a
+table with the program of the same moves.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def moves(job: Job) -> list[tuple[object, ...]]:
 def test_comments_beside_what_grbl_is_asked_are_taken_out_as_grbl_does(
     tmp_path: Path, axy: Machine
 ) -> None:
-    """Fluidnc reads such a line with its comment, and knows no setting of that name."""
+    """FluidNC reads such a line with its comment, and knows no setting of that name."""
     program = "$I  ; build info\n(state) $G (modes)\n? ; where\nG21 G90\nG1 X5 F600\n"
     assert len(moves(made(tmp_path, program, axy, dialect="grbl"))) == 1
     with pytest.raises(JobError, match=r"a\.nc:1: '\$I'"):
@@ -78,7 +78,7 @@ def test_the_diameter_of_a_filament_moves_nothing(tmp_path: Path, axy: Machine) 
 def test_lines_that_ask_grbl_for_a_report_move_nothing(
     tmp_path: Path, axy: Machine, long: bool
 ) -> None:
-    """A log of a sender begins with them; $H moves, and is refused."""
+    """A sender's log begins with such lines; $H moves, and is refused."""
     program = "G21 G90\n" + "G1 X5 F600\nG1 X0\n" * (900 if long else 2)
     asking = "$I\n $$ \n?\n$#\n$n\n" + program + "$G\n"
     for dialect in ("grbl", "fluidnc"):
@@ -160,7 +160,7 @@ def test_an_x_winder_program_goes_to_other_axes(tmp_path: Path, axy: Machine) ->
 
 
 def test_the_head_of_a_3d_print_goes_its_way_without_e(tmp_path: Path) -> None:
-    """``G92 E0`` and ``G28 E`` without their words would take every axis; they do nothing."""
+    """``G92 E0`` and ``G28 E`` without their E would affect every axis; they do nothing."""
     machine = made_machine(tmp_path, "XY", "")
     printed = "G28\nG92 E0\nG1 X5 Y2 F600 E1.2\nG1 E0.4 F2400\nG92 E0\nG1 X9 F900 E3\n"
     job = made(tmp_path, printed, machine, dialect="klipper", axes="E=none")
@@ -201,7 +201,7 @@ def test_a_word_left_out_does_not_make_a_block_one_of_all_axes(
 def test_the_dialect_is_guessed_and_said(
     tmp_path: Path, axy: Machine, text: str, dialect: str, mark: str
 ) -> None:
-    """A machine file that names a dialect, and an option, are never overruled."""
+    """A dialect named by a machine file or an option is never overruled."""
     if dialect == "fanuc":
         text = text.replace("G54", "G54 G69")  # the winder reads O numbers as well
     job = made(tmp_path, text, axy)
@@ -231,7 +231,7 @@ def test_without_a_mark_nothing_is_guessed(
 
 
 def test_a_tool_length_may_follow_moves_over_the_place(tmp_path: Path) -> None:
-    """As posts write it: over the place first, then down with G43; Fanuc goes home beside G0."""
+    """Posts write it so: over the place first, then down with G43; Fanuc homes beside G0."""
     machine = made_machine(tmp_path, "XYZ", "A")
     text = "G90 G54 G0 X5. Y2.\nG43 H1 Z15.\nG1 Z-1. F300\nX9.\n{}M30\n"
     for dialect, home in (("linuxcnc", ""), ("fanuc", "G0 G91 G28 Z0.\n")):
@@ -262,7 +262,7 @@ def test_a_table_with_feeds_is_the_program_of_its_rows(tmp_path: Path, axy: Mach
 
 
 def test_a_table_with_times_takes_them(tmp_path: Path, axy: Machine) -> None:
-    """It begins at its first row, and rests where no axis moves."""
+    """It begins at its first row, and rests while no axis moves."""
     text = "time [ms]; X [mm]; A [rad]\n0; 1,5; 0\n250; 2,5; 0,1\n750; 2,5; 0,1\n1000; 3; 0,2\n"
     job = made(tmp_path, text, axy, "a.csv")
     x = axy.axis_names.index("X")
@@ -320,7 +320,7 @@ def test_a_winding_definition_is_named(tmp_path: Path, axy: Machine) -> None:
 def test_the_block_that_ends_a_program_is_enough_behind_a_percent_sign(
     tmp_path: Path, axy: Machine, dialect: str
 ) -> None:
-    """CAM programs whose last lines a mail or an editor took; a control of tapes waits for %."""
+    """CAM programs lost their last lines in a mail or an editor; a tape control waits for %."""
     text = "%\nG21\nG90\nG1 X5 F600\nM30\n\n"
     job = made(tmp_path, text, axy, dialect=dialect)
     assert moves(job) == moves(made(tmp_path, text + "%\n", axy, "b.nc", dialect=dialect))

@@ -1,4 +1,4 @@
-"""A small share of the long fuzz run, so that it stays runnable and its readers quiet."""
+"""A small share of the long fuzz run, so that it stays runnable and its readers robust."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from threadline.units import parse_exact_time_s, parse_quantity
 
 CASES = {
     "part-program": 300, "units": 300, "par": 100, "radii": 150, "program-winder": 150,
-    "winding": 300,  # a winding takes all of its numbers together: few changed ones are accepted
+    "winding": 300,  # a winding combines all of its numbers: few changed ones are accepted
 }  # fmt: skip
 JUDGED = (
     "judge-channels", "judge-blocks", "judge-axes",
@@ -23,7 +23,7 @@ JUDGED = (
 
 @pytest.mark.long(shown_by="test_a_traceback_is_counted")
 def test_no_reader_answers_with_a_traceback() -> None:
-    """Every reader refuses or accepts; some of each, or the cases would prove nothing."""
+    """Every reader both refuses and accepts; otherwise the cases would prove nothing."""
     for name in fuzz.READERS.keys() - set(JUDGED):
         with warnings.catch_warnings():
             tally = fuzz.run(7, name, 0, CASES.get(name, 50))
@@ -43,14 +43,14 @@ def test_a_traceback_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_time_of_a_billion_digits_is_refused_at_once() -> None:
-    """Found by fuzzing: the exact fraction of 1e999999999 took minutes to make."""
+    """Found by fuzzing: the exact fraction of 1e999999999 took minutes to compute."""
     for text in ("1e999999999 s", "1e-999999999 s"):
         with pytest.raises(UnitError, match="must be"):
             parse_exact_time_s(text)
 
 
 def test_a_unit_that_is_a_tower_of_powers_is_refused_at_once() -> None:
-    """Found by fuzzing: pint works out 9**99999999, and overflows in ((m/mm)^9)^9..."""
+    """Found by fuzzing: pint computes 9**99999999, and overflows in ((m/mm)^9)^9..."""
     for text in ("1 m*9**99999999", "1 m^9^9^9", "1 ((((m/mm)^9)^9)^9)^9"):
         with pytest.raises(UnitError):
             parse_quantity(text, "" if "mm" in text else "m")

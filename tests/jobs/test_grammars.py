@@ -1,4 +1,4 @@
-"""Each control's own grammar: what it refuses, drops or reads otherwise than the others."""
+"""Each control's own grammar: words that it refuses, drops or reads differently."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 def test_a_block_behind_a_semicolon_is_a_comment_for_controls(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
-    """Posts write ``M0 ;T102``, and people put a block aside with a semicolon."""
+    """Posts write ``M0 ;T102``, and users disable a block with a semicolon."""
     stop = "M226" if dialect == "reprapfirmware" else "M0"
     text = f"G21\nG90\nG1 X5 F600 ;G1 X9\n{stop} ;T102\nG1 X7 ; Y3\nM30\n"
     job = read(tmp_path, xyza, text, dialect)
@@ -63,7 +63,7 @@ def test_what_a_slicer_or_post_writes_is_refused_by_what_it_is(
 
 
 def test_t_behind_an_m_word_of_marlin_is_no_command(tmp_path: Path, xyza: Machine) -> None:
-    """Slicers write ``M104 T0 S215``; behind G1 a T is a word that Marlin drops."""
+    """Slicers write ``M104 T0 S215``; after G1, T is a word that Marlin drops."""
     text = "M0 Put tool 2 in\nM104 T0 S215\nM109 S215 T0\nG1 X5 F600\nM84 X Y E\nM18\nM2\n"
     job = read(tmp_path, xyza, text, "marlin")
     assert [p[0] for p in millimetres(job)] == [5]
@@ -73,7 +73,7 @@ def test_t_behind_an_m_word_of_marlin_is_no_command(tmp_path: Path, xyza: Machin
 
 
 def test_fanuc_reads_times_of_moves(tmp_path: Path, xyza: Machine) -> None:
-    """Posts of rotary axes write G93: 120 a minute is half a second, whatever moves."""
+    """Posts of rotary axes write G93: 120 a minute is half a second, for every axis."""
     text = "G21 G90 G93\nG1 X1. A3.5 F120.\nG94 X2. F60.\nM30\n"
     for dialect in ("fanuc", "linuxcnc"):
         first, second = moves(read(tmp_path, xyza, text, dialect))
@@ -86,7 +86,7 @@ def test_fanuc_reads_times_of_moves(tmp_path: Path, xyza: Machine) -> None:
 def test_axis_words_beside_what_takes_none_are_a_move(
     tmp_path: Path, xyza: Machine, dialect: str, word: str
 ) -> None:
-    """They belong to the motion in force, as rs274 and grbl's gcode.c have it."""
+    """They belong to the motion mode in force, as in rs274 and grbl's gcode.c."""
     job = read(tmp_path, xyza, f"{HEAD}{word} X-1 Y-2\nX2\n{word} G0 Y7\nM30\n", dialect)
     ends = [p[:2] for p in millimetres(job)]
     assert ends == [(5, 0), (-1, -2), (2, -2), (2, 7)]
@@ -105,7 +105,7 @@ def test_axis_words_beside_what_takes_none_are_a_move(
 def test_linuxcnc_keeps_what_g92_has_shifted(
     tmp_path: Path, xyza: Machine, block: str, ends: list[tuple[float, float]]
 ) -> None:
-    """G92.3 takes the last G92 again, whether G92.2 set it aside or not; G92.1 forgets it."""
+    """G92.3 restores the last G92, whether G92.2 suspended it or not; G92.1 forgets it."""
     job = read(tmp_path, xyza, f"{HEAD}{block}\nM2\n", "linuxcnc")
     assert [p[:2] for p in millimetres(job)][1:] == [pytest.approx(end) for end in ends]
 
@@ -153,7 +153,7 @@ REFUSED = [
     ("grbl", "M3 S-1", "S-1 must not be negative for grbl"),
     ("linuxcnc", "G1 N7 X9", "linuxcnc takes N7 only at the beginning of a line"),
     ("linuxcnc", "N3. X9", "takes N3. only at the beginning of a line, and without a point"),
-    # words that the control does not know
+    # words unknown to the control
     ("grbl", "G64", "G64 is no word of grbl"),
     ("grbl", "T1 M6 G1 X9", "grbl refuses M6 with its whole line, G1 too"),
     ("grbl", "O100", "grbl has no word O"),
@@ -325,13 +325,13 @@ def test_what_klipper_runs_otherwise_is_refused(
 def test_a_line_of_parentheses_alone_is_no_command(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
-    """Neither firmware takes a word of it, whatever it says."""
+    """Neither firmware reads a word of it."""
     text = "(Made of A.svg (@ X99))\nG1 X5 F600\n(end) (of G1 X1)\n (open Y7\nG1 X6\n"
     assert [p[0] for p in millimetres(read(tmp_path, xyza, text, dialect))] == [5, 6]
 
 
 def test_a_plotter_file_of_unicorn_is_read_for_marlin(tmp_path: Path, xyza: Machine) -> None:
-    """It has its comments in parentheses and lifts the pen by M300, which grbl stops at."""
+    """Its comments are in parentheses, and it lifts the pen by M300, at which grbl stops."""
     text = (
         "(Scribbled version of C:\\U~1\\ink.svg @ 3500)\n"
         '( unicorn.py --tab="plotter" --x-home=0 )\n'
@@ -360,7 +360,7 @@ def test_klipper_passes_over_the_limits_that_slicers_set_for_marlin(
 def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(
     tmp_path: Path, xyza: Machine
 ) -> None:
-    """Its ``gcode.py``; before the first F the feed is the 25 mm/s of ``gcode_move.py``."""
+    """From ``gcode.py``; before the first F the feed is the 25 mm/s of ``gcode_move.py``."""
     text = "g1 x5\nn9 G0 X6*1\nN3 g1 X7 f600 ; (Y9\nG4 P150.9\nm117 G1 X99\nG28 y\nG1 X8\n"
     job = read(tmp_path, xyza, text, "klipper")
     assert [p[0] for p in millimetres(job)] == [5, 6, 7, 7, 8]
@@ -412,7 +412,7 @@ def test_what_reprapfirmware_runs_otherwise_is_refused(
 
 
 def test_reprapfirmware_runs_every_command_of_a_line(tmp_path: Path, xyza: Machine) -> None:
-    """``StringParser.cpp``: each in its order; behind M42 P and S are the words of M42."""
+    """``StringParser.cpp``: each in its order; after M42, P and S are words of M42."""
     text = (
         "g21 G90g1x5\nn9 G0 X6 m42 P1 S1 G91 G1 X1 F600 ; (Y9\n"
         f"{numbered(4, 'G4 P150.9 G4 S2 P7')}\n  G90 G2 X9 R1 M117 (G1 X99\n"
@@ -432,7 +432,7 @@ def test_reprapfirmware_runs_every_command_of_a_line(tmp_path: Path, xyza: Machi
 
 
 def test_a_long_program_of_reprapfirmware_has_every_command(tmp_path: Path, xyza: Machine) -> None:
-    """Beyond the lines that the compiled reader leaves to the other one."""
+    """Also beyond the first lines, which the plain reader reads."""
     lines = [f"G1 X{k}" + (f" G1 Y{k}" if k % 7 == 0 else "") for k in range(600)]
     job = read(tmp_path, xyza, "\n".join(["G1 F600", *lines]), "reprapfirmware")
     ends = [(round(x), round(y)) for x, y, *_ in millimetres(job)]
@@ -478,7 +478,7 @@ def test_linuxcnc_reads_the_position_of_the_program(tmp_path: Path, xyza: Machin
 def test_the_compiled_reader_has_the_same_grammar(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
-    """Of random lines, odd ones among them: the same operations, or the same error."""
+    """For random lines, odd ones among them: the same operations, or the same error."""
     taken = 0
     for seed in range(60):
         made = {
@@ -502,7 +502,7 @@ def test_the_compiled_reader_has_the_same_grammar(
 
 
 def test_fluidnc_takes_a_first_percent_behind_empty_lines(tmp_path: Path, xyza: Machine) -> None:
-    """Where a comment stands before it, the file ends there (``InputFile.cpp``)."""
+    """If a comment stands before it, the file ends there (``InputFile.cpp``)."""
     job = read(tmp_path, xyza, "\n\n%\nG0 X1\n%\n", "fluidnc")
     assert [p[0] for p in millimetres(job)] == [1]
     with pytest.raises(InputError, match="nc:2: fluidnc ends the file with this %"):
@@ -512,7 +512,7 @@ def test_fluidnc_takes_a_first_percent_behind_empty_lines(tmp_path: Path, xyza: 
 
 
 def test_a_percent_is_an_error_of_grbl_and_said(tmp_path: Path, xyza: Machine) -> None:
-    """``protocol.c`` has no use of it yet, and ``gcode.c`` waits for a letter."""
+    """``protocol.c`` does not handle it, and ``gcode.c`` waits for a letter."""
     job = read(tmp_path, xyza, "(tube)\n%\nG0 X1\n%\n", "grbl")
     assert [p[0] for p in millimetres(job)] == [1]
     (said,) = job.warnings
@@ -533,7 +533,7 @@ def test_a_percent_is_an_error_of_grbl_and_said(tmp_path: Path, xyza: Machine) -
 def test_letters_that_act_as_they_are_sent_are_said(
     tmp_path: Path, xyza: Machine, dialect: str, comment: str, letter: str, does: str
 ) -> None:
-    """grbl picks them out of the serial stream (``serial.c``), FluidNC behind UTF-8."""
+    """grbl picks them out of the serial stream (``serial.c``), FluidNC even in UTF-8."""
     text = f"G0 X1\nG0 X2 ; {comment}\nG0 X3\n" + ("M2\n" if dialect == "linuxcnc" else "")
     said = [w for w in read(tmp_path, xyza, text, dialect).warnings if "as soon as it is sent" in w]
     assert len(said) == bool(letter)
@@ -549,7 +549,7 @@ def test_a_3d_print_is_refused_as_one(tmp_path: Path, xyza: Machine) -> None:
 
 
 def test_marlin_sets_the_place_of_an_axis_by_g92_9(tmp_path: Path, xyza: Machine) -> None:
-    """The place becomes the number; later numbers count from there. Behind G92 it is refused."""
+    """The place gets this number; later numbers count from there. After G92 it is refused."""
     text = "G21\nG90\nG1 A700 F600\nG92.9 A340\nG1 A350\n"
     assert [round(p[3]) for p in millimetres(read(tmp_path, xyza, text, "marlin"))] == [700, 710]
     with pytest.raises(JobError, match=r"G92\.9 behind a G92 of the same axis"):

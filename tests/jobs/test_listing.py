@@ -10,7 +10,7 @@ import pytest
 from threadline.jobs import FeedMode, Move, Stop, read_job
 from threadline.machine import load_machine
 
-# The increments of Figure 9-1 as printed, typed apart from the example file.
+# The increments of Figure 9-1 as printed, typed independently of the example file.
 FIGURE_9_1 = [
     (10.13, 15.79, 0), (10.64, 18.01, 0), (9.79, 19.18, 0), (17.68, 42.61, 0), (13.03, 45.36, 0),
     (34.77, 119.56, 0), (18.10, 54.48, 25.70), (17.54, 9.39, 28.53), (18.98, 5.77, 17.57),
@@ -52,7 +52,7 @@ def test_every_move_is_the_printed_one(examples: Path) -> None:
 
 
 def test_the_listing_stops_and_ends(examples: Path) -> None:
-    """M00 waits for the operator, M30 ends; F 12000 is 200 mm/s, which a warning calls too much."""
+    """M00 waits for the operator, M30 ends; F 12000 is 200 mm/s, too fast by a warning."""
     job = read_job(examples / "cone-dome-cylinder.prg", load_machine("lathe-winder"))
     operations = list(job)
 
@@ -67,7 +67,7 @@ def test_the_reversal_has_eight_points_each_way(examples: Path) -> None:
     job = read_job(examples / "x-180.prg", load_machine("lathe-winder"))
     moves = [op for op in job if isinstance(op, Move)]
 
-    # Eight points with both ends are seven moves; programs carry three decimals of a millimetre.
+    # Eight points with both ends are seven moves; programs have three decimals of a millimetre.
     expected = [180.0 * k / 7.0 for k in [*range(1, 8), *range(6, -1, -1)]]
     assert [1e3 * move.target[1] for move in moves] == pytest.approx(expected, abs=2e-3)
     assert moves[6].target[1] == pytest.approx(0.180, abs=1e-15)

@@ -1,4 +1,4 @@
-"""A mandrel acts at the radius that it has beside the carriage: a cone against closed forms."""
+"""A mandrel acts at its radius beside the carriage: a cone, compared with closed forms."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ radius = ["10 mm exact, measured", "50 mm exact, measured"]
 
 
 def with_cone(folder: Path, text: str = CONE) -> Machine:
-    """Carriage X along a cone of 10 mm at X 0 and 50 mm at X 100, mandrel A."""
+    """A carriage X along a cone of 10 mm at X 0 and 50 mm at X 100, mandrel A."""
     base = made_machine(folder, "X", "A")
     file = folder / "cone.toml"
     file.write_text(f'base = "{Path(base.file).name}"\nname = "cone"\n{text}')
@@ -39,7 +39,7 @@ def with_cone(folder: Path, text: str = CONE) -> Machine:
 
 
 def judged_deviation_m(machine: Machine, folder: Path, at_mm: float, name: str) -> float:
-    """Of a reversal of A at one place of X: 30 degrees there and back."""
+    """Return a reversal of A at one place of X: 30 degrees forth and back."""
     path = folder / "reversal.nc"
     path.write_text(f"G0 X{at_mm}\nG1 F6000 A30\nA0\nM30\n")
     job = read_job(path, machine)
@@ -52,7 +52,7 @@ def judged_deviation_m(machine: Machine, folder: Path, at_mm: float, name: str) 
 
 
 def plan_of(job: object, machine: Machine, programmed: object, planned: object) -> Plan:
-    """A plan with the two paths alone: the deviation of a path asks for nothing else."""
+    """Return a plan with the two paths alone: the deviation of a path needs nothing else."""
     whole = plan_job(job, machine, Options(interpolation="b-spline"))  # type: ignore[arg-type]
     motion = replace(whole.motion, programmed=programmed, path=planned)
     return replace(whole, intent=motion)
@@ -69,11 +69,11 @@ def test_a_reversal_is_missed_by_what_the_mandrel_has_there(
 
 @pytest.mark.parametrize("name", ["auto", "parabolic", "optimal"])
 def test_the_tolerance_is_kept_by_the_radius_beside(tmp_path: Path, name: str) -> None:
-    """Zigzag of A along the cone: each corner may be cut by the tolerance at its own radius.
+    """A zigzag of A along the cone: each corner may be cut by the tolerance at its own radius.
 
     At 10 mm the same length is five times as many degrees as at 50 mm, so that the turning points
-    are cut by more degrees there. The shapes of before counted the largest radius everywhere, and
-    leave less than the tolerance by that share.
+    are cut by more degrees there. Earlier paths used the largest radius everywhere, and left less
+    than the tolerance by that share.
     """
     machine = with_cone(tmp_path)
     path = tmp_path / "zigzag.nc"

@@ -1,7 +1,7 @@
-"""Parameters, expressions and O words: LinuxCNC's interpreter and FluidNC's own tests as oracles.
+"""Parameters, expressions and O words, compared with LinuxCNC's interpreter and FluidNC's tests.
 
-The places of ``PROGRAMS`` and the numbers of ``EXPRESSIONS`` were printed by LinuxCNC 2.9's
-``rs274 -g``, those of ``FLUIDNC`` stand in FluidNC's ExpressionParserTest.cpp.
+LinuxCNC 2.9's ``rs274 -g`` printed the places of ``PROGRAMS`` and the numbers of ``EXPRESSIONS``;
+those of ``FLUIDNC`` stand in FluidNC's ExpressionParserTest.cpp.
 """
 
 from __future__ import annotations
@@ -127,9 +127,9 @@ def test_expressions_have_the_values_of_fluidnc(tmp_path: Path, xyza: Machine) -
 
 
 def test_fluidnc_rounds_within_its_functions(tmp_path: Path, xyza: Machine) -> None:
-    """An angle in rad is of single precision: the sine of 1 degree and back is a little above 1.
+    """An angle in rad has single precision: the sine of 1 degree and back is a little above 1.
 
-    As its own ``Expression.cpp`` has it, compiled (``test_controls_themselves.py``).
+    The same comes from its own compiled ``Expression.cpp`` (``test_controls_themselves.py``).
     """
     found = _values(tmp_path, xyza, "fluidnc", ["[ASIN[SIN[1]]EQ1]", "", "[ASIN[SIN[1]]-1]", ""])
     assert found == [1, 0]
@@ -138,7 +138,7 @@ def test_fluidnc_rounds_within_its_functions(tmp_path: Path, xyza: Machine) -> N
 
 
 def test_fluidnc_breaks_repeats_and_uses_labels_again(tmp_path: Path, xyza: Machine) -> None:
-    """As its examples/gcode_conditionals_test.nc does, of which all 59 tests pass here."""
+    """FluidNC's own examples/gcode_conditionals_test.nc does so; all its 59 tests pass here."""
     text = (
         "#101=0 (a) )\no9 repeat [5] ; (a\no7 if [#101 EQ 2]\no9 break\no7 endif\n"
         "#101=[#101+1]\nG0 X#101\no9 endrepeat\no7 if [EXISTS[_what] EQ 0]\nG0 Y1\no7 endif\n"
@@ -161,7 +161,7 @@ def test_fluidnc_begins_a_repeat_anew_that_a_continue_has_left(
 
 
 def test_a_winding_program_is_what_it_stands_for(tmp_path: Path, xyza: Machine) -> None:
-    """Circuits by parameters: move for move, feed for feed what the plain text gives."""
+    """Circuits by parameters: the same moves and feeds as in the plain text."""
     short = (
         "%\n(tube) #<turn>=[360/4] F[#<speed>*60] ; winding\n#<_x0>=1.25\nG21 G90 M3 S5\n"
         "o100 repeat [3]\nG91\nG1 X[#<_x0>*2] A#<turn> ; layer=3\nG4 P[1/2]\nG1 X-[#<_x0>*2]\n"
@@ -190,7 +190,7 @@ def test_a_winding_program_is_what_it_stands_for(tmp_path: Path, xyza: Machine) 
 
 
 def test_what_hangs_on_the_control_is_told(tmp_path: Path, xyza: Machine) -> None:
-    """A number that was kept from before, and one that versions compare differently."""
+    """A number kept from an earlier program, and one that versions compare differently."""
     job = read(tmp_path, xyza, "G0 X#40 Y#41\no1 if [0.1+0.2 LE 0.3]\no1 endif\nM2\n", "linuxcnc")
     assert any("a.nc:1: parameters" in w and "(#40 #41)" in w for w in job.warnings)
     assert any("a.nc:2: the compared numbers differ only by rounding" in w for w in job.warnings)
@@ -315,7 +315,7 @@ def test_loops_without_an_end_are_refused(
 
 
 def test_numbered_programs_are_read_as_before(tmp_path: Path, xyza: Machine) -> None:
-    """A block behind the number is no O word."""
+    """A block after the program's number is no O word."""
     text = "G1 X1 F60\nM98 P2 L2\nM30\nO2 G91\nX1\nG90 M99\n"
     for _ in range(2):
         job = read(tmp_path, xyza, text, "linuxcnc")

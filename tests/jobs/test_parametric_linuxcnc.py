@@ -26,7 +26,7 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 @pytest.mark.linuxcnc
 @pytest.mark.parametrize("first", (0, 6))
 def test_linuxcnc_reckons_alike(tmp_path: Path, xyza: Machine, first: int) -> None:
-    """To the 4 decimals that it prints; programs that it refuses are refused."""
+    """To its 4 printed decimals; programs that it refuses are refused."""
     rs274 = shutil.which("rs274")
     if rs274 is None:
         pytest.skip("rs274 (Debian's linuxcnc-uspace) is not installed")

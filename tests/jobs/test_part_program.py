@@ -1,4 +1,4 @@
-"""Modes, calls, feeds, tags, streaming of part programs."""
+"""Part programs: modes, calls, feeds, tags, streaming."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def moves(job: Job) -> list[Move]:
 
 
 def millimetres(job: Job) -> list[float]:
-    """Where X is after each move."""
+    """Return X after each move."""
     return [1e3 * move.target[1] for move in moves(job)]
 
 
@@ -60,7 +60,7 @@ def test_increments_are_summed_exactly(tmp_path: Path) -> None:
 
 
 def test_what_g0_g4_g28_and_stops_become(tmp_path: Path) -> None:
-    """Rapid moves, dwells in seconds, return by way of a point, stops, spindle off."""
+    """Rapid moves, dwells in seconds, homing by way of a point, stops, spindle off."""
     job = read(
         tmp_path,
         "G91 G1 F60 X2 Y3 A4",
@@ -79,7 +79,7 @@ def test_what_g0_g4_g28_and_stops_become(tmp_path: Path) -> None:
     rapid = [
         op.feed.mode is FeedMode.RAPID for op in operations if isinstance(op, Move) and op.feed
     ]
-    # G28 moves fast without changing the mode: X1 behind it is still under G0.
+    # G28 moves fast without changing the mode: the next X1 is still under G0.
     assert rapid == [False, True, True, True, True, True]
     via_x_only = [op for op in operations if isinstance(op, Move)][3]
     assert via_x_only.target[2] == 0.003
@@ -124,14 +124,14 @@ def test_warnings_name_their_line(tmp_path: Path) -> None:
 
 
 def test_dwells_from_twenty_seconds_on_are_asked_about(tmp_path: Path) -> None:
-    """Whatever is waited for, pens, valves and spindles, takes less than that."""
+    """Pens, valves and spindles all take less than that."""
     job = read(tmp_path, "G91 G1 F600 X1", "G4 P19.9", "G4 P20", "G4 P21", "M30")
     (told,) = job.suspicions(own_feed=True)
     assert told.split(":")[1] == "3" and "waits 20 s (1 more line waits as long)" in told
 
 
 def test_g64_alone_is_warned_of_and_a_thousand_of_them_at_most(tmp_path: Path) -> None:
-    """A program may have millions: what is told of them takes a bounded place."""
+    """A program may have millions of them; the memory for messages is bounded."""
     modes = ["G21 G90 G94", "G91 G1 F600 X1"]
     assert read(tmp_path, *modes, "M30").suspicions(own_feed=False) == ()
     warnings = read(tmp_path, *modes, *["G64 X1"] * 1500, "M30").suspicions(own_feed=False)
@@ -140,7 +140,7 @@ def test_g64_alone_is_warned_of_and_a_thousand_of_them_at_most(tmp_path: Path) -
 
 
 def test_a_feed_is_judged_in_the_unit_in_force_where_it_is_called(tmp_path: Path) -> None:
-    """F 90 is 1.5 mm/s, and in inches 38.1 mm/s: above 36.1, whichever way G20 comes into force."""
+    """F 90 is 1.5 mm/s, and in inches 38.1 mm/s: above 36.1, wherever G20 comes from."""
     body, main = ["O9", "G91 G1 X1 F90", "M99"], ["O1", "G20", "M98 P9", "M30"]
     before = read(tmp_path, *body, *main)
     assert [w.split(":")[1] for w in before.capped] == ["2"]
@@ -182,7 +182,7 @@ def test_a_tag_without_a_number_or_given_twice_is_refused(
 
 
 def test_comments_for_people_are_no_tags(tmp_path: Path) -> None:
-    """Words beside it, no block beside it, or parentheses: it is not meant for the reader."""
+    """Text with other words, without a block, or in parentheses is not meant for the reader."""
     comments = ["X1 ; R=5 is the radius", "X1 ; a == b", "; tool=ball", "X1 (speed=fast)", "X1 ; ="]
     job = read(tmp_path, "G91 G1 F60", *comments, "M30")
     assert [dict(m.tags) for m in moves(job)] == [{}] * 4

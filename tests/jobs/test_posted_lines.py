@@ -1,4 +1,4 @@
-"""Lines as posts write them: line ends and comments that controls take and editors hide."""
+"""Lines as posts write them: line ends and comments that controls accept and editors hide."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 def test_a_carriage_return_behind_the_line_feed_ends_no_line(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
-    """Gcodetools' templates for lasers end lines with LF CR; controls take the CR as a blank."""
+    """Gcodetools' templates for lasers end lines with LF CR; controls read the CR as a blank."""
     text = "G21\n\rG90\n\rG1 X5 F600\n\rG1 X7\n\rM30\n\r"
     assert [p[0] for p in millimetres(read(tmp_path, xyza, text, dialect))] == [5, 7]
     with pytest.raises(JobError, match="0x0D in column"):
@@ -29,7 +29,7 @@ def test_a_carriage_return_behind_the_line_feed_ends_no_line(
 
 
 def test_grbl_ends_a_comment_at_its_first_bracket(tmp_path: Path, xyza: Machine) -> None:
-    """``protocol.c``: behind ( all is thrown away up to the first ), or the end of the line."""
+    """``protocol.c``: text after ( is dropped up to the first ), or to the end of the line."""
     text = "(REPLACE (CUT); (CUT) S9 (on))\nG1 X5 (a (b) F600\nX7 (open G1 Y9\nX8 (M (8) ; (Y4\n"
     assert [p[:2] for p in millimetres(read(tmp_path, xyza, text, "grbl"))] == [
         (5, 0), (7, 0), (8, 0),

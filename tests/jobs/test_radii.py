@@ -21,7 +21,7 @@ EYE = '[axes.B]\nradius = "2 mm exact, assumed: half of a band of 4 mm"\n'
 
 
 def with_eye(folder: Path, text: str = EYE) -> Machine:
-    """Mandrel A at the tool's 50 mm, carriage X, an eye that rolls at half of its band."""
+    """Return mandrel A at the tool's 50 mm, carriage X, an eye that rolls at half of its band."""
     base = made_machine(folder, "X", "AB")
     file = folder / "eye.toml"
     file.write_text(f'base = "{Path(base.file).name}"\nname = "eye"\n{text}')
@@ -35,7 +35,7 @@ def roll(folder: Path, machine: Machine, words: str = "B90 B0") -> object:
 
 
 def test_an_eye_rolls_at_its_band_and_not_at_the_mandrel(tmp_path: Path) -> None:
-    """F 6000 is 0.1 m/s of the arc: 90 degrees there and back at 2 mm, and of A at 50 mm.
+    """F 6000 is 0.1 m/s of the arc: 90 degrees forth and back at 2 mm, and of A at 50 mm.
 
     A plain B-spline misses its middle point by |P0 - 2 P1 + P2| / 6: 30 degrees here, which are
     1.05 mm at the band and would be 26 mm at the mandrel.

@@ -68,7 +68,7 @@ def ran(words: list[str]) -> int:
 
 
 def test_m453_tells_the_dialect(tmp_path: Path, xyza: Machine) -> None:
-    """In a program and in a ``config.g``; a printer is told which dialect would do."""
+    """In a program and in a ``config.g``; for a printer the message names the right dialect."""
     file = tmp_path / "a.gcode"
     file.write_text("M453\n(a)\nG0 X9\nX5\n")
     job = read_job(file, xyza)

@@ -1,4 +1,4 @@
-"""A job that is done elsewhere: positions, repeats, limits, and what has a place of its own."""
+"""A job with an offset: positions, repeats, limits, and jobs with a place of their own."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_repeats_are_told_once_and_another_process_reads_the_same() -> None:
 
 
 def test_the_rows_are_those_of_the_programs_own_place() -> None:
-    """Whole counts of X and none of Y: the same increments, from another beginning."""
+    """Whole counts of X and none of Y: the same increments, from another start."""
     away = f"X={100 / 55.358!r} mm"
     plans = [
         plan_job(open_job(EXAMPLES / "x-180.prg", WINDER, options), WINDER, options)

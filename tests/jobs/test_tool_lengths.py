@@ -1,7 +1,7 @@
-"""Tool lengths that the machine file gives, beside G53, between moves and in subroutines.
+"""Tool lengths from the machine file, beside G53, between moves and in subroutines.
 
-Sources: LinuxCNC, G Codes: G43 adds the length of the tool to the zero of Z, G53 goes to a place of
-the machine and knows neither. ``rs274`` runs random programs with the same tool table.
+Source: LinuxCNC, G Codes: G43 adds the length of the tool to the zero of Z; G53 goes to a place of
+the machine, without zero and length. ``rs274`` runs random programs with the same tool table.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ def heights_mm(folder: Path, machine: Machine, text: str) -> list[float]:
 
 
 def test_what_a_post_writes_for_two_tools(tmp_path: Path, with_lengths: Machine) -> None:
-    """G53 Z0 is 30 mm above the zero of G54 with either tool and none; the tools go 7, 52.3 up."""
+    """G53 Z0 is 30 mm above the zero of G54 with any tool or none; the tools go 7, 52.3 up."""
     found = heights_mm(tmp_path, with_lengths, POSTED)
     assert found == pytest.approx([30.0, 30.0, 22.0, 6.0, 6.0, 30.0, 67.3, 50.3, 30.0])
 
 
 def test_the_motion_rests_where_a_length_is_taken(tmp_path: Path, with_lengths: Machine) -> None:
-    """LinuxCNC ends the motion there. The words have done their work: none is left to write."""
+    """LinuxCNC ends the motion there. The words have had their effect: none is written again."""
     operations = list(read(tmp_path, with_lengths, "G43 H1\nG0 Z1\nG49\nZ2\nM2\n", "linuxcnc"))
     assert [type(one) for one in operations[:4]] == [Dwell, Move, Dwell, Move]
     words = [act.words for one in operations if isinstance(one, Move) for act in one.acts]
@@ -72,7 +72,7 @@ def test_the_motion_rests_where_a_length_is_taken(tmp_path: Path, with_lengths: 
 def test_a_length_that_the_file_lacks_is_asked_for(
     tmp_path: Path, with_lengths: Machine, text: str, said: str
 ) -> None:
-    """A control would go to another place than the plan by the length of the tool."""
+    """A control would leave the plan by the length of the tool."""
     with pytest.raises(JobError) as caught:
         list(read(tmp_path, with_lengths, text, "linuxcnc"))
     assert said in str(caught.value) and "[programs.lengths] H1 = " in str(caught.value)

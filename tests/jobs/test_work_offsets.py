@@ -1,7 +1,7 @@
-"""Work coordinate systems, programs one behind another, and outputs that move nothing.
+"""Work coordinate systems, programs one after another, and outputs that move nothing.
 
 Sources: grbl 1.1, gcode.c: M2 and M30 set G1 G17 G54 G90 G94, keep F and units, and end nothing;
-G53 goes by the machine's own system, whatever G91 says. LinuxCNC, G Codes: G54 to G59.
+G53 uses the machine's own system, even in G91. LinuxCNC, G Codes: G54 to G59.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def read(folder: Path, machine: Machine, text: str, dialect: str = "grbl") -> Jo
 
 
 def places(job: Job) -> list[tuple[float, ...]]:
-    """X and Y in mm behind every move."""
+    """Return X and Y in mm after every move."""
     moves = (one for one in job if isinstance(one, Move))
     return [tuple(round(1e3 * p, 9) for p in move.target[:2]) for move in moves]
 
@@ -58,7 +58,7 @@ def test_a_program_in_one_system_has_its_zero_there(
 def test_systems_lie_as_far_apart_as_the_machine_file_says(
     tmp_path: Path, with_offsets: Machine
 ) -> None:
-    """The zero of the first is where the job begins; G92 goes along, and G53 knows no shift."""
+    """The zero of the first is the start of the job; G92 is kept, and G53 ignores every shift."""
     text = (
         "G1 F600 X10 Y0\nG55 X10\nY1\nG91 X1\nG90 G54 X0\nG92 X100\nX101\nG55 X101\n"
         "G91 G53 X100 Y-5\nG90 X101\nM2\n"
@@ -102,7 +102,7 @@ def test_offsets_are_of_axes_in_their_units(tmp_path: Path) -> None:
 
 
 def test_grbl_goes_on_behind_the_end_of_a_program(tmp_path: Path, plain: Machine) -> None:
-    """Modes are set anew, F stays, and the machine rests between; the last end is the end."""
+    """Modes are reset, F stays, and the machine rests between; the last end is the end."""
     text = "G91 G0 X1\nG1 X1 F60\nG18\nM30\nX5\nY1\nG0 X9\nM2\n(over)\n\nM30\n"
     job = read(tmp_path, plain, text)
     assert places(job) == [(1, 0), (2, 0), (5, 0), (5, 1), (9, 1)]
@@ -136,7 +136,7 @@ def test_grbl_has_no_parameters_and_expressions(tmp_path: Path, plain: Machine, 
 def test_a_subroutine_in_another_system_is_no_program_in_one(
     tmp_path: Path, plain: Machine
 ) -> None:
-    """Written before its caller, whose first move is in G54 though the last word read is G55."""
+    """It is written before its caller, whose first move is in G54 although the last word is G55."""
     text = "%\nO1\nG55\nX5\nM99\nO2\nG1 X10 F60\nM98 P1\nX20\nM30\n%\n"
     with pytest.raises(JobError, match="moves by G55 and G54"):
         read(tmp_path, plain, text, "linuxcnc")
@@ -145,7 +145,7 @@ def test_a_subroutine_in_another_system_is_no_program_in_one(
 def test_a_tool_length_before_all_moves_is_where_the_zero_is(
     tmp_path: Path, plain: Machine
 ) -> None:
-    """As posts for LinuxCNC write it; T0, G49, G64 P, G98 and M48 change no motion either."""
+    """Posts for LinuxCNC write it; T0, G49, G64 P, G98 and M48 change no motion either."""
     head = "G17 G21 G40 G49 G54 G64 P0.01 G80 G90 G94 G98\nM48\nT0 M6\n"
     bare = "G0 X2 Y1\nG1 X7 F600\n{}M2\n"
     for lengths in ("G43 H1\n", "G43\nG43\n", "G49\nG43 H0\n", "N5 G43 H12 (long)\n"):
@@ -159,7 +159,7 @@ def test_a_tool_length_before_all_moves_is_where_the_zero_is(
 
 
 def _words(job: Job) -> list[str]:
-    """Words that work the machine, in order."""
+    """Return the words that switch the machine's devices, in order."""
     found: list[str] = []
     for one in job:
         acts = one.acts if isinstance(one, Move) else (one,)

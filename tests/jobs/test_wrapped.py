@@ -1,4 +1,4 @@
-"""Wrapped rotary axes: angles of one turn, whose sign is a direction; LinuxCNC as an oracle."""
+"""Wrapped rotary axes: angles of one turn, whose sign is a direction, as in LinuxCNC."""
 
 from __future__ import annotations
 

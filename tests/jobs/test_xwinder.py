@@ -1,4 +1,4 @@
-"""X-Winder Designer's programs: closed forms, and the building time that they state themselves."""
+"""X-Winder Designer's programs: closed forms, and the building time that they state."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def read(folder: Path, machine: Machine, *lines: str) -> Job:
 
 
 def test_a_program_is_known_by_its_first_line(tmp_path: Path, winder: Machine) -> None:
-    """Whatever the end of its name: .X4G of four axes, .X2G of two."""
+    """Whatever its suffix: .X4G for four axes, .X2G for two."""
     for name in ("a.X4G", "b.X2G", "c.x2g", "d.nc"):
         (tmp_path / name).write_text(HEAD + "G1 F1 Z8\n")
         assert ends(read_job(tmp_path / name, winder)) == [pytest.approx((8.0, 0.0))]
 
 
 def ends(job: Job) -> list[tuple[float, float]]:
-    """Carriage in inches and mandrel in degrees behind each move."""
+    """Return carriage in inches and mandrel in degrees after each move."""
     found = [m.target for m in job if isinstance(m, Move)]
     return [(t[0] / 25.4e-3, math.degrees(t[2])) for t in found]
 
@@ -49,7 +49,7 @@ def ends(job: Job) -> list[tuple[float, float]]:
 def test_the_mandrel_turns_on_beside_the_carriage(tmp_path: Path, winder: Machine) -> None:
     """10 in at 2 in/s is 5 s, in which 30 rpm are 900 degrees; dwells go to their angles.
 
-    Then 360 degrees, and on to what M602 kept plus 90: 90 is 30 degrees before 1260 mod 360.
+    Then 360 degrees, and on to M602's kept angle plus 90: that is 30 degrees before 1260 mod 360.
     """
     job = read(
         tmp_path, winder, "G1 F1 Z8 B0 R20", "M4 S30 [on]", "G4 C60", "M602", "G1 F2 Z18 R5 B40",
@@ -73,7 +73,7 @@ def test_the_mandrel_turns_on_beside_the_carriage(tmp_path: Path, winder: Machin
 
 
 def test_a_hoop_goes_by_its_turns(tmp_path: Path, winder: Machine) -> None:
-    """C 51480 at S 30 rpm: 286 s for 30 in, as F 0.11 in/s rounds."""
+    """C 51480 at S 30 rpm: 286 s for 30 in, as F 0.11 in/s is rounded."""
     job = read(tmp_path, winder, "G1 F0.11 Z38.00 R10 B5 S30.00 C51480.00 A154440.00 [LEFT]")
     assert ends(job) == [pytest.approx((38.0, 51480.0))]
     assert programmed_time_s(job, winder) == pytest.approx(51480.0 / 180.0)
@@ -86,7 +86,7 @@ def test_what_goes_on_for_ever_is_left_out(tmp_path: Path, winder: Machine) -> N
 
 
 def test_its_proof_says_what_f_means(tmp_path: Path, winder: Machine) -> None:
-    """From file to the lines below a verdict."""
+    """From the file to the lines below a verdict."""
     read(tmp_path, winder, "M4 S30", "G1 F2 Z1 B5")
     proof = prove(tmp_path / "a.X4G", winder, ANY, Options())
     said = "\n".join(about(proof))

@@ -1,4 +1,4 @@
-"""Designs that are cut off or lie about themselves: refused, and never read as a shorter design."""
+"""Designs that are cut off or inconsistent: refused, and never read as a shorter design."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WHERE = Place("a.hus")
 
 
 def last_stitch(content: bytes, suffix: str) -> int:
-    """Return how many bytes it takes until nothing of the stitches is lacking any more."""
+    """Return the number of bytes after which no part of the stitches is missing."""
     if suffix == "pes":  # pictures of it follow
         return content.rindex(b"\xff\x00", 0, len(content) - 6 * 38)
     if suffix == "xxx":  # colours of it follow
@@ -54,7 +54,7 @@ SEEDS = {"random": lambda: made.seeds()["dst"], "rosette": made.EXAMPLE.read_byt
 def test_a_dst_that_lacks_only_its_end_mark_is_read_with_a_warning(
     seed: str, fill: bytes, tmp_path: Path
 ) -> None:
-    """One record fewer is a design that is cut off, as any other."""
+    """One record fewer is a cut-off design."""
     content = SEEDS[seed]()
     file = tmp_path / "a.dst"
     file.write_bytes(content)
@@ -93,7 +93,7 @@ def records_of_peer(content: bytes) -> np.ndarray:
 
 
 def test_hus_is_read_as_another_library_reads_it() -> None:
-    """That one tells a trim that moves as a jump and a trim; places and stitches are the same."""
+    """That library also reports a trim that moves as a jump and a trim; places are the same."""
     content = made.hus_seed()
     ours, theirs = read_hus(content, WHERE), records_of_peer(content)
     assert np.array_equal(ours[ours[:, 2] == 0], theirs[theirs[:, 2] == 0])
@@ -116,14 +116,14 @@ def test_a_real_hus_is_read_as_another_library_reads_it() -> None:
         (4, b"\x80\x96\x98\x00", "column command has 241 of 10000000 records"),
         (20, b"\xff\xff\xff\x7f", "its column command is from 2147483647"),
         (42, b"\x00\x00", "column command: a block of no symbols"),
-        # Lengths of lengths: one of them, of 3 bits of ones and as many again as it takes.
+        # Lengths of lengths: one of them, of 3 one-bits, followed by as many again as needed.
         (44, b"\x0f\xff\xff\xff", "column command: a code of more than 16 bits"),
     ],
 )
 def test_a_hus_that_asks_for_more_than_it_has_is_refused_at_once(
     at: int, put: bytes, said: str
 ) -> None:
-    """The peer's reader would fill the memory with some of these."""
+    """With some of these the peer's reader would fill the memory."""
     content = bytearray(made.hus_seed())
     content[at : at + len(put)] = put
     begun = time.process_time()

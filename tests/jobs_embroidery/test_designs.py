@@ -1,4 +1,4 @@
-"""Designs of every format become the moves of the frame: merged, with travel told apart."""
+"""Designs of every format become the moves of the frame: merged, and travel kept apart."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STITCHES = [(0, 0), (30, 0), (30, 25), (-12, 40), (-50, 3)]  # 0.1 mm, Y up
 
 
 def exp(*records: tuple[int, int] | bytes) -> bytes:
-    """Return a design in EXP, of two bytes for each stitch: written from its description."""
+    """Return a design in EXP, two bytes for each stitch, written from the format's description."""
     return b"".join(r if isinstance(r, bytes) else struct.pack("bb", *r) for r in records)
 
 
@@ -53,7 +53,7 @@ def moves(job: Job) -> Iterator[tuple[float, float, int, int]]:
 
 @pytest.mark.parametrize("suffix", ["dst", "exp", "pes", "jef", "vp3", "xxx", "u01"])
 def test_every_format_gives_the_same_places(suffix: str, tmp_path: Path) -> None:
-    """Written by another library's writer; formats centre or begin elsewhere, ways stay."""
+    """Another library writes them; formats centre or begin elsewhere, and the ways are the same."""
     pattern = pystitch.EmbPattern()
     for x, y in STITCHES:
         pattern.add_stitch_absolute(pystitch.STITCH, x, -y)
@@ -141,7 +141,7 @@ def test_a_long_stitch_is_refused_by_its_record_where_that_is_asked(
 
 
 def test_a_stitch_of_half_a_metre_is_travel(tmp_path: Path) -> None:
-    """In VP3 as one record, and in DST as jumps, which are a trim too."""
+    """In VP3 it is one record, and in DST several jumps, which are a trim, too."""
     for suffix in ("vp3", "dst"):
         job = read_job(long_stitch(tmp_path, suffix, 5000, 0), MACHINE)
         assert 0 in [number for *_, number, _ in moves(job)][1:]
@@ -158,7 +158,7 @@ def test_a_stitch_of_half_a_metre_is_travel(tmp_path: Path) -> None:
 def test_a_long_stitch_is_sewn_alike_with_jumps_and_without(
     asked: str | None, parts: list[tuple[tuple[int, int], int]], tmp_path: Path
 ) -> None:
-    """22.4 mm of at most 16.5: one record of VP3, two of DST; before, VP3 was refused."""
+    """22.4 mm of at most 16.5: one record of VP3, two of DST; once, VP3 was refused."""
     options = {} if asked is None else {"long_stitches": asked}
     for suffix in ("vp3", "dst"):
         job = read_job(long_stitch(tmp_path, suffix, 224, 100), MACHINE, **options)
@@ -219,7 +219,7 @@ def test_the_example_has_all_that_a_frame_does(examples: Path) -> None:
 def test_real_designs_have_as_many_moves_as_were_counted(
     name: str, count: int, longest: int
 ) -> None:
-    """Counted by hand from the records, for another study: moves behind the first stitch."""
+    """Counted by hand from the records, for another study: moves after the first stitch."""
     sewn = [(x, y) for x, y, number, _ in moves(read_job(SAMPLES / name, MACHINE)) if number]
     ways = np.abs(np.diff(sewn, axis=0)).max(axis=1)
     assert len(ways) == count
@@ -227,7 +227,7 @@ def test_real_designs_have_as_many_moves_as_were_counted(
 
 
 def test_the_order_of_the_axes_in_a_machine_file_changes_no_design(tmp_path: Path) -> None:
-    """A machine with Y before X was refused: it had no step tables for X and Y, although it has."""
+    """A machine with Y before X was refused as if it had no step tables for X and Y."""
     text = library_file("schiffli-frame").read_text(encoding="utf-8")
     x, y = text.index("[axes.X]"), text.index("[axes.Y]")
     end = text.index("\n[", y) + 1

@@ -40,7 +40,7 @@ WRITTEN = {
 
 
 class Way(NamedTuple):
-    """What leads to the next place: a stitch, a jump and a stitch, or another thread as well."""
+    """The way to the next place: a stitch, a jump and a stitch, or another thread as well."""
 
     act: str
     x: int
@@ -75,9 +75,9 @@ def pattern_of(ways: list[Way]) -> tuple[pystitch.EmbPattern, list[tuple[int, in
 
 
 def once(places: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return places from the first on, those in which the needle enters again left out.
+    """Return places from the first on, without repeated needle-downs.
 
-    A writer may add a stitch in place where a jump or a thread ends.
+    A writer may add a stitch in place after a jump or at the end of a thread.
     """
     first = places[0]
     moved = [(round(x - first[0], 6), round(y - first[1], 6)) for x, y in places]
@@ -96,7 +96,7 @@ def read_back(file: Path) -> list[tuple[float, float]]:
 def test_every_format_has_the_same_stitches(
     ending: str, tmp_path_factory: pytest.TempPathFactory, ways: list[Way]
 ) -> None:
-    """pystitch's writer of VP3 cuts half units off, so that all lengths are even there."""
+    """pystitch's writer of VP3 truncates half units, so that all lengths are even there."""
     if ending == "vp3":
         ways = [Way(act, 2 * x, 2 * y) for act, x, y in ways]
     pattern, places = pattern_of(ways)
@@ -120,7 +120,7 @@ def test_a_thread_of_vp3_may_begin_on_an_axis(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", [".pes", ".pec", ".jef", ".xxx", ".vp3"])
 def test_each_block_has_the_thread_that_the_file_says(ending: str, tmp_path: Path) -> None:
-    """pystitch writes the file, with colours that its palette has."""
+    """pystitch writes the file, with colours of its palette."""
     palette = (EmbThreadJef if ending == ".jef" else EmbThreadPec).get_thread_set()
     first, second = palette[5], palette[20]
     pattern = pystitch.EmbPattern()
@@ -141,9 +141,9 @@ def test_each_block_has_the_thread_that_the_file_says(ending: str, tmp_path: Pat
 
 
 def test_a_hus_file_names_its_threads() -> None:
-    """No program that writes the format is at hand: indices behind the header of a made file.
+    """No writer of the format is available: a made file has indices after its header.
 
-    An index that the palette does not have is no thread.
+    An index outside the palette is no thread.
     """
     content = bytearray(fuzz_designs.hus_seed())
     struct.pack_into("<I", content, 8, 3)
@@ -165,7 +165,7 @@ def test_dst_has_threads_where_its_header_does(tmp_path: Path) -> None:
 
 
 def test_a_thread_change_before_the_first_stitch_begins_no_block(tmp_path: Path) -> None:
-    """The block has the thread that was changed to: here the second of red and lime green."""
+    """The block has the new thread: here the second of red and lime green."""
     file = tmp_path / "a.pes"
     change = b"\xfe\xb0\x02"
     stitches = b"".join(number(units) for units in (0, 0, 30, 0))
@@ -183,7 +183,7 @@ def number(units: int, flag: int = 0) -> bytes:
 
 
 def pes(records: bytes, colours: bytes = b"\x05", version: bytes = b"0001") -> bytes:
-    """Return a PES without a drawing, and with pictures behind its stitches."""
+    """Return a PES without a drawing, and with pictures after its stitches."""
     header = b"#PES" + version + struct.pack("<I", 22) + bytes(10)
     block = b"LA:" + b"a".ljust(16) + b"\r" + b" " * 12 + b"\xff\x00\x06\x26" + b" " * 12
     block += bytes([len(colours) - 1]) + colours
@@ -211,8 +211,7 @@ def test_the_first_stitch_of_a_pes_is_not_lost(
 
 
 def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
-    """A jump that does not come from the corner leads to the first stitch; one colour twice is a
-    stop."""
+    """A jump from elsewhere than the corner leads to the first stitch; a repeated colour stops."""
     records = (
         number(7, 0x10) + number(9, 0x10) + number(1) + number(2)
         + b"\xfe\xb0\x02" + number(-300, 0x20) + number(0, 0x20) + number(0) + number(0)
@@ -250,7 +249,7 @@ def test_what_is_no_pes_is_refused_by_its_byte(content: bytes, said: str) -> Non
 def test_a_dst_whose_records_reach_elsewhere_than_its_header_says_is_warned_of(
     tmp_path: Path, examples: Path
 ) -> None:
-    """One bit in a record moves all the stitches behind it."""
+    """One bit in a record moves all stitches after it."""
     content = bytearray((examples / "rosette.dst").read_bytes())
     file = tmp_path / "a.dst"
     file.write_bytes(content)

@@ -1,4 +1,4 @@
-"""Saurer T15 cards: decoded by tables written out by hand, and against the same design in DST."""
+"""Saurer T15 cards, decoded by handwritten tables, and compared with the design in DST."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ DOWN, UP = b"\xc8\0\0\0\xca\0\0\0", b"\xca\0\0\0\xc8\0\0\0"
 
 
 def test_a_card_that_was_punched_by_hand(tmp_path: Path) -> None:
-    """Digits in base 7, a negative one the complement: 6 is -1, 5 is -2, 3 is -3."""
+    """Digits in base 7, a negative one as its complement: 6 is -1, 5 is -2, 3 is -3."""
     records = (
         b"\xc0\x01\x00\x00"  # x + 1, needle up
         + DOWN
@@ -109,7 +109,7 @@ def test_what_is_not_understood_is_refused_by_offset_and_byte(
 
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
 def test_star_is_the_same_design_as_in_dst() -> None:
-    """Every place of the card is one of DST's, in its order, but for stitches that are split."""
+    """Every place of the card is one of DST's, in order, except for divided stitches."""
     one = [p[:2] for p in places(read_job(SAMPLES / "Star.T15", MACHINE)) if p[2]]
     other = [p[:2] for p in places(read_job(SAMPLES / "Star.DST", MACHINE)) if p[2]]
 

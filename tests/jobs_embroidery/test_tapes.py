@@ -1,4 +1,4 @@
-"""DST and U01 as they are written: read back stitch for stitch, and against another writer."""
+"""Written DST and U01: read back stitch for stitch, and compared with another writer."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def compiled(file: Path, out: Path, machine=MACHINE) -> Path:
 
 @pytest.fixture
 def short_and_long(tmp_path: Path) -> Path:
-    """A design of 30 short stitches and 30 long ones, farther along X than along Y."""
+    """Return a design of 30 short and 30 long stitches, farther along X than along Y."""
     numbers = np.random.default_rng(5)
     ways = np.concatenate([numbers.integers(3, 12, (30, 2)), numbers.integers(40, 90, (30, 2))])
     units = ways * np.where(np.arange(60) % 3 == 0, -1, 1)[:, None] + [[7, 0]]
@@ -77,7 +77,7 @@ def test_a_compiled_dst_reads_back_as_the_job_that_it_was(
 
 @given(st.lists(st.tuples(st.integers(-121, 121), st.integers(-121, 121)), min_size=1))
 def test_the_records_of_dst_are_those_of_another_writer(ways: list[tuple[int, int]]) -> None:
-    """Each displacement has one way to be written."""
+    """Each displacement can be written in one way only."""
     from pystitch.DstWriter import encode_record
 
     content = dst_bytes(np.array(ways), np.ones(len(ways), dtype=np.int64), {}, "x")
@@ -86,7 +86,7 @@ def test_the_records_of_dst_are_those_of_another_writer(ways: list[tuple[int, in
 
 
 def test_a_u01_has_its_marks_needles_and_stitches(tmp_path: Path) -> None:
-    """Marks stand before the move that they are for, and split no stitch into travel."""
+    """Marks stand before their move, and split no stitch into travel."""
     numbers = random.Random(3)
     units = np.array([[0, 0], *([numbers.randint(-165, 165) for _ in "XY"] for _ in range(60))])
     sewn = np.ones(len(units), dtype=np.int64)
@@ -130,7 +130,7 @@ def test_the_marks_of_a_design_follow_its_planned_speeds(
 
 
 def test_no_other_pair_of_speeds_is_sooner() -> None:
-    """Against every threshold, one by one."""
+    """Every threshold is tried, one by one."""
     times = np.random.default_rng(1).uniform(0.4, 0.9, 200)
     slow, _ = two_speeds(times)
     mine = slow.sum() * times.max() + (~slow).sum() * times[~slow].max()

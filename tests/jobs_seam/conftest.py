@@ -1,4 +1,4 @@
-"""A machine that sews, for the tests of seams."""
+"""A sewing machine for the tests of seams."""
 
 from pathlib import Path
 

@@ -307,7 +307,7 @@ def test_damaged_files_raise_nothing_else(
 
 
 def test_an_arc_beyond_all_numbers_is_refused(sewer: Machine, tmp_path: Path) -> None:
-    """Its square is not a number: that ended in a warning of numpy."""
+    """Its square overflows: once that ended in a warning of numpy."""
     points = "[[0, 0], {to = [9, 0], bulge = 1e300}]"
     with pytest.raises(JobError, match="reaches further than 10000 m"):
         read(tmp_path, sewer, "t.seam.toml", seam(points))

@@ -1,4 +1,4 @@
-"""What is drawn is sewn: hairpins, tight bends, corners in disguise, loops below a stitch."""
+"""Every part of a drawing is sewn: hairpins, tight bends, hidden corners, tiny loops."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def tag(job: Job, name: str) -> np.ndarray:
 
 
 def downs_mm(job: Job) -> np.ndarray:
-    """(n + 1, 2) needle-downs as drawn: Y downwards from the page's upper edge."""
+    """Return (n + 1, 2) needle-downs as drawn: Y downwards from the page's upper edge."""
     x, y = np.array([op.target for op in job if isinstance(op, Move)]).T * 1e3
     return np.column_stack([x, 200 - y])
 
 
 def unsewn_mm(points: np.ndarray, job: Job) -> float:
-    """How far the drawn points lie from the stitch that has their share of the length, at most."""
+    """Return the largest distance of drawn points from the stitch at their share of length."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     ends = np.append(tag(job, "from_m"), tag(job, "to_m")[-1]) * 1e3
     downs = downs_mm(job)
@@ -70,7 +70,7 @@ def rounded(radius: float, angle: float) -> tuple[str, np.ndarray]:
 
 @pytest.mark.parametrize("needle", ["constant", "slowed"])
 def test_a_hairpin_is_sewn_to_its_tip_and_back(needle: str, sewer: Machine, tmp_path: Path) -> None:
-    """It was crossed over where the two sides are a stitch apart, and 65 of 90 mm left out."""
+    """Once it was crossed where its sides are a stitch apart, and 65 of 90 mm were left out."""
     control = ((80, 100), (140, 100), (140, 101), (80, 101))
     points = cubic(*control)
     job = sew(tmp_path, sewer, "M80 100C140 100 140 101 80 101", needle=needle)
@@ -90,12 +90,12 @@ def test_a_hairpin_is_sewn_to_its_tip_and_back(needle: str, sewer: Machine, tmp_
 def test_bends_of_every_radius_are_followed(
     radius: float, angle: int, needle: str, sewer: Machine, tmp_path: Path
 ) -> None:
-    """Half the placement is 0.25 mm; the bound by which it is kept is 15 % more than the bow."""
+    """Half the placement is 0.25 mm; the bound that keeps it is 15 % more than the bow."""
     data, points = rounded(radius, np.radians(angle))
     job = sew(tmp_path, sewer, data, needle=needle)
 
     assert unsewn_mm(points, job) < 0.26
-    # A bend that is no longer than the least stitch is a corner, and a longer one none.
+    # A bend no longer than the shortest stitch is a corner, and a longer one is not.
     assert tag(job, "corner").sum() == (radius * np.radians(angle) * 0.9 <= 0.5)
     lengths = tag(job, "length_m")
     straight = np.abs(downs_mm(job)[1:, 0] - 90) < 5
@@ -103,7 +103,7 @@ def test_bends_of_every_radius_are_followed(
 
 
 def test_the_head_can_follow_as_stitches_shorten(sewer: Machine, tmp_path: Path) -> None:
-    """With a needle of constant speed the stitch is the head's speed: it changes by a / N^2.
+    """With a constant needle the stitch is the head's speed: it changes by a / N^2.
 
     All stitches are scaled to a whole number, by 2.5 % at most: 5 % of the acceleration.
     """
@@ -150,7 +150,7 @@ def test_what_would_be_left_unsewn_is_an_error(sewer: Machine, tmp_path: Path) -
 def test_circles_smaller_than_a_stitch(
     radius: float, needle: str, sewer: Machine, tmp_path: Path
 ) -> None:
-    """Under 0.68 stitch lengths around, their chord is nothing: they have two stitches or more."""
+    """With a length under 0.68 stitches their chord is 0: they get two stitches or more."""
     r = radius
     data = f"M80 100a{r} {r} 0 0 1 {2 * r} 0a{r} {r} 0 0 1 {-2 * r} 0"
     turn = np.pi + 2 * np.pi * U

@@ -57,7 +57,7 @@ def test_zero_lengths_are_left_out_with_a_word(sewer: Machine, tmp_path: Path) -
 
 
 def test_stitch_longer_than_the_segment(sewer: Machine, tmp_path: Path) -> None:
-    """Steps of 1.2 mm under stitches of 2.5 mm: a stitch each, exempt, and said."""
+    """Steps of 1.2 mm with stitches of 2.5 mm: one stitch each, exempt, with a warning."""
     steps = [[k // 2 * 1.2, (k + 1) // 2 * 1.2] for k in range(9)]
     job = read(tmp_path, sewer, "t.seam.toml", seam(str(steps)))
     assert any("8 legs between corners are shorter than a stitch" in t for t in job.warnings)
@@ -118,7 +118,7 @@ def test_machine_without_x_and_y(tmp_path: Path) -> None:
 def test_a_head_that_hardly_accelerates_is_refused(
     acceleration: str, makes: str, tmp_path: Path
 ) -> None:
-    """Its stitches under a needle of constant speed took 14 GB, and were then called a loop."""
+    """With a constant needle its stitches took 14 GB, and were then called a loop."""
     weak = tmp_path / "weak.toml"
     weak.write_text(
         f'base = "stitcher"\naxes.X.acceleration = "{acceleration} m/s^2 exact, assumed"\n'

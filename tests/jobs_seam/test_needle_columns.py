@@ -1,4 +1,4 @@
-"""What a compiled seam says of its needle, against the seam's own numbers."""
+"""The needle columns of a compiled seam, compared with the seam's own numbers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ points = [[10, 0], [60, 0]]
 unit = "mm"
 points = [[60, 20], [10, 20]]
 """
-TICK_S = 0.005  # of the winder that sews
+TICK_S = 0.005  # clock of the winder that sews
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def downs(rows: list[dict[str, str]]) -> np.ndarray:
 
 
 def test_every_turn_of_the_needle_stands_in_its_tick(rows) -> None:
-    """20 a second, evenly but for the rounding of linear motion to ticks, in two contours."""
+    """20 a second, even except for the rounding of linear motion to ticks, in two contours."""
     table, stitches = rows
     found = downs(table)
     apart = np.diff(found)
@@ -105,7 +105,7 @@ def test_the_archive_says_the_same_as_the_text(rows, plan: Plan, tmp_path: Path)
 
 
 def test_the_trajectory_array_says_the_same_line_by_line(rows, plan: Plan, tmp_path: Path) -> None:
-    """A line of it lasts many ticks: needle and thread stay as they are in all of them."""
+    """Each of its lines lasts many ticks: needle and thread stay the same in all of them."""
     table, _ = rows
     write(plan, "ticks", tmp_path / "two.ticks")
     lines = [x for x in (tmp_path / "two.ticks").read_text().splitlines() if not x.startswith("#")]

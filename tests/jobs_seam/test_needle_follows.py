@@ -1,4 +1,4 @@
-"""A needle that turns with the way of the head: its bounds, its drive, and where it goes down."""
+"""A needle that turns with the way of the head: its bounds, its drive, its needle-downs."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ def sewn(plan: Plan) -> Stitches:
 
 
 def way_m(plan: Plan, begin_s: float, end_s: float) -> float:
-    """Length of the planned motion between two instants, from many short chords."""
+    """Return the length of the planned motion between two instants, from many short chords."""
     at = plan.motion.trajectory(np.linspace(begin_s, end_s, 4001))
     return float(np.linalg.norm(np.diff(at, axis=0), axis=1).sum())
 
 
 def test_it_turns_with_the_way_and_slows_at_corners(stitcher: Machine) -> None:
-    """Each stitch on a straight is as long as the motion goes during its turn, whatever its speed.
+    """Each straight stitch is as long as the motion during its turn, at any speed.
 
-    A corner is rounded within the tolerance of the path, so that the way beside it is shorter, by
-    no more than (2 - sqrt(2)) of the legs that a rounding of 0.1 mm takes: 0.3 mm at most.
+    A corner is rounded within the tolerance of the path, so that the way is shorter there, by no
+    more than (2 - sqrt(2)) of the legs of a rounding of 0.1 mm: 0.3 mm at most.
     """
     plan = planned(stitcher)
     run = sewn(plan)
@@ -82,8 +82,8 @@ def test_no_turn_is_too_fast_where_corners_between_unlike_stitches_are_rounded(
 ) -> None:
     """The legs of the strap have stitches of 2.94 to 3.02 mm, and one piece rounds their corner.
 
-    It has one speed; where that was the mean of both, the longer stitch took 0.12 % less than a
-    turn. A needle may be 0.1 % too fast; 0.009 % remain by ``auto``, 0.013 % by ``optimal``.
+    It has one speed; with the mean of both, the longer stitch took 0.12 % less than a turn. A
+    needle may be 0.1 % too fast; 0.009 % remain by ``auto``, 0.013 % by ``optimal``.
     """
     strap = EXAMPLES / "strap.seam.toml"
     words = {"needle": "follow", "needle_speed": "5 stitch/s"}
@@ -92,7 +92,7 @@ def test_no_turn_is_too_fast_where_corners_between_unlike_stitches_are_rounded(
     lengths = np.linalg.norm(run.point - run.from_point, axis=1)
     assert lengths.max() / lengths.min() > 1.01
     assert turn_error(run).min() > -3e-4
-    # It costs next to nothing: 76 turns, and what is lost beside the rests.
+    # It costs almost nothing: 76 turns, and the loss beside the rests.
     assert run.down_s[-1] - run.from_s[0] < 76 / 5 * 1.003
 
 
@@ -114,7 +114,7 @@ def test_a_corner_slower_than_the_needle_may_turn_is_told(stitcher: Machine) -> 
 
 
 def test_the_drive_of_the_needle_limits_the_timing(stitcher: Machine) -> None:
-    """The speed along the planned path, differenced, stays within what the needle allows.
+    """The speed along the planned path, by differences, stays within the needle's limit.
 
     From rest at a limit of a l the n-th turn of 1000 stitch/s^2 ends at sqrt(2 n / a); the jerk of
     the axes takes 0.3 ms of that.
@@ -136,7 +136,7 @@ def test_the_drive_of_the_needle_limits_the_timing(stitcher: Machine) -> None:
 
 
 def test_a_timing_that_asks_more_of_the_drive_is_out(stitcher: Machine) -> None:
-    """``auto`` does not know the drive; the judge does, whatever the specification says."""
+    """``auto`` does not know the drive; the judge does, whatever the specification asks."""
     plan = planned_auto(stitcher, needle_acceleration="200 stitch/s^2")
     assert load_spec(None, stitcher).criteria[-1].name != "needle_use"
     result = judged(plan).result("needle_use")
@@ -181,7 +181,7 @@ def test_the_machine_as_built_sews_corners_with_it(stitcher: Machine) -> None:
 
 
 def test_where_it_goes_down_is_written_beside_the_rows(stitcher: Machine) -> None:
-    """Once at the start, and at the end of every stitch; the head is then at the needle's point."""
+    """Once at the start, and at the end of every stitch; then the head is at the needle's point."""
     plan = planned(stitcher)
     run = sewn(plan)
     table = tick_table(plan.commands)
@@ -232,7 +232,7 @@ def test_bounds_that_cannot_be_are_refused(
 
 
 def test_its_own_times_ramp_with_its_drive(stitcher: Machine) -> None:
-    """Along programmed chords (``--feed-forward`` alone) it has the times of a slowed one."""
+    """On programmed chords (``--feed-forward`` alone) it has the times of a slowed needle."""
     both = [
         [
             1.0 / move.feed.value

@@ -1,4 +1,4 @@
-"""The document on seams and the readers say the same."""
+"""The document on seams agrees with the readers."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_defaults_and_choices_are_those_of_the_program() -> None:
 
 
 def test_the_examples_are_read(tmp_path) -> None:
-    """The second as it stands; the first with a drawing of its layers beside it."""
+    """The second runs as it stands; the first needs a drawing with its layers beside it."""
     first, second = re.findall(r"```toml\n(.*?)```", TEXT, flags=re.DOTALL)
     machine = load_machine("stitcher")
     written = tmp_path / "points.seam.toml"

@@ -36,7 +36,7 @@ def stitches(job: Job) -> list[Move]:
 
 
 def places(job: Job) -> np.ndarray:
-    """(n + 1, 2) where the needle goes down, mm; the first is the end of the travel."""
+    """Return (n + 1, 2) needle-downs, mm; the first is the end of the travel."""
     return np.array([op.target for op in job if isinstance(op, Move)]) * 1e3
 
 
@@ -70,7 +70,7 @@ def test_printed_test_path_under_the_two_stitch_rule(sewer: Machine, examples: P
 def test_needle_places_are_those_of_a_trapezoid(
     down: float, more: dict[str, str], sewer: Machine, tmp_path: Path
 ) -> None:
-    """Any acceleration: sample an independently integrated trapezoid at the needle's clock."""
+    """For any acceleration: an independently integrated trapezoid at the needle's clock."""
     job = sew(
         tmp_path, sewer, "points = [[0, 0], [80, 0]]", motion="discrete", acceleration="9 m/s^2",
         **more,
@@ -88,7 +88,7 @@ def test_needle_places_are_those_of_a_trapezoid(
 def test_slowed_needle_speeds_up_and_slows_down_as_told(
     up: float, down: float, sewer: Machine, tmp_path: Path
 ) -> None:
-    """A leg from rest to rest takes L/v + v/2a + v/2d; corners are met at the speed that fits."""
+    """A leg from rest to rest takes L/v + v/2a + v/2d; corners are passed at their own speed."""
     slowed = {"needle": "slowed", "acceleration": f"{up} m/s^2", "deceleration": f"{down} m/s^2"}
     job = sew(tmp_path, sewer, "points = [[0, 0], [80, 0]]", motion="discrete", **slowed)
     v = 0.125
@@ -110,7 +110,7 @@ def test_slowed_needle_speeds_up_and_slows_down_as_told(
 def test_lengths_fill_the_leg_and_keep_the_tolerance(
     length: float, first: bool, last: bool, wanted: float
 ) -> None:
-    """Whatever the leg, only the exempt stitches may be off by more than half the tolerance."""
+    """On any leg, only the exempt stitches may be off by more than half the tolerance."""
     settings = Stitching(stitch_length_m=wanted, needle_speed_hz=50.0)
     a = settings.speed_m_s**2 / (2 * wanted)
     lengths = stitch_lengths(length, settings, Accelerations(a, a), (first, last))
@@ -119,7 +119,7 @@ def test_lengths_fill_the_leg_and_keep_the_tolerance(
     assert (lengths > 0).all()
     middle = lengths[2:-2]
     assert np.abs(middle / wanted - 1).max(initial=0.0) < 0.025 + 1e-9
-    # Exempt stitches absorb what is left over; none grows beyond a stitch and a half.
+    # Exempt stitches absorb the remainder; none grows beyond a stitch and a half.
     assert lengths.max() < 1.5 * wanted
 
 
@@ -127,9 +127,9 @@ def test_lengths_fill_the_leg_and_keep_the_tolerance(
 def test_no_other_number_of_stitches_is_nearer_to_the_wanted_length(
     length: float, a: float, rests: tuple[bool, bool]
 ) -> None:
-    """Of all numbers, tried one by one, that a trapezoid of speed can make: n l - r N^2 l^2 / 2 a.
+    """All numbers that a trapezoid of speed can make are tried: n l - r N^2 l^2 / 2 a.
 
-    A leg too short for its ramps had far too many: 157 million on 20 mm.
+    A leg too short for its ramps once had far too many: 157 million on 20 mm.
     """
     settings = Stitching(stitch_length_m=2.5e-3, needle_speed_hz=40.0)
     loss = sum(rests) * 40.0**2 / (2 * a)
@@ -146,7 +146,7 @@ def test_no_other_number_of_stitches_is_nearer_to_the_wanted_length(
 
 @pytest.mark.parametrize("rests", [(False, False), (True, False), (True, True)])
 def test_legs_of_few_stitches_keep_the_tolerance(rests: tuple[bool, bool]) -> None:
-    """11.44 stitches long: 4 to 5 % too much for each, were it not for the four at the ends."""
+    """11.44 stitches long: 4 to 5 % too much for each without the four at the ends."""
     settings = Stitching(stitch_length_m=2e-3, needle_speed_hz=50.0)
     a = settings.speed_m_s**2 / (2 * 2e-3)
     lengths = stitch_lengths(11.44 * 2e-3, settings, Accelerations(a, a), rests)
@@ -177,7 +177,7 @@ def test_tight_circle_is_sewn_in_even_chords(sewer: Machine, tmp_path: Path) -> 
 
 
 def test_ellipse_keeps_chords_even_where_it_bends(sewer: Machine, tmp_path: Path) -> None:
-    """Placed by arc length alone, chords at the tips (radius 1.25 mm) would be 13 % short."""
+    """By arc length alone, chords at the tips (radius 1.25 mm) would be 13 % short."""
     svg = tmp_path / "e.svg"
     svg.write_text(
         '<svg xmlns="http://www.w3.org/2000/svg" width="100mm" height="50mm" '
@@ -258,7 +258,7 @@ def test_lock_stitches_go_forth_and_back(sewer: Machine, tmp_path: Path) -> None
     expected = [0, 2.5, 5, 7.5, 5, 2.5, *np.arange(0, 50.1, 2.5), 47.5, 45, 47.5, 50]
     assert x == pytest.approx(expected, abs=1e-9)
     assert kinds == ["lock"] * 6 + ["sew"] * 20 + ["lock"] * 4
-    # The head rests at each reversal, so that nobody rounds it off.
+    # The head rests at each reversal, so that no interpolation rounds it off.
     assert sum(isinstance(op, Dwell) for op in job) == 4
     assert tag(job, "stitch").tolist() == list(range(30))
 
@@ -292,9 +292,9 @@ def test_many_contours_each_with_travel_and_trim(sewer: Machine, examples: Path)
 
 
 def test_every_example_is_in_tolerance_and_replays(sewer: Machine, examples: Path) -> None:
-    """All seams that come with the project, twice through their streams and into a path.
+    """All seams of the project, read twice as streams, and once as a path.
 
-    Each is for the machine of its own name, where there is one.
+    Each is for the machine of its own name, if there is one.
     """
     for path in sorted(examples.glob("*.seam.toml")):
         own = path.with_name(path.name.replace(".seam.toml", ".toml"))
@@ -319,7 +319,7 @@ def test_inside_allowance_shifts_the_stitches(sewer: Machine, tmp_path: Path) ->
 
 
 def test_a_trim_takes_its_time(sewer: Machine, examples: Path) -> None:
-    """The head rests at the end of each contour before it travels on; stitches stay as they are."""
+    """The head rests at the end of each contour before it travels; stitches are unchanged."""
     job = read_seam(examples / "pocket.seam.toml", sewer, trim="300 ms", settle="0 s")
     plain = read_seam(examples / "pocket.seam.toml", sewer, settle="0 s")
     operations = list(job)
@@ -337,7 +337,7 @@ def test_a_trim_takes_its_time(sewer: Machine, examples: Path) -> None:
 
 
 def test_needle_speed_scales_the_clock_only(sewer: Machine, tmp_path: Path) -> None:
-    """What ``fastest`` varies: at interpolated corners the places stay, the times shrink."""
+    """``fastest`` varies the speed: at interpolated corners the places stay, the times shrink."""
     slow = sew(tmp_path, sewer, SQUARE, needle="slowed", needle_speed="20 stitch/s")
     fast = sew(tmp_path, sewer, SQUARE, needle="slowed", needle_speed="40 stitch/s")
     assert places(slow) == pytest.approx(places(fast), abs=1e-9)
@@ -384,7 +384,7 @@ def test_read_job_knows_seams(sewer: Machine, examples: Path) -> None:
 
 
 def test_a_frame_on_pulse_servos_is_sewn(tmp_path: Path) -> None:
-    """It has no loops; what rings while its drives stand is at 70 Hz, as its file says."""
+    """It has no loops; a mode of 70 Hz rings while its drives stand, as its file says."""
     frame = replace(load_machine("table-embroiderer"), shaft=None, tables=None)
     job = sew(tmp_path, frame, "points = [[0, 0], [100, 0], [100, 100]]")
     assert len(stitches(job)) >= 80  # of 2.5 mm over 200 mm, and the locks

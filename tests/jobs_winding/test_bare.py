@@ -1,4 +1,4 @@
-"""The bare mandrel of a wanted outer shape: round trips, a closed form, and what cannot be."""
+"""The bare mandrel of a wanted outer shape: round trips, a closed form, and impossible shapes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_layers_on_the_bare_mandrel_end_at_the_drawn_shape(
     outside = grown(one.circuit.surface, spread)
     x, r = outside.at(np.linspace(0.0, outside.length_m, 2001))
     bare = np.genfromtxt(table, delimiter=",", skip_header=1)
-    # A part begins at 0: the table begins where the drawing does, less the layers.
+    # A part begins at 0: the table begins at the drawing's begin, less the layers.
     x[:, 0] += 1e-3 * bare[0, 0]
     assert f"begins {bare[0, 0]:.3f} mm right of the drawing" in out
     # Distance from a cylinder with round ends: the drawn shape, by its own definition.

@@ -96,11 +96,11 @@ def test_mandrel_band_and_layers_come_back(tmp_path: Path, left: float, right: f
 
 
 def test_its_rules_hold_for_what_is_written(tmp_path: Path) -> None:
-    """The rules of FiberPath's guide, by hand: what they cover is the pattern of the product.
+    """By hand from FiberPath's guide: its coverage is the pattern of the product.
 
     The number of circuits follows from angle and tow and is a multiple of patternNumber; skipIndex
-    is below it and coprime; lockDegrees is a multiple of 180 / patternNumber; a circuit goes two
-    locks and skipIndex / patternNumber of a turn further. 30 and 19/30 are the product's.
+    is below it and coprime; lockDegrees is a multiple of 180 / patternNumber; a circuit turns by
+    two locks and skipIndex / patternNumber of a turn more. 30 and 19/30 are the product's.
     """
     hoop, _, first = _written(tmp_path, LAYERS)["layers"]
     assert hoop == {"windType": "hoop", "terminal": False}

@@ -69,7 +69,7 @@ def test_the_vessel_of_the_text(tmp_path: Path) -> None:
     assert 103 - pattern.beside == 61
     assert math.degrees(pattern.off) == pytest.approx(0.8053, abs=5e-5)
     assert pattern.coverage == pytest.approx(1.0039, abs=5e-5)
-    # Both domes carry the same ratio l: together they go 4 atan(l / cos a) further.
+    # Both domes have the same ratio l: together they turn 4 atan(l / cos a) further.
     ratio = math.cos(angle) * math.tan(0.25 * pattern.off)
     assert one.circuit.left.ratio == one.circuit.right.ratio == pytest.approx(-ratio, abs=1e-9)
     assert ratio == pytest.approx(0.00344, abs=5e-6)
@@ -90,7 +90,7 @@ def test_the_vessel_of_the_text(tmp_path: Path) -> None:
 def test_an_open_end_turns_as_gently_as_the_mandrel_is_long(
     tmp_path: Path, room_mm: float, ratio: float | None
 ) -> None:
-    """On a cylinder a ratio l turns within R (1 / sin a - 1) / l; 15 % to 18 % of 20 % are taken.
+    """On a cylinder a ratio l turns within R (1 / sin a - 1) / l; 15 % to 18 % of 20 % are used.
 
     The whole band stays on the mandrel: its centre turns half a band before the end.
     """
@@ -159,7 +159,7 @@ def _cartesian(
 ):
     """Return place and direction along a fibre with k_g / k_n = ratio on an implicit surface.
 
-    n points inwards, and b = n x t is the side to which the fibre is steered.
+    n points inwards, and the fibre is steered to the side of b = n x t.
     """
 
     def rates(_: float, y: FloatArray) -> FloatArray:
@@ -314,7 +314,7 @@ def covered(begin: float, end: float) -> str:
 
 
 def test_a_cone_turns_by_clairaut_at_its_narrow_end(tmp_path: Path) -> None:
-    """Developed, a geodesic on a cone is a straight line: closed forms of length and angle."""
+    """On the developed cone a geodesic is a straight line: closed forms of length and angle."""
     layer = '[[layer]]\nangle = "45 deg"\n'
     (one,) = laid(tmp_path, cone_part(40, 60, 300) + BAND + covered(100, 200) + layer)
     left, right = one.wrap.sites
@@ -337,7 +337,7 @@ def test_a_cone_turns_by_clairaut_at_its_narrow_end(tmp_path: Path) -> None:
 
 
 def test_a_cone_between_cylinders(tmp_path: Path) -> None:
-    """It turns by friction on both cylinders, and the angle goes on over the joints."""
+    """It turns by friction on both cylinders, and the angle is continuous over the joints."""
     text = cylinder_part(40, 300) + cone_part(40, 60, 150) + cylinder_part(60, 300)
     layer = '[[layer]]\nangle = "35 deg"\n'
     (one,) = laid(tmp_path, text + BAND.replace('0.25"\n', '0.5"\n') + covered(200, 550) + layer)
@@ -349,7 +349,7 @@ def test_a_cone_between_cylinders(tmp_path: Path) -> None:
         math.degrees(math.asin(1.5 * math.sin(math.radians(35.0)))), abs=1e-9
     )
     assert one.circuit.left.radius_m == pytest.approx(0.04, abs=1e-12)
-    # The foot of the cone is a hollow corner: that is said before winding.
+    # The foot of the cone is a hollow corner, which is reported before winding.
     said = bridged(one)
     assert said is not None and "bridges the hollow of the mandrel at 299" in said
 
@@ -369,7 +369,7 @@ def test_a_nose_cone_says_the_build_up_at_its_tip(tmp_path: Path) -> None:
 
 
 def test_the_second_layer_of_a_tube_has_its_angle_on_the_tube(tmp_path: Path) -> None:
-    """Where the first layer turned it stands higher; that is not where the angle is meant."""
+    """The turns of the first layer stand higher; the wanted angle is not meant there."""
     layer = '[[layer]]\nangle = "55 deg"\n'
     first, second = laid(tmp_path, cylinder_part(50, 600) + BAND + covered(200, 400) + 2 * layer)
     assert first.most_m is not None and first.thickness_m is not None

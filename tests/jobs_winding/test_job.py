@@ -1,4 +1,4 @@
-"""A winding as a job: what its finished program lays, what it refuses, what it writes."""
+"""A winding as a job: the fibre of its finished program, refusals, and written files."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_the_mandrel_turns_on_and_on_and_the_pattern_closes() -> None:
     first, last = runs[0].targets, runs[-1].targets
     turned = last[-1, 0] - first[-1, 0]
     assert turned == pytest.approx(43 * 63 / 44 * 2.0 * math.pi, abs=1e-9)
-    # The last circuit has the same points, and more on its way to rest.
+    # The last circuit has the same points, and a longer way to its rest.
     same = runs[-2].targets
     assert same[:, 1:] == pytest.approx(first[:, 1:], abs=1e-12)
     lap = turned / 43
@@ -83,7 +83,7 @@ def test_the_mandrel_turns_on_and_on_and_the_pattern_closes() -> None:
 
 
 def test_the_speed_of_the_fibre_is_even(tmp_path: Path) -> None:
-    """No move draws fibre faster than asked, and most draw it at that speed."""
+    """No move draws fibre faster than wanted, and most draw it at that speed."""
     file = tmp_path / "even.wind.toml"
     text = VESSEL_FILE.read_text(encoding="utf-8")
     file.write_text(text.replace("[fibre]", '[fibre]\nspeed = "150 mm/s"'), encoding="utf-8")
@@ -119,7 +119,7 @@ def test_other_eyes_lay_the_same_fibre(name: str) -> None:
 
 
 def test_the_fibre_comes_up_to_speed_from_rest() -> None:
-    """Three tenths of the speed at first; behind a second of full speed, all circuits are alike."""
+    """Three tenths of the speed at first; after a second at full speed, all circuits are alike."""
     first, full = (
         np.array([feed.value for _, feed in run.feeds if feed is not None])
         for run in _runs(read_job(VESSEL_FILE, WINDER))[:2]
@@ -221,7 +221,7 @@ def test_wishes_that_cannot_be_name_what_can(tmp_path: Path, layer: str, said: s
     assert caught.value.place is not None and caught.value.place.line
     if near is None:
         return
-    # What it names can be wound.
+    # A winding with the named value exists.
     one, two = near.groups()
     wish = f'{SMALL}[[layer]]\nturn = "20 mm"\ncircuits = {one}\nshift = {two}\n'
     (laid,) = design(read_layers(_written(tmp_path, wish)))
@@ -229,7 +229,7 @@ def test_wishes_that_cannot_be_name_what_can(tmp_path: Path, layer: str, said: s
 
 
 def test_a_friction_that_closes_a_pattern_is_enough(tmp_path: Path) -> None:
-    """With the friction that the message names it closes, with a tenth less it does not."""
+    """With the friction in the message the pattern closes, with a tenth less it does not."""
 
     def text(friction: float) -> str:
         layer = '[[layer]]\nturn = "22 mm"\ncircuits = 37\nshift = 13\nclose = "friction"\n'
@@ -286,7 +286,7 @@ LAYERS = '[[layer]]\nturn = "20 mm"\n[[layer]]\nkind = "hoop"\n[[layer]]\nturn =
 
 
 def test_layers_grow_by_the_volume_of_their_fibre(tmp_path: Path) -> None:
-    """Bodies of revolution by the disc method, against fibre length times its cross-section."""
+    """Bodies of revolution by the disc method, compared with fibre length times cross-section."""
     text = f'[mandrel]\nat = "100 mm"\n{STACK.replace("6 mm", "8 mm")}{LAYERS}'
     laid = design(read_layers(_written(tmp_path, text)))
 
@@ -325,7 +325,7 @@ def test_the_way_over_a_join_is_continuous(tmp_path: Path) -> None:
     assert (np.diff(every[:, 0]) > 0.0).all()
     eye = np.vstack([runs[0].targets[-1], runs[1].targets])
     assert eye[-1, 0] - eye[0, 0] == pytest.approx(laid[1].circuit.advance, abs=1e-9)
-    # Where the join ends, the first circuit begins: the eye is where it is after each circuit.
+    # At the end of the join the first circuit begins: the eye is at its place of each circuit.
     assert eye[-1, 1:] == pytest.approx(eye[0, 1:], abs=1e-6)
 
 
@@ -344,9 +344,9 @@ def test_layers_that_outgrow_a_fixed_eye_are_refused(tmp_path: Path) -> None:
     ("overlays", "warned"), [("xab+marlin", True), ("xyz+marlin", False), ("xab+grbl", False)]
 )
 def test_a_mandrel_that_marlin_turns_as_a_rotary_axis_jumps(overlays: str, warned: bool) -> None:
-    """Marlin's length of a move is that of X Y Z: what it says of a turn is in the plan.
+    """Marlin's length of a move uses X Y Z alone: the plan shows the effect on a turn.
 
-    A stepper takes about 10 deg/s at once (the jump of Reprapfirmware in the machine file); the
+    A stepper accepts about 10 deg/s at once (RepRapFirmware's jump in the machine file); the
     mandrel turns at 150 deg/s.
     """
     machine = load_machine(f"stepper-winder+{overlays}")
@@ -453,7 +453,7 @@ def test_layers_with_another_tension_than_the_brake_gives_are_named(tmp_path: Pa
     said = [w for w in read_job(file, fixed).warnings if "brake" in w]
     assert [line.partition(": ")[0] for line in said] == ["p.wind.toml:16", "p.wind.toml:22"]
     assert "layer 1 asks for a tension of 8.6 N" in said[0] and "gives 7.9 N" in said[0]
-    # T r / (1 + friction), and what the arm adds to the brake above the middle of its travel
+    # T r / (1 + friction), and the arm's part of the brake above the middle of its travel
     assert "about 0.51 N m" in said[0] and "about 0.322 N m" in said[1]
 
 
@@ -470,7 +470,7 @@ def test_a_tension_at_which_the_arm_lies_at_its_stop_is_told(tmp_path: Path) -> 
 
 
 def test_the_mandrel_comes_to_rest_evenly() -> None:
-    """The speed falls as half a cosine within 0.5 s, in steps of 20 ms, else the mandrel swings."""
+    """The speed falls as half a cosine within 0.5 s, in steps of 20 ms; otherwise it swings."""
     file = Path(__file__).parents[2] / "examples" / "vessel.wind.toml"
     job = read_job(file, load_machine("lathe-winder"))
     runs = [item for item in job.runs() if isinstance(item, MoveRun)]
@@ -478,7 +478,7 @@ def test_the_mandrel_comes_to_rest_evenly() -> None:
     turn = job.axes.index("A")
 
     def course(run: MoveRun) -> tuple[np.ndarray, np.ndarray]:
-        """Return the instants of the targets before the end, and what is left of the turn."""
+        """Return the instants of the targets before the end, and the remaining turn."""
         seconds = np.array([1.0 / feed.value for _, feed in run.feeds if feed is not None])
         return np.cumsum(seconds[::-1])[::-1][1:], run.targets[-1, turn] - run.targets[:-1, turn]
 
@@ -494,9 +494,9 @@ def test_the_mandrel_comes_to_rest_evenly() -> None:
 
 
 def test_the_last_move_before_a_rest_has_steps_enough_for_marlin() -> None:
-    """Marlin passes over moves of fewer than six steps, and goes their way at the next one's speed.
+    """Marlin ignores moves of fewer than six steps, and does their way at the next one's speed.
 
-    The last part of half a cosine would so become a second at a hundredth of the speed.
+    The last part of half a cosine would thus become a second at a hundredth of the speed.
     """
     machine = load_machine("stepper-winder+xyz+marlin")
     job = read_job(Path(__file__).parents[2] / "examples" / "tube.wind.toml", machine)

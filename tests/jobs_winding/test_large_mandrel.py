@@ -1,4 +1,4 @@
-"""A mandrel as large as a silo takes no longer to plan than it has to."""
+"""A mandrel as large as a silo takes no unneeded planning time."""
 
 from __future__ import annotations
 

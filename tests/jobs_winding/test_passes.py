@@ -1,4 +1,4 @@
-"""A winding written as subroutine and passes, and read back."""
+"""A winding written as a subroutine and passes, and read back."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect
     again = read_part_program(program, machine=machine, dialect=dialect)
     wanted, found = _said(job), _said(again)
     assert found[1] == wanted[1]
-    radius = np.array([0.1, 1.0, 1.0])  # m, of the mandrel and the eye beside it
+    radius = np.array([0.1, 1.0, 1.0])  # m, at the mandrel and the eye beside it
     off = (np.array(found[0]) - np.array(wanted[0])) * radius
     assert np.abs(off).max() < 1e-5
-    # Whole turns by G91 add up: what the passes of a layer add is that of the design.
+    # Whole turns by G91 add up: the passes of a layer turn as far as the design.
     text = program.read_text().replace(" ", "").splitlines()
     calls = [line.partition("M98P")[2].rstrip(";").partition("L") for line in text if "M98" in line]
     passes = [int(count or 1) for _, _, count in calls]
-    if dialect == "fanuc":  # its controls write the number of passes in different ways
+    if dialect == "fanuc":  # these controls write the number of passes in different ways
         assert not any(count for _, _, count in calls)
         passes = [len(list(group)) for _, group in groupby(label for label, _, _ in calls)]
         numbers = re.findall(r"[AXYF]([-\d.]+)", "".join(text))
@@ -88,7 +88,7 @@ def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect
 
 
 def test_both_programs_of_one_winding_move_alike(tmp_path: Path, examples: Path) -> None:
-    """The times of the moves too, and the size: at most a twentieth of all moves written out."""
+    """Targets and feeds agree, and the program has less than 5 bytes per move of the winding."""
     product, program = examples / "vessel.wind.toml", tmp_path / "vessel.prg"
     assert run("wind", product, "-m", "lathe-winder", "-o", program) == 0
     machine = load_machine("lathe-winder")
@@ -168,7 +168,7 @@ def test_a_firmware_without_subprograms_is_named(
 @pytest.mark.long(but="linuxcnc")
 @pytest.mark.parametrize("target", ["nc", "linuxcnc", "fanuc"])
 def test_compile_writes_passes_too(tmp_path: Path, target: str) -> None:
-    """The same bytes as ``wind -o``, after the limits of the plan were checked."""
+    """It writes the same bytes as ``wind -o``, but checks the limits of the plan first."""
     product = tmp_path / "short.wind.toml"
     short = TUBE.partition('[[layer]]\nangle = "50 deg"')[0]
     product.write_text(short.replace("circuits = 30", "circuits = 30\nshift = 7"))

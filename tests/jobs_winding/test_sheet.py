@@ -1,4 +1,4 @@
-"""The sheet of a winding: masses, times, prices and the laminate, and what is refused."""
+"""The sheet of a winding tells masses, times, prices and the laminate, and refuses wrong data."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ SOLVER = shutil.which("ccx")
 
 
 def test_rings_hold_the_fibre_of_their_layers(tmp_path: Path) -> None:
-    """The volume of all rings, by Pappus at the middle of the thickness, is that of the bands."""
+    """The volume of all rings, by Pappus at the middle of the thickness, equals the bands'."""
     file = tmp_path / "short.wind.toml"
     file.write_text(SHORT + LAYERS, encoding="utf-8")
     laid = design(read_layers(file))

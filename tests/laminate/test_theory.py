@@ -1,4 +1,4 @@
-"""Lamination theory and netting against printed figures, closed forms and energy."""
+"""Lamination theory and netting, compared with printed figures, closed forms and energy."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_the_laminate_of_the_textbook() -> None:
 
 
 def test_the_stiffness_is_the_energy_of_a_turned_strain() -> None:
-    """The strain tensor turned as a matrix, and the ply's own compliance inverted by numpy."""
+    """The strain tensor is turned as a matrix, and numpy inverts the ply's own compliance."""
     compliance = np.array([
         [1.0 / T300.along, -T300.poisson / T300.along, 0.0],
         [-T300.poisson / T300.along, 1.0 / T300.across, 0.0],
@@ -108,7 +108,7 @@ def test_every_material_of_the_library_makes_a_ply() -> None:
         composite = composite_of(name, found, fail, "material")  # type: ignore[arg-type]
         ply = composite.ply(composite.fibre_volume or 0.6)
         assert ply.along > ply.across > ply.shear / 3.0 > 0.0
-        assert ply.poisson**2 * ply.across < ply.along  # else it would give back energy
+        assert ply.poisson**2 * ply.across < ply.along  # otherwise it would give back energy
         assert 1000.0 < composite.resin_density < 1500.0
     for one in found.values():
         assert one.price is not None

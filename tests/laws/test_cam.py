@@ -1,4 +1,4 @@
-"""A measured cam to a law: geometry by hand, printed rows, synthetic cams whose law is known."""
+"""From a measured cam to a law: geometry by hand, printed rows, synthetic cams of known laws."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ START, END = 7.5, 127.5
 
 
 def true_distances(alpha_deg: np.ndarray, name: str = "modified-sine") -> np.ndarray:
-    """A cam of a known law between the angles of the printed one, with the triangle by hand."""
+    """Return a cam of a known law between the printed cam's angles, with its triangle by hand."""
     t = np.clip((alpha_deg - START) / (END - START), 0, 1)
     phi = np.radians(32.6 + (49.68 - 32.6) * law(name)(t))
     return np.sqrt(0.165**2 + 0.135**2 - 2 * 0.165 * 0.135 * np.cos(phi))
@@ -57,7 +57,7 @@ def rms(x: np.ndarray) -> float:
 
 
 def test_the_printed_rows_that_are_wrong_are_flagged_with_the_checked_value() -> None:
-    """phi by math.acos, row by row; the four wrong ones as they were checked before."""
+    """phi by math.acos, row by row; the four wrong rows have the values checked before."""
     cam = read_cam(EXAMPLE, TRIANGLE)
     assert len(cam.h_m) == 9
     for h, phi in zip(cam.h_m, cam.follower, strict=True):
@@ -106,7 +106,7 @@ def test_even_angles_that_were_written_with_six_decimals_are_even(tmp_path: Path
 
 @pytest.mark.long(shown_by="test_the_law_and_its_spread")
 def test_the_noise_is_estimated(studies: list[CamStudy]) -> None:
-    """Of 132 differences with 70/252 of their neighbours in common: 10 % each, 5 % of the mean."""
+    """132 differences share 70/252 with their neighbours: 10 % each, 5 % of the mean."""
     found = np.array([study.noise_m for study in studies])
     assert found.mean() == pytest.approx(NOISE, rel=0.12)
     assert np.all(np.abs(found / NOISE - 1) < 0.3)
@@ -116,7 +116,7 @@ def test_the_noise_is_estimated(studies: list[CamStudy]) -> None:
 
 
 def test_start_and_end_of_the_rise_are_found(studies: list[CamStudy]) -> None:
-    """A rise is flat at its ends: its first degree is less than the noise. 2 degrees are met."""
+    """A rise is flat at its ends: its first degree is below the noise. The bar is 2 degrees."""
     for study in studies:
         assert math.degrees(study.rise.start_rad) == pytest.approx(START, abs=2.0)
         assert math.degrees(study.rise.end_rad) == pytest.approx(END, abs=2.0)
@@ -125,7 +125,7 @@ def test_start_and_end_of_the_rise_are_found(studies: list[CamStudy]) -> None:
 
 
 def risen(shape: Callable[[np.ndarray], np.ndarray], rows: int, noise_m: float, seed: int) -> Rise:
-    """The rise that is found on a straight follower: 22.5 mm between 11 and 124 degrees."""
+    """Return the found rise on a straight follower: 22.5 mm between 11 and 124 degrees."""
     alpha = np.linspace(0.0, 135.0, rows)
     random = np.random.default_rng(seed)
     h = 0.05 + 0.0225 * shape(np.clip((alpha - 11.0) / 113.0, 0.0, 1.0))
@@ -134,7 +134,7 @@ def risen(shape: Callable[[np.ndarray], np.ndarray], rows: int, noise_m: float, 
 
 
 def within(rises: list[Rise]) -> tuple[list[float], int]:
-    """How far each end was missed, in degrees, and how many ends lie in their intervals."""
+    """Return the error of each end, in degrees, and the number of ends in their intervals."""
     missed, inside = [], 0
     for rise in rises:
         for at, around, true in (
@@ -149,7 +149,7 @@ def within(rises: list[Rise]) -> tuple[list[float], int]:
 
 @pytest.mark.long(shown_by="test_start_and_end_of_the_rise_are_found")
 def test_a_rise_by_a_law_with_a_name_is_met_and_its_interval_holds_it() -> None:
-    """Also where the first 10 degrees are flatter than the noise, as by 4-5-6-7 and 5-6-7-8-9.
+    """Also if the first 10 degrees are flatter than the noise, as with 4-5-6-7 and 5-6-7-8-9.
 
     A stiff rise missed these by 4 to 10 degrees on every cam. Of 32 ends at 90 % at least 25 lie
     within: fewer have a probability of 1 %.
@@ -183,7 +183,7 @@ def test_a_rise_by_no_law_with_a_name_has_a_wide_interval_that_holds_it() -> Non
 
 
 def test_a_step_between_two_rows_has_its_ends_around_them() -> None:
-    """Where the ends change no row: 10 rows of dwell, 10 rows of dwell, nothing between."""
+    """The ends change no row: 10 rows of dwell, 10 rows of dwell, nothing between."""
     alpha = np.radians(np.arange(20.0))
     h = np.where(np.arange(20) < 10, 0.05, 0.07) + 1e-6 * np.sin(7.0 * np.arange(20))
     rise = rise_of(alpha, h, 1e-6, h, np.full(20, 1e-6))
@@ -226,7 +226,7 @@ def test_the_law_and_its_spread(studies: list[CamStudy]) -> None:
         assert raw is not None and faired is not None
         assert raw.peaks[1] > 5 * faired.peaks[1]
         assert np.all(faired.spread < 0.1 * raw.spread)
-    # The spread is that of the peaks from cam to cam, which have noise of their own each.
+    # The spread is the spread of peaks over cams, each with its own noise.
     between = np.std([study.law.velocity for study in studies], ddof=1)
     stated = np.mean([study.faired(Fairing.SPLINE).spread[0] for study in studies])
     assert 0.3 < between / stated < 6
@@ -249,8 +249,8 @@ def test_an_outlier_is_shown_and_kept(tmp_path: Path) -> None:
 def test_the_rebound_flattens_without_end() -> None:
     """Twenty passes take a third of the noise away; thousands take the cam away.
 
-    Rows 10 degrees apart: what is left after many passes nears a single cubic, by least squares.
-    With rows twice as near it takes sixteen times as many.
+    Rows are 10 degrees apart: after many passes the rest approaches a single cubic, by least
+    squares. With rows twice as near it takes sixteen times as many.
     """
     alpha = np.arange(7.5, 128.0, 5.0)
     true = true_distances(alpha)
@@ -327,7 +327,7 @@ def test_the_command_writes_law_and_report(
 
 
 def test_the_picture_shows_the_curve_between_the_rows() -> None:
-    """Nine rows: a polyline through them would not be the spline that is the law."""
+    """With nine rows: a polyline through them would not be the law's spline."""
     study = study_cam(read_cam(EXAMPLE, TRIANGLE), noise_m=NOISE, draws=2)
     top = rows_figure(study).axes[0]
     (curve,) = (line for line in top.lines if line.get_label() == "faired: spline")
@@ -407,7 +407,7 @@ def test_wrong_input_is_one_line(
 
 
 def dwelling(alpha_deg: np.ndarray) -> np.ndarray:
-    """Distances in mm of a whole cam: dwell, rise, dwell, and the fall from 200 degrees on."""
+    """Return distances in mm of a whole cam: dwell, rise, dwell, and the fall from 200 degrees."""
     way = np.clip((alpha_deg - 20) / 120, 0, 1) - np.clip((alpha_deg - 200) / 120, 0, 1)
     return 89 + 20 * (0.5 - 0.5 * np.cos(np.pi * way))
 
@@ -416,9 +416,9 @@ def dwelling(alpha_deg: np.ndarray) -> np.ndarray:
 def test_a_cam_that_rises_and_falls_is_refused_where_it_falls(
     noise_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """At the first row that the noise does not explain, and no law that ironed the fall out.
+    """At the first row that the noise does not explain, and no law hides the fall.
 
-    The fall of 1 - cos reaches 4 of the largest noise 9 degrees behind its beginning.
+    The fall of 1 - cos reaches 4 of the largest noise 9 degrees after its begin.
     """
     alpha = np.arange(0.0, 360.0, 1.0)
     h = dwelling(alpha) + noise_mm * np.random.default_rng(5).standard_normal(len(alpha))
@@ -431,13 +431,13 @@ def test_a_cam_that_rises_and_falls_is_refused_where_it_falls(
     assert "falls from 10" in err and "no inverse" in err
     file.write_text(rows(*(f"{a:g},{b:.4f}" for a, b in zip(alpha, h, strict=True) if a <= 200)))
     study = study_cam(read_cam(file), draws=2)
-    # Its acceleration steps at both ends, where the rise that is looked for has none.
+    # Its acceleration steps at both ends, unlike the searched rise.
     assert math.degrees(study.rise.start_rad) == pytest.approx(20, abs=8)
     assert math.degrees(study.rise.end_rad) == pytest.approx(140, abs=8)
 
 
 def test_the_first_falling_row_is_named_and_an_outlier_is_none(tmp_path: Path) -> None:
-    """1 - cos over a whole turn: its highest row is that of 180 degrees, line 62."""
+    """1 - cos over a whole turn: its highest row is at 180 degrees, line 62."""
     alpha = np.arange(0, 361, 3)
     h = 89 + 10 * (1 - np.cos(np.radians(alpha)))
     file = tmp_path / "turn.csv"

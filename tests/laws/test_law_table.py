@@ -1,4 +1,4 @@
-"""Laws as tables: what is written reads back, and what is no law is refused with its line."""
+"""Laws as tables: written tables read back, and wrong ones are refused with their line."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_what_is_no_law_is_refused(text: str, said: str, tmp_path: Path) -> None
 
 
 def test_a_table_is_read_anew_where_it_has_changed(tmp_path: Path) -> None:
-    """A search asks for its law at every speed; what was found of the law is of use again."""
+    """A search needs its law at every speed; once read, the law is used again."""
     file = tmp_path / "own.csv"
     write_law(law("cycloidal"), file)
     first = read_law(file)

@@ -65,7 +65,7 @@ def test_the_table_is_complete():
 
 @pytest.mark.parametrize("name", TABLE)
 def test_peaks_of_a_dense_scan_are_the_published_ones(name):
-    """200 001 instants: a smooth peak is met to (step)^2, an edge peak exactly."""
+    """200 001 instants: a smooth peak agrees to (step)^2, an edge peak exactly."""
     t = np.linspace(0, 1, 200_001)
     motion = law(name)
     for derivative, published in enumerate(TABLE[name], start=1):
@@ -129,7 +129,7 @@ def test_unknown_law_names_the_nearest():
 @pytest.mark.long(but=("modified-sine", "cycloidal", "jerk-limited:1,0,1,0,3,0,3"))
 @pytest.mark.parametrize("name", [*TABLE, *OTHERS])
 def test_the_inverse_meets_a_million_rises(name):
-    """A rise of doubles has steps of 1.1e-16 below 1, and Cv of them belong to one of time."""
+    """A rise in doubles has steps of 1.1e-16 below 1, and Cv of them belong to one of time."""
     motion = law(name)
     x = np.linspace(0.0, 1.0, 1_000_001)
     t = motion.inverse(x)

@@ -35,7 +35,7 @@ def test_some_limit_is_reached_at_every_instant(distance, velocity, acceleration
     half = [move.jerk_s, move.push_s, move.jerk_s]
     phases = np.array([*half, move.cruise_s, *half])
     middles = np.cumsum(phases) - 0.5 * phases
-    # What rounding leaves of a phase is none; the others are seen where they are.
+    # A phase that only rounding leaves does not count; the others are at their places.
     seen = phases > 1e-6 * move.duration_s
     times, step = middles[seen], 0.25 * phases[seen]
     a, v = move(times, 2), move(times, 1)
@@ -46,7 +46,7 @@ def test_some_limit_is_reached_at_every_instant(distance, velocity, acceleration
 
 @given(SIZES, SIZES, SIZES, st.one_of(st.just(np.inf), SIZES))
 def test_it_arrives_at_rest_and_keeps_its_limits(distance, velocity, acceleration, jerk):
-    """Sums at the middles of 20 000 steps come to distance and rest, to their error."""
+    """Sums at the middles of 20 000 steps reach distance and rest, to their error."""
     move = shortest_move(distance, velocity, acceleration, jerk)
     n = 20_000
     times = (np.arange(n) + 0.5) * (move.duration_s / n)

@@ -1,4 +1,4 @@
-"""What a machine file is refused with."""
+"""The refusals of machine files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from threadline.machine import load_machine
 
 @pytest.fixture
 def refused(tmp_path):
-    """Return what a machine file of this text is refused with."""
+    """Return the refusal of a machine file with this text."""
 
     def refuse(text: str | bytes) -> str:
         path = tmp_path / "mine.toml"

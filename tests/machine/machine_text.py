@@ -1,4 +1,4 @@
-"""The text of the winder, and what is found and changed in it."""
+"""The text of the winder, with helpers to find and change lines in it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ WINDER = (LIBRARY / "lathe-winder.toml").read_text(encoding="utf-8")
 
 
 def line_of(text: str, part: str) -> int:
-    """Number of the only line of ``text`` that holds ``part``."""
+    """Return the number of the only line of ``text`` that contains ``part``."""
     (found,) = [n for n, line in enumerate(text.splitlines(), start=1) if part in line]
     return found
 

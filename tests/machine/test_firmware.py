@@ -1,4 +1,4 @@
-"""Settings of firmwares become machine files: their own numbers, and what is asked for by name."""
+"""Settings of firmwares become machine files: their numbers, and named questions for the rest."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_a_firmware_becomes_a_machine(
     travel_m: dict[str, float],
     dialect: str,
 ) -> None:
-    """Steps, rates, accelerations and travel are those of the dump; degrees where an axis turns."""
+    """Steps, rates, accelerations and travel equal those of the dump; degrees on a rotary axis."""
     made = machine(tmp_path, text, *more)
     assert made.axis_names == tuple(counts)
     assert made.programs.dialect == dialect
@@ -178,7 +178,7 @@ def test_a_firmware_tells_its_planner(
 
 
 def test_jerks_of_marlin_are_jumps_of_its_axes(tmp_path: Path) -> None:
-    """M205 X8 A5: mm/s of an axis along a line, deg/s of one that turns; E has no axis here."""
+    """M205 X8 A5: mm/s of a linear axis, deg/s of a rotary one; E is no axis here."""
     text = MARLIN.replace("J0.01", "X8.00 A5.00")
     made = machine(tmp_path, text, "rotary=A", "travel=600 mm")
     jumps = {axis: jump.si for axis, jump in made.planner.jump.items()}
@@ -195,10 +195,10 @@ def test_jumps_of_reprapfirmware_are_a_minute_s(tmp_path: Path) -> None:
 
 
 def test_what_moves_counts_at_its_motor(tmp_path: Path) -> None:
-    """J = rotor + m r^2: 80 step/mm of 200 x 16 are 40 mm a turn, r 6.366 mm, as GT2 has it."""
+    """J = rotor + m r^2: 80 step/mm of 200 x 16 are 40 mm a turn, r 6.366 mm, as with GT2."""
     made = machine(tmp_path, FLUIDNC, "rotary=A", "rotor=3e-5 kg m^2")
     assert made.bodies["x"].inertia.si == pytest.approx(3e-5 + 1.2 * (0.02 / math.pi) ** 2)
-    ratio = (200 * 16 / 26.667) / 360.0  # turns of the mandrel in one of the motor
+    ratio = (200 * 16 / 26.667) / 360.0  # turns of the mandrel in one turn of the motor
     assert made.bodies["a"].inertia.si == pytest.approx(3e-5 + 4e-3 * ratio**2, rel=1e-5)
 
 
@@ -213,7 +213,7 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
         "travel.X", "inertia", "radius",
     ]  # fmt: skip
     assert len(asked) <= 10
-    # What it says would do, does.
+    # The proposed answer works.
     given = re.findall(r'--set "([^"]+)"', str(caught.value))
     assert "[axes.A]" in machine_text(
         read_settings(source), parse_answers(["rotary=A", *given]), "mine"
@@ -362,7 +362,7 @@ def test_a_shaper_that_is_off_is_not_told(off: str, tmp_path: Path) -> None:
     ],
 )
 def test_what_stands_elsewhere_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    """An axis in another file was left out without a word."""
+    """An axis in another file was left out without a message."""
     file = tmp_path / "config.yaml"
     file.write_text(text)
     with pytest.raises(MachineError, match=re.escape(said)):
@@ -370,7 +370,7 @@ def test_what_stands_elsewhere_is_refused(tmp_path: Path, text: str, said: str) 
 
 
 def test_what_save_config_has_saved_is_in_force(tmp_path: Path) -> None:
-    """Klipper appends it as comments of a form of its own, which win over the lines above."""
+    """Klipper appends it as comments in a form of its own, which override the lines above."""
     saved = """
 #*# <---------------------- SAVE_CONFIG ---------------------->
 #*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
@@ -389,7 +389,7 @@ def test_an_axis_of_reprapfirmware_without_its_jump_is_refused(tmp_path: Path) -
 
 
 def test_mutated_settings_are_read_or_refused(tmp_path: Path) -> None:
-    """300 dumps with a line changed, cut or doubled: a machine file or one line of error."""
+    """300 dumps with a line changed, cut or doubled: a machine file, or one line of error."""
     rng = random.Random(11)
     file, made = tmp_path / "settings.txt", tmp_path / "machine.toml"
     answers = parse_answers([*OWNER, "rotary=A", "travel=600 mm"])
@@ -421,7 +421,7 @@ def test_mutated_settings_are_read_or_refused(tmp_path: Path) -> None:
     ],
 )
 def test_jumps_of_marlin_are_of_its_axes(jump: str, said: str, tmp_path: Path) -> None:
-    """Another letter limited nothing, and a jump in the other unit was taken for its number."""
+    """A jump with another letter limited nothing, and one in the other unit was taken as it was."""
     file = tmp_path / "m.toml"
     file.write_text(
         f'base = "stepper-winder"\n\n[planner]\nkind = "marlin"\n\n[planner.jump]\n{jump}\n'

@@ -1,4 +1,4 @@
-"""Machine files that link to nothing, lack what they need, or are no machine files."""
+"""Machine files with missing links or keys, and files that are no machine files."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_a_circle_through_folders_is_noticed(tmp_path) -> None:
 
 
 def test_an_error_in_an_overlay_has_its_line(tmp_path) -> None:
-    """It is that of the last overlay that says so, and that of the file where none does."""
+    """It is the line of the last overlay that sets it, or of the file if no overlay does."""
     path = tmp_path / "mine.toml"
 
     def refusal(text: str, overlays: str) -> str:

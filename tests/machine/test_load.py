@@ -1,4 +1,4 @@
-"""Machine files: what is read, and what mistakes in keys and values are told, with their line."""
+"""Machine files: the read values, and the messages about wrong keys and values, with their line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from threadline.machine.quantity import Provenance
 
 
 def test_the_printed_winder() -> None:
-    """The numbers of the facts, turned into SI by hand."""
+    """The numbers of the facts, converted to SI by hand."""
     machine = load_machine("lathe-winder")
     assert machine.axis_names == ("A", "X", "Y")
     assert machine.tick_clock.period_s == Fraction(1, 200)
@@ -61,12 +61,12 @@ def test_overlays_change_what_they_name_and_nothing_else() -> None:
     assert both.drives["x"].amplifier.mode == "current"
     assert both.drives["x"].amplifier.current_limit.si == 8.0
     assert both.drives["x"].amplifier.gain.unit == "A/V"
-    # an overlay merges: the current limit of the base stays where none is given
+    # an overlay merges: the current limit of the base stays if the overlay has none
     assert load_machine("lathe-winder+current").drives["x"].amplifier.current_limit.si == 4.0
 
 
 def test_8_a_give_twice_the_acceleration_of_4_a() -> None:
-    """Kt I r / J by hand, from the motor's data and the effective radii that the counts give."""
+    """Kt I r / J by hand, from the motor's data and the effective radii from the counts."""
     over = load_machine("lathe-winder+8A")
     torque, per_turn = 8.0 * 0.082, 4000.0 / (2.0 * np.pi)
     for name, body in (("A", "a"), ("X", "x"), ("Y", "y")):
@@ -190,7 +190,7 @@ MISTAKES = {
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_unknown_keys_name_the_nearest_and_their_line(refused, name) -> None:
-    """Though the right key is missing then, the misspelt one is what is told."""
+    """The right key is missing, too, but the message names the misspelt one."""
     old, new, key, near = MISTAKES[name]
     text = edit(old, new)
     message = refused(text)
@@ -280,7 +280,7 @@ def test_what_moves_nothing_is_refused(refused, old, new, where) -> None:
 
 
 def test_a_tolerance_that_reaches_zero_is_refused(refused, tmp_path) -> None:
-    """Of what must stay above zero: at the lower end of its tolerance the mass would be none."""
+    """For a number that must stay above zero: at the lower end the mass would be none."""
     link = (
         "\n[links.belt]\n"
         'stretch = { x = "1 exact, assumed" }\n'

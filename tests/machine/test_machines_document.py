@@ -1,4 +1,4 @@
-"""The document on machine files and the model of a machine say the same."""
+"""The document on machine files agrees with the model of a machine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def section(heading: str) -> str:
 
 
 def test_the_tables_of_keys_are_those_of_the_declarations() -> None:
-    """``python -m tools.machine_reference`` writes them; each key says what it is."""
+    """``python -m tools.machine_reference`` writes them; each key has a description."""
     made = reference.page(KEYS)
     assert made == KEYS
     rows = [line.split(" | ") for line in made.splitlines() if line.startswith("| `")]
@@ -35,7 +35,7 @@ def test_the_tables_of_keys_are_those_of_the_declarations() -> None:
 
 
 def test_no_part_of_a_machine_is_left_out() -> None:
-    """Each table that the model of a machine has is in the reference."""
+    """Each table of the model of a machine is in the reference."""
 
     def tables(place: str, node: dict) -> set[str]:
         node = plain_node(node)
@@ -65,7 +65,7 @@ def test_every_provenance_is_named() -> None:
 
 @pytest.fixture
 def small_winder(tmp_path: Path) -> Path:
-    """The example of the document as a file."""
+    """Return the example of the document as a file."""
     (block,) = re.findall(r"```toml\n(.*?)```", section("A small winder, whole"), re.DOTALL)
     file = tmp_path / "small-winder.toml"
     file.write_text(block, encoding="utf-8")
@@ -80,7 +80,7 @@ def test_the_example_is_a_machine_that_works(small_winder: Path) -> None:
     # Its scales agree: counts per rad of the motor are counts per m times 10 mm.
     counts_per_rad = machine.sensors["x"].reads["x"].si
     assert machine.axes["X"].counts.si * 0.010 == pytest.approx(counts_per_rad, rel=1e-6)
-    # What the notes say that 6 A give, by torque over inertia.
+    # The notes state the acceleration at 6 A: torque over inertia.
     x, a = machine.bodies["x"].inertia.si, machine.bodies["a"].inertia.si
     assert 6 * 0.06 / x * 0.010 == pytest.approx(16.7, abs=0.05)
     assert 6 * 0.06 / a / 4 == pytest.approx(175, abs=0.5)
@@ -90,7 +90,7 @@ def test_the_overlay_of_the_example_swings_as_it_says(small_winder: Path) -> Non
     machine = load_machine(f"{small_winder}+arm")
     arm, eye = machine.links["arm"], machine.bodies["eye"]
     assert (arm.stiffness.si / eye.inertia.si) ** 0.5 / 6.283185 == pytest.approx(12.0, abs=0.01)
-    # The carriage lost what the eye took: 0.3 kg at 10 mm.
+    # The carriage is lighter by the mass of the eye: 0.3 kg at 10 mm.
     rigid = load_machine(small_winder).bodies["x"].inertia.si
     assert rigid - machine.bodies["x"].inertia.si == pytest.approx(0.3 * 0.010**2, rel=1e-9)
     assert unstable_loops(machine) == []

@@ -1,4 +1,4 @@
-"""Steppers of Klipper beside X, Y and Z: what makes them axes of programs, and their limits."""
+"""Steppers of Klipper beside X, Y and Z: how they become axes of programs, and their limits."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_two_steppers_of_one_letter_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_value_that_goes_on_in_the_next_line_is_no_number(tmp_path: Path) -> None:
-    """A key behind a tab is the rest of the value before it, to Klipper too."""
+    """For Klipper, too, a key behind a tab is the rest of the previous value."""
     file = tmp_path / "printer.cfg"
     file.write_text(X_ALONE + "\tmax_velocity: 20\n")
     with pytest.raises(MachineError, match="max_accel is '3000 max_velocity: 20'"):

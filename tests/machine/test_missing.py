@@ -1,4 +1,4 @@
-"""What a machine file lacks is told at once, each key with a value that would do."""
+"""All missing keys of a machine file are reported at once, each with a possible value."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_all_that_is_missing_is_told_at_once_with_lines(tmp_path: Path) -> None:
     [
         'tick_budget = "1e8 tick exact, assumed"',
         '[clocks] name = "5 ms exact, assumed"',
-        # The unit is that of what the part says it is.
+        # The unit fits the kind of the part.
         'inertia = "1 kg*m^2 exact, assumed"',
         'gain = "1 A/V exact, assumed"',
         'counts = "100 count/mm exact, assumed"',
@@ -81,14 +81,14 @@ def test_a_missing_key_comes_with_a_value_that_would_do(tmp_path: Path, form: st
 
 
 def test_a_tool_is_among_what_is_missing_where_an_axis_turns(tmp_path: Path) -> None:
-    """A linear axis needs none; what a rotary one lacks is told with the rest."""
+    """A linear axis needs no tool; a rotary axis reports it with the rest."""
     assert "tool" not in refused(tmp_path, BARE)
     turning = BARE.replace('kind = "linear"', 'kind = "rotary"')
     assert "'tool' (like [tool] radius = \"100 mm exact, assumed\")" in refused(tmp_path, turning)
 
 
 def test_what_is_proposed_is_accepted(tmp_path: Path) -> None:
-    """Adding what every message proposes ends in a machine: the forms are not just words."""
+    """Adding the proposals of every message leads to a machine: the forms are right."""
     tables = {key: value for key, value in tomllib.loads(BARE).items()}
     for _ in range(12):
         file = tmp_path / "mine.toml"
@@ -117,7 +117,7 @@ def test_a_machine_without_axes_and_more_is_told_of_both(tmp_path: Path) -> None
 
 
 def _add(tables: dict, message: str) -> None:
-    """Put into ``tables`` what a message proposes."""
+    """Put the proposal of a message into ``tables``."""
     proposed = re.findall(r"'([\w.]+)' \((?:line \d+, )?like (.+?)\)(?:,|\.| Add)", message)
     proposed += re.findall(r"'([\w.]+)' is missing. Add it, like (.+)$", message)
     for key, form in proposed:
@@ -129,7 +129,7 @@ def _add(tables: dict, message: str) -> None:
         chosen = 'kind = "pd"' if '"pd"' in form else form
         row = tomllib.loads(header[2] if header else chosen)
         node[last] = row if header else row[last]
-    # The names are the author's, which no proposal can know.
+    # The author chooses these names; no proposal can know them.
     named = re.search(r"names the (\w+) '(\w+)'", message)
     if named and named[1] == "clock":
         tables["clocks"][named[2]] = "5 ms exact, assumed"

@@ -94,7 +94,7 @@ LEFT, RIGHT = "6 mm +- 2 mm, assumed", "194 mm +- 2 mm, assumed"
 def test_end_switches_that_tolerances_make_useless_are_refused(
     tmp_path: Path, old: str, new: str, message: str
 ) -> None:
-    """Both on at once: the interlock of the knife would hold all along the stroke."""
+    """With both on at once, the interlock of the knife would hold all along the stroke."""
     path = tmp_path / "mine.toml"
     text = PLACER.replace(old, new, 1)
     path.write_text(text, encoding="utf-8")

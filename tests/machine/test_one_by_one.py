@@ -1,7 +1,7 @@
-"""Every number of every machine file of the library, one by one, at all kinds of odd values.
+"""Every number of every machine file of the library, one by one, with all kinds of odd values.
 
-A file with one such number is proved, analysed or compiled, or refused in one line.
-``python -m tools.fuzz_commands --kind machine-number`` goes through all of them.
+A file with one such number is proved, analysed or compiled, or refused in one line. ``python -m
+tools.fuzz_commands --kind machine-number`` goes through all of them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def test_a_number_out_of_range_is_refused_in_one_line(
 
 
 def test_no_number_is_left_out(commands: ModuleType) -> None:
-    """As many as the lines of the files that give one, and each case changes one of them."""
+    """There is a case for each line with a number, and each case changes one of them."""
     machines = [p for p in LIBRARY.glob("*.toml") if ".spec." not in p.name]
     assert {n.machine for n in commands.NUMBERS} >= {"lathe-winder", "stepper-winder", "stitcher"}
     lines = [line for p in machines for line in p.read_text().splitlines()]

@@ -50,7 +50,7 @@ def test_other_numbers_make_another_machine(tmp_path: Path) -> None:
 
 
 def test_axes_and_gains_as_the_thesis_planned(tmp_path: Path) -> None:
-    """Two axes, each with its gains; the third and its switches are gone."""
+    """Two axes, each with its gains; the third and its switches are left out."""
     gains = "2 ; axes\n3 ; Kp of A\n5 ; Kd of A\n2 ; Kp of X\n4 ; Kd of X\n"
     machine = read_parameters(write(tmp_path, PRINTED + gains), MACHINE)
     assert machine.axis_names == ("A", "X")
@@ -77,13 +77,13 @@ def test_axes_and_gains_as_the_thesis_planned(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_wrong_file_gets_one_line(tmp_path: Path, text: str, message: str) -> None:
-    """File, line and what is wrong."""
+    """File, line and fault."""
     with pytest.raises(MachineError, match=message) as caught:
         read_parameters(write(tmp_path, text), MACHINE)
     assert "\n" not in str(caught.value)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    """No traceback of the operating system."""
+    """Without a traceback of the operating system."""
     with pytest.raises(MachineError, match=r"cannot read parameter file .*No such file"):
         read_parameters(tmp_path / "none.par", MACHINE)

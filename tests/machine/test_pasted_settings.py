@@ -1,4 +1,4 @@
-"""Settings as they are pasted from web pages, mails and tables."""
+"""Settings pasted from web pages, mails and tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadline.errors import MachineError
 
 
 def rows(form: str) -> Callable[[str], bytes]:
-    """A table: ``form`` is filled with each number and value of a dump."""
+    """Return a table in which ``form`` is filled with each number and value of a dump."""
 
     def written(text: str) -> bytes:
         found = re.findall(r"\$(\d+)=([\d.]+)", text)
@@ -114,7 +114,7 @@ MAILS: dict[str, Callable[[str], bytes]] = {
 def test_what_a_mail_puts_around_a_file_changes_nothing(
     name: str, mail: str, tmp_path: Path
 ) -> None:
-    """Commands of RepRapFirmware in a quote were read as Marlin's, in other units."""
+    """Quoted commands of RepRapFirmware were read as Marlin's, in other units."""
     plain = read(tmp_path, FILES[name], name)
     pasted = read(tmp_path, MAILS[mail](FILES[name]), name)
     assert pasted.firmware == plain.firmware and numbers(pasted) == numbers(plain)
@@ -133,6 +133,6 @@ MARGINS: dict[str, Callable[[str], bytes]] = {
 
 @pytest.mark.parametrize("margin", MARGINS)
 def test_blanks_before_lines_of_klipper_change_nothing(margin: str, tmp_path: Path) -> None:
-    """A line belongs to a value where it begins further right than the key of the value."""
+    """A line belongs to a value if it begins further right than the key of the value."""
     indented = MARGINS[margin](MACRO + KLIPPER)
     assert numbers(read(tmp_path, indented)) == numbers(read(tmp_path, KLIPPER))

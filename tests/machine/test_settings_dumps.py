@@ -1,4 +1,4 @@
-"""Settings as people have them: logs of terminals, old forms, and files of every controller."""
+"""Settings from real sources: logs of terminals, old forms, and files of every controller."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def read(folder: Path, text: str | bytes, name: str = "settings.txt") -> Setting
 
 
 def numbers(settings: Settings) -> dict[str, float]:
-    """What the settings say, without the lines that say it."""
+    """Return the content of the settings without their lines."""
     found = {key: said.value for key, said in settings.planner.items()}
     for axis, said in settings.axes.items():
         for what in ("steps", "rate", "acceleration", "travel", "microsteps"):
@@ -72,7 +72,7 @@ def numbers(settings: Settings) -> dict[str, float]:
 
 
 def each(change: Callable[[str], str]) -> Callable[[str], bytes]:
-    """A terminal that writes something before every line, or behind it."""
+    """A terminal that writes text before or after every line."""
     return lambda text: "".join(f"{change(line)}\n" for line in text.splitlines()).encode()
 
 
@@ -152,7 +152,7 @@ def test_what_an_older_dump_did_besides_is_over(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("behind", [">>> $110=6000\nok\n", ">>> $$\n$11=0.020\n$100=111.000\n"])
 def test_what_contradicts_the_last_whole_dump_is_refused(behind: str, tmp_path: Path) -> None:
-    """A setting sent behind the dump, or a dump that was cut off: neither is passed over."""
+    """A setting sent after the dump, or a cut-off dump: neither is passed over."""
     with pytest.raises(MachineError, match=r"is \S+ here and \S+ on line \d+"):
         read(tmp_path, GRBL + behind)
 
@@ -167,7 +167,7 @@ def test_zeros_stand_for_none(tmp_path: Path) -> None:
     assert len(settings.notes) == 2
     asked = [one.key for one in missing_answers(settings, parse_answers([]), limits_only=True)]
     assert asked == ["rotary", "radius"]
-    # What it says would do, does; and along a line, the end is asked for.
+    # The proposed answer works; for a linear axis the end is asked for.
     machine_text(settings, parse_answers(["rotary=A", "radius=5 mm"]), "m", limits_only=True)
     along = missing_answers(settings, parse_answers(["rotary=none"]), limits_only=True)
     assert [one.key for one in along] == ["travel.A"]
@@ -190,7 +190,7 @@ def test_which_axes_turn_is_not_asked_of_x_y_z(tmp_path: Path) -> None:
 
 
 def marlin(rng: random.Random, form: str) -> tuple[str, dict[str, float]]:
-    """A dump of ``form``, in the letters that its source prints, and what it means for a move."""
+    """Return a dump of ``form``, in the letters of its source, and the acceleration of a move."""
     at, jx, jy, jz, slow = (round(rng.uniform(1.0, 900.0), 2) for _ in range(5))
     other = at + 77.0
     meant = {"acceleration": at, "least_speed": slow, "jump.X": jx, "jump.Z": jz}
@@ -240,7 +240,7 @@ def marlin(rng: random.Random, form: str) -> tuple[str, dict[str, float]]:
 def test_each_form_of_marlin_s_dump_is_read_as_its_own(
     form: str, named: str, tmp_path: Path
 ) -> None:
-    """S of M204 is every move's in 1.0 and T retracting's, V travel's in MarlinKimbra, T in 1.1."""
+    """S of M204 counts for every move in 1.0, T for retracting; V is for travel, T in 1.1."""
     rng = random.Random(form)
     for _ in range(20):
         text, meant = marlin(rng, form)
@@ -260,7 +260,7 @@ def test_each_form_of_marlin_s_dump_is_read_as_its_own(
 def test_the_version_of_marlin_says_what_bounds_a_corner(
     message: str, slower: bool, tmp_path: Path
 ) -> None:
-    """Where the settings do not tell it, a note says so."""
+    """If the settings do not state it, a note says so."""
     limits = "M92 X80 Y80\nM203 X200 Y200\nM201 X500 Y300\nM204 T800\nM205 J0.02\n"
     settings = read(tmp_path, f"{message}\n{limits}")
     assert any("corner_axes" in note for note in settings.notes) == (not message)
@@ -364,7 +364,7 @@ def test_axes_begin_with_x_whatever_klipper_s_includes_name_first(tmp_path: Path
 
 
 def test_the_error_asks_once_what_several_axes_lack_and_its_hint_does(tmp_path: Path) -> None:
-    """An INI of a simulation without scales, with axes that turn."""
+    """An INI of a simulation without scales, with rotary axes."""
     ini = "[EMC]\nMACHINE = m\n[TRAJ]\nCOORDINATES = X Y A\nLINEAR_UNITS = mm\n[KINS]\nJOINTS = 3\n"
     for number, kind in enumerate(("LINEAR", "LINEAR", "ANGULAR")):
         ini += f"[JOINT_{number}]\nTYPE = {kind}\nMAX_VELOCITY = 30\nMAX_ACCELERATION = 200\n"
@@ -384,7 +384,7 @@ def test_the_error_asks_once_what_several_axes_lack_and_its_hint_does(tmp_path: 
 def test_an_include_that_is_not_there_is_named_where_it_would_have_the_axes(
     tmp_path: Path, more: str
 ) -> None:
-    """People send printer.cfg alone."""
+    """Users send printer.cfg alone."""
     said = r"contain no axis \(klipper\); settings.txt:1: \[include steppers.cfg\] is not read"
     with pytest.raises(MachineError, match=said) as caught:
         read(tmp_path, "[include steppers.cfg]\n" + more)
@@ -434,7 +434,7 @@ def test_a_corexy_of_klipper_has_limits_and_no_motors(tmp_path: Path) -> None:
     "lines",
     [
         "M350 X32\nM92 X160",
-        "M92 X80\nM350 X32",  # 80 at the 16 microsteps that a driver begins with
+        "M92 X80\nM350 X32",  # 80 with the 16 microsteps with which a driver begins
         "M350 X32\nM92 X80 S16",
         "M350 X8 Y16\nM92 X40\nM350 X32",
         "M92 X80 M350 X32 Y16",
@@ -443,7 +443,7 @@ def test_a_corexy_of_klipper_has_limits_and_no_motors(tmp_path: Path) -> None:
     ],
 )
 def test_microsteps_of_reprapfirmware_come_in_any_order(lines: str, tmp_path: Path) -> None:
-    """RepRapFirmware keeps the way of a full step as M350 changes the microsteps."""
+    """RepRapFirmware keeps the length of a full step as M350 changes the microsteps."""
     found = numbers(read(tmp_path, f"M584 X0\n{lines}\n"))
     assert found["X steps"] == 160.0 and found["X microsteps"] == 32.0
 
@@ -542,7 +542,7 @@ SCALE = 88.888
 
 
 def test_an_ini_of_linuxcnc_becomes_a_machine(tmp_path: Path) -> None:
-    """The lesser of axis and joint, a joint for each letter, and the path mode it starts in."""
+    """The smaller of axis and joint, a joint for each letter, and the initial path mode."""
     settings = read(tmp_path, INI, "mill.ini")
     assert numbers(settings) == {
         "X steps": 320.0, "X rate": 2400.0, "X acceleration": 750.0, "X travel": 300.0,
@@ -553,7 +553,7 @@ def test_an_ini_of_linuxcnc_becomes_a_machine(tmp_path: Path) -> None:
     assert "BACKLASH = 0.02" in settings.unheeded[0]
     assert sum("HAL file" in note for note in settings.notes) == 2
     asked = [one.key for one in missing_answers(settings, parse_answers([]), limits_only=True)]
-    assert asked == ["radius"]  # TYPE says which axis turns
+    assert asked == ["radius"]  # TYPE says which axis is rotary
     file = tmp_path / "machine.toml"
     file.write_text(machine_text(settings, parse_answers(["radius=40 mm"]), "m", limits_only=True))
     with pytest.raises(OptionError, match="the settings say that A turns, and rotary=none says"):
@@ -621,7 +621,7 @@ def test_the_scale_of_an_amplifier_is_no_scale_of_an_axis(
 
 
 def test_limits_of_linuxcnc_need_no_scale(tmp_path: Path) -> None:
-    """HAL files have it, and no time depends on it: the same times with any steps."""
+    """HAL files have the scale, and no time depends on it: the times are the same for any steps."""
     ini = tmp_path / "servo.ini"
     ini.write_text(re.sub(r"(?m)^SCALE = .*\n", "", INI))
     made = settings_files("linuxcnc", ini, ["radius=40 mm"])
@@ -638,7 +638,7 @@ def test_limits_of_linuxcnc_need_no_scale(tmp_path: Path) -> None:
 
 
 def test_what_linuxcnc_passes_over_is_told_and_passed_over(tmp_path: Path) -> None:
-    """A line without =, and what stands behind the name of a section; an INI may include all."""
+    """A line without =, and text after the name of a section; an INI may include all files."""
     said = INI.replace("[TRAJ]", "TOOL_CHANGE_POSITION -18 -12\n[TRAJ] section of the path", 1)
     settings = read(tmp_path, said, "mill.ini")
     assert numbers(settings) == numbers(read(tmp_path, INI, "whole.ini"))

@@ -1,4 +1,4 @@
-"""A machine's numbers have the size of numbers: no overflow, no underflow, no endless clock."""
+"""A machine's numbers have usable sizes: no overflow, no underflow, no endless clock."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_the_ends_of_the_range_are_in_it(tmp_path: Path) -> None:
 def test_a_clock_has_as_many_digits_as_can_be_counted(
     digits: int, fits: bool, tmp_path: Path
 ) -> None:
-    """Of milliseconds: 1/1e18 s is the finest part."""
+    """In milliseconds; 1/1e18 s is the finest part."""
     file = overlaid(tmp_path, "letter-placer", "clocks.scan", f"1.{'3' * digits} ms")
     if fits:
         assert load_machine(file).clocks["scan"].exact_s is not None
@@ -67,7 +67,7 @@ def test_a_clock_has_as_many_digits_as_can_be_counted(
 def test_a_clock_that_ticks_once_in_a_lifetime_is_refused(
     base: str, clock: str, tmp_path: Path
 ) -> None:
-    """What a plant does in 1e9 s is beyond all numbers on the way there."""
+    """Within 1e9 s the motion of a plant leaves the range of numbers."""
     with pytest.raises(MachineError, match="must be at most 3600"):
         load_machine(overlaid(tmp_path, base, f"clocks.{clock}", "1e9 s"))
 
@@ -83,7 +83,7 @@ def test_a_load_or_a_frame_of_nothing_is_refused(tmp_path: Path) -> None:
 
 
 def test_every_small_number_of_the_stitcher_is_answered_or_refused(tmp_path: Path) -> None:
-    """And every large one, one after the other: loaded, suspected and analysed."""
+    """And every large number, one after the other: loaded, checked for suspicions, analysed."""
     base = load_machine("stitcher")
     keys = [
         f"links.{link}.stretch.{body}" for link in base.links for body in base.links[link].stretch
@@ -123,7 +123,7 @@ def test_a_body_that_nothing_holds_is_named(tmp_path: Path) -> None:
 
 
 def test_a_window_of_no_thousandth_of_a_degree_is_refused(tmp_path: Path) -> None:
-    """Angles are kept in thousandths: the window would be none, and what is divided by it."""
+    """Angles are kept in thousandths: the window would be 0, and dividing by it would fail."""
     for angle, fits in (("0.0004 deg", False), ("1e-6 deg", False), ("0.001 deg", True)):
         file = overlaid(tmp_path, "schiffli-frame", "shaft.window", angle)
         if fits:
@@ -136,7 +136,7 @@ def test_a_window_of_no_thousandth_of_a_degree_is_refused(tmp_path: Path) -> Non
 
 
 def test_a_dead_time_of_too_many_ticks_is_refused(tmp_path: Path) -> None:
-    """3 ms of the stitcher: at 2 us 1500 states, at 136 fs 2e10, and no memory has as many."""
+    """3 ms of the stitcher: 1500 states at 2 us, 2e10 at 136 fs, which no memory holds."""
     for period, fits in (("2 us", True), ("0.1 us", False), ("1e-6 us", False)):
         loop = axis_loop(load_machine(overlaid(tmp_path, "stitcher", "clocks.filter", period)), "X")
         if fits:
@@ -147,9 +147,9 @@ def test_a_dead_time_of_too_many_ticks_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_cylinder_whose_motion_grows_beyond_numbers_is_refused(tmp_path: Path) -> None:
-    """Air that a stroke strains 1e12 times: exp(383) in a sample; the square of it is not asked.
+    """Air that a stroke strains 1e12 times: exp(383) in a sample; its square is not needed.
 
-    The pole goes with the root of what is strained: ten times that is exp(1200), beyond doubles.
+    The pole grows with the root of the strain: ten times as much is exp(1200), beyond doubles.
     """
     for strained, fits in (("1e12", True), ("1e13", False)):
         file = overlaid(tmp_path, "letter-placer", "links.air_up.stretch.table_up", strained)
@@ -163,7 +163,7 @@ def test_a_cylinder_whose_motion_grows_beyond_numbers_is_refused(tmp_path: Path)
 
 
 def test_a_stepper_that_carries_too_much_to_swing_is_refused(tmp_path: Path) -> None:
-    """Its acceleration is averaged over half a swing, whose ticks are kept: 12 GB of them."""
+    """Its acceleration is averaged over half a swing, whose ticks would take 12 GB."""
     for inertia, fits in (("1 kg m^2", True), ("1e12 kg m^2", False)):
         machine = load_machine(
             overlaid(tmp_path, "stepper-winder", "bodies.a_motor.inertia", inertia)
@@ -176,7 +176,7 @@ def test_a_stepper_that_carries_too_much_to_swing_is_refused(tmp_path: Path) -> 
 
 
 def test_a_mode_damped_beyond_measure_has_a_ratio_of_one(tmp_path: Path) -> None:
-    """Two real poles, the slower of which is 0 by rounding: -Re/|s| of it is 0/0."""
+    """Of two real poles the slower is 0 by rounding: its -Re/|s| is 0/0."""
     file = overlaid(tmp_path, "lathe-winder", "overlays.springy.links.x_arm.stretch.x_eye", "1e15")
     (mode,) = locked_modes(load_machine(f"{file}+springy"), "X")
     assert mode.damping == 1.0

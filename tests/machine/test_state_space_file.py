@@ -1,4 +1,4 @@
-"""State-space controllers and observing sensors in machine files: what is refused, and where."""
+"""State-space controllers and observing sensors in machine files: refusals, and their place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Torque curves of steppers that cannot be: refused in one line."""
+"""Impossible torque curves of steppers are refused in one line."""
 
 from __future__ import annotations
 

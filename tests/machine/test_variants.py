@@ -105,7 +105,7 @@ def test_drawn_dead_times_are_shared_and_spread_evenly() -> None:
         wanted = 4000 * np.array([0.05, *[0.1] * 9, 0.05])
         assert (np.abs(counts - wanted) < 5.0 * np.sqrt(wanted)).all()
     inertia = parts[:, names.index("bodies.x_head.inertia")]
-    assert len(np.unique(inertia)) == 4000  # every other number is its own in each machine
+    assert len(np.unique(inertia)) == 4000  # every other number differs from machine to machine
 
 
 def with_one_at_end(machine: Machine, name: str) -> Machine:
@@ -114,7 +114,7 @@ def with_one_at_end(machine: Machine, name: str) -> Machine:
 
 
 def test_a_drawn_dead_time_is_made_once_for_all_machines_that_have_it(monkeypatch) -> None:
-    """The command draws for all workers; the groups are the same as those of their simulations."""
+    """The command draws for all workers; the groups equal those of their simulations."""
     machine, made = load_machine("stitcher"), []
     own = variants._delay
     monkeypatch.setattr(variants, "_delay", lambda *words: made.append(words) or own(*words))
@@ -153,7 +153,7 @@ def test_corners_and_one_at_a_time(tmp_path) -> None:
 
 
 def test_other_counts_put_the_load_elsewhere() -> None:
-    """The command stays what it was; the load goes as far as true counts per unit say."""
+    """The command is unchanged; the load moves by the true counts per unit."""
     machine = load_machine("lathe-winder")
     off = with_one_at_end(machine, "axes.X.counts")
     assert off.axes["X"].counts == machine.axes["X"].counts
@@ -238,7 +238,7 @@ def test_counts_of_a_stepper_without_a_load_move_its_load(tmp_path) -> None:
 
 
 def test_what_breaks_away_needs_at_least_what_slides(tmp_path) -> None:
-    """Tolerances of friction and stiction overlap: drawn alone, one would be beyond the other."""
+    """Tolerances of friction and stiction overlap: drawn separately, they could be reversed."""
     file = tmp_path / "sticky.toml"
     file.write_text(
         'base = "lathe-winder"\n[bodies.x]\n'
@@ -252,4 +252,4 @@ def test_what_breaks_away_needs_at_least_what_slides(tmp_path) -> None:
         for name in sticks:
             assert (found[name] >= found[name.replace("stiction", "friction")]).all()
         for row in parts:
-            variant(machine, row)  # is refused where stiction is less than friction
+            variant(machine, row)  # stiction below friction is refused

@@ -29,7 +29,7 @@ def test_friction_and_supply_are_scaled() -> None:
     low = vary(replace(machine, drives=drives), supply=0.95).drives["x"].amplifier.voltage_limit
     assert low is not None
     assert low.si == pytest.approx(0.95 * 24.0)
-    # The gain is set by feedback: it stays.
+    # The gain is set by feedback, so it stays.
     assert drive.amplifier.gain == machine.drives["x"].amplifier.gain
     assert replace(other, bodies=machine.bodies, drives=machine.drives) == machine
 
@@ -65,7 +65,7 @@ def test_off_tolerance_of_cylinders_are_what_they_push_and_the_air() -> None:
 
 
 def test_off_tolerance_are_loads_and_links_and_nothing_else() -> None:
-    """Of the printed 111 kg +- 10 % and 6.24e5 N/m +- 20 % an end and a quarter of the way."""
+    """For the printed 111 kg +- 10 % and 6.24e5 N/m +- 20 %, one end and a quarter of the way."""
     machine = load_machine("stitcher")
     other = off_tolerance(machine, mass=-1.0, stiffness=0.25)
 
@@ -79,7 +79,7 @@ def test_off_tolerance_are_loads_and_links_and_nothing_else() -> None:
 
 
 def test_a_stepper_without_a_load_carries_its_own_body(tmp_path: Path) -> None:
-    """Such axes are what ``threadline new`` writes from a firmware's settings; rotors of 10 %."""
+    """``threadline new`` writes such axes from a firmware's settings; rotors vary by 10 %."""
     file = tmp_path / "m.toml"
     file.write_text(
         'base = "stepper-winder"\n[axes.X]\nload = "none"\n[axes.A]\nload = "none"\n'

@@ -27,7 +27,7 @@ def pieces(path):
 
 
 def gap_to_polyline(points, vertices):
-    """Distance of each point to the nearest chord: brute force, all against all."""
+    """Return the distance of each point from the nearest chord, by brute force."""
     columns = np.ascontiguousarray(np.transpose(points))
     squares = np.full(len(points), np.inf)
     for a, b in pairwise(vertices):
@@ -55,7 +55,7 @@ def test_never_farther_from_the_program_than_the_tolerance(line, tolerance_m):
         return  # nothing moves
     scaled = sampled(path, 65) * path.radius_m
     vertices = np.array(points) * path.radius_m
-    # The vertices are held against chords of the samples, whose sagitta is far below 1 %.
+    # The vertices are compared with chords of the samples, whose sagitta is far below 1 %.
     assert gap_to_polyline(scaled, vertices).max() <= tolerance_m * 1.01
     assert gap_to_polyline(vertices, scaled).max() <= tolerance_m * 1.01
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -79,7 +79,7 @@ def test_continuous_second_derivative(line):
     bend_after = 2 * c[1:, 2]
     fast = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
     size = np.abs(c[:-1, 1:]).max(axis=(1, 2))
-    # Tangents of pieces that are short beside the coordinates carry the coordinates' rounding.
+    # Tangents of pieces much shorter than the coordinates carry the coordinates' rounding.
     sound = (np.minimum(*fast) > 1e-3 * size) & (np.minimum(*fast) > 1e-8)
     tangents = before[sound] / fast[0][sound, None], after[sound] / fast[1][sound, None]
     assert tangents[0] == pytest.approx(tangents[1], abs=1e-5)
@@ -92,7 +92,7 @@ def test_continuous_second_derivative(line):
 
 
 def test_long_straight_sections_stay_lines():
-    """A right angle of two 100 mm chords: all but the corner is two straight pieces."""
+    """A right angle of two 100 mm chords: all except the corner is two straight pieces."""
     _, path = planned([[0, 0], [0.1, 0], [0.1, 0.1]], ("X", "Y"), 1e-4)
     c = pieces(path)
     straight = np.all(c[:, 2:] == 0, axis=(1, 2))
@@ -102,9 +102,9 @@ def test_long_straight_sections_stay_lines():
 
 @pytest.mark.parametrize("turn_deg", [20.0, 90.0, 170.0])
 def test_a_corner_of_long_chords_is_cut_by_what_is_allowed(turn_deg: float) -> None:
-    """No more and no less: of three even legs the spline passes |dt| l / 6 beside the vertex.
+    """No more and no less: with three even legs the spline passes |dt| l / 6 beside the vertex.
 
-    ``auto`` keeps a part of the tolerance for its smoothing, behind which a wider cut would hide.
+    ``auto`` keeps a part of the tolerance for its smoothing, which would hide a wider cut.
     """
     turn, cut_m = np.radians(turn_deg), 1e-4
     vertices = 0.1 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0 + np.cos(turn), np.sin(turn)]])
@@ -128,14 +128,14 @@ def test_dense_curve_becomes_a_b_spline_without_added_points():
 
 
 def test_tolerance_is_used_and_held_as_it_shrinks():
-    """The spline is pulled to the corner by nearer points, never given up: it scales."""
+    """Nearer points pull the spline to the corner, and it is never given up: it scales."""
     for tolerance_m in (1e-3, 1e-4, 1e-5, 1e-6):
         programmed, path = planned(there_and_back(), ("X",), tolerance_m)
         deviation = path_deviation(programmed, path)
         assert 0.3 * tolerance_m < deviation.at_tool_m <= tolerance_m
         assert deviation.line == 7  # the reversal
         assert sum(int(block.rest_after.sum()) for block in path) == 1
-    # Where no curve is left that the numbers can tell, the corner is met at rest.
+    # If no representable curve is left, the corner is passed at rest.
     programmed, path = planned(there_and_back(), ("X",), 1e-9)
     assert path_deviation(programmed, path).at_tool_m <= 1e-9
     assert sum(int(block.rest_after.sum()) for block in path) == 2
@@ -177,8 +177,8 @@ def test_blocks_leave_no_seam(seed):
 def test_moves_of_very_different_lengths_keep_the_tolerance(seed: int) -> None:
     """From 0.3 to 20 mm one after the other: a corner between a short and a long leg.
 
-    A corner with uneven neighbours is cut by a quarter of what its longer leg says; with an eighth
-    these polylines leave the tolerance by 3 to 28 %.
+    A corner with uneven neighbours is cut by a quarter of its longer leg's value; with an eighth
+    these polylines exceed the tolerance by 3 to 28 %.
     """
     rng = np.random.default_rng(seed)
     count = int(rng.integers(3, 9))

@@ -71,7 +71,7 @@ def test_rotary_axes_act_at_the_tool_radius():
 
 
 def test_only_moves_near_in_order_are_looked_at():
-    """A path on the way back is not near the way there, though they lie on each other."""
+    """A path on the way back is not near the way forth, although they coincide."""
     points = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.2, 0.1], [0.2, 0.2], [0.0, 0.2], [0.0, 0.0]]
     wrong = path_of([[[0.05, 0.0], [0.0, 0.0]]], ("X", "Y"), [5], [1.0, 1.0])
     found = path_deviation(programmed(points, ("X", "Y")), wrong)

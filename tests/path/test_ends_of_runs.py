@@ -1,4 +1,4 @@
-"""How a path for the least time ends: not in a chord of hardly any length, and cutting more."""
+"""The ends of a path for the least time: no chord of almost no length, and wider cuts."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def programmed(places, cuts=(), rests=()) -> ProgrammedPath:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_wide_tolerances_are_used_at_the_ends_of_a_run_and_held(seed):
-    """Two or three legs, a tolerance just so wide that no corner needs points beside it.
+    """Two or three legs, and a tolerance so wide that no corner needs additional points.
 
-    Held against the program by ``path_deviation``; ``auto`` cuts less, as its smoothing in time
-    has a share of the tolerance.
+    ``path_deviation`` compares it with the program; ``auto`` cuts less, because its smoothing in
+    time uses a share of the tolerance.
     """
     random = np.random.default_rng(seed)
     places = np.cumsum(random.uniform(-0.02, 0.02, (3 + seed % 2, 2)), axis=0)

@@ -1,4 +1,4 @@
-"""The quartic path: its pieces against scipy's spline, its bound against dense samples."""
+"""The quartic path: its pieces, compared with scipy's spline, its bound with dense samples."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def pieces(points, cut_m, **given):
 
 
 def drawn(seed):
-    """A polygon of one to eleven legs of two decades, with legs on one line and turns back."""
+    """Return a polygon of one to eleven legs of two decades, with straight joints and reversals."""
     random = np.random.default_rng([seed, 31])
     count = int(random.integers(1, 12))
     way = random.normal(size=(count, 2))
@@ -58,7 +58,7 @@ def drawn(seed):
 
 
 def mirrored(rows, times=3):
-    """Rows that go on as their mirror image in each end, and how many were put before them."""
+    """Return rows extended by their mirror image at each end, and how many were put in front."""
     before = 0
     for _ in range(times):
         rows = np.concatenate([rows, 2.0 * rows[-1] - rows[-2::-1]])
@@ -102,7 +102,7 @@ def test_pieces_are_those_of_scipys_spline_and_its_bound_holds():
 
 @pytest.mark.parametrize("seed", range(8))
 def test_the_bound_is_near_where_all_turns_have_one_sense(seed):
-    """Within a twentieth of what dense samples find; turns that undo each other are added, too."""
+    """Within a twentieth of dense samples; turns that cancel each other are added up, too."""
     random = np.random.default_rng(seed)
     turned = np.cumsum(random.uniform(0.05, 0.3, 12))
     way = 10.0 ** random.uniform(-0.5, 0.5, (12, 1)) * np.stack([np.cos(turned), np.sin(turned)], 1)
@@ -119,7 +119,7 @@ def test_the_bound_is_near_where_all_turns_have_one_sense(seed):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_no_bound_of_a_path_with_its_points_is_above_the_tolerance(seed):
-    """Of 40 polygons each, bit for bit the knots that a path has, by the bound for any knots."""
+    """For 40 polygons each, bit for bit the knots of a path, by the bound for any knots."""
     used = []
     for number in range(40):
         points, random = drawn(1000 * seed + number)
@@ -198,7 +198,7 @@ def test_three_derivatives_go_on_across_every_joint(seed):
 
 
 def test_blocks_leave_no_seam():
-    """Wherever blocks end: the same curves; a line is two lines where one ends in it."""
+    """Wherever blocks end: the same curves; a line is two lines if a block ends in it."""
     random = np.random.default_rng(5)
     points = np.cumsum(random.normal(size=(60, 2)), axis=0)
     points[30:40] = points[29] + np.outer(np.arange(1.0, 11.0), random.normal(size=2))
@@ -225,7 +225,7 @@ def like_legs(random, count=14):
 
 
 def test_a_vertex_alone_has_one_knot_on_one_leg_where_that_is_enough():
-    """It is cut by more than with two, and by no more than is allowed, whatever the blocks."""
+    """It is cut by more than with two, and by no more than allowed, whatever the blocks."""
     turned = np.cumsum([0.0, 0.1, 0.1, 0.1, 0.4, 0.1, 0.1, 0.1])
     way = np.stack([np.cos(turned), np.sin(turned)], 1)
     points = np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)])
@@ -268,7 +268,7 @@ def test_points_are_counted_for_either_degree():
 
 
 def test_optimal_follows_the_quartic_and_auto_a_cubic():
-    """Third derivatives at the joints of a corner, in units of length; and the points told."""
+    """Third derivatives at the joints of a corner, in units of length, and the printed points."""
     corner = programmed(np.array([[0.0, 0.1], [0.1, 0.1], [0.1, 0.2]]))
     corner = replace(corner, axes=("X", "Y"))
     steps, added = [], []
@@ -276,7 +276,7 @@ def test_optimal_follows_the_quartic_and_auto_a_cubic():
         path = plan_path(corner, load_machine("lathe-winder"), name, 1e-4)
         c = np.concatenate([block.coefficients for block in path])
         powers = np.arange(c.shape[1])
-        # The pieces run on evenly: each in units of its own rate at the joint.
+        # The pieces continue evenly: each in units of its own rate at the joint.
         last = (c * (powers * (powers - 1) * (powers - 2))[:, None]).sum(axis=1)[:-1]
         last /= np.linalg.norm((c * powers[:, None]).sum(axis=1)[:-1], axis=1)[:, None] ** 3
         first = 6.0 * c[1:, 3] / np.linalg.norm(c[1:, 1], axis=1)[:, None] ** 3

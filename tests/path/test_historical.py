@@ -76,7 +76,7 @@ def test_corner_is_missed_by_a_sixth_of_the_second_difference():
     """Closed form: at a point the spline is off by |P0 - 2 P1 + P2| / 6."""
     points = np.array([[0, 0], [0.03, 0.01], [0.05, 0.06], [0.11, 0.05], [0.12, 0.0]])
     path, _ = planned(points.tolist(), "b-spline", axes=("X", "Y"))
-    starts = pieces(path)[:, 0]  # the curve at every knot; the first two are start and its copy
+    starts = pieces(path)[:, 0]  # the curve at every knot; the first two are the start and its copy
     for i in (1, 2, 3):
         miss = np.abs(points[i - 1] - 2 * points[i] + points[i + 1]) / 6
         assert np.abs(starts[i + 1] - points[i]) == pytest.approx(miss, rel=1e-12)

@@ -1,4 +1,4 @@
-"""The document on interpolations says of each what the planner does."""
+"""The document on interpolations agrees with the planner."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_each_has_its_row_and_its_paragraph() -> None:
     assert set(re.findall(r"^## `([\w-]+)`$", TEXT, re.MULTILINE)) == set(interpolation_names())
 
 
-# That of optimal is looked at where others want the same plan: tests/documents/test_one_plan.py.
+# optimal is checked beside others who need the same plan: tests/documents/test_one_plan.py.
 @pytest.mark.parametrize("name", sorted({*interpolation_names(), BY_A_LAW} - {"optimal"}))
 def test_a_row_says_what_the_planner_does(name: str) -> None:
     machine = winder_with_grbl()

@@ -1,7 +1,7 @@
-"""The place of a polynomial piece that is nearest to a point, against dense search.
+"""The place of a polynomial piece that is nearest to a point, compared with a dense search.
 
 The reference samples a piece at 4001 places and refines the nearest with scipy's bounded minimum:
-what it finds is above the least distance by less than 1e-9 m on pieces of some 10 mm.
+its result exceeds the least distance by less than 1e-9 m on pieces of some 10 mm.
 """
 
 from __future__ import annotations

@@ -19,14 +19,14 @@ CASES = 200
 
 
 def differences(rng: np.random.Generator) -> list[np.ndarray]:
-    """Bezier differences of the time along each piece, from even to six times as slow."""
+    """Return Bezier differences of the time along each piece, from even to six times as slow."""
     return [rng.uniform(0.01, 0.01 * 10 ** rng.uniform(0, 0.8), size=(CASES, 1)) for _ in range(3)]
 
 
 def cut_evenly(
     c: np.ndarray, times: list[np.ndarray], straight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The piece that each part belongs to, the parts, and their times at the feed."""
+    """Return the piece of each part, the parts, and their times at the feed."""
     pace, own = 3.0 * np.concatenate(times, axis=1), np.arange(len(c))
     parts = _parts(pace, straight)
     whole_s = _nominal(pace, straight, np.full(len(c), 0.03))
@@ -53,10 +53,10 @@ def test_parts_are_the_piece_that_they_are_cut_from() -> None:
 
 
 def test_no_part_is_faster_than_its_feed_or_much_slower() -> None:
-    """The time of a part is at least the integral of what is programmed, and little above it.
+    """The time of a part is at least the programmed integral, and little above it.
 
     Along a piece the time per u is a quadratic with the Bezier values 3 t: within a part it changes
-    by twice their spread over the number of parts at most.
+    by at most twice their spread over the number of parts.
     """
     rng = np.random.default_rng(4)
     c = rng.normal(scale=0.02, size=(CASES, 4, 2))
@@ -92,7 +92,7 @@ def test_a_piece_at_one_speed_and_a_straight_one_stay_whole(straight: bool) -> N
 
 
 def test_a_turn_on_a_mandrel_counts_at_the_larger_radius_beside_it() -> None:
-    """Right angles, each as large as the larger share of the two chords says; sqrt 2 without."""
+    """Right angles, each weighted with the larger radius beside it; otherwise sqrt 2."""
 
     class Shares:
         def most_between(self, positions: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Chords in place of dense rough points: bounds against sums that know nothing of the thinner."""
+"""Chords in place of dense rough points: bounds, compared with independent sums."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def thinned(path, cut_m=CUT_M):
 
 
 def near_in_order(program, chords, within_m):
-    """Whether the discrete Frechet distance of two dense polylines is within a bound.
+    """Return whether the discrete Frechet distance of two dense polylines is within a bound.
 
-    Eiter and Mannila, "Computing discrete Frechet distance" (1994): which pairs of places can be
-    reached together, row after row.
+    Eiter and Mannila, "Computing discrete Frechet distance" (1994): the reachable pairs of places,
+    row after row.
     """
     free = ((program[:, None] - chords[None]) ** 2).sum(axis=2) <= within_m**2
     reached = np.logical_and.accumulate(free[0])
@@ -125,7 +125,7 @@ def test_chords_stay_within_what_they_say_and_their_share(points, block):
     assert found["beside_m"].max() <= SHARES[-1] * CUT_M
     assert np.all(np.diff(found["operation"]) >= 0)
     whole = thinned(programmed(points))
-    assert np.array_equal(found["positions"], whole["positions"])  # however they come
+    assert np.array_equal(found["positions"], whole["positions"])  # in blocks of any size
     read = np.concatenate([chunk.vertices.positions for chunk in runs(path)])
     assert np.array_equal(found["positions"][[0, -1]], read[[0, -1]])
     rounding = 1e-14 * np.abs(points).max() + 2e-10
@@ -140,7 +140,7 @@ def test_chords_stay_within_what_they_say_and_their_share(points, block):
 
 @pytest.mark.parametrize("beside_m", [1e-6, 2e-5, 3e-5])
 def test_the_bound_holds_in_the_order_of_the_points(beside_m):
-    """By the discrete Frechet distance, which knows no place of a vertex on a chord."""
+    """The discrete Frechet distance uses no place of a vertex on a chord."""
     points = noisy(150, beside_m)
     found = thinned(programmed(points))
     assert len(found["positions"]) < 75
@@ -181,7 +181,7 @@ def test_what_is_smooth_is_left_bit_for_bit():
 
 
 def test_a_long_leg_and_its_corner_stay_beside_rough_points():
-    """The corner's points are added on its legs, so these are what the program says."""
+    """The corner's points are added on its legs, so these are the program's own."""
     rough = noisy(200, 5e-6)
     start = rough[0]
     points = np.concatenate(
@@ -219,7 +219,7 @@ def test_lengths_are_those_at_the_tool():
 
 
 def test_an_axis_that_stands_changes_no_chord():
-    """Three axes are worked out by other lines than two."""
+    """Three axes use other lines of the code than two."""
     points = noisy(400, 1e-5)
     flat = thinned(programmed(np.concatenate([points, np.zeros((400, 1))], axis=1)))
     plain = thinned(programmed(points))
@@ -228,18 +228,18 @@ def test_an_axis_that_stands_changes_no_chord():
 
 
 def test_the_polygon_of_rough_points_turns_less():
-    """Points 1 um beside a circle turn by 0.02 rad each; its own turns are 0.002 rad."""
+    """Points 1 um beside a circle turn by 0.02 rad each; the polygon turns by 0.002 rad."""
     t = np.arange(600) * 1e-4 / 0.05
     points = 0.05 * np.stack([np.cos(t), np.sin(t)], axis=1)
     points += np.random.default_rng(4).uniform(-1e-6, 1e-6, points.shape)
     found = thinned(programmed(points))["positions"]
     length, turn = turns(found, np.ones(2))
     bend = turn[1:-1] / (0.5 * (length[1:] + length[:-1]))
-    assert bend.max() < 2.0 / 0.05  # of the circle's own; of the points it is beyond 200 / m
+    assert bend.max() < 2.0 / 0.05  # the circle's own; for the points it exceeds 200 / m
 
 
 def test_chords_beside_a_circle_are_alike_and_turn_as_it_does():
-    """Long and short in turn, they would bend the path where the curve does not."""
+    """Alternately long and short, they would bend the path where the curve does not bend."""
     t = np.arange(2500) * 1e-4 / 0.1
     points = 0.1 * np.stack([np.cos(t), np.sin(t)], axis=1)
     points += np.random.default_rng(4).uniform(-2e-6, 2e-6, points.shape)

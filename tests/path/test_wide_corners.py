@@ -1,4 +1,4 @@
-"""Corners that are entered and left on their outside: where the path goes, and what it gains."""
+"""Corners that are entered and left on their outside: the path, and the time saved."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def places(coefficients):
 
 
 def sharpest(coefficients):
-    """The largest curvature of a path in a plane, from its polynomials."""
+    """Return the largest curvature of a path in a plane, from its polynomials."""
     order = np.arange(1.0, coefficients.shape[1])
     first = coefficients[:, 1:] * order[:, None]
     second = first[:, 1:] * order[:-1, None]
@@ -40,7 +40,7 @@ def sharpest(coefficients):
 
 
 def from_program(points, at):
-    """Distances of places from the nearest chord, by projection on each."""
+    """Return the distances of places from the nearest chord, by projection on each."""
     found = np.full(len(at), np.inf)
     for begin, end in pairwise(points):
         way = end - begin
@@ -54,10 +54,10 @@ ZIGZAG = np.array([[0.0, 0.0], [0.1, 0.0], [0.16, 0.05], [0.25, 0.02], [0.3, 0.1
 
 
 def test_a_corner_of_its_own_is_passed_inside_by_the_tolerance_and_on_its_outside() -> None:
-    """The vertex is missed by the whole tolerance, on the inside; the legs by less than asked.
+    """The vertex is missed by the whole tolerance, on the inside; the legs by less than that.
 
-    The curvature falls with the distance over which a corner is cut: the tolerance before; then
-    also by how far its vertex is moved, the root of 2 of the distance of its legs.
+    The curvature falls with the distance over which a corner is cut: before, the tolerance; now
+    also the shift of its vertex, the root of 2 of the distance of its legs.
     """
     plain, outer = (path(CORNER, Corners(outside_m=s)) for s in (0.0, CUT_M))
     inside = np.linalg.norm(places(outer) - CORNER[1], axis=1).min()

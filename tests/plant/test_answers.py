@@ -1,4 +1,4 @@
-"""What the load of a loop makes of references, against numpy's direct sum."""
+"""The response of a load to the references of its loop, compared with numpy's direct sum."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Eigenvalues on a boundary are decided by a stated margin, not by the last digit."""
+"""A stated margin decides eigenvalues on a boundary, not the last digit."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_critically_damped_pair_does_not_swing_in_whatever_coordinates(seed: i
 
 
 def test_a_free_mass_beside_a_stiff_beam_does_not_swing() -> None:
-    """Its double pole at 0 splits by the rounding of the beam's 1e8 1/s^2, not of itself."""
+    """Its double pole at 0 splits by the rounding of the beam's 1e8 1/s^2, not of its own."""
     mass = np.zeros((4, 4))
     mass[0, 2] = mass[1, 3] = 1.0
     mass[2, :2], mass[3, :2] = (-1e8, 1e8), (1e8, -1e8)
@@ -54,7 +54,7 @@ def test_a_free_mass_beside_a_stiff_beam_does_not_swing() -> None:
 
 
 def test_the_norm_does_not_depend_on_units() -> None:
-    """m or um in one of the states is a similarity: balancing takes it away."""
+    """m or um in one of the states is a similarity: balancing removes it."""
     matrix = oscillator(19.03, 0.1)
     scaled = np.diag([2.0**20, 1.0]) @ matrix @ np.diag([2.0**-20, 1.0])
     assert size_of(scaled) == pytest.approx(size_of(matrix), rel=1e-12)

@@ -1,4 +1,4 @@
-"""The equations of a machine against the textbook, the thesis's figures and python-control."""
+"""The equations of a machine, compared with textbook, thesis figures and python-control."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_sampled_loop_is_python_controls():
     _, commanded = recording.samples("X.commanded")
     times = np.arange(len(load)) * 0.005
     expected = control.forced_response(closed, times, commanded * 55.358e3).outputs
-    # 1e-9 counts would do for one product; two hundred of them, and another order of summation.
+    # 1e-9 counts are enough for one product; these are two hundred, in another order.
     np.testing.assert_allclose(load * 55.358e3, expected, atol=1e-8)
     assert np.abs(expected).max() > 250
 

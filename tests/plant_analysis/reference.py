@@ -1,4 +1,4 @@
-"""The stitcher written out by hand from the printed numbers, with nothing of ours."""
+"""The stitcher written out by hand from the printed numbers, independent of the package."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Y = {
 
 
 def motor_angle(p, s, *, rigid=False, mass=1.0, load=False):
-    """Radians of the motor (or metres of the head) per volt of the controller, without dead time.
+    """Return radians of the motor (or metres of the head) per volt, without dead time.
 
     Belt force F = Z (r/N theta) with Z the dynamic stiffness of belt, head and frame in a row.
     """
@@ -51,7 +51,7 @@ def lead_tustin(K, A, B, s):
 
 
 def open_loop(p, K, A, B, omega, **options):
-    """V/rad times rad/V: the continuous loop with exact dead time and half a tick for the hold."""
+    """Return V/rad times rad/V: the loop with exact dead time and half a tick for the hold."""
     s = 1j * omega
     lag = np.exp(-s * (TAU + TICK / 2))
     return lead_tustin(K, A, B, s) * motor_angle(p, s, **options) * lag

@@ -58,8 +58,8 @@ def test_lead_filters_are_designed_on_the_way(capsys):
 def test_experiments_are_made_with_the_filters_that_were_designed(capsys):
     """With a crossover at 4 Hz the smallest step rises at least 3 times as slowly as at 13.5 Hz.
 
-    A first-order loop rises in 2.2 / (2 pi f): 88 ms and 26 ms. The printed filters of the machine,
-    which were tried before, cross at 13.5 Hz whatever was asked for.
+    A first-order loop rises in 2.2 / (2 pi f): 88 ms and 26 ms. Once the printed filters of the
+    machine, which cross at 13.5 Hz, were used for any design.
     """
     rise_s = {}
     for asked in ("13.5 Hz, 65.8 deg", "4 Hz, 80 deg"):
@@ -72,7 +72,7 @@ def test_experiments_are_made_with_the_filters_that_were_designed(capsys):
 
 @pytest.fixture
 def measured_csv(tmp_path):
-    """What the thesis' analyser would show of X: 1-200 Hz, with the exact dead time, and noise."""
+    """Return a sweep of X like the thesis' analyser: 1-200 Hz, with exact dead time and noise."""
     hertz = np.geomspace(1, 200, 150)
     s = 2j * np.pi * hertz
     speed = s * ref.motor_angle(ref.X, s) * np.exp(-s * ref.TAU)
@@ -91,7 +91,7 @@ def measured_csv(tmp_path):
 
 @pytest.mark.long(shown_by="test_wrong_data_names_the_line")
 def test_measured_data_is_laid_over(capsys, measured_csv, tmp_path):
-    """The model misses its own sweep by the noise put on it, and another mass by far more."""
+    """The model misses its own noisy sweep by that noise; a wrong mass misses by far more."""
     folder = tmp_path / "report"
     code, out, _ = run(
         capsys, "stitcher", "--axis", "X", "--data", str(measured_csv),
@@ -165,7 +165,7 @@ def test_wrong_data_names_the_line(text, message, tmp_path):
     ],
 )
 def test_a_gain_without_a_loop_is_told_in_one_line(capsys, tmp_path, gain, place, words):
-    """A warning of numpy would fail the test; it stood above the tables."""
+    """A warning of numpy would fail the test; once it stood above the tables."""
     path = tmp_path / "mine.toml"
     path.write_text(
         'base = "stitcher-rigid"\nname = "mine"\n'

@@ -1,4 +1,4 @@
-"""Experiments on the quantised simulated machine find what its file says, and the print reports."""
+"""Experiments on the quantised simulated machine, compared with its file and the print."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_the_actuator_is_identified_through_the_quantised_loop():
     assert found.fitted.damping == pytest.approx(0.7, abs=0.015)
     assert found.delay_s == pytest.approx(3e-3, abs=10e-6)
     assert found.gain == pytest.approx(42, rel=0.01)
-    # The onset of saturation lies between two of the steps tried, and stays above it.
+    # The onset of saturation lies between two of the tried steps, and stays above it.
     forth = [run for size, run in found.steps if size > 0]
     assert max(size for size, _ in found.steps) == pytest.approx(8 * np.pi)
     assert min(size for size, _ in found.steps) < 0  # back as well
@@ -70,7 +70,7 @@ def test_head_steps_on_the_simulated_machine():
     assert [r.load_overshoot for r in runs] == sorted(
         (r.load_overshoot for r in runs), reverse=True
     )
-    # What saturates is the amplifier: with ten times the current the overshoot stays the same.
+    # The amplifier saturates: with ten times the current the overshoot stays the same.
     drive = machine.drives["x"]
     amplifier = drive.amplifier
     strong = dataclasses.replace(
@@ -123,7 +123,7 @@ def test_wrong_experiments_are_refused():
 
 
 def test_steps_forth_and_back_tell_unequal_runs() -> None:
-    """Tight, a belt answers alike both ways (figure C.11); slack, only if its runs are equal."""
+    """A tight belt answers alike both ways (figure C.11), a slack one only with equal runs."""
     size = 3 * np.pi / 8 * 29e-3 / 6
 
     def both(machine: str) -> tuple[float, float]:
@@ -147,7 +147,7 @@ def test_overlays_change_a_step(overlay: str) -> None:
 
 
 def test_steps_are_drawn() -> None:
-    """Every curve ends where its step asked for; the peaks stand at the limit of 27 A."""
+    """Every curve ends at its step; the peaks stand at the limit of 27 A."""
     machine = load_machine("stitcher")
     sizes = (np.pi / 8, 3 * np.pi / 8, -3 * np.pi / 8)
     steps = tuple((s, position_step(machine, "X", s * 29e-3 / 6, 0.6)) for s in sizes)

@@ -1,4 +1,4 @@
-"""Margins, poles and stability against hand-written formulas and other methods."""
+"""Margins, poles and stability, compared with hand-written formulas and other methods."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from . import reference as ref
     ],
 )
 def test_margins_against_a_dense_grid(name, axis, numbers, options):
-    """1e-5: the dense grid's own interpolation; and where python-control with Pade is wrong."""
+    """1e-5: the dense grid's own interpolation; python-control with Pade is wrong there."""
     filters = ref.FILTERS[name if name in ref.FILTERS else "stitcher-rigid"][axis]
     gain, phase = ref.dense_margins(
         lambda w: ref.open_loop(numbers, *filters, w, **options), 0.5, 2e4
@@ -82,7 +82,7 @@ def integrator(k: float, delay_s: float, *, tick: float = 1e-3) -> Loop:
 
 @pytest.mark.parametrize("k_delay", [0.1, 1 / np.e, 0.8, 1.4, 1.7, 3.0])
 def test_delayed_poles_are_lambert_w(k_delay):
-    """x' = -k x(t - d) has the poles W_n(-k d) / d; every one within reach, no others."""
+    """x' = -k x(t - d) has the poles W_n(-k d) / d: every one within reach, and no others."""
     delay = 4e-3
     loop = integrator(k_delay / delay, delay)
     within = 12 / delay
@@ -198,8 +198,8 @@ def test_unstable_loop_is_named_with_its_margin():
 def test_a_clock_a_thousand_times_too_slow_is_told_at_once(tmp_path, monkeypatch):
     """5 s for 5 ms: half a tick of dead time turns the continuous response a million times.
 
-    Whether the sampled loop is stable needs none of it. What is counted is the frequencies looked
-    at, of which the three axes took 400 000 each.
+    The sampled loop's stability needs none of it. The test counts the evaluated frequencies, of
+    which the three axes once took 400 000 each.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text('base = "lathe-winder"\n[clocks]\nservo = "5 s exact, assumed"\n')
@@ -248,7 +248,7 @@ def test_wrong_questions_are_refused():
 
 @pytest.mark.parametrize("gain", [0.01, 0.5, 2.0, 4.5, 20.0])
 def test_a_velocity_loop_is_stable_though_nothing_holds_its_position(gain, tmp_path):
-    """K (1 - 1/z) cancels the integrator of the position: the rest of the poles decide.
+    """K (1 - 1/z) cancels the integrator of the position: the other poles decide.
 
     Eigenvalues of the sampled loop without the one at 1, which rounding puts on either side.
     """
@@ -271,8 +271,8 @@ def test_a_velocity_loop_is_stable_though_nothing_holds_its_position(gain, tmp_p
 def test_the_phase_margin_of_a_conditionally_stable_loop_is_the_nearest():
     """Ten rad/s and a mode that dead time turns by half a circle; python-control chooses alike.
 
-    The mode is crossed at some -80 and +80 degrees, the loop at 72: the smallest number is not the
-    margin. 0.1 deg: python-control takes the nearest of its frequencies.
+    The mode crosses at some -80 and +80 degrees, the loop at 72: the smallest number is not the
+    margin. The bar is 0.1 deg: python-control takes the nearest of its frequencies.
     """
     import control  # with half of matplotlib: for one worker alone
 
@@ -295,7 +295,7 @@ def test_the_phase_margin_of_a_conditionally_stable_loop_is_the_nearest():
 def test_thousands_of_crossings_are_closed_in_on_together() -> None:
     """K exp(-i w T) / (i w) crosses -180 degrees at w T = pi/2 + 2 pi n, and 1 at w = K.
 
-    A gain typed a thousand times too large gives so many; one search each took minutes.
+    A gain typed a thousand times too large gives thousands; one search for each took minutes.
     """
     gain, dead_s, calls = 1e5, 0.02, 0
 
@@ -312,11 +312,11 @@ def test_thousands_of_crossings_are_closed_in_on_together() -> None:
     factors = [c.gain_factor for c in found.phase_crossovers]
     np.testing.assert_allclose(factors, at / gain, rtol=1e-12)
     assert [c.omega_rad_s for c in found.gain_crossovers] == pytest.approx([gain], rel=1e-10)
-    assert calls < 150  # of thousands of frequencies each, instead of tens of thousands of one
+    assert calls < 150  # each call evaluates thousands of frequencies
 
 
 def test_a_loop_whose_response_is_rounding_has_no_crossover_there():
-    """1/s^5, with noise of 1e-12 about it: where that is all there is, no grid is fine enough.
+    """1/s^5 with noise of 1e-12: where only the noise is left, no grid is fine enough.
 
     The phase of 1/s^5 is -90 degrees at every frequency; that of the noise passes -180 between any
     two.

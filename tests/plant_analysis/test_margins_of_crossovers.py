@@ -51,7 +51,7 @@ def test_gain_margins_on_either_side_of_one() -> None:
     found = margins((), factors=(0.2, 0.5, 3.0, 8.0))
     assert (found.raise_to, found.lower_to) == (3.0, 0.5)
     assert (found.gain_margin(stable=True), found.gain_margin(stable=False)) == (3.0, 0.5)
-    # At its limit as it is, and hardly below and above it.
+    # At the limit already, and hardly below and above it.
     close = margins((), factors=(0.99, 1.01))
     assert (close.raise_to, close.lower_to) == (1.01, 0.99)
     at_it = margins((), factors=(1.0, 1.5))

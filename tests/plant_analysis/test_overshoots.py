@@ -1,4 +1,4 @@
-"""The printed overshoots of the stitcher's test path, and what play and tolerances add to them."""
+"""The printed overshoots of the stitcher's test path, and the effect of play and tolerances."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_one_filter_gives_the_printed_overshoots():
 
 
 def test_belts_alone_overshoot_less():
-    """A slow filter overshoots less than belt and load alone would, one that fits runs past it."""
+    """A slow filter overshoots less than belt and load alone would; a fitting one more."""
     slow_lead = np.array([[0.6, 0.99, 0.6], [1.25, 0.952, 0.6]])
     found = claims.overshoots_m(load_machine("stitcher"), slow_lead)
     for axis in "XY":
@@ -53,7 +53,7 @@ def test_belts_alone_overshoot_less():
 
 
 def test_play_adds_little():
-    """0.1 mm of play at the head adds some hundredths; what the machine overshot takes 1.6 mm."""
+    """0.1 mm of play at the head adds some hundredths; the machine's overshoot was 1.6 mm."""
     machine = load_machine("stitcher+backlash")
     plays_m = np.array([1e-9, 0.1e-3, 0.4e-3, 1.6e-3])
     others = {f"links.{axis}_belt.play": plays_m for axis in "xy"}

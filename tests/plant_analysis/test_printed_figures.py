@@ -31,7 +31,7 @@ def test_actuators(axis, omega):
     assert found.dc_gain == pytest.approx(exact, rel=1e-9)
     loaded = p["Ka"] * ref.KT / (ref.R * (p["B"] + p["b"] * ref.RATIO**2) + ref.KT * ref.KV)
     assert found.loaded_dc_gain == pytest.approx(loaded, rel=1e-6)
-    # The low-frequency speed per volt of the whole model says the same.
+    # The low-frequency speed per volt of the whole model agrees.
     loop = axis_loop(load_machine("stitcher"), axis)
     slow = np.array([1e-3])
     speed = abs(loop.plant_response(slow, "continuous")[0]) * 1e-3 / ref.COUNTS
@@ -63,7 +63,7 @@ def test_locked_modes():
     ],
 )
 def test_bandwidths(name, axis, bandwidth):
-    """Within 8 % of print, sampled and continuous, and -3 dB indeed."""
+    """Within 8 % of print, sampled and continuous, and exactly at -3 dB."""
     loop = axis_loop(load_machine(name), axis)
     for model in ("sampled", "continuous"):
         found = loop_figures(loop, model).bandwidth_hz
@@ -96,7 +96,7 @@ def test_printed_lead_filters_cross_where_they_should(axis, gain, zero, crossove
 
 
 def test_lead_cannot_move_the_poles_of_the_load():
-    """With the encoder on the motor, no gain nor zero damps the load's poles beyond 0.4."""
+    """With the encoder on the motor, no gain or zero damps the load's poles beyond 0.4."""
     machine = load_machine("stitcher")
     for zero in (0.95, 0.976, 0.99):
         values = Values.of(machine, {"controllers.x.zero": np.array([zero])})
@@ -124,7 +124,7 @@ def test_critical_gain_with_feedback_from_the_head():
 
 
 def corner(kp_v_rad: float) -> tuple[float, float]:
-    """Return miss of a right-angle corner and worst overshoot in mm, linear rigid model."""
+    """Return the miss of a right-angle corner and the worst overshoot in mm, linear rigid model."""
     found = claims.stitcher_proportional(str(kp_v_rad))
     return 1e3 * found["missed_m"], 1e3 * max(found["overshot_m"])
 
@@ -154,7 +154,7 @@ def test_head_steps(eighths, inches):
 
 
 def test_winder_is_analysed_too():
-    """PD on counts at 5 ms: stable, about 125 ms without much overshoot (the thesis's choice)."""
+    """PD on counts at 5 ms: stable, about 125 ms without much overshoot, as the thesis chose."""
     found = analyse(load_machine("lathe-winder"))
     assert list(found) == ["A", "X", "Y"] and all(a.stable for a in found.values())
     x = found["X"].steps["measured"]
@@ -165,6 +165,6 @@ def test_winder_is_analysed_too():
 
 @pytest.mark.long(shown_by="test_proportional_control_study")
 def test_no_unclipped_command_serves_nine_machines_at_55_stitches_a_second() -> None:
-    """A bound above what the plan of ``stitcher-robust.seam.toml`` does at 42 would be wrong."""
+    """A bound above the speed of ``stitcher-robust.seam.toml``'s plan at 42 would be wrong."""
     assert claims.stitcher_two_stitches("55")["least_error"] > 0.07
     assert claims.stitcher_two_stitches("42")["least_error"] < 0.04

@@ -22,7 +22,7 @@ OMEGA = 2 * np.pi * np.geomspace(0.1, 200, 300)
 
 @pytest.mark.parametrize(("axis", "numbers"), [("X", ref.X), ("Y", ref.Y)])
 def test_response_is_the_hand_written_one(axis, numbers):
-    """1e-9: rounding of the printed r/N in the file apart (7 digits: 1e-6)."""
+    """The bar of 1e-9 is rounding; the printed r/N in the file has 7 digits: 1e-6."""
     loop = axis_loop(load_machine("stitcher"), axis)
     filters = ref.FILTERS["stitcher-rigid"][axis]
     expected = ref.open_loop(numbers, *filters, OMEGA)
@@ -36,7 +36,7 @@ def test_response_is_the_hand_written_one(axis, numbers):
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.3e-3, 1e-3, 2.7e-3])
 def test_sampled_plant_is_the_plant_integrated_tick_by_tick(delay_s):
-    """Held commands, delivered late by a fraction of a tick; DOP853 between the deliveries."""
+    """Held commands arrive late by a fraction of a tick; DOP853 between the arrivals."""
     A = np.array([[0.0, 1.0], [-(40.0**2), -8.0]])
     B, C = np.array([[0.0], [3.0]]), np.array([[1.0, 0.2]])
     plant = StateSpace(
@@ -118,7 +118,7 @@ def test_winder_poles_of_the_printed_form():
 
 @pytest.mark.parametrize("kind", ["p", "pi", "pid"])
 def test_controllers_follow_their_difference_equations(kind, tmp_path):
-    """The response of the equation, against the equation run on a sine."""
+    """The response by formula, against the difference equation run on a sine."""
     gains = {"p": 'kp = "2 dac/count exact, assumed"'}
     gains["pi"] = gains["p"] + '\nki = "0.05 dac/count exact, assumed"'
     gains["pid"] = gains["pi"] + '\nkd = "3 dac/count exact, assumed"'

@@ -1,4 +1,4 @@
-"""Routh's array against the roots themselves; step figures against closed forms."""
+"""Routh's array, compared with the roots; step figures, with closed forms."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_array_of_a_textbook():
         ([1, 3, 2, 0], [1], [(0.0, 6.0)]),  # s (s + 1)(s + 2) + K: the textbook's 6
         ([1, -1], [1], [(1.0, np.inf)]),
         ([1, 2, -3, 0], [1, 2], None),  # found by brute force below
-        # conditionally stable: 20 < K < 36 appears only with both limits found
+        # conditionally stable: 20 < K < 36 appears only if both limits are found
         ([1, 5, -6, 0], [1, 1], None),
         ([1, 0, 0], [-1, 1], []),
     ],

@@ -1,4 +1,4 @@
-"""Loops with a state-space controller: today's lead filters as one, and a plant solved apart."""
+"""Loops with a state-space controller: lead filters as one, and a plant solved separately."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stitcher's machine files: strict, layered, and honest about suspicious numbers."""
+"""The stitcher's machine files: strict, layered, and open about suspicious numbers."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_the_ceiling_of_a_drive_is_named_beside_the_limit_of_its_axis(tmp_path) 
 
 
 def test_the_acceleration_of_a_drive_is_what_its_current_leaves() -> None:
-    """The stitcher's X by hand: (J + M r^2) a / r = Kt 27 A, its friction at rest being nothing."""
+    """The stitcher's X by hand: (J + M r^2) a / r = Kt 27 A, with no friction at rest."""
     torque = 0.5 * 27.0
     reached = torque * RATIO / (4.75e-4 + 111 * RATIO**2)
     (said,) = [t for t in plausibility_warnings(load_machine("stitcher")) if "acceleration is" in t]
@@ -163,7 +163,7 @@ def test_wrong_files_are_refused(change, message, tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        # A slipped decimal point, four edges a line forgotten, and a pulley of 21 teeth for 20.
+        # A slipped decimal point, four edges in a line forgotten, and a pulley of 21 teeth, not 20.
         (
             '[axes.X]\ncounts = "26.34289 count/mm +- 2 %, assumed"',
             "gives 263429: the load would move 0.1 times as far",
@@ -192,7 +192,7 @@ def test_counts_that_the_encoder_does_not_give_are_named(tmp_path, change, said)
 
 
 def test_a_motor_without_back_emf_is_suspicious(tmp_path) -> None:
-    """It would turn without end at any voltage; a current amplifier doesn't care."""
+    """It would turn without end at any voltage; to a current amplifier it does not matter."""
     text = (
         library_file("lathe-winder")
         .read_text()

@@ -1,4 +1,4 @@
-"""What rings under a cylinder, against the equations of two masses written down here."""
+"""Vibration under a cylinder, compared with the equations of two masses written down here."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ TWO_PI = 2.0 * np.pi
 def test_standing_modes_are_those_of_two_masses() -> None:
     """Table on its feet, cylinder and head as one on the beam: K v = w^2 M v, solved by scipy.
 
-    Damping is left out there: at a ratio of 0.01 it shifts a frequency by half of its square,
-    5e-5, and undamped frequencies are compared as the modulus of the poles, which it does not.
+    Damping is left out there: at a ratio of 0.01 it shifts a frequency by half of its square, 5e-5.
+    Undamped frequencies are compared with the modulus of the poles, which it does not change.
     """
     table, cylinder, head = 73.54, 1.0, 6.0
     feet, beam = 2.7e4, 1e8
@@ -37,7 +37,7 @@ def test_standing_modes_are_those_of_two_masses() -> None:
 
 
 def test_air_without_stiffness_and_damping_leaves_the_free_piston() -> None:
-    """Then the head is not carried along: 3.029 Hz, and the air no longer rings."""
+    """Then the head does not move along: 3.029 Hz, and the air no longer rings."""
     machine = load_machine("letter-placer")
     x = machine.cylinders["X"]
     loose = replace(
@@ -79,7 +79,7 @@ def test_every_thing_that_moves_can_be_analysed() -> None:
 
 
 def test_what_a_drive_is_asked_for_has_the_unit_of_its_body() -> None:
-    """A linear servo gives a force: at 40 m/s^2 and 1.5 m/s, 7 kg and 30 N s/m ask for 325 N."""
+    """A linear servo gives a force: at 40 m/s^2 and 1.5 m/s, 7 kg and 30 N s/m need 325 N."""
     servo = analyse_moving(load_machine("table-embroiderer"), "X")
     assert servo.verdict().endswith("rings at 70.01 Hz; at the axis' limits it needs "
                                     "325 of 900 N")  # fmt: skip

@@ -1,9 +1,9 @@
-"""Random breaks of the way home and of the cycle: no output is ever left on.
+"""Random breaks of homing and of the cycle: no output is ever left on.
 
-``python -m tests.plc.breaks`` counts them on the text as blark reads it; ``--compiled FOLDER`` on
+``python -m tests.plc.breaks`` counts them on blark's reading of the text; ``--compiled FOLDER`` on
 the C that matiec made of it (see ``compiled``). Each case goes on from a scan of a run whose scans
 jitter: a broken beam, a missing enable or a late scan, of random length, with buttons pressed and
-work by hand asked for meanwhile and after it.
+work by hand requested meanwhile and after it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ BEHIND = 3
 
 
 def broken(trial: Bench, choose: random.Random) -> str:
-    """Break a run off and meddle with it; return by what. Raises where an output stays on."""
+    """Break a run off and press buttons; return the kind of break. Raises if an output stays on."""
     kind = choose.choice(KINDS)
     given = {} if kind == "late scan" else {kind: False}
     if kind == "late scan":
-        trial.count += choose.randint(2, 20)  # 30 ms at least, less the jitter, of 25 ms
+        trial.count += choose.randint(2, 20)  # at least 30 ms, less the jitter, of 25 ms
     assert trial.scan(**given) == set(), (kind, "in its first scan")
     assert trial.block["fault"], kind
     length = choose.randint(0, LONGEST)

@@ -52,7 +52,7 @@ int homed(void) { return CPU__MACHINE.SEQUENCE.HOMED.value; }
 
 
 class _Told:
-    """What the block says, looked up in the compiled one."""
+    """Texts of the block, looked up in the compiled one."""
 
     def __init__(self, plc: Compiled) -> None:
         self._plc = plc
@@ -68,7 +68,7 @@ class _Of:
 
 
 class Compiled(Plc):
-    """The compiled program; forks share the library and put their own state into it in turn."""
+    """The compiled program; copies share the library and put their own state into it in turn."""
 
     def __init__(self, folder: Path) -> None:
         read = controller()
@@ -90,7 +90,7 @@ class Compiled(Plc):
         self.instance: Any = _Of({"sequence": _Of(_Told(self))})
 
     def show(self) -> None:
-        """Put this one's state into the library."""
+        """Put the state of this copy into the library."""
         ctypes.memmove(self._where, self._mine, self._size)
         for name, value in self._latest.items():
             self._at[name].value = value
@@ -114,7 +114,7 @@ class Compiled(Plc):
 
 
 def _symbol(address: str) -> str:
-    """Return the variable that ``GLUE`` gives an address: ``%IX0.3`` is ``____IX0_3``."""
+    """Return the variable of an address in ``GLUE``: ``____IX0_3`` for ``%IX0.3``."""
     match = re.fullmatch(r"%([IQ])X(\d+)\.(\d+)", address.upper())
     assert match is not None, address
     return f"____{match[1]}X{match[2]}_{match[3]}"

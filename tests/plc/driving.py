@@ -1,4 +1,4 @@
-"""A controller and the machine around it, scan by scan, as somebody at the panel drives them."""
+"""A controller and the machine around it, scan by scan, driven like an operator at the panel."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PANEL = {"continuous": False, "stop_at_end": False, "manual": False, "jog": 0}
 
 
 class Bench:
-    """A controller with its cell; ``period`` in us, each scan late or early by ``jitter`` of it."""
+    """A controller with its cell; ``period`` in us, each scan off by a share ``jitter`` of it."""
 
     def __init__(
         self,
@@ -38,7 +38,7 @@ class Bench:
         return self.cell.now
 
     def scan(self, **given: bool | int) -> set[str]:
-        """One scan with these inputs beside those of the cell; return what is on then."""
+        """Run one scan with these inputs and those of the cell; return the outputs that are on."""
         self.count += 1
         late = round(self.random.uniform(-self.jitter, self.jitter) * self.period)
         cell = self.cell.advance(self.count * self.period + late)

@@ -1,4 +1,4 @@
-"""A PLC for the tests: instances of what was read, standard timers, one scan after the other."""
+"""A PLC for the tests: instances of the parsed units, standard timers, one scan after the other."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Ton:
 
 
 class Instance:
-    """An instance of a unit that was read."""
+    """An instance of a parsed unit."""
 
     def __init__(self, unit: Unit, units: dict[str, Unit], codes: dict[str, Code]) -> None:
         self.code = codes[unit.name]

@@ -1,7 +1,7 @@
 """Trees of blark, each text parsed once for all workers of the tests.
 
-blark takes a third of a second for a statement. What it has read lies beside pytest's own notes,
-by a digest of the text, the rule and the versions of blark and lark.
+blark takes a third of a second for a statement. Its trees lie in pytest's own cache, by a digest of
+the text, the rule and the versions of blark and lark.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def parsed(text: str, rule: str | None = None) -> Tree[Any]:
 
 
 class _Once(dict[Any, Any]):
-    """The rules of each symbol and of all that it begins with, for the first who asks for them."""
+    """The rules of each symbol and of every symbol with which it begins, by first request."""
 
     def __init__(self, rules: Mapping[Any, Any]) -> None:
         super().__init__()
@@ -56,10 +56,10 @@ class _Once(dict[Any, Any]):
 
 
 def _quicker(patched: pytest.MonkeyPatch) -> None:
-    """Let lark predict what a symbol begins with once for each place in the text.
+    """Let lark predict the beginnings of a symbol once for each place in the text.
 
-    It does so for every item that awaits the symbol there or one that begins with it, and finds
-    each time that it has all of them: nine tenths of what it makes. The trees are the same.
+    It does so for every item that awaits the symbol there, or a symbol that begins with it, and
+    finds each time that it has all of them: nine tenths of its work. The trees are the same.
     """
     predict = Parser.predict_and_complete
 

@@ -1,8 +1,8 @@
-"""Structured text read by blark in parts: each shape of statement once, whatever its numbers.
+"""Structured text read by blark in parts: each shape of statement once, with any numbers.
 
-blark takes ten seconds for a whole sequence. Two statements that differ in names, texts, whole
-numbers and durations alone have the same tree but for these, so each shape is parsed once and
-they are put in. ``test_text`` holds this reading against blark's own of a whole text.
+blark takes ten seconds for a whole sequence. If two statements differ only in names, texts, whole
+numbers and durations, their trees differ only there. So each shape is parsed once, and the values
+are put in. ``test_text`` compares this reading with blark's own of a whole text.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FIRST = 900_001
 
 
 def read_in_parts(text: str) -> dict[str, Unit]:
-    """Return the units of ``text`` by lower-case name, as ``reading.read`` does."""
+    """Return the units of ``text`` by lower-case name, like ``reading.read``."""
     assert not any("(*" in literal for literal in TEXT.findall(COMMENT.sub(" ", text)))
     units = {}
     for kind, inside in UNIT.findall(COMMENT.sub(" ", text)):
@@ -87,7 +87,7 @@ def _one_declaration(kind: str, section: str, declaration: str) -> Unit:
 
 
 def statements_of(body: str) -> list[str]:
-    """Return the outermost statements of a body, white space made single."""
+    """Return the outermost statements of a body, with single blanks."""
     found, words, depth = [], [], 0
     for word in re.findall(r";|[^\s;]+", body):
         words.append(word)
@@ -109,7 +109,7 @@ def _tree(statement: str) -> Tree[Any]:
         named[key] = match[0]
         return key
 
-    # What is written small is a name of ours; words of the language are written large.
+    # Small letters are names of this program; words of the language have capitals.
     statement = re.sub(r"'[^']*'|(?<![#%\w.'])[a-z]\w*", masked, statement)
     numbers = [number for _, number in NUMBER.findall(statement)]
     counter = itertools.count(FIRST)
@@ -120,7 +120,7 @@ def _tree(statement: str) -> Tree[Any]:
 
 
 def _filled(tree: Tree[Any], named: dict[str, str], numbers: list[str]) -> tuple[Tree[Any], int]:
-    """Return a tree with names and numbers in the place of what stands for them, and how many."""
+    """Return a tree with its placeholders replaced by names and numbers, and how many."""
     children: list[Any] = []
     put = 0
     for child in tree.children:

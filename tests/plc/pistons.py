@@ -1,4 +1,4 @@
-"""Pistons for the tests: outputs in, end switches out, in microseconds; knows nothing of our code.
+"""Pistons for the tests: outputs in, end switches out, in microseconds; independent of our code.
 
 Speed follows the open flows after a dead time; no lag, no springs. Places in mm.
 """
@@ -55,7 +55,7 @@ class Piston:
 
 
 class Cell:
-    """The machine around the controller: pistons, a letter that is held while the venturi is on."""
+    """The machine around the controller: pistons, and a letter that the venturi holds."""
 
     def __init__(self, x: float = 0.0, z: float = 0.0) -> None:
         self.pistons = {
@@ -77,7 +77,7 @@ class Cell:
         return true
 
     def advance(self, then: int) -> dict[str, bool]:
-        """Go to ``then`` and return every input."""
+        """Advance to ``then``, and return every input."""
         for piston in self.pistons.values():
             piston.advance(then, self.now)
         self.now = then

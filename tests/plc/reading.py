@@ -1,4 +1,4 @@
-"""Structured text read by blark and turned into Python: knows nothing of who wrote the text."""
+"""Structured text read by blark and turned into Python, independent of its writer."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Declared:
 
 @dataclass
 class Unit:
-    """A program or function block: what it declares, and its statements as a tree."""
+    """A program or function block: its declarations, and its statements as a tree."""
 
     kind: str
     name: str
@@ -55,7 +55,7 @@ class Unit:
 
     @property
     def private(self) -> set[str]:
-        """The plain variables that nobody but this unit can write: none of a program's."""
+        """The plain variables that only this unit can write: for a program there are none."""
         if self.kind == "PROGRAM":
             return set()
         own = [self.declared[name] for name in self.of("VAR")]
@@ -161,7 +161,7 @@ def constant(node: Tree[Any]) -> str:
 
 
 def local(name: str) -> str:
-    """Return the Python name of a variable; it ends as no keyword does, and no name of ours."""
+    """Return the Python name of a variable, unlike any keyword or name of this module."""
     return f"{name}_"
 
 
@@ -244,7 +244,7 @@ def conditional(node: Tree[Any], used: set[str], assigned: list[str], depth: int
 
 @dataclass
 class Code:
-    """A unit as Python, with what it reads and writes."""
+    """A unit as Python, with the variables that it reads and writes."""
 
     run: Callable[[dict[str, Any], int], None]
     used: set[str]
@@ -253,9 +253,9 @@ class Code:
 
 
 def code_of(unit: Unit) -> Code:
-    """Return ``unit`` as a function: it takes its variables once, and gives back what it changes.
+    """Return ``unit`` as a function: it takes its variables once, and returns the changed ones.
 
-    Nobody else sees them meanwhile. What nobody ever writes is a global of the function.
+    Nobody else sees them meanwhile. A variable that is never written is a global of the function.
     """
     used: set[str] = set()
     assigned: list[str] = []

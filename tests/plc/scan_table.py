@@ -1,4 +1,4 @@
-"""Print what scans and their jitter cost: ``python -m tests.plc.scan_table``."""
+"""Print the cost of scans and their jitter: ``python -m tests.plc.scan_table``."""
 
 from __future__ import annotations
 

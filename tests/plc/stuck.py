@@ -1,4 +1,4 @@
-"""Every contact stuck, at every place of the cycle: what the program tells, and what it never does.
+"""Every contact stuck, at every place of the cycle: the program's faults, and forbidden outputs.
 
 ``python -m tests.plc.stuck`` prints the table of the documents.
 """
@@ -29,7 +29,7 @@ class Stuck:
 
 
 def forbidden(on: set[str], cell: Cell) -> str:
-    """Return what must not be on with the pistons where they truly are; empty if all is well."""
+    """Return the outputs that must not be on at the pistons' true places; empty if all is well."""
     x, z = cell.pistons["x"].at, cell.pistons["z"].at
     if {"x_left", "x_right"} <= on or {"z_up", "z_down"} <= on:
         return "both ways at once"
@@ -45,7 +45,7 @@ def forbidden(on: set[str], cell: Cell) -> str:
 
 
 def watched(bench: Bench) -> str:
-    """Run to the end; return the step in which it stopped. Raises where a thing is on wrongly."""
+    """Run to the end; return the step in which it stopped. Raises if an output is wrongly on."""
     step = ""
     while bench.block["busy"]:
         step = bench.block["step_text"]

@@ -1,4 +1,4 @@
-"""Random breaks, with somebody who presses what there is: no output stays on."""
+"""Random breaks of the beam and random presses of buttons: no output stays on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.plc.texts import controller
 @pytest.mark.long(but="200")
 @pytest.mark.parametrize("number", [200, 1200])
 def test_no_random_break_leaves_an_output_on(number: int) -> None:
-    """A break from each scan of the way home and of the begin of a cycle."""
+    """There is a break in each scan of homing and of the begin of a cycle."""
     counts = Counter(breaks(controller, number))
     assert sum(counts.values()) == number
     assert min(counts[kind] for kind in KINDS) > number // 4

@@ -1,4 +1,4 @@
-"""Work by hand, scan by scan: faults latch, a jog is a press of its own, air has its time."""
+"""Work by hand, scan by scan: faults latch, a jog needs a fresh press, the air needs time."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_by_hand_the_soft_start_is_waited_for() -> None:
 
 
 def test_by_hand_valves_rest_between_two_things() -> None:
-    """A panel that asks for another way in every scan: a valve opens after the others have shut."""
+    """A panel asks for another way in every scan: a valve opens after the others have shut."""
     bench = ready(Cell(100.0, 0.0))
     quiet, opened = 0, 0
     for number in range(100):
@@ -122,7 +122,7 @@ def test_by_hand_the_lift_goes_down_at_the_two_places_of_the_list_alone() -> Non
 
 
 def test_by_hand_there_is_always_a_way_to_the_start() -> None:
-    """The lift first, from anywhere; then X, which the list brings back with the lift up alone."""
+    """The lift first, from anywhere; then X, which the list brings back only with the lift up."""
     for x in (0.0, 100.0, 200.0):
         bench = ready(Cell(x, 70.0))
         assert by_hand(bench, X_IN) == {"main_air"}

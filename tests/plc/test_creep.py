@@ -1,4 +1,4 @@
-"""A stroke ends at its switch: what comes short of it creeps, and what never comes is a fault."""
+"""A stroke ends at its switch: a short one creeps to it, and a missing switch is a fault."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ OPENS = {"x_right", "x_right_a2", "main_air", "venturi"}
 
 
 def run(made, step: str = "across") -> tuple[list[int], list[set[str]]]:
-    """Run to the end; return the scans in which X creeps in ``step``, and what was on then."""
+    """Run to the end; return the scans in which X creeps in ``step``, and the outputs then."""
     scans, on = [], []
     while made.block["busy"]:
         now = made.scan()
@@ -24,12 +24,12 @@ def run(made, step: str = "across") -> tuple[list[int], list[set[str]]]:
 
 @pytest.mark.parametrize(("speed", "seeds"), [(0.97, (1, 2)), (0.955, (3,))])
 def test_a_slow_piston_creeps_to_its_switch(speed: float, seeds: tuple[int, ...]) -> None:
-    """It covers 194 mm of 200 and its switch is at 196: no cycle ended before it crept."""
+    """It covers 194 mm of 200 mm, and its switch is at 196: no cycle ended before it crept."""
     for seed in seeds:
         made = bench(Varied({"x": speed}, {"x_is_right": 2.0}), seed)
         scans, on = run(made)
         assert made.block["finished"], made.block["fault_text"]
-        creeps = scans[47:]  # behind the 47 scans of the stroke
+        creeps = scans[47:]  # after the 47 scans of the stroke
         assert 2 <= len(creeps) <= 3 if speed > 0.96 else 4 <= len(creeps) <= 6
         assert all(now == OPENS for now in on[47:])
 
@@ -42,7 +42,7 @@ def test_a_piston_in_time_does_not_creep() -> None:
 
 
 def test_a_switch_that_never_comes_is_a_fault_in_its_time() -> None:
-    """Two seconds after the stroke has come to rest, whatever it has crept by then."""
+    """Two seconds after the stroke has come to rest, however far it has crept by then."""
     made = bench(Varied({}, {}), 5)
     made.cell.stuck = {"x_is_right": False}
     scans, _ = run(made)
@@ -55,7 +55,7 @@ def test_a_switch_that_never_comes_is_a_fault_in_its_time() -> None:
 
 
 def test_the_cycle_goes_on_when_the_crept_piston_rests() -> None:
-    """The lift goes down behind the last opening only: dead time and lags at their longest."""
+    """The lift goes down only after the last opening: dead time and lags at their longest."""
     made = bench(Varied({"x": 0.97}, {"x_is_right": 2.0}), 6)
     last = down = 0
     while made.block["busy"] and not down:

@@ -1,4 +1,4 @@
-"""The head of the emitted text says what it was made for, and each time what it is of."""
+"""The head of the emitted text names its purpose, and the part that each time belongs to."""
 
 from __future__ import annotations
 

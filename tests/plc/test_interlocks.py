@@ -1,4 +1,4 @@
-"""An interlock of the machine file is a fault of the program wherever it says, overlap or not."""
+"""An interlock of the machine file is a fault of the program wherever it applies."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ CYCLE = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"
 
 
 def test_the_lift_that_sinks_while_x_moves_stops_x_at_once(tmp_path: Path) -> None:
-    """X needs z_is_up, and the list lets X set out while the lift still goes its last bit.
+    """X needs z_is_up, and the list lets X start while the lift still moves its last bit.
 
-    Without the interlock a lift that sinks then is no fault, as it may be anywhere: X went 98 mm.
+    Without the interlock a sinking lift is no fault then, as it may be anywhere: X went 98 mm.
     """
     machine = load_machine("letter-placer")
     job = overlapped(with_choices(read_job(CYCLE, machine), {}, {}), machine)
@@ -47,7 +47,7 @@ def test_the_lift_that_sinks_while_x_moves_stops_x_at_once(tmp_path: Path) -> No
 
 
 def test_by_hand_the_lift_comes_up_where_the_list_never_raises_it(tmp_path: Path) -> None:
-    """A list that lowers the lift at the left and raises it at the right alone, stopped between."""
+    """A list lowers the lift at the left, raises it only at the right, and is stopped between."""
     listed = tmp_path / "down.toml"
     moves = ('Z = "100 mm"', 'X = "200 mm"', 'Z = "0 mm"', 'X = "0 mm"')
     listed.write_text(
@@ -74,7 +74,7 @@ def test_by_hand_the_lift_comes_up_where_the_list_never_raises_it(tmp_path: Path
 def test_a_letter_that_is_lost_on_the_way_is_found_where_the_list_asks_again(
     tmp_path: Path,
 ) -> None:
-    """A second wait while the same venturi is on: held, it passes; lost across, it is a fault."""
+    """A second wait while the same venturi is on passes with the letter, and fails without it."""
     again = '[[operation]]\nwait = "letter_held"\ntimeout = "100 ms"\n\n'
     let_go = '[[operation]]\nvacuum = "venturi"\non = false'
     text = CYCLE.read_text(encoding="utf-8")

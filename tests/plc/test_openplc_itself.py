@@ -1,4 +1,4 @@
-"""The program through OpenPLC's own compiler, run as the C that it makes.
+"""The program through OpenPLC's own compiler, run as the compiled C.
 
 ``THREADLINE_IEC2C`` names the folder of OpenPLC's matiec in which ``iec2c`` was built, beside its
 ``lib``. The flags are those of OpenPLC's ``compile_program.sh``.
@@ -23,7 +23,7 @@ AS_HERE = (("cell.c", "Config0.c"), ("cpu.c", "Res0.c"), ("CPU__", "RES0__"))
 
 
 def through_iec2c(text: bytes, folder: Path) -> str:
-    """Compile ``text`` as OpenPLC does; return what its compiler says."""
+    """Compile ``text`` as OpenPLC does; return the compiler's messages."""
     matiec = Path(os.environ["THREADLINE_IEC2C"]).resolve()
     (folder / "lib").symlink_to(matiec / "lib")
     (folder / "cycle.st").write_bytes(text)
@@ -34,7 +34,7 @@ def through_iec2c(text: bytes, folder: Path) -> str:
 
 
 def test_openplc_itself_runs_what_the_text_says(tmp_path: Path) -> None:
-    """Its C and the text as blark reads it: equal outputs at each scan, homing and one cycle."""
+    """Its C equals blark's reading of the text: outputs at each scan, in homing and one cycle."""
     if "THREADLINE_IEC2C" not in os.environ:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_IEC2C names the folder of iec2c in OpenPLC's matiec")
     said = through_iec2c(emitted("letter-placer", "zv", "openplc")["st"], tmp_path)

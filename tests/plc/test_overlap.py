@@ -1,4 +1,4 @@
-"""A cycle whose cylinders overlap: the switches that it waits for still hold every interlock.
+"""A cycle whose cylinders overlap: its awaited switches still hold every interlock.
 
 The cell of ``pistons.py`` is the judge, as for the list that waits for rest.
 """
@@ -39,7 +39,7 @@ def bench(tmp_path: Path) -> Bench:
 
 
 def scans_of_a_cycle(bench: Bench) -> tuple[int, list[float]]:
-    """Return how many scans a cycle takes, and where the lift stands when X sets out."""
+    """Return the scans of a cycle, and the place of the lift when X starts."""
     lift: list[float] = []
     bench.press("start_button")
     scans, was = 0, False

@@ -1,4 +1,4 @@
-"""What was parsed, run scan by scan: times of switching, and what a broken beam does."""
+"""The parsed program, run scan by scan: times of switching, and the effect of a broken beam."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCAN_OF = {"letter-placer": 10_000, "letter-placer+quick": 5_000, "letter-placer
 
 
 def run(controller: Plc, period: int, jitter: float, seed: int = 1) -> list[tuple[int, set[str]]]:
-    """Return times, us, and what is on from then on, through one cycle."""
+    """Return times, us, and the outputs from then on, through one cycle."""
     bench = homed(controller, period, jitter, seed)
     bench.press("start_button")
     trace: list[tuple[int, set[str]]] = []
@@ -39,7 +39,7 @@ ACROSS_MS = 200.0 / 0.43
 def test_switchings_are_within_half_a_scan_of_the_shaper(
     machine: str, period: int, jitter: float
 ) -> None:
-    """The schedule is rounded by half a scan, the scan nearest to it acts, jitter adds its own."""
+    """The schedule is rounded by half a scan, the nearest scan acts, and jitter adds its own."""
     trace = run(plc(machine), period, jitter)
     stroke = [(t, s) for t, s in trace if "x_right" in s]
     assert [s - {"main_air", "venturi", "x_right"} for _, s in stroke] == [
@@ -78,7 +78,7 @@ def test_opposite_valves_are_never_open_together(shaper: str) -> None:
 def test_a_break_at_every_scan_switches_all_off_and_start_alone_begins_nothing(
     machine: str, period: int, broken: str
 ) -> None:
-    """Breaks at any ms since the last scan are all seen by the next: once is every ms of it."""
+    """All breaks at any ms since the last scan are seen by the next one: one test for each scan."""
     bench = homed(plc(machine), period)
     bench.press("start_button")
     checked = 0
@@ -182,7 +182,7 @@ def test_home_from_wherever_the_pistons_stand() -> None:
                 seen.append(bench.scan())
             assert bench.block["homed"]
             assert (bench.cell.pistons["x"].at, bench.cell.pistons["z"].at) == (0.0, 0.0)
-            # The lift first, and slowly: the smaller flow alone.
+            # The lift first, and slowly: only the smaller flow.
             assert all(s <= {"main_air", "z_up", "z_up_a2", "x_left", "x_left_a2"} for s in seen)
             first_x = next(i for i, s in enumerate(seen) if "x_left" in s)
             assert not any("z_up" in s for s in seen[first_x:])

@@ -1,8 +1,8 @@
-"""The SCL source is the structured text in another dress, whole and with every name accounted for.
+"""The SCL source is the structured text in another form: complete, with every name declared.
 
-No compiler of Siemens is at hand here. What can be checked without one: the frame of an external
-source, every ``#name`` declared in the block, every quoted tag in the table of tags, types of S7
-alone; and the body, undressed, read by blark and run on the same cell.
+No compiler of Siemens is used here. These checks need none: the frame of an external source, every
+``#name`` declared in the block, every quoted tag in the table of tags, only types of S7; and the
+body, converted back, read by blark and run on the same cell.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def source() -> str:
 
 
 def undressed(scl: str) -> str:
-    """The block as IEC structured text again, with the program of the structured text beside it."""
+    """Return the block as IEC structured text, with the structured text's program beside it."""
     block = scl[: scl.index("DATA_BLOCK")]
     block = re.sub(r"//.*", "", block).replace("\nBEGIN\n", "\n")
     block = re.sub(r"\{.*?\}\nVERSION : [0-9.]+\n", "", block)

@@ -1,6 +1,6 @@
-"""Contacts that are stuck: no output on where it must not be, and the right fault is named.
+"""Stuck contacts: no output is on where it must not be, and the right fault is named.
 
-The cell of ``pistons.py`` is the judge; it knows where the pistons truly are.
+The cell of ``pistons.py`` is the judge; it knows the true places of the pistons.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ LATER = {"cut", "lift", "across", "leave", "mount", "return"}
 
 
 def healthy() -> dict[int, dict[str, set[bool]]]:
-    """Return what each contact reads from the first scan of each place on in a whole cycle."""
+    """Return the readings of each contact from the first scan of each place on in a cycle."""
     read: list[tuple[int, dict[str, bool]]] = []
     bench = next(every_place()).fork()
     while bench.block["busy"]:

@@ -1,7 +1,7 @@
 """A long list as tables: the text is read, run scan by scan, and compared with text and plan.
 
-The other tests read programs that name every place. Here the same list is written in both ways,
-and a list too long for the first way is held against its schedule.
+The other tests read programs that name every place. Here the same list is written in both ways, and
+a list too long for the first way is compared with its schedule.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LET_GO = '[[operation]]\nvacuum = "venturi"\non = false\n'
 
 
 def long_list(rounds: int) -> str:
-    """Return a list of four moves a round; every third one holds a letter."""
+    """Return a list of four moves in each round; every third one holds a letter."""
     text = '[[operation]]\nvalve = "main_air"\n'
     for number in range(rounds):
         held = number % 3 == 0
@@ -91,7 +91,7 @@ def test_every_name_is_declared_and_valid(tmp_path: Path) -> None:
 @pytest.mark.long(but="3")
 @pytest.mark.parametrize("seed", range(4))
 def test_tables_do_what_named_places_do(seed: int) -> None:
-    """Every output, fault and text of each jittered scan: machines that creep, inputs that fail."""
+    """Every output, fault and text of each jittered scan: creeping machines, failing inputs."""
     draw = random.Random(seed)
     speeds = {name: 1.0 + draw.uniform(-0.03, 0.03) for name in SPEEDS}
     moved = {name: draw.uniform(-2.0, 2.0) for name in SWITCHES}
@@ -129,7 +129,7 @@ def test_tables_do_what_named_places_do(seed: int) -> None:
 
 @pytest.mark.long(shown_by="test_tables_do_what_named_places_do")
 def test_a_long_list_plays_its_schedule(tmp_path: Path) -> None:
-    """800 moves: each switching in order, as long after the last input as the schedule has it."""
+    """800 moves: each switching in order, at its time after the last input as in the schedule."""
     made = scheduled_long(tmp_path, 200)
     text = structured_text(made).units
     assert len(text) < 100_000

@@ -23,7 +23,7 @@ from threadline.commands.structured_text import (
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 
-# Keywords and standard names of the standard's annex C that a sequence might be tempted by.
+# Keywords and standard names of the standard's annex C that a sequence may collide with.
 KEYWORD_TEXT = """
 step initial_step action transition program task resource configuration with on at to from
 retain constant var type struct array of case if then else elsif for while repeat until exit
@@ -98,7 +98,7 @@ def test_every_name_is_declared_once_typed_and_no_keyword(shaper: str) -> None:
 
 @EVERY_SHAPER
 def test_assignments_agree_with_their_types(shaper: str) -> None:
-    """BOOL := BOOL, INT := INT, TIME := TIME; blark would let anything through."""
+    """BOOL := BOOL, INT := INT, TIME := TIME; blark would accept anything."""
     units = units_of("letter-placer", shaper)
     values = {"BOOL", "INT", "DINT", "STRING", "TIME"}
     for unit in units.values():
@@ -161,7 +161,7 @@ XHTML = "{http://www.w3.org/1999/xhtml}"
 
 @EVERY_SHAPER
 def test_plcopen_project_holds_the_same_units(shaper: str) -> None:
-    """Shape of TC6 version 2.01, and body and variables equal to those of the text."""
+    """The shape of TC6 version 2.01, with body and variables equal to those of the text."""
     root = ET.fromstring(emitted("letter-placer", shaper, "plcopen")["st"])
     assert root.tag == f"{PPX}project"
     order = [child.tag.removeprefix(PPX) for child in root]
@@ -217,7 +217,7 @@ def test_a_job_called_as_the_configuration_gets_another_name(tmp_path: Path) -> 
 def test_the_time_of_a_scan_is_told_and_a_long_list_takes_little_more(
     tmp_path: Path, pairs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A long list is tables: the controller has one loop, in which a scan passes three times."""
+    """A long list is tables: the controller has one loop, which runs three times in a scan."""
     down, up = (
         f'[[operation]]\nmove = {{ Z = "{to} mm" }}\n[[operation]]\nwait = "{switch}"\n'
         for to, switch in ((100, "z_is_down"), (0, "z_is_up"))
@@ -248,7 +248,7 @@ def test_the_time_of_a_scan_is_told_and_a_long_list_takes_little_more(
 
 
 def test_no_time_stands_without_a_name() -> None:
-    """Every time of a move is a constant; literals are 0, the timers' spans and the scan's half."""
+    """Every time of a move is a constant; literals are 0, the timers' spans, and half a scan."""
     text = text_of("letter-placer", "zv")
     body = text.partition("(* The watchdog")[2]
     found = set(re.findall(r"T#\w+", body))
@@ -258,7 +258,7 @@ def test_no_time_stands_without_a_name() -> None:
 
 
 def test_the_comment_of_each_place_names_what_is_on_there(tmp_path: Path) -> None:
-    """Held against the schedule itself: each set of outputs of its rows, and no other."""
+    """Compared with the schedule itself: each set of outputs of its rows, and no other."""
     file = tmp_path / "short.toml"
     file.write_text(
         '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { X = "200 mm" }\n', "utf-8"
@@ -274,7 +274,7 @@ def test_the_comment_of_each_place_names_what_is_on_there(tmp_path: Path) -> Non
 
 
 def test_the_notes_say_when_a_circuit_is_under_pressure() -> None:
-    """The air of the letter placer takes 1.5 s; whatever else is waited for is not a ramp."""
+    """The air of the letter placer takes 1.5 s; no other wait is a ramp."""
     text = text_of("letter-placer", "none")
     noted = re.findall(r"t_(\w+) : TIME := T#(\d+)ms; \(\* .* is under pressure", text)
     assert noted == [("start_1", "1500")]

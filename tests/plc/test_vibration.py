@@ -1,7 +1,7 @@
-"""The parsed text, scan by scan with jitter, drives the machine's equations: what it leaves.
+"""The parsed text, scan by scan with jitter, drives the machine's equations: the vibration left.
 
-Equations by hand from the paper's table 1 (rigid beam) and the fitted valve drive, each span
-between two scans by scipy's matrix exponential.
+The equations are by hand from the paper's table 1 (rigid beam) and the fitted valve drive, each
+span between two scans by scipy's matrix exponential.
 """
 
 from __future__ import annotations
@@ -85,9 +85,9 @@ def drive(plc: Plc, period: int, jitter: float, flows: tuple[float, float], seed
 
 
 def test_a_scan_with_jitter_costs_little_of_what_shaping_gains() -> None:
-    """The paper's ZV leaves 25 % on this machine whatever the scan.
+    """The paper's ZV leaves 25 % on this machine with any scan.
 
-    Scans of 1, 5 and 10 ms with 20 % jitter move that by at most 0.7 % of the unshaped ringing;
+    Scans of 1, 5 and 10 ms with 20 % jitter change that by at most 0.7 % of the unshaped ringing;
     the bound is twice that.
     """
     unshaped = drive(controller("letter-placer", "none"), 10_000, 0.0, (0.63, 0.37), 1)

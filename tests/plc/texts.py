@@ -1,4 +1,4 @@
-"""The texts under test, written and read once; everything else here reads text alone."""
+"""The tested texts, written and read once; everything else in this folder uses only the text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PAPER = ("--mode", "3.04 Hz", "--damping", "0.17")
 
 @cache
 def emitted(machine: str, shaper: str, target: str) -> dict[str, bytes]:
-    """Return the files that the program writes, by what is behind the name's first dot."""
+    """Return the files of the program, by the part of the name after its first dot."""
     with TemporaryDirectory() as folder:
         out = Path(folder) / "cycle.st"
         job = ROOT / "examples" / "letter-cycle.toml"
@@ -46,5 +46,5 @@ def _controller(machine: str, shaper: str) -> Plc:
 
 
 def controller(machine: str = "letter-placer", shaper: str = "zv") -> Plc:
-    """Return a fresh controller with the text that was written for ``machine``."""
+    """Return a fresh controller with the text for ``machine``."""
     return _controller(machine, shaper).fork()

@@ -1,4 +1,4 @@
-"""Cycles without a fault on machines that differ: speeds, switches, and scans that jitter.
+"""Faultless cycles on varied machines: speeds, switches, and scans that jitter.
 
 ``python -m tests.plc.varied [CYCLES]`` prints how many of them end in a fault. Speeds differ by up
 to 3 % and switches by up to 2 mm, as in the machine file; scans come up to 20 % late or early.
@@ -48,7 +48,7 @@ def bench(cell: Cell, seed: int) -> Bench:
 
 
 def drawn(seed: int) -> Bench:
-    """Return a bench around a machine that is drawn."""
+    """Return a bench around a drawn machine."""
     draw = random.Random(seed)
     speeds = {name: 1.0 + draw.uniform(-0.03, 0.03) for name in SPEEDS}
     return bench(Varied(speeds, {name: draw.uniform(-2.0, 2.0) for name in SWITCHES}), seed)

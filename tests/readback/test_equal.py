@@ -51,12 +51,12 @@ def needs(target: str) -> None:
 
 
 def test_every_target_of_the_winder_is_the_plan(job: Path) -> None:
-    """Tables to the count; programs within 20 um. Skipped is only what lacks its reader."""
+    """Tables to the count; programs within 20 um. Only targets without a reader are skipped."""
     found = tl.equal(job, MACHINE)
     verdicts = {one.target: one.verdict for one in found.targets}
     lacking = {"nc", "linuxcnc"} if shutil.which("rs274") is None else set()
     assert {name for name, verdict in verdicts.items() if verdict == "skipped"} == lacking
-    # No machine file of this winder has a planner, so no code of a firmware has run.
+    # No machine file of this winder has a planner, so no firmware code has run.
     alone = {name for name, verdict in verdicts.items() if verdict == "read back"}
     assert alone == set(BOARDS) - {"linuxcnc"}
     assert found.passed and set(verdicts) >= {"csv", "npz", "ticks", "nc", "grbl", "klipper"}
@@ -69,7 +69,7 @@ def test_every_target_of_the_winder_is_the_plan(job: Path) -> None:
 def test_the_tools_of_a_running_linuxcnc_are_left_alone(
     job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """LinuxCNC 2.9 keeps them in a file of the home, which its interpreter alone writes, too."""
+    """LinuxCNC 2.9 keeps them in a file of the home, which only its interpreter writes, too."""
     needs("linuxcnc")
     file = compiled(job, "linuxcnc", tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -146,7 +146,7 @@ def test_a_count_in_an_archive_and_a_trailing_blank(job: Path, tmp_path: Path) -
 def test_foreign_files_are_refused_in_one_line(
     job: Path, tmp_path: Path, examples: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit status 2 for another job, another format, no file, another kind; 1 where it differs."""
+    """Exit status 2 for another job, another format, no file, another kind; 1 if it differs."""
     csv = compiled(job, "csv", tmp_path)
     other = examples / "x-180.prg"
     for files, words, said in [
@@ -170,7 +170,7 @@ def test_foreign_files_are_refused_in_one_line(
 def test_skipped_targets_are_told(
     job: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A target without its reader, and one that cannot hold the plan, are rows with a reason."""
+    """A target without its reader, or one that cannot hold the plan, is a row with a reason."""
     monkeypatch.setenv("PATH", "/nonexistent")
     monkeypatch.delenv("CI", raising=False)
     line = ["equal", str(job), "-m", MACHINE, "--targets", "csv,nc"]
@@ -190,7 +190,7 @@ def test_skipped_targets_are_told(
 
 
 def test_a_report_repeats_the_command_and_has_no_empty_table(job: Path, tmp_path: Path) -> None:
-    """The command of the page names options and files, so that typing it repeats the comparison."""
+    """The command on the page names options and files, so that it repeats the comparison."""
     file = tmp_path / "a.csv"
     tl.compile(job, MACHINE, "csv", file, limits="50 %")
     line = ["equal", str(job), "-m", MACHINE, "--limits", "50 %", "--file", f"csv={file}"]
@@ -209,7 +209,7 @@ def test_targets_of_other_machines_are_rows_beside_those_of_this_one(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The list of the command's help suits every machine; CI asks for no reader of theirs."""
+    """The list in the command's help suits every machine; CI needs no reader of other machines."""
     monkeypatch.setenv("CI", "true")
     assert status(["equal", str(job), "-m", MACHINE, "--targets", "st,csv,steps", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)

@@ -1,4 +1,4 @@
-"""``equal`` for firmwares that plan by themselves: their own code, step by step, where it is named.
+"""``equal`` for firmwares that plan by themselves: their own code, step by step, if named.
 
 Klipper's host, grbl's code and Marlin's are no packages: ``docs/equal.md`` says how to get them.
 """
@@ -33,7 +33,7 @@ def needs(missing: str) -> None:
 
 
 def machine_with(board: str, folder: Path) -> Path:
-    """Return the stepper winder with a planner, as the Marlin at hand has it."""
+    """Return the stepper winder with a planner, of the version of the named Marlin."""
     file = folder / "mine.toml"
     text = f'base = "stepper-winder+{board}"\nname = "mine"\n'
     if board == "marlin" and not marlin_steps.missing():
@@ -47,14 +47,14 @@ def machine_with(board: str, folder: Path) -> Path:
 def test_a_winders_program_is_the_plan_on_each_of_its_boards(
     job: Path, target: str, tmp_path: Path
 ) -> None:
-    """The stepper winder with each planner, whose plan is what the firmware makes of the job."""
+    """The stepper winder with each planner, whose plan is the firmware's own motion of the job."""
     board = "grbl" if target == "csv" else target
     machine = machine_with(board, tmp_path)
     found = tl.equal(job, machine, [target], interpolation="firmware")
     (one,) = found.targets
     assert found.passed and one.verdict in {"equal", "read back"}
     if one.verdict == "read back":
-        # Without the firmware's own code its model tells the time.
+        # Without the firmware's own code its model gives the time.
         assert one.place is not None and one.place < 1e-9
         assert one.curve is not None and one.curve.time_s[0] == 0.0  # drawn from the beginning
         assert one.time_s is not None and one.time_limit_s is not None
@@ -88,7 +88,7 @@ def test_klippers_host_makes_each_step_of_the_plan(job: Path, tmp_path: Path) ->
 
 
 def test_grbls_own_code_follows_the_plan(job: Path, tmp_path: Path) -> None:
-    """Within a step of each axis of the path; a wait and an end that were changed are found."""
+    """Within a step of each axis of the path; a changed wait and a changed end are found."""
     needs(grbl_steps.missing())
     machine = "stepper-winder+grbl"
     (one,) = tl.equal(job, machine, ["grbl"], interpolation="firmware").targets
@@ -111,7 +111,7 @@ def test_grbls_own_code_follows_the_plan(job: Path, tmp_path: Path) -> None:
 
 
 def test_marlins_own_planner_follows_the_plan(job: Path, tmp_path: Path) -> None:
-    """Within a step of each axis of the path; an end, a wait and a feed that changed are found."""
+    """Within a step of each axis of the path; a changed end, wait and feed are found."""
     needs(marlin_steps.missing())
     machine = machine_with("marlin", tmp_path)
     (one,) = tl.equal(job, machine, ["marlin"], interpolation="firmware").targets
@@ -163,7 +163,7 @@ def test_steps_of_a_block_come_as_its_trapezoid_says(short: bool) -> None:
 
 
 def test_what_is_not_installed_is_told(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The variable is named, and a folder that is no checkout."""
+    """The variable is named, and so is a folder that is no checkout."""
     monkeypatch.delenv(klipper_host.CHECKOUT, raising=False)
     monkeypatch.delenv(grbl_steps.FOLDER, raising=False)
     monkeypatch.delenv(marlin_steps.FOLDER, raising=False)

@@ -1,4 +1,4 @@
-"""``equal`` beside files that were changed to do harm: one line, soon, and no wrong answer."""
+"""``equal`` beside hostile files: one line, soon, and no wrong answer."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def beside(folder: Path, target: str, file: Path) -> Equal:
 def test_a_full_disk_is_told_by_the_folder_that_may_be_changed(
     target: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``equal`` writes files of its own: a user gave none of them, and cannot give another."""
+    """``equal`` writes temporary files: the user named none of them, and cannot name others."""
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -143,7 +143,7 @@ def test_an_archive_of_other_numbers_is_refused(folder: Path, tmp_path: Path) ->
 
 
 def test_an_archive_that_says_it_is_huge_is_refused(folder: Path, tmp_path: Path) -> None:
-    """A short file that asks for 240 TB is a wrong file, and not a job that is too long."""
+    """A short file that claims 240 TB is a wrong file, and not a job that is too long."""
     head = io.BytesIO()
     shape = {"descr": "<i8", "fortran_order": False, "shape": (10**13, 3)}
     np.lib.format.write_array_header_1_0(head, shape)
@@ -185,7 +185,7 @@ def test_an_added_part_of_an_archive_is_told(folder: Path, tmp_path: Path) -> No
 def test_a_line_end_that_no_controller_knows_is_found(
     folder: Path, tmp_path: Path, mark: str
 ) -> None:
-    """Python ends a line at each of these, and a controller reads one long line on."""
+    """Python ends a line at each of these, and a controller reads on as one long line."""
     file = tmp_path / "a.csv"
     file.write_text((folder / "a.csv").read_text().replace("\n", mark, 1), encoding="utf-8")
     one = beside(folder, "csv", file)
@@ -272,7 +272,7 @@ def test_a_body_that_grows_without_end_ends(body: str, said: str) -> None:
 
 
 def test_blocks_inside_themselves_are_refused() -> None:
-    """Two that have each other, and a tower in which each floor has two of the next."""
+    """Two that contain each other, and a tower in which each block has two of the next."""
     each = (
         "FUNCTION_BLOCK a VAR x : b; END_VAR END_FUNCTION_BLOCK "
         "FUNCTION_BLOCK b VAR x : a; END_VAR END_FUNCTION_BLOCK "

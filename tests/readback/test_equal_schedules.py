@@ -1,4 +1,4 @@
-"""``equal`` for programs of a PLC: read by their grammar, run scan by scan, and changed."""
+"""``equal`` for programs of a PLC: parsed by their grammar, run scan by scan, and changed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SCAN_S = 0.01
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files of all targets, as compile writes them."""
+    """Return the files of all targets, as compile writes them."""
     made = tmp_path_factory.mktemp("programs")
     for target in TARGETS:
         tl.compile(CYCLE, PLACER, target, made / f"cycle-{target}.{target}")
@@ -37,7 +37,7 @@ CYCLE = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"
 
 
 def changed(folder: Path, tmp_path: Path, target: str, pattern: str, to: str) -> Path:
-    """Return a copy of a file, with what is beside it, in which the first match is changed."""
+    """Return a changed copy of a file, with the files beside it; the first match is replaced."""
     for file in folder.glob(f"cycle-{target}.*"):
         shutil.copy(file, tmp_path / file.name)
     copy = tmp_path / f"cycle-{target}.{target}"
@@ -77,7 +77,7 @@ def test_every_program_switches_as_the_schedule_does(examples: Path, job: str) -
 def test_a_digit_of_a_time_is_found(
     folder: Path, tmp_path: Path, target: str, pattern: str
 ) -> None:
-    """100 ms more of rest below: all that follows comes ten scans later, Z by 20 mm at 0.2 m/s."""
+    """100 ms more of rest below: every later output is ten scans late, Z by 20 mm at 0.2 m/s."""
 
     def more(found: re.Match[str]) -> str:
         return f"{found[1]}{int(found[2]) + 1}{found[3]}"
@@ -140,7 +140,7 @@ def test_foreign_programs_are_refused_in_one_line(folder: Path, tmp_path: Path) 
 
 
 def test_our_controller_runs_a_text_as_blarks_reading_does(folder: Path) -> None:
-    """Two readers that know nothing of each other: home and a cycle with jitter, scan by scan."""
+    """Two independent readers: home and a cycle with jitter, scan by scan."""
     units = units_of(PLACER, "none")
     other = Controller(list(read_units((folder / "cycle-st.st").read_text())))
     bench = Bench(Plc(units), jitter=0.2, seed=3)
@@ -170,7 +170,7 @@ def test_our_controller_runs_a_text_as_blarks_reading_does(folder: Path) -> None
 
 
 def test_the_language() -> None:
-    """Precedence, durations, and what is refused with its line."""
+    """Precedence, durations, and refusals with their line."""
     values = {"a": 2, "b": 3, "c": 0, "t": True}
     read_body("c := a + b * 2 MOD 4; t := NOT t OR a < b AND b <> 3;")(values, 0)
     assert values["c"] == 2 + 3 * 2 % 4 and values["t"] is False

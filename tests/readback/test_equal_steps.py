@@ -76,7 +76,7 @@ def test_an_interval_in_the_binary_file_is_found(folder: Path, tmp_path: Path) -
 
 
 def test_a_sign_in_a_turn_is_found_in_place(folder: Path, tmp_path: Path) -> None:
-    """One move the other way: twice its length off from there on."""
+    """One move goes the other way: from there on the place is off by twice its length."""
     manifest = copied(folder, tmp_path)
     binary = tmp_path / "r.stitches.bin"
     content = bytearray(binary.read_bytes())

@@ -1,4 +1,4 @@
-"""``equal`` for designs on tapes: pystitch reads what Threadline's own writers wrote."""
+"""``equal`` for designs on tapes: pystitch reads the files of Threadline's own writers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_card_that_nothing_else_reads_is_skipped(folder: Path) -> None:
 def test_a_stitch_that_moved_is_found(
     target: str, head: int, byte: int, folder: Path, tmp_path: Path
 ) -> None:
-    """One displacement of a stitch is a tenth of a millimetre longer: all behind it are off."""
+    """One displacement of a stitch is a tenth of a millimetre longer: all later ones are off."""
     file = tmp_path / f"r.{target}"
     content = bytearray((folder / file.name).read_bytes())
     content[head + 3 * 40 + byte] ^= 0x01

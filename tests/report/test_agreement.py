@@ -1,4 +1,4 @@
-"""One verdict, told four times: as JSON, on the terminal, on a screen, and on paper."""
+"""One verdict in four forms: JSON, terminal, screen and paper."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def cells_of(page: str, title: str) -> list[list[str]]:
 
 
 def texts_of(pdf: Path) -> list[str]:
-    """Return the text of each page; that of its figures, which takes long to read, is left out."""
+    """Return the text of each page without its figures, which take long to read."""
     pages = PdfReader(pdf).pages
     for page in pages:
         page["/Resources"].get_object().pop("/XObject", None)
@@ -98,7 +98,7 @@ def texts_of(pdf: Path) -> list[str]:
 
 
 def same(criterion: dict[str, Any], what: str, shown: str) -> bool:
-    """Say whether a figure for people is that of the JSON: its four digits, or less than 1e-9."""
+    """Return whether a printed figure is that of the JSON: its four digits, or less than 1e-9."""
     wanted = criterion[what]
     if shown in ("-", "never"):  # JSON has no infinity
         return wanted is None
@@ -107,7 +107,7 @@ def same(criterion: dict[str, Any], what: str, shown: str) -> bool:
     percent = shown.endswith("%")
     value = float(shown[:-1]) / 100.0 if percent else parse_quantity(shown, criterion["unit"])
     if criterion["name"] == "travel" and what == "measured" and wanted < 0.0:
-        return value == 0.0  # what is left of it stands in the note
+        return value == 0.0  # the rest of it stands in the note
     return value == pytest.approx(wanted, rel=5e-3 if percent else 5e-4, abs=1e-9)
 
 
@@ -121,7 +121,7 @@ def test_json_terminal_screen_and_paper_tell_the_same(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Names, axes, statuses, lines; figures to the four digits that people are shown."""
+    """Names, axes, statuses, lines; figures to the four printed digits."""
     blank_pictures(monkeypatch)
     proof = make(tmp_path)
     answer = verdict_json(proof.verdict, proof.plan)
@@ -171,7 +171,7 @@ def test_json_terminal_screen_and_paper_tell_the_same(
 
 
 def test_bars_are_of_axes_that_move(tmp_path: Path) -> None:
-    """Of a program of X alone; A and Y have results all the same."""
+    """For a program of X alone; A and Y still have results."""
     page = write_report(report_data(winder(tmp_path)), tmp_path / "report")
     assert not re.search(r'<figure id="profile-[AY]"', page.read_text(encoding="utf-8"))
     pdf = PdfReader(tmp_path / "report" / "report.pdf")
@@ -183,13 +183,13 @@ def test_bars_are_of_axes_that_move(tmp_path: Path) -> None:
 def test_the_report_has_the_warnings_that_the_terminal_has(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the machine file too, those of one kind together; each once."""
+    """Warnings of the machine file are included, grouped by kind; each stands once."""
     blank_pictures(monkeypatch)
     job = tmp_path / "a.seam.toml"
     job.write_text(SEAM.format(speed=20))
     with pytest.raises(SystemExit):
         main(["prove", str(job), "-m", "stitcher", "--report", str(tmp_path / "report")])
-    lines = capsys.readouterr().err.splitlines()  # on a busy computer one says "still at work"
+    lines = capsys.readouterr().err.splitlines()  # a busy computer says "still at work"
     warned = [line for line in lines if line.startswith("warning: ")]
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     listed = [html.unescape(line) for line in re.findall(r"<li>(.*?)</li>", page)]

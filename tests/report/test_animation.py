@@ -1,4 +1,4 @@
-"""Animations: what a frame shows is where the machine was, in every format."""
+"""Animations: every frame shows the true place of the machine, in every format."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def winding() -> Proof:
 
 
 def in_world(scene: Scene, frame: int, sample: int) -> np.ndarray:
-    """Place of a sample of the path at a frame, by the rotation matrix of the textbook."""
+    """Return the place of a sample of the path in a frame, by the textbook's rotation matrix."""
     group = scene.groups[scene.group]
     turn = group.angle[frame]
     x, y, z = scene.actual[sample]
@@ -44,7 +44,7 @@ def in_world(scene: Scene, frame: int, sample: int) -> np.ndarray:
 
 
 def test_the_fibre_is_laid_in_front_of_the_carriage(winding: Proof) -> None:
-    """At each frame its last point is at the carriage's place, 50 mm in front of the axis."""
+    """In each frame its last point is at the carriage's place, 50 mm in front of the axis."""
     scene = scene_of(winding)
     times, carriage = winding.recording.samples("X.load")
     for frame in range(scene.frames):
@@ -112,7 +112,7 @@ def test_a_gif_moves_and_is_read_without_colour(
 def test_what_cannot_be_written_is_refused_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before the job is read: the file of the job is not even there."""
+    """Before the job is read: the job's file does not even exist."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda _: False))
     for name, said in (("a.mp4", "there is no ffmpeg here"), ("a.avi", "is no animation")):

@@ -19,7 +19,7 @@ FEED = Feed(FeedMode.RAPID, 0.0)
 
 
 def plan_of(*moves: tuple[int, tuple[int, ...], int], operator: bool = True):
-    """Moves of (ticks, passes, line), alternating between two points."""
+    """Return moves of (ticks, passes, line), alternating between two points."""
     machine = winder()
     if not operator:
         machine = replace(machine, operator=None)

@@ -1,4 +1,4 @@
-"""The picture of what is in spec about a design: its marks, and what its axes say."""
+"""The picture of the region in spec around a design: its marks, and its axes."""
 
 from __future__ import annotations
 

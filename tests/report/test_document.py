@@ -1,4 +1,4 @@
-"""The pages of a report and what stays apart on them, also when printed in grey."""
+"""The pages of a report: parts that must stay apart, even when printed in grey."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_a_picture_that_leaves_its_page_says_what_it_is_of(tmp_path) -> None:
 def test_the_parts_of_a_figure_are_placed_once_for_all_its_files(
     tmp_path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its files show the same, with room for what stands between its parts."""
+    """Its files show the same, with room for the space between its parts."""
     placed: list[Figure] = []
     execute = ConstrainedLayoutEngine.execute
     monkeypatch.setattr(
@@ -123,11 +123,11 @@ def test_the_parts_of_a_figure_are_placed_once_for_all_its_files(
         write_document(document, tmp_path, "r")
     assert placed == [figure]
     gap_in = 3.0 * (above.get_position().y0 - below.get_position().y1)
-    assert gap_in > 0.3  # 0.21 where nothing was placed: too little for numbers and their label
+    assert gap_in > 0.3  # 0.21 without placement: too little for numbers and their label
 
 
 def test_the_printer_gets_every_column_and_no_scroll_bar(tmp_path) -> None:
-    """What makes a wide table scroll on a screen is undone in the part for printers."""
+    """The rules by which a wide table scrolls on a screen are undone for printers."""
     document = Document(
         title='say "a"</style>',
         subtitle="b",
@@ -183,7 +183,7 @@ def test_the_speeds_over_tolerances_are_a_line_for_each_mass() -> None:
         "loads: as in the file": [[-1.0, 40.0], [0.0, 50.0], [1.0, 60.0]],
         "loads: upper end": [[-1.0, 0.0], [0.0, 49.0], [1.0, 59.0]],
     }
-    # The shortest cycle is no cycle of 0 s where none is in spec: its line has a gap.
+    # If no cycle is in spec, its line has a gap, because the shortest is not 0 s.
     (panel,) = draw_mismatch(cells, "a title", CYCLE).axes
     heights = {line.get_label(): line.get_ydata()[0] for line in panel.lines}
     assert heights["loads: lower end"] == 41.0
@@ -192,7 +192,7 @@ def test_the_speeds_over_tolerances_are_a_line_for_each_mass() -> None:
 
 
 def test_a_gap_beneath_the_fastest_is_drawn_and_told(capsys: pytest.CaptureFixture[str]) -> None:
-    """The end of each slower range is hollow; all that is in spec stands beside the fastest."""
+    """The end of each slower range is hollow; all ranges in spec stand beside the fastest."""
     ends = ((67.93, 70.58), (20.0, 57.63), (12.0, 12.0))
     ranges = tuple(Interval(low=low, high=high, alone=low == high) for low, high in ends)
     cells = [replace(cell(0.0, 1.0, 70.58, "x"), intervals=ranges), cell(0.0, 0.0, 73.0, "x")]
@@ -221,7 +221,7 @@ def test_grid_lines_run_behind_bars() -> None:
 
 
 def test_no_axis_looks_like_a_limit_in_grey() -> None:
-    """The limit is dotted; no axis is, and none has another's dashes."""
+    """The limit is dotted; no axis is, and no two axes have the same dashes."""
     dots = LIMIT["linestyle"][1]
     dashes = [style["linestyle"] for style in AXES]
     assert dots[0] <= 1
@@ -245,7 +245,7 @@ def test_the_labels_of_many_bars_do_not_touch(tmp_path) -> None:
 
 
 def test_a_bar_that_passed_is_within_its_limit(tmp_path) -> None:
-    """A plan may ask for a thousandth more between samples; 101 % would be said of it."""
+    """A plan may exceed a limit by 0.1 % between samples; otherwise it would show 101 %."""
     machine = load_machine("lathe-winder")
     job = tmp_path / "a.prg"
     job.write_text("G91 G1 X 5 F 600\nX -5\nM30\n")
@@ -287,7 +287,7 @@ def test_a_comparison_lists_every_case_it_was_made_from(tmp_path) -> None:
     ]
     assert not {"feed", "interpolation"} & set(facts)
     assert facts["tolerance"] == "0.1 mm"
-    # Each drawing has a picture of its own, also where the feed in its name has a point.
+    # Each drawing has a picture of its own, even if the feed in its name has a point.
     pictures = {file.stem for file in (tmp_path / "report").glob("*.png")}
     assert len(pictures) == page.count("<figure") >= 4
     assert any(name.startswith("comparison-auto-20.0count-per-tick-") for name in pictures)
@@ -312,7 +312,7 @@ def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:
 
 
 def test_a_run_with_an_override_tells_its_reason() -> None:
-    """What the recording of a run says of itself stands among the facts of its report."""
+    """The recording's own remarks on a run stand among the facts of its report."""
     run = Recording(
         channels=(), blocks=(), job_sha256="", machine_sha256="", simulated=False,
         origin={"link": "sim", "override": "trial of the eye", "feed": "programmed"},
@@ -322,7 +322,7 @@ def test_a_run_with_an_override_tells_its_reason() -> None:
 
 
 def test_a_report_names_what_changed_the_motion() -> None:
-    """With time and line; where nothing did there is no table."""
+    """With time and line; without any such event there is no table."""
     cut = Disturbance(
         change=Change.LIMIT_SWITCH, text="the limit switch x_high of X cut the supply of drives.x",
         time_s=15.34, job_line=2, axis="X",

@@ -1,4 +1,4 @@
-"""What the figures of a proof and of a comparison show."""
+"""The figures of a proof and of a comparison."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def winding() -> Proof:
 
 
 def test_the_error_along_the_job_peaks_where_the_judge_says(winding: Proof) -> None:
-    """The worst of the curve is the measured contour error, at its time.
+    """The maximum of the curve is the measured contour error, at its time.
 
-    Of a straight path at a corner: the tool leaves the chord, no point is missed by more. The
-    curve takes the samples; the judge looks between them, too, where the way bows by less than
-    1 nm at this peak.
+    On a straight path at a corner the tool leaves the chord, and no point is missed by more. The
+    curve takes the samples; the judge also measures between them, where the way deviates by less
+    than 1 nm at this peak.
     """
     along = contour_along(winding.recording, winding.plan, winding.spec.lag_s)
     assert along is not None
@@ -125,7 +125,7 @@ def test_a_comparison_shows_the_path_of_the_eye(winding: Proof) -> None:
 
 
 def test_a_name_in_a_script_that_the_font_lacks_is_drawn_without_a_warning(tmp_path: Path) -> None:
-    """The suite turns warnings into errors; whoever calls from Python would see a line for each."""
+    """The suite turns warnings into errors; from Python a user would see a line for each."""
     with figure_style():
         from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""The guide to a machine: what must be seen is what the print, or a closed form, says."""
+"""The guide to a machine: its figures, compared with the print or a closed form."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def test_the_speed_at_a_voltage_is_that_of_the_printed_plant() -> None:
 
 
 def test_a_full_stroke_takes_what_the_data_sheet_says() -> None:
-    """200 mm in 0.79 s, as printed; the form leaves out the air, a percent of it."""
+    """200 mm in 0.79 s, as printed; the formula leaves out the air, a percent of it."""
     assert full_stroke_s(load_machine("letter-placer"), "X") == pytest.approx(0.79, rel=0.01)
 
 
 @pytest.mark.parametrize("name", library_names())
 def test_every_machine_has_a_guide(name: str) -> None:
-    """Every axis and cylinder, every signal that the file names, and a way to set each up."""
+    """Every axis and cylinder, every signal in the file, and a way to set up each."""
     machine = load_machine(name)
     axes, signals, *_, steps = guide_of(machine).tables
     words = " ".join(cell for table in (axes, signals, steps) for row in table.rows for cell in row)
@@ -54,7 +54,7 @@ def test_the_winder_has_the_connectors_of_its_print() -> None:
 
 
 def test_the_command_writes_a_page_and_a_pdf(tmp_path: Path) -> None:
-    """A user's own connector stands in it as text, whatever it holds."""
+    """A user's own connector is shown as text, whatever it contains."""
     own = tmp_path / "mine.toml"
     own.write_text(
         'base = "letter-placer"\nname = "mine"\n[guide.connectors.X1]\ntitle = "<b>valves</b>"\n'

@@ -1,4 +1,4 @@
-"""The PDF of a report, read back by another hand (pypdf): what a workshop holds in its hands."""
+"""The PDF of a report, read back by an independent library (pypdf)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def written(what: Document, file: Path) -> list[PageObject]:
 
 
 def words_at(page: PageObject) -> list[tuple[str, float, float]]:
-    """Return each piece of text with where it begins, points from the lower left corner."""
+    """Return each piece of text with its starting point, points from the lower left corner."""
     found: list[tuple[str, float, float]] = []
 
     def take(text: str, matrix: list[float], place: list[float], *_: object) -> None:
@@ -157,7 +157,7 @@ def test_no_heading_is_left_at_the_foot_of_a_page(rows: int, tmp_path: Path) -> 
 
 
 def test_figures_stand_whole_on_their_page_above_their_caption(pages: list[PageObject]) -> None:
-    """That of 15 inches is made smaller, the others are as large as they were drawn."""
+    """The figure of 15 inches is reduced, the others are as large as they were drawn."""
     for number in range(4):
         (page,) = [p for p in pages if f"Caption of f{number}" in p.extract_text()]
         assert f"Picture {number}" in page.extract_text()
@@ -165,12 +165,12 @@ def test_figures_stand_whole_on_their_page_above_their_caption(pages: list[PageO
         (caption_y,) = [y for text, _, y in words if text == f"Caption of f{number}"]
         title_y = titles_at(page)[f"Picture {number}"]
         assert caption_y < title_y < A4_PT[1] - 40.0
-        if number in (0, 1):  # as far apart as the figure is high, but for a line or two
+        if number in (0, 1):  # as far apart as the figure is high, except for a line or two
             assert title_y - caption_y == pytest.approx(72.0 * (3.0, 6.8)[number], abs=15.0)
 
 
 def test_what_a_figure_consists_of_is_copied_and_not_read(tmp_path: Path) -> None:
-    """All that is added to its page is where it is drawn, however many points it has."""
+    """Only the place of the drawing is added to its page, however many points it has."""
     with figure_style():
         made = document()
         figure = Figure(figsize=(7.2, 3.0))
@@ -186,7 +186,7 @@ def test_what_a_figure_consists_of_is_copied_and_not_read(tmp_path: Path) -> Non
     contents = PdfReader(io.BytesIO(figure_page(figure))).pages[0].get_contents()
     assert contents is not None
     assert len(alone) > 200_000 and alone == contents.get_data()
-    # The page's own words end with their last colour and place, which are not those of the figure.
+    # The page's own words end with their last colour and place, not with the figure's.
     (page,) = [page for page in pages if b"/Figure0 Do" in contents_of(page)]
     assert re.search(rb"^q\s.*\sQ q [\d. ]+ cm /Figure0 Do Q\s*$", contents_of(page), re.DOTALL)
 
@@ -229,7 +229,7 @@ def test_a_long_note_is_wrapped_and_not_cut(tmp_path: Path) -> None:
 
 
 def test_columns_are_as_wide_as_their_words() -> None:
-    """Together they fill the room; a lone column wider than a page is broken inside a word."""
+    """Together they fill the room; a single column wider than a page is broken inside a word."""
     (columns, size_pt, widths_pt), *others = columns_of(rows_table(3), 500.0)
     assert (columns, size_pt, others) == ((0, 1, 2, 3), 8.0, [])
     assert sum(widths_pt) == pytest.approx(500.0)

@@ -1,4 +1,4 @@
-"""The picture of a seam: what it counts, and that it can be read without colour."""
+"""The picture of a seam: its counts, and its legibility without colour."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_marks_are_the_stitches_and_differ_in_shape_or_size(proof: Proof) -> Non
     assert counts[-1] > 0  # at 60 a second the stitcher as built misses its corner
     looks = {(c.get_paths()[0].vertices.tobytes(), c.get_sizes()[0]) for c in panel.collections}
     assert len(looks) == len(panel.collections)
-    # Areas grow with what a stitch uses of its limit.
+    # Areas grow with a stitch's used share of its limit.
     assert sorted(c.get_sizes()[0] for c in panel.collections) == [
         c.get_sizes()[0] for c in panel.collections
     ]

@@ -1,4 +1,4 @@
-"""What is drawn of a long job: thinned, and yet with its worst place where it is."""
+"""Pictures of a long job: thinned, but with the worst place where it is."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OFF_M = 0.02
 
 @pytest.fixture(scope="module")
 def proof(tmp_path_factory: pytest.TempPathFactory) -> Proof:
-    """150 s to and fro between two points; then one sample of Y is put 20 mm aside."""
+    """150 s forth and back between two points; then one sample of Y is moved 20 mm aside."""
     job = tmp_path_factory.mktemp("long") / "long.prg"
     job.write_text("G91 G1 X 100 Y 50 F 2160\nX -100 Y -50\n" * 24 + "M30\n")
     machine, spec = load_machine("lathe-winder"), None
@@ -64,8 +64,8 @@ def whole(proof: Proof, axis: str) -> np.ndarray:
 def test_a_single_sample_is_marked_where_and_when_it_was(proof: Proof) -> None:
     """Its place is that of the recording, to the rounding of a division by the tick.
 
-    Every tenth sample or so is drawn: without its own place it stood as far away as the machine
-    goes in some ticks, and the peak was not in the picture.
+    About every tenth sample is drawn: without its own place the mark stood as far away as the
+    machine goes in some ticks, and the peak was not in the picture.
     """
     worst = proof.verdict.result("contour_error")
     tick_s = 0.005
@@ -101,7 +101,7 @@ def test_the_trace_about_it_is_whole(proof: Proof) -> None:
 
 
 def test_peaks_of_a_single_sample_stay_in_every_profile(proof: Proof) -> None:
-    """The extremes of the whole recording and of what is drawn are the same, to the bit."""
+    """The extremes of the whole recording and of the drawn curve are the same, to the bit."""
     traces = collect(proof)
     for axis in ("X", "Y"):
         position = whole(proof, axis)
@@ -116,7 +116,7 @@ def test_peaks_of_a_single_sample_stay_in_every_profile(proof: Proof) -> None:
 
 
 def test_peaks_of_the_plan_stay_in_every_profile(proof: Proof) -> None:
-    """The extremes of the trajectory at all ticks of the recording are among those drawn."""
+    """The extremes of the trajectory at all ticks of the recording are in the drawn curve."""
     traces = collect(proof)
     motion = proof.plan.motion.trajectory
     at_s = 0.005 * np.arange(len(whole(proof, "X")))
@@ -142,7 +142,7 @@ def test_profiles_of_a_long_job_are_bands(proof: Proof) -> None:
 
 
 def test_a_band_holds_every_sample_and_no_more() -> None:
-    """Against a search through all samples, of random values with gaps."""
+    """Compared with a search through all samples, of random values with gaps."""
     random = np.random.default_rng(7)
     time_s = np.cumsum(random.uniform(0.1, 1.0, 5000))
     values = random.normal(size=5000)
@@ -155,7 +155,7 @@ def test_a_band_holds_every_sample_and_no_more() -> None:
 
 
 def test_the_run_with_the_worst_place_is_drawn(examples: Path) -> None:
-    """Runs that are judged one by one have their worst where all together have it."""
+    """If runs are judged one by one, the worst place is the same as in all together."""
     machine = load_machine("lathe-winder")
     options = Options(interpolation="linear", feed=parse_feed("80 mm/s"))
     plan = plan_job(read_job(examples / "x-180.prg", machine), machine, options)
@@ -181,7 +181,7 @@ def test_the_run_with_the_worst_place_is_drawn(examples: Path) -> None:
 
 
 def test_a_plan_that_is_passed_slowly_has_the_speed_that_is_passed_at() -> None:
-    """Of x = sin p at p = t - 0.3 sin t, whose derivatives by t are known."""
+    """For x = sin p at p = t - 0.3 sin t, whose derivatives by t are known."""
     every_s = 1e-3
     time_s = np.arange(0.0, 4.0, every_s)
     due_s = time_s - 0.3 * np.sin(time_s)

@@ -1,4 +1,4 @@
-"""Short trajectories to shape, and the mode and machine that they are shaped for."""
+"""Short trajectories to shape, with a mode and a machine."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def made(
     cuts: list[int] | None = None,
     axes: tuple[str, ...] = ("X", "Y"),
 ) -> Trajectory:
-    """Pieces as a trajectory in blocks that end at ``cuts``."""
+    """Return pieces as a trajectory in blocks that end at ``cuts``."""
     d = np.array(durations)
     start = np.concatenate([[0.0], np.cumsum(d)[:-1]])
     label = np.arange(len(d)) if operation is None else np.array(operation)

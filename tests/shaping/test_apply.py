@@ -1,4 +1,4 @@
-"""Shaped trajectories against dense superposition and scipy's oscillator."""
+"""Shaped trajectories, compared with dense superposition and scipy's oscillator."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ def test_superposition_and_any_cut_into_blocks(seed: int) -> None:
 def test_a_centroid_outside_its_train_leaves_the_operations_in_place(
     amplitudes: tuple[float, float],
 ) -> None:
-    """Centroids at 0.15, -0.05 and -0.3 s of a train of 0.1 s: its end, or its beginning, counts.
+    """Centroids at 0.15, -0.05 and -0.3 s of a train of 0.1 s: its end, or its begin, counts.
 
-    The operation is that under way so long before, by hand; nothing hangs on the cut into blocks.
+    The operation is the one under way so long before, by hand, in any division into blocks.
     """
     durations, c = random_pieces(np.random.default_rng(5), 30)
     shaper = Shaper(amplitudes=np.array(amplitudes), times_s=np.array([0.0, 0.1]))
@@ -119,7 +119,7 @@ def test_memory_holds_only_what_the_train_reaches() -> None:
 
 
 def oscillator_ring(trajectory: Trajectory, mode: FlexibleMode) -> float:
-    """Envelope of x'' + 2 z w (x' - y') + w^2 (x - y) = 0 after the end, by DOP853."""
+    """Return the envelope of x'' + 2 z w (x' - y') + w^2 (x - y) = 0 after the end, by DOP853."""
     w, z = 2 * math.pi * mode.frequency_hz, mode.damping_ratio
     state = np.zeros(2)  # deviation from the command and its rate: e'' + 2zw e' + w^2 e = -y''
     for block in trajectory:
@@ -149,7 +149,7 @@ def oscillator_ring(trajectory: Trajectory, mode: FlexibleMode) -> float:
 def test_a_shaped_move_leaves_an_oscillator_at_rest(kind: str) -> None:
     move = rest_to_rest(duration=0.12, axes=1)
     plain = oscillator_ring(move, MODE)
-    assert plain > 0.01  # of 0.1 m: or the shaper had nothing to do
+    assert plain > 0.01  # of 0.1 m: otherwise the shaper would have no effect
     shaped = shape_trajectory(move, design(kind, MODE), None)
     assert oscillator_ring(shaped, MODE) < 1e-9
 
@@ -284,7 +284,7 @@ def test_a_dwell_between_steps_of_speed_is_a_rest() -> None:
 
 
 def test_outputs_of_a_job_wait_for_the_shaped_motion(tmp_path: Path) -> None:
-    """A dwell and an end are placed where the shaped command stands, not in its middle."""
+    """A dwell and an end take effect where the shaped command stands, not in its middle."""
     job_file = tmp_path / "job.prg"
     job_file.write_text("%\nO 1;\nN 10 G01 F 2160;\nN 15 G91;\nN 20 X 40;\nN 30 G04 P 0.3;\n"
                         "N 40 X -40;\nN 50 M30;\n%\n")  # fmt: skip

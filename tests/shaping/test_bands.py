@@ -1,4 +1,4 @@
-"""Several modes with a tolerance and a band each: positive, unit magnitude, and on/off moves."""
+"""Several modes with a tolerance and a band each: positive, unit magnitude, on/off moves."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
 
 
 def worst(train: Shaper, f: float, zeta: float, half: float) -> float:
-    """By the simulated oscillator, over the band."""
+    """Return the vibration of the simulated oscillator over the band."""
     at = f * np.linspace(1.0 - half, 1.0 + half, 81)
     return max(simulated_vibration(train, float(one), zeta) for one in at)
 
@@ -42,7 +42,7 @@ def test_every_mode_keeps_its_own_tolerance_over_its_own_band(
     train = Shaper(amplitudes=np.array(content["amplitudes"]), times_s=np.array(content["times_s"]))
     for f, zeta, half, tolerance in ASKED:
         assert worst(train, f, zeta, half) <= tolerance * (1.0 + 1e-6)
-        # Asked for more it fails: the bands are met and not missed by far.
+        # A stricter band fails: the bands are only just met.
         assert worst(train, f, zeta, 1.25 * half) > tolerance
     if kind == "um-si":
         assert set(np.round(train.levels, 9)) == {0.0, 1.0}
@@ -50,9 +50,10 @@ def test_every_mode_keeps_its_own_tolerance_over_its_own_band(
 
 
 def level_exists(duration_s: float, cells: int) -> bool:
-    """Whether levels in [0, 1] of so many cells meet ASKED: a program written here.
+    """Return whether levels in [0, 1] of this many cells meet ASKED: an independent program.
 
-    Octagons around the circles ask for less than the circles: no level here, none there.
+    Octagons around the circles demand less than the circles: if no level exists here, none does
+    there.
     """
     edges = np.linspace(0.0, duration_s, cells + 1)
     rows, most = [], []
@@ -115,7 +116,7 @@ def test_a_band_is_of_si_of_ticks_or_of_a_move(capsys: pytest.CaptureFixture[str
 
 
 def test_ticks_keep_each_band(capsys: pytest.CaptureFixture[str]) -> None:
-    """No mode is made worse than the nearest ticks and its own tolerance leave it."""
+    """No mode is worse than with the nearest ticks and its own tolerance."""
     code, out, _ = run(capsys, "shaper", *MODES, "--kind", "um-si", "--tick", "1 ms", "--json")
     assert code == 0
     for over in json.loads(out)["bands"]:
@@ -132,7 +133,7 @@ def test_ticks_keep_each_band(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_band_that_ticks_do_not_keep_is_told(
     words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The largest of the printed band, over 5 %."""
+    """The largest of the printed band exceeds 5 %."""
     code, _, err = run(capsys, "shaper", *words)
     assert code == 0
     assert any(message in line and "more than the 5 %" in line for line in err.splitlines())

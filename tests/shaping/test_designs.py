@@ -1,4 +1,4 @@
-"""Shapers against closed forms, published figures and an ODE solver."""
+"""Shapers, compared with closed forms, published figures and an ODE solver."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ZERO_KINDS = [k for k in ShaperKind if "ei" not in k]
 
 
 def ringing_by_dop853(shaper: Shaper, mode: FlexibleMode) -> float:
-    """Half swing of the shaped step response after its end, over the plain one's, undamped."""
+    """Return half the swing of the shaped step response after its end, over the plain one's."""
     omega = 2 * math.pi * mode.frequency_hz
 
     def late_amplitude(train: Shaper) -> float:
@@ -143,7 +143,7 @@ def test_eq_14_is_the_two_hump_unit_magnitude_shaper() -> None:
     # Newton with numerical differences gives the same to 1e-12; the third time is .131048.
     exact = [0, 0.0428, 0.1310, 0.2220, 0.2608, 0.3869, 0.3964]
     assert shaper.times_s == pytest.approx(exact, abs=5.1e-5)
-    # The paper's table is a curve fit: 0.2 ms away at most.
+    # The paper's table is a curve fit: at most 0.2 ms off.
     assert shaper.times_s == pytest.approx(PAPER_UM, abs=2e-4)
 
 
@@ -225,7 +225,7 @@ def test_arrays_are_locked() -> None:
 
 
 def test_a_hump_above_the_tolerance_between_the_zeros_is_found() -> None:
-    """An EI shaper for 5 %, said to be one for 4 %, and without a word of where its hump is."""
+    """An EI shaper for 5 %, declared for 4 %, without the place of its hump."""
     mode = FlexibleMode(frequency_hz=5.0, damping_ratio=0.0)
     found = positive_humps(1, 0.0, 0.05)
     silent = replace(found, peaks=np.empty(0))
@@ -274,7 +274,7 @@ def test_what_was_not_found_is_not_called_missing() -> None:
 
 @pytest.mark.parametrize("zeta", [0.3, 0.5, 0.7])
 def test_closed_forms_take_any_damping(zeta: float) -> None:
-    """ZV: 1 and k = exp(-pi zeta / sqrt(1 - zeta^2)); MZV likewise silent, by a simulation."""
+    """ZV: 1 and k = exp(-pi zeta / sqrt(1 - zeta^2)); MZV likewise, by a simulation."""
     mode, omega = FlexibleMode(3.0, zeta), 2 * np.pi * 3.0
     k = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
     zv = design("zv", mode)

@@ -46,9 +46,9 @@ def test_two_modes_are_shorter_together_than_convolved() -> None:
 
 @pytest.mark.parametrize("ratio", [12.5, 40.0, 250.0, 990.0])
 def test_modes_far_apart_cost_little_more_than_the_slower_alone(ratio: float) -> None:
-    """No train for both is shorter than one for the slower mode; the faster adds its own at most.
+    """No train for both is shorter than one for the slower mode; the faster adds at most its own.
 
-    Every vibration in both bands is that of an oscillator that knows no formula of shaping.
+    Every vibration in both bands comes from a simulated oscillator, without a formula of shaping.
     """
     slow, fast = FlexibleMode(0.4, 0.01), FlexibleMode(0.4 * ratio, 0.02)
     found = direct_shaper([Requirement(fast, 0.05, 0.2), Requirement(slow, 0.05, 0.2)])
@@ -87,7 +87,7 @@ def test_gradients_at_many_frequencies_are_differences() -> None:
 
 
 def test_undamped_two_modes_closed_form() -> None:
-    """Three equally spaced impulses null f1 and f2 where 2 pi f h straddle pi evenly."""
+    """Three equally spaced impulses null f1 and f2 if 2 pi f h lie symmetrically about pi."""
     found = direct_shaper([Requirement(FlexibleMode(1.0)), Requirement(FlexibleMode(2.7))])
     h = 1.0 / 3.7
     assert found.times_s == pytest.approx([0.0, h, 2.0 * h], abs=1e-9)
@@ -106,7 +106,7 @@ def test_specified_insensitivity_is_met_and_not_exceeded(zeta: float, relative: 
     )
     assert 0.0499 < worst <= 0.05 + 1e-9
     if zeta:
-        # Asking for the band of EI cannot take longer than EI.
+        # The band of EI cannot take longer than EI.
         ei = design("ei", mode)
         width = insensitivity(ei, mode)
         if 2 * relative <= width.value:
@@ -146,7 +146,7 @@ def test_klipper_plays_the_common_kinds(zeta: float) -> None:
 
 
 def klipper_mzv(n: int, t: float, zeta: float) -> tuple[FloatArray, FloatArray]:
-    """Amplitudes, and times in damped periods, by the equations of Klipper's manual and source.
+    """Return amplitudes, and times in damped periods, by the equations of Klipper's sources.
 
     Sum 1, and cosine and sine sums 0 at the frequencies 1 + i / tau; then the decay.
     """

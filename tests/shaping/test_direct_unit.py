@@ -1,4 +1,4 @@
-"""Unit-magnitude designs for several modes, against known trains, simulation and a grid search."""
+"""Unit-magnitude designs for several modes: known trains, simulation and a grid search."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from threadline.motion.shaping.types import FlexibleMode
 @pytest.mark.parametrize("zeta", [0.0, 0.02, 0.1])
 @pytest.mark.parametrize(("derivatives", "kind"), [(0, "um-zv"), (1, "um-zvd")])
 def test_one_mode_gives_the_known_trains(zeta: float, derivatives: int, kind: str) -> None:
-    """Found as a time-optimal switching, without being told how many impulses there are."""
+    """They are found as a time-optimal switching, without a given number of impulses."""
     mode = FlexibleMode(3.04, zeta)
     found = direct_unit_magnitude([Requirement(mode, derivatives=derivatives)])
     expected = design(kind, mode)
@@ -46,16 +46,16 @@ def test_several_modes_stand_still_and_no_level_but_0_and_1(
         assert simulated_vibration(found, m.frequency_hz, m.damping_ratio) < 1e-10
     assert set(found.levels.tolist()) == {0.0, 1.0}
     apart = convolve(*[design("um-zv", m) for m in wanted])
-    # Pulses that do not overlap leave a convolved train of unit magnitude too: a longer one.
+    # Pulses that do not overlap also leave a convolved train of unit magnitude: a longer one.
     assert apart.over_level > 0.5 or apart.duration_s > 1.03 * found.duration_s
 
 
 def test_two_modes_cannot_be_silenced_sooner() -> None:
     """Bounded least squares over levels in [0, 1], which include every on/off pattern.
 
-    Neither answer hangs on how far the solver got. Sooner, a plane parts what the levels can do
-    from what they should: no levels come nearer to it than the distance, which is computed
-    exactly from the plane. Later, the levels that were found are put into the constraints.
+    Neither answer depends on the solver's convergence. In less time, a plane separates the possible
+    levels from the wanted ones: its distance, which is computed exactly, bounds them. In more time,
+    the found levels are put into the constraints.
     """
     modes = [(1.0, 0.0), (2.3, 0.0)]
     found = direct_unit_magnitude([Requirement(FlexibleMode(*m)) for m in modes])
@@ -75,7 +75,7 @@ def test_two_modes_cannot_be_silenced_sooner() -> None:
         else:
             normal = missed / np.linalg.norm(missed)
             distance = np.minimum(normal @ a, 0.0).sum() - normal @ b
-            assert distance > 1e-3  # a vibration of 0.001 of an impulse's, at the least
+            assert distance > 1e-3  # a vibration of at least 0.001 of an impulse's
 
 
 def test_modes_that_coincide_are_one_mode() -> None:
@@ -92,7 +92,7 @@ def test_a_tolerance_is_refused() -> None:
 
 
 def test_positive_designs_of_neighbouring_modes_become_zvd() -> None:
-    """Two zeros that close in on one another are a zero and its derivative: ZVD, in the limit."""
+    """Two zeros that approach each other are a zero and its derivative: ZVD, in the limit."""
     modes = [FlexibleMode(3.04, 0.009), FlexibleMode(3.05, 0.009)]
     found = direct_shaper([Requirement(m) for m in modes])
     zvd = design("zvd", FlexibleMode(3.045, 0.009))
@@ -103,7 +103,7 @@ def test_positive_designs_of_neighbouring_modes_become_zvd() -> None:
 
 
 def test_two_bands_that_overlap_or_repeat() -> None:
-    """The same band twice is the band once; two that overlap are met, both of them."""
+    """The same band twice is the band once; of two that overlap both are met."""
     mode, other = FlexibleMode(3.04, 0.0089), FlexibleMode(3.5, 0.0089)
     one = direct_shaper([Requirement(mode, 0.05, 0.2)])
     twice = direct_shaper([Requirement(mode, 0.05, 0.2)] * 2)

@@ -1,4 +1,4 @@
-"""What laws leave swinging: the printed table, an integrator, and laws made for a mode."""
+"""The swing after laws: the printed table, an integrator, and laws made for a mode."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ STAGES = np.array([
 
 
 def simulated(motion: Law, frequencies_hz: Sequence[float], window_s: float) -> FloatArray:
-    """Amplitudes after the move by Runge-Kutta steps of order 6, none across a corner of the law.
+    """Return amplitudes after the move by Runge-Kutta steps of order 6, none across a corner.
 
-    Steps of fixed length, a twentieth of a radian of the fastest mode: what one makes of a state
-    and of the law at its nodes is the same for all of a stretch, and the law is asked for all its
-    nodes at once.
+    The steps have a fixed length, a twentieth of a radian of the fastest mode: one step is the same
+    function of state and law for a whole stretch, and the law is evaluated for all its nodes at
+    once.
     """
     omega = 2 * np.pi * np.asarray(frequencies_hz)
     mode = np.zeros((len(omega), 2, 2))
@@ -88,9 +88,9 @@ def simulated(motion: Law, frequencies_hz: Sequence[float], window_s: float) -> 
 
 
 def sampled(motion: Law, frequency_hz: float, window_s: float) -> float:
-    """Amplitude after the move by matrix exponentials, for a law that has a thousand stretches.
+    """Return the amplitude after the move by matrix exponentials, for a law with many pieces.
 
-    The acceleration is taken to be straight between 20,001 instants.
+    The acceleration counts as straight between 20,001 instants.
     """
     omega = 2 * np.pi * frequency_hz
     t = np.linspace(0.0, 1.0, 20_001)
@@ -139,7 +139,7 @@ def test_an_independent_integrator_agrees(name: str) -> None:
 def test_shortest_windows_for_every_longer_one(
     name: str, frequency: float, printed_ms: float
 ) -> None:
-    """The printed windows to 0.5 %; every window of a dense scan behind it is still."""
+    """The printed windows to 0.5 %; every longer window of a dense scan is still."""
     mode = FlexibleMode(frequency, ZETA)
     found = ringing(law(name), mode, MOVE, WINDOW, residual=5e-5, acceleration=6.33)
     assert found.window_s == pytest.approx(1e-3 * printed_ms, rel=5e-3)
@@ -159,7 +159,7 @@ def demand(frequency: float, band: float = 0.1) -> Demand:
 
 @cache
 def made_once(asked: Demand) -> MadeLaw:
-    """Return the law for a demand: two seconds of programs each, and only those that are asked."""
+    """Return the law for a demand: it takes two seconds, so only requested ones are made."""
     return made_law(asked)
 
 
@@ -182,7 +182,7 @@ def test_a_law_made_for_the_mode_is_short_and_still(frequency: float, most_ms: f
 
 
 def test_time_optimal_windows_are_the_printed_ones() -> None:
-    """113 and 102 ms to a grid of 160 levels; below it lies only the rigid machine."""
+    """113 and 102 ms to a grid of 160 levels; less is possible only with a rigid machine."""
     assert 1e3 * made_once(demand(12.0)).time_optimal_s == pytest.approx(113, abs=0.6)
     assert 1e3 * made_once(demand(20.0)).time_optimal_s == pytest.approx(102, abs=0.6)
 
@@ -197,7 +197,7 @@ def test_a_made_law_is_a_notch() -> None:
 
 
 def test_an_impossible_demand_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What cannot be kept at nine frequencies of the band cannot be at 161 either."""
+    """A demand that nine frequencies of the band cannot meet is not met at 161 either."""
     monkeypatch.setattr(mode_law, "MOST_FREQUENCIES", 9)
     with pytest.raises(ShaperError, match="no window up to"):
         made_law(
@@ -262,7 +262,7 @@ MAKE = ("--limit", "6.33 m/s^2", "--residual", "0.05 mm", "--band", "0.1")
 def test_the_command_ranks_and_makes(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The best comes first; modified sine asks 6.33 m/s^2 and 6.3 kN a tonne."""
+    """The best comes first; modified sine needs 6.33 m/s^2 and 6.3 kN a tonne."""
     asked = []
 
     def made(wanted: Demand, progress: Callable[[str, float], None]) -> MadeLaw:
@@ -326,7 +326,7 @@ def test_wrong_input_is_one_line(
 
 
 def test_the_name_of_a_shaped_law_makes_it_again() -> None:
-    """What the table prints can be typed: the same rise, on the mode what it was found for."""
+    """The printed name can be typed: the same rise, with the found value at the mode."""
     asked = demand(12.0, 0.1)
     for one in shaped_windows(law("modified-sine"), asked):
         again = law_named(one.law.name)

@@ -1,4 +1,4 @@
-"""Shaped moves on simulated machines whose loads swing: what is left, in mm, by the twin."""
+"""Shaped moves on simulated machines whose loads swing: the remaining swing in mm, by the twin."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def residual_m(proof: Proof, axis: str) -> float:
     [
         ("lathe-winder+springy", "X 150", "400 mm/s", ["12.463Hz:0.0574"], 20.0),
         ("stitcher", "X 100", "190 mm/s", ["10.952Hz:0.2707"], 20.0),
-        # The frame of Y rings between quantised DAC levels: less is left to gain.
+        # The frame of Y rings between quantised DAC levels: less can be gained.
         ("stitcher", "Y 100", "190 mm/s", ["15.302Hz:0.2009", "29.828Hz:0.0434"], 4.0),
     ],
 )
@@ -50,7 +50,7 @@ def test_shaping_leaves_a_fraction_of_the_vibration(
     reference: str, words: str, feed: str, modes: list[str], times: float, tmp_path: Path
 ) -> None:
     axis = words[0]
-    # The modes that the shapers are for are poles of the closed loop, found by other code.
+    # The shapers' modes are poles of the closed loop, found by other code.
     poles = analyse_axis(load_machine(reference), axis).sampled.poles
     for mode in modes:
         f, zeta = (float(word.removesuffix("Hz")) for word in mode.split(":"))
@@ -80,9 +80,9 @@ def test_the_plan_is_that_of_the_shaped_trajectory(tmp_path: Path) -> None:
 
 
 def test_a_reversal_that_is_cut_is_the_deviation(tmp_path: Path) -> None:
-    """There and back on one line: what the shaped motion lacks of the planned one's farthest.
+    """Forth and back on one line: the distance of the shaped motion from the farthest point.
 
-    Of 5000 samples each; the acceleration of 10 m/s^2 leaves 1e-6 m between two of them.
+    With 5000 samples each; the acceleration of 10 m/s^2 leaves 1e-6 m between two of them.
     """
     words = "X 50;\nN 25 X -50"
     proof = proved(tmp_path, "lathe-winder", words, "36 mm/s", "zv:12Hz:0.02")

@@ -1,4 +1,4 @@
-"""Time-optimal and robust moves against published switch times and the matrix exponential."""
+"""Time-optimal and robust moves, compared with published times and the matrix exponential."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def test_time_optimal_move_of_the_facts() -> None:
 
 @pytest.mark.parametrize("frequency_hz", [0.05, 0.01, 1e-3, 1e-4])
 def test_a_slow_mode_is_silenced_in_the_time_of_its_limit(frequency_hz: float) -> None:
-    """u must have an integral of u v^3 of 6 L / (a w^2) and none of u, u v^2: T^4 / 64 at best.
+    """u needs an integral of u v^3 of 6 L / (a w^2) and none of u, u v^2: T^4 / 64 at best.
 
-    Four levels, switched at (1 - 1/sqrt 2) / 2, 1/2 and (1 + 1/sqrt 2) / 2, have it. What is
-    left out are the next terms of sine and cosine, of the order of (w T)^2.
+    Four levels, switched at (1 - 1/sqrt 2) / 2, 1/2 and (1 + 1/sqrt 2) / 2, have it. The omitted
+    terms of sine and cosine are of the order of (w T)^2.
     """
     omega = 2.0 * np.pi * frequency_hz
     mode = FlexibleMode(frequency_hz)
@@ -51,7 +51,7 @@ def test_a_slow_mode_is_silenced_in_the_time_of_its_limit(frequency_hz: float) -
 
 
 def test_a_slow_damped_mode_is_silenced() -> None:
-    """The matrix exponential, and no rows, says that it rests: to 1e-9 of a step and of a metre."""
+    """The matrix exponential, not the rows, shows its rest: to 1e-9 of a step and of a metre."""
     mode = FlexibleMode(0.03, 0.25)
     command = time_optimal(RestToRest(0.01, 1.0, (mode,))).command
     assert simulate(command, mode, 1.0) == pytest.approx([0.01, 0.0, 0.0], abs=2e-9)
@@ -147,7 +147,7 @@ def test_every_shaper_is_compared_with_both_bounds() -> None:
 
 
 def test_a_tolerance_finer_than_the_solver_keeps_its_rows_is_kept() -> None:
-    """At one frequency a command can leave nothing at all; the solver's rows are kept to 1e-7."""
+    """At one frequency a command can leave no ringing at all; the solver's rows hold to 1e-7."""
     mode = FlexibleMode(1.0, 0.0)
     command = robust_optimum(
         RestToRest(0.001, 1.0, (mode,)), relative=0.0, tolerance=1e-9, intervals=20

@@ -29,8 +29,8 @@ def test_undamped_zv_insensitivity_has_a_closed_form() -> None:
 def test_a_fast_mode_beside_a_slow_one_keeps_its_width() -> None:
     """Convolved with a ZV a thousand times as slow, the vibration at f is multiplied by its V.
 
-    That V is 1 at even multiples of the slow frequency, one every 0.2 % of the fast one: the width
-    lies between that of the ZV alone and one such step more, to either side. The first points of
+    This V is 1 at even multiples of the slow frequency, one every 0.2 % of the fast one: the width
+    lies between that of the ZV alone and one such step more, on either side. The first points of
     the grid, several stretches of it, are below the tolerance.
     """
     fast, slow = FlexibleMode(1000.0), FlexibleMode(1.0)
@@ -95,7 +95,7 @@ def test_unit_magnitude_shapers_excite_higher_modes_three_to_seven_times() -> No
         assert 2.9 < found.peak <= 7.0, kind
         assert "amplifies" in found.warnings[0]
         assert 1.5 * 3.04 <= found.peak_hz <= 30.5
-    # Undamped, |cos| of a ZV is 1 at 2, 4, ... times its frequency: the lowest is told.
+    # Undamped, |cos| of a ZV is 1 at 2, 4, ... times its frequency: the lowest is reported.
     assert check_higher_modes(design("zv", FlexibleMode(3.04)), FlexibleMode(3.04)).peak_hz < 6.1
     positive = check_higher_modes(design("zvd", MODE), MODE, [FlexibleMode(9.0)])
     assert positive.warnings == ()
@@ -162,7 +162,7 @@ def test_at_most_n_impulses() -> None:
 
 
 def test_klipper_is_not_asked_for_more_damping_than_it_takes() -> None:
-    """Its fit of three humps is valid to 0.2: beyond it Klipper would play something else."""
+    """Its fit of three humps is valid to 0.2: beyond it Klipper would play another train."""
     assert len(klipper_impulses("3hump_ei", FlexibleMode(10.0, 0.2)).times_s) == 5
     with pytest.raises(OptionError, match=r"3hump_ei takes damping ratios up to 0\.2, got 0\.25"):
         klipper_impulses("3hump_ei", FlexibleMode(10.0, 0.25))
@@ -170,7 +170,7 @@ def test_klipper_is_not_asked_for_more_damping_than_it_takes() -> None:
 
 @pytest.mark.parametrize("below", [1e-4, 1e-5, 1e-6])
 def test_a_hump_that_rises_above_the_tolerance_between_two_places_of_the_grid(below: float) -> None:
-    """Two humps of 5 %, asked for hardly less: the interval ends at the foot of the first top.
+    """Two humps of 5 %, wanted slightly smaller: the interval ends at the foot of the first top.
 
     The reference is the vibration at a hundred times the places, each rise refined by bisection.
     """

@@ -1,4 +1,4 @@
-"""Trains on whole ticks keep the band that they were designed for; by a sum that is not ours."""
+"""Trains on whole ticks keep the band of their design; by an independent sum."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TOLERANCE = 0.05
 
 
 def left(amplitudes: FloatArray, times_s: FloatArray, f: FloatArray, zeta: float) -> FloatArray:
-    """Envelope of the summed impulse responses at the last impulse, over one impulse's."""
+    """Return the envelope of the summed impulse responses at the last impulse, over one's."""
     omega = 2 * np.pi * f[:, None]
     back = times_s[-1] - times_s
     phase = omega * np.sqrt(1 - zeta**2) * back
@@ -38,7 +38,7 @@ def worst(shaper: Shaper, f: FloatArray, mode: FlexibleMode) -> float:
 
 
 def to_nearest(shaper: Shaper, tick_s: float) -> Shaper:
-    """Times to the nearest ticks, impulses of the same one together."""
+    """Return times rounded to ticks, with impulses of the same tick added."""
     ticks = np.rint(shaper.times_s / tick_s)
     at, place = np.unique(ticks, return_inverse=True)
     sums = np.bincount(place, weights=shaper.amplitudes)
@@ -48,7 +48,7 @@ def to_nearest(shaper: Shaper, tick_s: float) -> Shaper:
 @pytest.mark.parametrize(
     ("kind", "damping", "tick_s", "before", "nearest", "most", "width"),
     [
-        # What a search for the modelled frequency alone left, and what the nearest ticks leave.
+        # The results of a search for the modelled frequency alone, and of the nearest ticks.
         ("um-ei", 0.17, 0.001, 0.115, 0.057, 0.0555, 0.43),
         ("um-2ei", 0.17, 0.001, 0.075, 0.062, 0.055, 0.81),
         ("um-2ei", 0.0089, 0.010, 0.243, 0.157, 0.125, 0.1),
@@ -94,10 +94,10 @@ def test_never_worse_over_the_band_than_the_nearest_ticks(
     nearest = to_nearest(shaper, tick_ms * 1e-3)
     made = realise(shaper, [mode], ControllerLimits(tick_s=tick_ms * 1e-3))
     f = band_of(shaper, mode)
-    # 1e-3 of it: the band is looked at through samples, 64 to a ripple.
+    # 1e-3 of it: the band is sampled, 64 times in a ripple.
     assert worst(made.shaper, f, mode) <= worst(nearest, f, mode) * (1 + 1e-3)
     widths = [insensitivity(s, mode, TOLERANCE).value for s in (made.shaper, nearest)]
-    # A band may only shrink where the worst V does, and by less.
+    # A band may only shrink if the worst V does, and by less.
     shrunk = [max(worst(s, f, mode), TOLERANCE) for s in (made.shaper, nearest)]
     assert widths[0] >= widths[1] * min(1.0, shrunk[0] / shrunk[1]) * (1 - 2e-3) - 1e-9
     assert made.shaper.amplitudes.sum() == pytest.approx(1.0, abs=1e-12)
@@ -120,12 +120,12 @@ def test_no_train_within_three_ticks_leaves_less(kind: str, tick_s: float) -> No
             found = left(shaper.amplitudes, ticks * tick_s, f, mode.damping_ratio).max()
             best = min(best, float(found))
     made = realise(shaper, [mode], ControllerLimits(tick_s=tick_s))
-    # A tenth of the tolerance or of the least is given for a wider band.
+    # A tenth of the tolerance or of the least is allowed for a wider band.
     assert worst(made.shaper, f, mode) <= best + 0.1 * max(TOLERANCE, best) + 1e-3
 
 
 def least_of_every_train(f: FloatArray, zeta: float, tick_s: float, lasts: range) -> float:
-    """Least worst V of all trains + - + - + - + on these ticks that end at one of ``lasts``."""
+    """Return the least worst V of all trains + - + - + - + on these ticks that end at ``lasts``."""
     omega = 2 * np.pi * f
     turn = omega * (zeta + 1j * np.sqrt(1 - zeta**2)) * tick_s
     at = np.exp(turn * np.arange(lasts.stop)[:, None])
@@ -159,12 +159,12 @@ def test_no_on_off_train_of_the_grid_leaves_less(hz: float, damping: float, leas
     best = least_of_every_train(f, damping, 0.01, range(end - 5, end + 3))
     assert best == pytest.approx(least, abs=1e-4)
     made = realise(shaper, [mode], ControllerLimits(tick_s=0.01))
-    # The sum over the band has 41 frequencies here and more there.
+    # The sum over the band has 41 frequencies here, and more in the code.
     assert worst(made.shaper, f, mode) <= best * (1 + 2e-3)
 
 
 def test_impulses_closer_than_a_tick_are_one_or_none() -> None:
-    """A positive train of 81 impulses on 20 ms: no impulse is pushed late by those before it."""
+    """A positive train of 81 impulses on 20 ms: no impulse is delayed by those before it."""
     modes = [FlexibleMode(f, 0.01) for f in (3.04, 8.0, 12.0, 20.0)]
     shaper = convolve(*(design("zvd", m) for m in modes))
     began = time.process_time()

@@ -1,4 +1,4 @@
-"""How far shaped motion leaves its path, on ticks, and which shapers are refused."""
+"""The distance of shaped motion from its path, on ticks, and refused shapers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from threadline.motion.timing import Trajectory
 
 
 def brute_deviation(planned: np.ndarray, shaped: np.ndarray) -> float:
-    """Both ways, all places against all: right where a path does not cross itself."""
+    """Both ways, all places against all: right if a path does not cross itself."""
 
     def far(points: np.ndarray, chain: np.ndarray) -> float:
         a, way = chain[:-1], np.diff(chain, axis=0)
@@ -40,7 +40,7 @@ def brute_deviation(planned: np.ndarray, shaped: np.ndarray) -> float:
 
 
 def corner() -> Trajectory:
-    """X, then Y, each from rest to rest and no operation between."""
+    """Return X, then Y, each from rest to rest and no operation between."""
     c = np.zeros((2, 6, 2))
     c[0, 3:, 0] = c[1, 3:, 1] = np.array([10.0, -15.0, 6.0]) * 0.1
     c[1, 0, 0] = 0.1
@@ -102,7 +102,7 @@ def test_tick_grid_keeps_sum_and_centroid() -> None:
     assert abs(vibration_of(ticked, MODE) - vibration_of(shaper, MODE)) <= bound
     again = on_tick_grid(ticked, 0.005)
     assert again.times_s.tolist() == ticked.times_s.tolist()
-    # A controller that holds its reference plays the convolution of what it holds.
+    # A controller that holds its reference plays the convolution of the held values.
     move = rest_to_rest()
     shaped = shape_trajectory(move, shaper, None, tick_s=0.005)
     t = np.arange(0, 60) * 0.005

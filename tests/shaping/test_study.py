@@ -1,4 +1,4 @@
-"""What ``threadline shaper --move`` says: the shaped move beside the fastest there is."""
+"""The output of ``threadline shaper --move``: the shaped move beside the fastest."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_on_off_command_is_found_on_the_tick_and_keeps_its_word() -> None:
     shorter = [p for p in move["front"] if p["duration_s"] < found["duration_s"] - 1e-9]
     assert shorter
     assert all(p["switched"] is None for p in shorter)
-    # What rings least falls with time, but for the scan's coarseness.
+    # The least ringing falls with time, except for the scan's coarseness.
     free = [p["free"] for p in move["front"] if p["free"] is not None]
     assert free[-1] < free[0]
 

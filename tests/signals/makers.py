@@ -1,4 +1,4 @@
-"""Tables and recordings made of given numbers, and what to compare of them."""
+"""Tables and recordings made of given numbers, and their content for comparison."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def table_of(
 
 
 def content(table: TickTable) -> dict[str, object]:
-    """Everything that a table says, whatever its blocks are."""
+    """Return the whole content of a table, whatever its blocks are."""
     blocks = list(table)
     ticks = 0
     for block in blocks:
@@ -156,7 +156,7 @@ def recording_of(
 
 
 def story(recording: Recording) -> dict[str, object]:
-    """Everything that a recording says, whatever its blocks are; NaN as text."""
+    """Return the whole content of a recording, whatever its blocks are; NaN as text."""
     blocks = list(recording)
     return {
         "channels": recording.channels,

@@ -1,4 +1,4 @@
-"""A recording's units are applied or refused; the samples that go in are known."""
+"""A recording's units are applied or refused; the samples are known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Traces and plots that others wrote: what is read of them, and what is refused."""
+"""Traces and plots of other programs: read values, and refusals."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_traces_from_anywhere(tmp_path, separator, unit, factor, first) -> None:
 
 @pytest.mark.parametrize("decimals", [4, 6, 9])
 def test_times_that_were_rounded_in_print_lie_on_the_grid(tmp_path, decimals) -> None:
-    """40 us printed with four decimals is out by half a step at most 0.05 ms: only 1 ms stands."""
+    """40 us printed with four decimals is off by at most half a step, 0.05 ms: only 1 ms fits."""
     path = tmp_path / "t.csv"
     rows = [f"{k * 0.001:.{decimals}f},{k}" for k in range(2000)]
     path.write_text("time [s],X [mm]\n" + "\n".join(rows) + "\n")

@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
 )
 @pytest.mark.parametrize("ending", ["npz", "csv"])
 def test_round_trip(folder, ending, values, stride, first, rows, period, ticks) -> None:
-    """Every bit, every exact period, every event comes back; so does what the file says of it."""
+    """Every bit, every exact period, every event comes back, and the file's own description."""
     columns = dict(
         zip(("X.load", "A.measured", "X.voltage"), zip(*values, strict=True), strict=True)
     )
@@ -126,7 +126,7 @@ def test_numpy_reads_our_archive(tmp_path) -> None:
 
 
 def test_kinds_of_events_in_archives_of_before_keep_their_numbers(tmp_path) -> None:
-    """An archive has a number for each kind: a new kind must not change those before it."""
+    """An archive has a number for each kind: a new kind must not change the older ones."""
     kinds = (
         "output", "wait", "stop", "dwell", "tool", "end",
         "hold", "resume", "late", "completed", "stopped", "fault", "plan",
@@ -149,7 +149,7 @@ def test_a_spreadsheet_reads_our_csv(tmp_path) -> None:
 
 
 def test_an_archive_with_half_an_operation_is_refused(tmp_path) -> None:
-    """What no table says, no archive may say: of the same kind of channel by another name too."""
+    """An archive refuses what a table refuses, also under another name of the channel."""
     channel = Channel(
         name="op", kind=ChannelKind.OPERATION, unit="", clock=Clock("c", Fraction(1, 200))
     )
@@ -211,7 +211,7 @@ def test_no_file_and_other_files(tmp_path) -> None:
 
 
 def test_writing_is_all_or_nothing(tmp_path) -> None:
-    """A recording that fails half-way leaves the old file as it was, and no other."""
+    """A recording that fails half-way leaves the old file unchanged, and no other file."""
     good = recording_of({"X.measured": [0.0, 1.0]})
 
     def broken():
@@ -257,7 +257,7 @@ def test_simplest_fraction(low: Fraction, width: Fraction) -> None:
 
 
 def test_samples_are_not_kept_in_memory(tmp_path) -> None:
-    """A million samples pass while the blocks in hand stay small."""
+    """A million samples pass while the blocks in memory stay small."""
     import tracemalloc
 
     def blocks():

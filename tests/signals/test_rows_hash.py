@@ -1,4 +1,4 @@
-"""The hash of the rows of commands, recomputed by another program's means: hashlib and struct."""
+"""The hash of the rows of commands, recomputed independently by hashlib and struct."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def text(value: str) -> bytes:
 def as_documented(
     title: str, period: str, names: list[str], numbers: bytes, rows: list[list[int]], events: Any
 ) -> str:
-    """docs/files.md, "The hash of the rows", read once more."""
+    """Return the hash by docs/files.md, "The hash of the rows"."""
     rows_part = b"".join(struct.pack(f"<{len(row)}q", *row) for row in rows)
     events_part = b"".join(
         struct.pack("<qqd", e.tick, e.operation, e.value) + text(e.kind) + text(e.name)
@@ -115,7 +115,7 @@ def test_whatever_a_controller_is_told_changes_the_hash() -> None:
     ]
     hashes = {schedule(**change).rows_sha256() for change in other}
     assert len(hashes | {base}) == len(other) + 1
-    # What it was made from is told by hashes of their own.
+    # Hashes of their own identify its sources.
     assert schedule(job_sha256="c", machine_sha256="d").rows_sha256() == base
 
     rows = [[1, 2], [3, 4]]
@@ -135,7 +135,7 @@ def test_whatever_a_controller_is_told_changes_the_hash() -> None:
 
 @pytest.mark.parametrize("ending", list(WRITERS))
 def test_a_changed_row_is_refused(tmp_path: Path, ending: str) -> None:
-    """By file, with what the hash is and what it should be."""
+    """By file, with the actual and the expected hash."""
     file = tmp_path / f"table.{ending}"
     table = table_of([[1, 2], [3, 4], [5, 6]])
     WRITERS[ending](table, file)
@@ -154,14 +154,14 @@ def test_a_changed_row_is_refused(tmp_path: Path, ending: str) -> None:
         read_table(file)
     assert table.rows_sha256()[:12] in str(caught.value)
     assert "\n" not in str(caught.value)
-    if ending != "npz":  # an older table, which promises nothing
+    if ending != "npz":  # an older table, without a hash
         lines = [line for line in file.read_text().splitlines() if "rows_sha256" not in line]
         file.write_text("\n".join(lines) + "\n")
         assert read_table(file).rows_sha256() != table.rows_sha256()
 
 
 def splice(file: Path, other: Path) -> None:
-    """Give the archive ``file`` the counts of ``other``, sound but for the hash."""
+    """Give the archive ``file`` the counts of ``other``; all else stays right except the hash."""
     with zipfile.ZipFile(file) as kept, zipfile.ZipFile(other) as changed:
         parts = {name: kept.read(name) for name in kept.namelist()}
         parts["counts.npy"] = changed.read("counts.npy")

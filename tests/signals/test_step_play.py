@@ -131,7 +131,7 @@ def test_tables_without_time_are_refused(intervals: np.ndarray) -> None:
 
 
 def test_tables_by_angle_fill_the_window_of_angles() -> None:
-    """4800 angles of a table are in no window of 1200, however long the shaft takes."""
+    """4800 angles of a table fit in no window of 1200, however long the shaft takes."""
     made = replace(play(Stream.of([block()])), counted_by="angle", steps_per_turn=10**6)
     with pytest.raises(ValueError, match="stitch 0: its table is longer"):
         made.stitch_count()

@@ -30,7 +30,7 @@ def test_numpy_reads_our_table(tmp_path) -> None:
 
 @pytest.mark.parametrize("kind", ["table", "recording"])
 def test_archives_notice_cuts_and_flipped_bytes(tmp_path, kind) -> None:
-    """A cut never passes; a flipped byte is refused or leaves the content as it was."""
+    """A cut never passes; a flipped byte is refused or leaves the content unchanged."""
     path = tmp_path / "t.npz"
     if kind == "table":
         made = table_of([[1, -2], [3, 4]] * 20, events=[Event(tick=1, kind="stop", operation=1)])
@@ -217,7 +217,7 @@ def test_bad_events_are_refused(tmp_path, changes, message) -> None:
 
 
 def test_bombs_are_refused_before_they_are_unpacked(tmp_path) -> None:
-    """A column that promises more than deflate can pack, a description of a gigabyte."""
+    """A column that promises more than deflate can pack, and a description of a gigabyte."""
     path = archive(tmp_path / "t.npz")
     data = path.read_bytes()
     with zipfile.ZipFile(path) as file:

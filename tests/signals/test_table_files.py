@@ -102,7 +102,7 @@ def test_text_tables_notice_every_cut(tmp_path, ending) -> None:
     for k in range(len(lines)):
         path.write_text("".join(lines[:k] + lines[k + 1 :]))
         if lines[k].startswith(("# unit:", "# rows_sha256:")):
-            continue  # what is for people; what older tables do not have
+            continue  # text for people; lines that older tables do not have
         with pytest.raises(RecordingError):
             list(reader(path))
     for size in range(len(text) - 1):

@@ -164,7 +164,7 @@ def test_a_short_stream_is_worked_out_once_and_a_long_one_anew() -> None:
     calls: list[int] = []
     blocks = [b"ab", b"", b"cde"]
     stream = KeptStream(noted_blocks, calls, blocks)
-    next(iter(stream))  # what a reading that ends early worked out is there for the others
+    next(iter(stream))  # the blocks of a reading that ends early are there for the others
     assert list(zip(stream, stream, strict=True)) == list(zip(blocks, blocks, strict=True))
     assert list(stream) == list(stream) == blocks
     assert len(calls) == 1
@@ -179,7 +179,7 @@ def test_a_short_stream_is_worked_out_once_and_a_long_one_anew() -> None:
 
 
 def test_readings_side_by_side_of_a_long_stream_are_each_whole() -> None:
-    """One of them comes to the row that is too many, and goes on; the others read by themselves."""
+    """One of them reaches one row too many, and goes on; the others read by themselves."""
     calls: list[int] = []
     blocks = [b"ab", b"cd", b"x" * KeptStream.MOST_KEPT, b"y"]
     stream = KeptStream(noted_blocks, calls, blocks)
@@ -243,7 +243,7 @@ class Steps:
 
 
 def test_streams_are_recipes() -> None:
-    """What its module names is found in another process too; nothing else is taken."""
+    """Functions of modules are found in another process, too; nothing else is accepted."""
     for stream in (Stream(Steps(3).steps), Stream(iter, Steps(3)), Stream(reversed, (2, 1, 0))):
         assert list(pickle.loads(pickle.dumps(stream))) == list(stream) == [0, 1, 2]
 

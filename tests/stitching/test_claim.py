@@ -1,4 +1,4 @@
-"""How fast a frame can be moved: a law made for its mode against the cam's, on the twin too."""
+"""The speed of a frame: a law made for its mode, compared with the cam's, also on the twin."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def made(hertz: float) -> MadeLaw:
 
 
 def test_a_law_for_the_mode_turns_the_shaft_two_and_a_half_times_as_fast() -> None:
-    """At 16 Hz, where the gain is smallest of those up to there; equal acceleration and residual.
+    """At 16 Hz, where the gain is smallest up to there; equal acceleration and residual.
 
-    Modified sine is given the exact mode and the window from which on every longer one will do;
-    with the same +-10 % it would need more.
+    Modified sine gets the exact mode, and the shortest window after which every longer one is
+    enough; with the same +-10 % it would need more.
     """
     mode = FlexibleMode(16.0, 0.02)
     cam = lasting_windows_s(law("modified-sine"), mode, np.array([MOVE_M]), RESIDUAL_M)[0]
@@ -43,9 +43,9 @@ def test_a_law_for_the_mode_turns_the_shaft_two_and_a_half_times_as_fast() -> No
 
 @pytest.mark.parametrize("ratio", [0.9, 1.0, 1.1])
 def test_it_lands_still_on_the_twin(ratio: float) -> None:
-    """In steps of 2 um, on a frame within 10 % of the mode, servo stiff: 0.05 mm and two steps."""
+    """In steps of 2 um, on a frame within 10 % of the mode, stiff servo: 0.05 mm and two steps."""
     found = made(16.0)
-    # By angle: cut for 120 ms, and played as slowly as the law was made for.
+    # By angle: cut for 120 ms, and played at the speed for which the law was made.
     tables = step_tables(
         found.law, window_s=Fraction(12, 100), timer_s=TIMER, steps_per_unit=48, longest_units=165
     )

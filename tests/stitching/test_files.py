@@ -42,7 +42,7 @@ ROW = "<qqiiiiiiq"
 def test_what_was_checked_of_the_tables_is_printed(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Count, shortest interval, ends and residual, against the tables as an own reader has them."""
+    """Count, shortest interval, ends and residual, compared with the tables in another reader."""
     out = tmp_path / "rosette.json"
     design = str(examples / "rosette.dst")
     asked = [design, "-m", "schiffli-frame", "--target", "steps", "-o", str(out)]
@@ -58,7 +58,7 @@ def test_what_was_checked_of_the_tables_is_printed(
     assert f"shortest interval {shortest} periods" in printed
     assert f"due {min(ends)} to {max(ends)} periods before the end" in printed
     assert abs(window - sum(tables[-1][1])) <= 1
-    # What 7920 steps of 2.08 um leave of 12 Hz, summed here step by step.
+    # The swing of 7920 steps of 2.08 um at 12 Hz, summed here step by step.
     times = np.cumsum(tables[-1][1]) / 16e6
     omega = 2 * np.pi * 12.0
     pole = omega * (0.02 + 1j * np.sqrt(1 - 0.02**2))
@@ -115,7 +115,7 @@ def test_every_row_reads_as_it_was_planned(
         told = [list(map(int, row)) for row in list(csv.reader(file))[1:]]
     assert told == [[k, *row] for k, row in enumerate(turns)]
 
-    # Played as a controller would: the frame comes to every place of the design.
+    # Played like a controller: the frame comes to every place of the design.
     position, free = np.zeros(2, dtype=int), 0
     places = []
     for begin, width, start, needle, table_x, sign_x, table_y, sign_y, _ in turns:
@@ -136,7 +136,7 @@ def test_every_row_reads_as_it_was_planned(
 
 
 def test_all_tables_are_cut_in_less_than_a_second() -> None:
-    """Of processor time; the limit is 1 s, 0.3 s are usual."""
+    """Processor time; the limit is 1 s, and 0.3 s are usual."""
     step_tables(law("modified-sine"), window_s=Fraction(1, 10), timer_s=Fraction(1, 10**7),
                 steps_per_unit=1, longest_units=3)  # fmt: skip
     begun = process_time()

@@ -1,4 +1,4 @@
-"""The speed of the shaft at each stitch: against a quick study, a brute-force sum, and the twin."""
+"""The speed of the shaft at each stitch: a quick study, a brute-force sum, and the twin."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ SINE = law("modified-sine")
 
 @cache
 def rosette(tolerance_m: float) -> tuple[Stitched, float]:
-    """Return the stitches of the rosette as they are planned, and the processor time of it, s."""
+    """Return the planned stitches of the rosette, and the processor time of the plan, s."""
     begun = process_time()
     job = read_job(EXAMPLES / "rosette.dst", MACHINE)
     return stitch(job, MACHINE, SINE, tolerance_m, None), process_time() - begun
@@ -57,7 +57,7 @@ def unlimited(tolerance_m: float = 5e-5) -> Pace:
 
 
 def test_windows_of_all_lengths_are_those_of_each_alone() -> None:
-    """One scan against the search for one law and one length, which refines its crossings."""
+    """One scan for all lengths finds the windows of a search for each length by itself."""
     mode = FlexibleMode(12.0, 0.02)
     lengths = np.array([0.0, 3e-5, 1e-4, 6.8e-3, 1.65e-2])
     found = lasting_windows_s(SINE, mode, lengths, 5e-5)
@@ -86,7 +86,7 @@ def test_times_are_those_of_a_quick_study(name: str, schedule_s: float, constant
     turns = pace.needed_turns_s(moves)
     assert turns.sum() == pytest.approx(schedule_s, rel=0.03)
     assert turns.max() * len(turns) == pytest.approx(constant_s, rel=0.03)
-    # What that study left out: what one stitch leaves is there when the next needle enters.
+    # Left out in that study: the swing of a stitch is still there when the next needle enters.
     assert pace.swings_m(moves, turns).max() > 1.5 * 5e-5
     assert stitched.pace.most_swings_m(stitched.turns.moves, stitched.turns.turn_s).max() <= 5e-5
 
@@ -140,7 +140,7 @@ def test_the_spindle_is_asked_for_no_more_than_it_can() -> None:
 
 
 def test_the_forecast_is_what_the_twin_does(examples: Path) -> None:
-    """The twin's servo lags and is sampled, so that it leaves a little less: 6 % at most."""
+    """The twin's servo lags and is sampled, so that it swings a little less: 6 % at most."""
     spec = load_spec(None, MACHINE)
     proof = prove(examples / "rosette.dst", MACHINE, spec, Options())
     assert proof.verdict.passed
@@ -152,7 +152,7 @@ def test_the_forecast_is_what_the_twin_does(examples: Path) -> None:
 
 @pytest.mark.parametrize("machine", ["schiffli-frame", "table-embroiderer"])
 def test_a_plan_for_the_limit_is_in_spec_on_any_day(machine: str, examples: Path) -> None:
-    """Twenty runs, damping drawn from 0.7 to 1.3, some of which leaves more than the usual one."""
+    """Twenty runs, damping drawn from 0.7 to 1.3; some swing more than the usual one."""
     frame = load_machine(machine)
     proof = prove(
         examples / "rosette.dst", frame, load_spec(None, frame), Options(), trials=REPEATED
@@ -199,9 +199,9 @@ def test_a_design_that_is_planned_again_is_not_searched_again(
 
 @pytest.mark.long(shown_by="test_a_plan_for_the_limit_is_in_spec_on_any_day")
 def test_a_law_made_for_the_mode_is_sewn_at_its_own_speed(examples: Path) -> None:
-    """Slowed it would swing more: at one speed every stitch has the window that it is still after.
+    """Slowed it would swing more: at one speed every stitch has the window of its own law.
 
-    With a speed for each stitch it is sewn sooner still.
+    With a speed for each stitch it takes even less time.
     """
     mode = FlexibleMode(12.0, 0.02)
     made = made_law(
@@ -237,7 +237,7 @@ def test_a_tolerance_that_no_speed_keeps_slows_as_far_as_the_shaft_can() -> None
 
 @pytest.mark.long(shown_by="test_speeds_that_keep_no_tolerance_are_said_to_be_none")
 def test_a_plan_that_keeps_no_tolerance_says_so() -> None:
-    """A hundredth of a micrometre: how many stitches miss it, the worst by name, and a remedy."""
+    """A hundredth of a micrometre: the number of failing stitches, the worst one, and a remedy."""
     (said,) = rosette(1e-8)[0].warnings
     assert re.search(r"within 1e-05 mm: \d+ of 185 stitches .* at block \d, stitch \d+", said)
     assert "larger --tolerance" in said
@@ -287,7 +287,7 @@ def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
         steps = np.abs(np.diff(tried**-2.0, axis=1)).max(axis=1)
         tried = tried[(steps <= 0.6366) & (tried >= shortest_s).all(axis=1)]
         times_s = [float((pace.share * turns + pace.rests_s(turns)).sum()) for turns in tried]
-        # The quickest that leaves little enough: in the order of their times, the first that does.
+        # In the order of their times, the first one that leaves little enough is the quickest.
         best = next(
             (
                 times_s[k]
@@ -309,7 +309,7 @@ def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=NO_SAMPLES)
 @pytest.mark.parametrize(("name", "other_s"), [("tree.dst", 255.9), ("peace.dst", 325.0)])
 def test_schedules_are_as_fast_as_another_search_finds_them(name: str, other_s: float) -> None:
-    """A beam search by another hand, same law, limits, spindle and dampings: 5 % at most above."""
+    """An independent beam search, same law, limits, spindle and dampings: at most 5 % above."""
     plan = stitch(read_job(SAMPLES / name, MACHINE), MACHINE, SINE, 1e-4, None)
     assert plan.duration_s <= 1.05 * other_s
     assert plan.bound_s is not None and plan.bound_s <= plan.duration_s
@@ -356,7 +356,7 @@ def test_a_robust_schedule_holds_all_over_the_tolerances(examples: Path) -> None
 
 
 def test_long_stitches_are_slowed_and_never_refused(examples: Path) -> None:
-    """At the printed speed the frame swings ten times as far as it may; slowed it does not."""
+    """At the printed speed the frame swings ten times too far; slowed it does not."""
     options = Options()
     spec = load_spec(None, MACHINE)
     fast = replace(options, feed=parse_feed("166.666 stitch/min"))
@@ -373,7 +373,7 @@ def test_long_stitches_are_slowed_and_never_refused(examples: Path) -> None:
 def test_a_shaft_that_cannot_vary_takes_the_highest_speed_that_is_still_enough(
     examples: Path,
 ) -> None:
-    """In spec in twenty runs at that one speed, and out of it where each turn is 3 % shorter."""
+    """In spec in twenty runs at that one speed, and out of spec if each turn is 3 % shorter."""
     machine = load_machine("schiffli-frame+one-speed")
     spec = load_spec(None, machine)
     proof = prove(examples / "rosette.dst", machine, spec, Options(), trials=REPEATED)

@@ -1,4 +1,4 @@
-"""A beam search that prices swings over the tolerance: against each schedule of a small case."""
+"""The beam search that prices swings over the tolerance, against all schedules of a small case."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ MACHINE = load_machine("schiffli-frame")
 SHARE, PARTS, DAMPINGS = 1.0 / 3.0, 5, (0.7, 1.0, 1.3)
 PRICE_S, MOST = 20.0, 1.0
 ALONE = PricedRequest(tolerance_m=1e-4, price_s=PRICE_S, most=MOST, width=10_000, cells=1e6)
-CHANGE = 4.0 / 3.0 * 3.0 / (2.0 * np.pi)  # of the square of the speed, by the spindle, 1/s^2
-FIRST_S, STEP = 0.4, 1e-3  # table of swings: its turn times
+CHANGE = 4.0 / 3.0 * 3.0 / (2.0 * np.pi)  # by the spindle, of 1 / turn^2, 1/s^2
+FIRST_S, STEP = 0.4, 1e-3  # shortest turn of the table of swings, and the step of its logarithm
 CHOICE_S = [FIRST_S * np.exp(STEP * np.arange(5, 200, 60)) for _ in range(6)]
 WAYS_M = 1e-4 * np.array([[9, 0], [-9, 12], [5, -12], [16, 7], [14, -16], [-12, 3]], dtype=float)
 
@@ -29,12 +29,12 @@ FRAME = frames(MACHINE, 0.25, 0.026, DAMPINGS)
 
 @cache
 def fresh_of(turn_s: float) -> np.ndarray:
-    """Return the swing of each mode after a move of 1 m in such a turn: schedules share turns."""
+    """Return the swing of each mode after a move of 1 m in such a turn; schedules share turns."""
     return fresh_swings(FRAME, np.array([SHARE * turn_s]))[0]
 
 
 def swung() -> Swung:
-    """Return five modes over +-5 % of each axis with three dampings, integrated by another hand."""
+    """Return the swings of five modes over +-5 % of each axis, with three dampings each."""
     frame = FRAME
     order = np.arange(len(frame.poles)).reshape(2, PARTS, 3).transpose(0, 2, 1).ravel()
     log_s = np.log(FIRST_S) + STEP * np.arange(402)
@@ -63,7 +63,7 @@ def limits(turns: int, needle: tuple[int, ...] | None = None) -> Limits:
 
 
 def cost_s(turn_s: np.ndarray, asked: Limits, all_modes: bool) -> float:
-    """Return the cost of a schedule, s; the search watches each second mode and the middle one."""
+    """Return the cost of a schedule, s, by the modes that the search watches, or by all of them."""
     frame = FRAME
     grid = np.arange(len(frame.poles)).reshape(2, PARTS, 3)
     which = np.concatenate((grid[:, ::2, ::2].ravel(), grid[:, PARTS // 2, 1]))
@@ -95,7 +95,7 @@ def test_no_schedule_of_a_small_case_costs_less(needle: tuple[int, ...]) -> None
     assert found is not None
     all_of = [cost_s(np.array(one), asked, False) for one in product(*CHOICE_S[:5])]
     least = min(all_of)
-    assert least < total_s(np.full(5, 1.0), SHARE)  # some schedule is not refused
+    assert least < total_s(np.full(5, 1.0), SHARE)  # the search does not refuse every schedule
     assert cost_s(found, asked, False) == pytest.approx(least, rel=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""What cannot be sewn is refused in one line, with status 2 and nothing written."""
+"""A design that cannot be sewn is refused in one line, with status 2, and nothing is written."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_speed_that_is_none(feed: str, capsys: pytest.CaptureFixture[str]) -> 
 def test_a_design_that_leads_nowhere_is_refused(
     records: bytes, count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Twenty stitches in one place, and one stitch alone: nothing moves that could be judged."""
+    """Twenty stitches in one place, or one stitch alone, move nothing that could be judged."""
     file = tmp_path / "still.exp"
     file.write_bytes(records)
     said = refused(capsys, "prove", str(file), "-m", "schiffli-frame")
@@ -72,7 +72,7 @@ def test_a_design_that_leads_nowhere_is_refused(
 def test_a_damaged_design_names_the_byte_and_no_error_of_its_reader(
     suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its reader raises TypeError, IndexError and others where bytes are lacking."""
+    """The reader raises TypeError, IndexError and others where bytes are lacking."""
     file = tmp_path / f"cut.{suffix}"
     begun = {"pes": b"#PES0001\x00", "vp3": b"%vsm%\x00\x00\x38P"}
     file.write_bytes(begun.get(suffix, b"\x80" * 9))
@@ -84,7 +84,7 @@ def test_a_damaged_design_names_the_byte_and_no_error_of_its_reader(
 def test_a_card_is_not_named_as_another_format(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nobody could read it again: the ending names the format."""
+    """The ending names the format, so a card with the ending of another could not be read again."""
     asked = ["compile", str(ROSETTE), "-m", "schiffli-frame", "--target", "t15", "-o"]
     said = refused(capsys, *asked, str(tmp_path / "card.dst"))
     assert "card.t15" in said and "ends in .dst" in said
@@ -99,7 +99,7 @@ def test_a_card_is_not_named_as_another_format(
 def test_a_design_that_stands_still_on_an_axis_is_sewn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Twenty stitches along X."""
+    """Twenty stitches along X leave Y at rest."""
     file = tmp_path / "still.exp"
     file.write_bytes(b"\x14\x00" * 20)
     with pytest.raises(SystemExit) as left:

@@ -1,4 +1,4 @@
-"""The second search for the speeds of a shaft keeps its tolerance, by scipy's integrator."""
+"""The second search for the speeds of a shaft keeps its tolerance by scipy's integrator."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LENGTHS = (30, -80, 120, 5, -165, 60, 60, -20)  # tenths of a millimetre, along 
 
 
 def test_its_schedule_leaves_what_it_may() -> None:
-    """Each needle entry of the frame of the file, without the search's own sums of swings."""
+    """At each entry of the needle scipy's frame swings at most by the tolerance."""
     machine = machine_of("schiffli-frame")
     assert machine.shaft is not None and machine.shaft.acceleration is not None
     ways = np.zeros((len(LENGTHS), 2))
@@ -68,10 +68,10 @@ def test_its_schedule_leaves_what_it_may() -> None:
 
 
 def test_the_planner_is_as_fast_on_a_light_frame(examples: Path) -> None:
-    """20 Hz and four times the damping: 74.79 s by ``python -m tools.second_stitches``.
+    """The second search needs 74.79 s at 20 Hz and four times the damping.
 
-    The planner's schedule leaves at most the tolerance by that search's own modes and swings, and
-    no schedule is much below it.
+    ``python -m tools.second_stitches`` prints that time. The planner's schedule leaves at most the
+    tolerance by the modes and swings of that search, and no schedule can be much faster.
     """
     machine = machine_of("light-frame")
     assert machine.shaft is not None and machine.tables is not None

@@ -1,4 +1,4 @@
-"""The fastest way to sew a design: what is left out of the search changes nothing in its answer."""
+"""The fastest way to sew a design: runs that the search leaves out do not change its answer."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ SPEC = load_spec(None, MACHINE)
 
 @pytest.fixture
 def design(tmp_path: Path) -> Path:
-    """Ten stitches of 0.5 to 8 mm as an EXP: two signed bytes each."""
+    """Write an EXP design of ten stitches of 0.5 to 8 mm; a record is two signed bytes."""
     random = np.random.default_rng(4)
     ways = random.integers(5, 81, (10, 2)) * random.choice([-1, 1], (10, 2))
     file = tmp_path / "ten.exp"
-    # 0x80 alone would be a command: it is -128, and no way here.
+    # 0x80 would be a command; it is -128, and no move here is that long.
     file.write_bytes(ways.astype(np.int8).tobytes())
     return file
 
@@ -46,7 +46,7 @@ def job(design: Path) -> Job:
 def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same intervals as with every run at every speed, for a third of the runs at most."""
+    """The search finds the intervals of all runs at every speed, with 60 % of the runs at most."""
     counted: list[int] = []
     eight = Trials(repeats=8)
     original = paced.try_plan
@@ -83,14 +83,14 @@ def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     ("residual_m", "force", "by_all"),
     [
         (1e-3, 1.0, False),  # everything is far within
-        (5.1e-5, 1.0, True),  # one run is, and the forecast of other days is not: 85 % of the limit
-        (1e-3, 0.0159, True),  # and the other way round: the run uses 90 % of what the servo has
+        (5.1e-5, 1.0, True),  # one run is far within, but other days use 85 % of the limit
+        (1e-3, 0.0159, True),  # other days are far within, but the run uses 90 % of the force
     ],
 )
 def test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within(
     residual_m: float, force: float, by_all: bool, job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of speeds within an interval; its ends are always judged by all runs."""
+    """This holds for speeds inside an interval; all runs always judge its ends."""
     limits = {"stitch_residual": residual_m, "servo_force": force}
     criteria = tuple(replace(c, limit=limits.get(c.name, c.limit)) for c in SPEC.criteria)
     runs: dict[float, int] = {}
@@ -122,7 +122,7 @@ def test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within(
 def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
     job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Everything is far within, were it asked of one run: what is answered still passes twenty."""
+    """One run finds every speed far within the limits; the answer still passes twenty runs."""
     monkeypatch.setattr(shaft, "_far_within", lambda *_: True)
     found = shaft.constant_speeds(
         Question(job=job, machine=MACHINE, spec=SPEC, options=Options(), trials=Trials(repeats=20)),
@@ -136,7 +136,7 @@ def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
 
 
 def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
-    """Whatever the search finds on its way: every other hundredth passes here."""
+    """Here every other hundredth of the speed passes, so the search has much to find on its way."""
     reports: list[float] = []
 
     def judged(feed: float) -> Verdict:
@@ -159,7 +159,7 @@ def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
 def test_the_tolerance_that_was_found_is_typed_back_in_millimetres(
     design: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The command that is printed plans the same motion, to the last bit of its duration."""
+    """The printed command plans the same motion, to the last bit of its duration."""
     words = ["fastest", str(design), "-m", "schiffli-frame", "--nominal"]
     with pytest.raises(SystemExit):
         main([*words, "--json", "--low", "60 stitch/min", "--high", "70 stitch/min"])

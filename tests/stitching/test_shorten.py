@@ -1,4 +1,4 @@
-"""Schedules of a wide band of modes, made shorter by linear programs: against sums of swings."""
+"""Linear programs shorten the schedules of a wide band of modes; sums of swings check them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from threadline.motion.laws import law
 
 MACHINE = load_machine("schiffli-frame")
 SINE = law("modified-sine")
-FIRST, END = 109, 136  # turns of the rosette: from its long stitches into its circle of 1.8 mm
-CHANGE = 4.0 / 3.0 * 3.0 / (2.0 * np.pi)  # of the square of the speed, by the spindle, 1/s^2
+FIRST, END = 109, 136  # turns of the rosette, from its long stitches into its circle of 1.8 mm
+CHANGE = 4.0 / 3.0 * 3.0 / (2.0 * np.pi)  # by the spindle, of 1 / turn^2, 1/s^2
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def passage() -> tuple[Moves, np.ndarray]:
 def test_a_passage_between_the_speeds_of_the_grid_is_found(
     passage: tuple[Moves, np.ndarray],
 ) -> None:
-    """The search on the grid stays slow for the whole circle: 16.6 s. Another search: 13.5 s."""
+    """The search on the grid stays slow in the whole circle (16.6 s); a second one takes 13.5 s."""
     _, turn_s = passage
     assert total_s(turn_s, 1.0 / 3.0) <= 1.05 * 13.5
 
@@ -40,7 +40,7 @@ def test_a_passage_between_the_speeds_of_the_grid_is_found(
 def test_it_is_within_the_tolerance_by_another_sum_of_swings(
     passage: tuple[Moves, np.ndarray],
 ) -> None:
-    """Modes 0.3 % apart over +-5 %, with damping times 0.7, 1 and 1.3, and the spindle's limit."""
+    """The sum takes modes 0.3 % apart over +-5 %, and 0.7, 1 and 1.3 times the damping."""
     moves, turn_s = passage
     ways_m = np.asarray(moves.units * 1e-4, dtype=np.float64)
     left_m = swings_left(
@@ -53,7 +53,7 @@ def test_it_is_within_the_tolerance_by_another_sum_of_swings(
 
 @pytest.mark.long(shown_by="test_a_passage_between_the_speeds_of_the_grid_is_found")
 def test_no_stitch_of_a_whole_design_is_left_over_the_tolerance() -> None:
-    """Schedules of 110.4 s with one stitch 0.2 % over are near; another search found 110.6 s."""
+    """A second search found 110.6 s; with one stitch 0.2 % over the tolerance 110.4 s would do."""
     file = Path(__file__).resolve().parents[2] / "examples" / "rosette.dst"
     moves = stitch(read_job(file, MACHINE), MACHINE, SINE, 1e-4, 0.6).turns.moves
     turn_s = Pace(MACHINE, SINE, 1e-4, 0.25).scheduled(moves).turn_s

@@ -1,4 +1,4 @@
-"""A frame driven by steps: against an integrator that knows nothing of power series."""
+"""The twin of a frame driven by steps, against an integrator without power series."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def commands(
     chunk: int = 100,
     stretched: float = 1.0,
 ) -> StepPlay:
-    """Return turns of ``stretched`` times the shortest, by angle where they are stretched."""
+    """Return turns of ``stretched`` times the shortest duration, counted by angle if stretched."""
     count = len(table)
     begin = np.rint(TURN * stretched * np.arange(count)).astype(np.int64)
     blocks = [
@@ -69,7 +69,7 @@ def commands(
 
 @pytest.mark.parametrize("stretched", [1.0, 1.2345])
 def test_steps_are_placed_exactly_in_time(stretched: float) -> None:
-    """Ten steps at odd instants on X, seven on Y: DOP853, restarted at each, to 1e-13 m."""
+    """The axes get steps at odd instants, ten on X and seven on Y; DOP853 restarts at each step."""
     library = (
         StepTable(units=1, intervals=np.array([7, 9001, 130_007, 3, 55_555, 1, 1, 800_000, 5, 77])),
         StepTable(units=2, intervals=np.array([15_999, 1, 16_001, 123_456, 700_000, 17, 2])),
@@ -113,7 +113,7 @@ def test_steps_are_placed_exactly_in_time(stretched: float) -> None:
 
 @pytest.mark.parametrize("frequency", [8.0, 12.0, 25.0])
 def test_what_a_move_leaves_is_what_the_law_leaves(frequency: float) -> None:
-    """With a stiff servo, 16.5 mm in 120 ms: the amplitude of the closed form, to 1 %."""
+    """On a stiff servo, 16.5 mm in 120 ms leave the closed form's amplitude within 1 %."""
     stiffness = 1000.0 * (2.0 * np.pi * frequency) ** 2
     machine = with_numbers(
         MACHINE,
@@ -158,7 +158,7 @@ def test_it_is_the_same_however_it_is_cut_and_ends_where_it_was_sent() -> None:
 
 
 def test_a_long_stretch_is_recorded_in_short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A drive's clock of 1 us makes a hundred million samples of some turns: not all at once."""
+    """A drive's clock of 1 us makes a hundred million samples of some turns; blocks hold a few."""
     tables = step_tables(
         law("cycloidal"), window_s=Fraction(12, 100), timer_s=TIMER, steps_per_unit=48,
         longest_units=20,
@@ -181,7 +181,7 @@ def test_a_long_stretch_is_recorded_in_short_blocks(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_force_is_what_moves_both_masses() -> None:
-    """F = M a of 1150 kg on a link that is stiff and damped; staircase and lag cost 5 %."""
+    """F = M a of 1150 kg on a link that is stiff and damped; steps and lag account for 5 %."""
     tables = step_tables(
         law("modified-sine"), window_s=Fraction(12, 100), timer_s=TIMER, steps_per_unit=48,
         longest_units=165,
@@ -195,7 +195,7 @@ def test_the_force_is_what_moves_both_masses() -> None:
 
 
 def test_the_needle_is_down_between_its_angles() -> None:
-    """At an even speed from 120 to 330 degrees of each turn of 360 ms: 120 to 330 ms."""
+    """Turns of 360 ms at an even speed keep it down from 120 to 330 degrees: 120 to 330 ms."""
     tables = (StepTable(units=1, intervals=np.full(48, 1000)),)
     recording = simulate_stitching(commands(tables, [[0, -1]] * 3, [[1, 0]] * 3), MACHINE)
     times, down = recording.samples("needle")

@@ -1,4 +1,4 @@
-"""A recording of a frame beside its stitches: the right stitch fails, and what lacks passes not."""
+"""The verdict on a recording of a frame names the stitch at fault and passes no missing sample."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def proof() -> Proof:
 
 
 def changed(change) -> Recording:
-    """Return the recording with each block's samples changed."""
+    """Return the recording with the samples of each block changed."""
     recording = proof().recording
 
     def blocks():
@@ -49,7 +49,7 @@ def changed(change) -> Recording:
 
 
 def test_the_stitch_that_is_off_is_named() -> None:
-    """The frame is pushed by 0.3 mm while the needle is in for the 100th time, and at no other."""
+    """The test pushes the frame by 0.3 mm only while the needle is in for the 100th time."""
     plan = proof().plan
     turn = int(np.flatnonzero(plan.stitched.turns.moves.needle)[99])
     when = plan.stitched.turns.begin[turn] / 16e6
@@ -74,7 +74,7 @@ def test_the_stitch_that_is_off_is_named() -> None:
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
 @pytest.mark.parametrize("far_s", [0.0, 0.3])
 def test_a_sample_that_cannot_be_is_refused_wherever_it_lies(value: float, far_s: float) -> None:
-    """One that no stitch is judged by was passed over, on frames and placers."""
+    """A bad sample that judges no stitch was once passed over, on frames and on placers."""
     plan = proof().plan
     turn = int(np.flatnonzero(plan.stitched.turns.moves.needle)[99])
     when = plan.stitched.turns.begin[turn] / 16e6
@@ -89,7 +89,7 @@ def test_a_sample_that_cannot_be_is_refused_wherever_it_lies(value: float, far_s
 
 
 def test_a_stitch_is_out_where_either_axis_is() -> None:
-    """Two stitches are off in X, two in Y, one of them in both: three are out."""
+    """Two stitches are off in X and two in Y, one of them in both, so three are out."""
     plan = proof().plan
     turns = np.flatnonzero(plan.stitched.turns.moves.needle)
     off = {"X.load": (20, 40), "Y.load": (40, 60)}
@@ -108,7 +108,7 @@ def test_a_stitch_is_out_where_either_axis_is() -> None:
 
 
 def test_the_picture_draws_the_way_of_every_stitch() -> None:
-    """Those out of spec too, each with a cross; travel is drawn as well."""
+    """It draws stitches out of spec too, each with a cross, and it draws travel."""
     fast = prove(
         EXAMPLES / "rosette.dst", MACHINE, SPEC, Options(feed=parse_feed("120 stitch/min"))
     )
@@ -121,7 +121,7 @@ def test_the_picture_draws_the_way_of_every_stitch() -> None:
 
 
 def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:
-    """The table beside a report: its worst rows are the verdict's, and its places the design's."""
+    """The worst rows of the table are the stitches that the verdict names."""
     write_report(report_data(proof()), tmp_path)
     with (tmp_path / "report-stitches.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -141,10 +141,10 @@ def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:
         # Between two blocks the frame travels: a turn without a stitch.
         assert np.isclose(ways, sewn, atol=1e-6).sum() >= len(sewn) - 1
     used = max(float(row["window_use"]) for row in rows)
-    # The largest of all may be that of a travel; the table has five digits.
+    # The largest of all may be a travel's; the table has five digits.
     assert 0.3 < used <= verdict.result("window_use").measured * (1.0 + 1e-5)
     slow = [row for row in rows if float(row["alone it can at [stitch/min]"]) < 60.0]
-    # Swings that cancel let them be sooner than alone, and still slower than the usual stitch.
+    # Cancelling swings let these stitches be faster than alone, but slower than the usual one.
     speeds = [float(row["speed [stitch/min]"]) for row in rows]
     assert slow
     assert max(float(row["speed [stitch/min]"]) for row in slow) < np.median(speeds)
@@ -186,9 +186,9 @@ def test_without_a_needle_or_a_load_nothing_is_measured() -> None:
 
 @pytest.mark.parametrize("name", ["needle", "Y.load", "X.torque_share"])
 def test_a_channel_that_is_lost_for_a_while_hides_no_stitch(name: str) -> None:
-    """3 mm off within the 100th stay of the needle; one channel is lost just then.
+    """The load is 3 mm off during the 100th stay of the needle, while one channel is lost.
 
-    Without the needle's samples the stay went on behind the gap, and all stitches passed.
+    Once, without the needle's samples, the stay went on behind the gap and all stitches passed.
     """
     recording, plan = proof().recording, proof().plan
     turn = int(np.flatnonzero(plan.stitched.turns.moves.needle)[99])
@@ -230,7 +230,7 @@ def test_channels_of_other_instants_than_the_needle_are_not_measured() -> None:
 
 
 def test_what_no_window_holds_fails_and_is_told_its_speed() -> None:
-    """Full speed with half of the acceleration: 16.5 mm needs 1.414 times the window."""
+    """At full speed with half of the acceleration, 16.5 mm need 1.414 times the window."""
     soft = load_machine("schiffli-frame")
     axes = {
         name: replace(axis, acceleration=replace(axis.acceleration, si=3.165))
@@ -243,7 +243,7 @@ def test_what_no_window_holds_fails_and_is_told_its_speed() -> None:
 
     (found,) = measure_tables(plan)["window_use"]
     assert found.value == pytest.approx(np.sqrt(2.0), rel=1e-3)
-    # Half of the acceleration is enough for half of the way: 8.25 mm.
+    # Half of the acceleration is enough for half of the length: 8.25 mm.
     long = int((np.abs(plan.stitched.turns.moves.units).max(axis=1) > 82).sum())
     assert found.note == (
         f"block 2, stitch 172; {long} of 186 turns; it can at 117.8 stitches a minute"

@@ -1,4 +1,4 @@
-"""Stored runs: what is written before anything moves, and what a crash leaves."""
+"""A run is stored from before anything moves, and a crash loses at most a second of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trajectories and jobs in few words, for the tests of this folder."""
+"""Trajectories and jobs in few words, for the tests of targets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HERE = Source("made.prg", 7)
 
 
 def winder(**counts_per_unit: float) -> Machine:
-    """The winder, with other scales."""
+    """Return the winder with other scales."""
     machine = load_machine("lathe-winder")
     axes = dict(machine.axes)
     for name, scale in counts_per_unit.items():
@@ -34,7 +34,7 @@ def polynomials(
     per_block: int = 10**9,
     historical: bool = False,
 ) -> Trajectory:
-    """Trajectory of (duration, coefficients (order, axes), operation), ``per_block`` at a time."""
+    """Return a trajectory of (duration, coefficients (order, axes), operation), in blocks."""
     durations = np.array([p[0] for p in pieces])
     start = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
     order = max(len(p[1]) for p in pieces)
@@ -57,7 +57,7 @@ def polynomials(
 def lines(
     points: Sequence[Sequence[float]], durations: Sequence[float], **options: object
 ) -> Trajectory:
-    """Straight lines between ``points``, one operation each."""
+    """Return straight lines between ``points``, each an operation."""
     pieces = [
         (d, [list(a), [q - p for p, q in zip(a, b, strict=True)]], i)
         for i, (a, b, d) in enumerate(zip(points, points[1:], durations, strict=False))
@@ -66,7 +66,7 @@ def lines(
 
 
 def job_of(operations: Sequence[Operation], axes: tuple[str, ...] = ("X",)) -> Job:
-    """A job that exists in memory only."""
+    """Return a job that exists in memory only."""
     return Job(
         name="made",
         file="made.prg",

@@ -1,4 +1,4 @@
-"""Numbers of an axis that turns without end, for firmwares that keep places in single precision."""
+"""Firmwares that store positions in single precision, and an axis that turns without end."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def xa(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 def planned(folder: Path, machine: Machine, layers: int, rest: str) -> Plan:
-    """Return the plan of layers that turn A on by 40 000 deg each, with a rest behind each."""
+    """Return the plan of layers that each turn A on by 40 000 deg and then rest."""
     lines = ["G21 G90", "G1 X0 A0 F1000000"]
     for layer in range(1, layers + 1):
         lines += [f"G1 X{10 * (layer % 2)} A{40_000 * layer}.25", rest]
@@ -39,7 +39,7 @@ def planned(folder: Path, machine: Machine, layers: int, rest: str) -> Plan:
 def test_whole_turns_are_taken_off_where_the_job_rests(
     tmp_path: Path, xa: Machine, target: str, word: str
 ) -> None:
-    """As a single-precision number no written place is off by a hundredth of a degree."""
+    """Each written position differs from its single-precision number by less than 0.004 degrees."""
     plan = planned(tmp_path, xa, 5, "G4 P0.5")
     path = tmp_path / "out.gcode"
     write(plan, target, path)

@@ -1,7 +1,7 @@
-"""Programs for firmwares: few blocks, within the tolerance, at the planned speeds, read by others.
+"""Programs for firmwares have few blocks, within the tolerance, at the planned speeds.
 
-The written text is split by a parser of three lines here, and the distance of the sampled
-trajectory from it measured, in order.
+A parser of three lines reads the written text, and the tests measure the distance of the sampled
+trajectory from the blocks, in order.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def plan(folder: Path, machine: Machine, text: str, **options: object) -> Plan:
 
 
 def blocks(text: str) -> list[tuple[dict[str, float], float]]:
-    """Where each G1 ends and its F, by a reader that knows nothing else."""
+    """Return the end and the F of each G1, by a reader that shares no code with the writer."""
     at, feed, found = {"X": 0.0, "Y": 0.0, "A": 0.0}, 0.0, []
     for line in text.splitlines():
         words = {w[0]: float(w[1:]) for w in re.findall(r"[A-Z]-?[0-9.]+", line)}
@@ -71,10 +71,10 @@ def blocks(text: str) -> list[tuple[dict[str, float], float]]:
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str) -> None:
-    """There and back in steps of 1 mm at one feed: a block each way, F as programmed.
+    """A way there and back in steps of 1 mm at one feed is a block each way, with F as programmed.
 
-    Where it turns no block of a thousandth of a millimetre stands between them; the planner's
-    tolerance cuts 0.1 mm off the turning point, and that is said.
+    No block of a thousandth of a millimetre stands at the turning point; the planner's tolerance
+    cuts 0.1 mm off there at most, and the warnings say by how much.
     """
     lines = [f"X{x}" for x in [*range(1, 31), *range(29, -1, -1)]]
     halt = ["M0"] if BOARDS[target].stops else []
@@ -105,7 +105,7 @@ def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str)
 
 @pytest.mark.parametrize("target", ["grbl", "marlin"])
 def test_a_winding_stays_within_its_tolerance(tmp_path: Path, xya: Machine, target: str) -> None:
-    """A helix with rounded ends: every sample of the plan within 0.02 mm of the blocks."""
+    """Every sample of the plan of a helix with rounded ends is within 0.02 mm of the blocks."""
     text = ["G1 F3000"]
     for k in range(1, 3):
         text += [f"X{20 * (k % 2)} A{60 * k} Y{5 * (k % 3)}", f"A{60 * k + 20}"]
@@ -128,7 +128,7 @@ def test_a_winding_stays_within_its_tolerance(tmp_path: Path, xya: Machine, targ
         assert away.min() <= 0.0202
         low += int(np.flatnonzero(away <= 0.0202)[0])
     assert len(chain) - low <= 3
-    # No block is faster than the job's feed by grbl's own length, and the cruise is there.
+    # By grbl's own length no block is faster than the job's feed, and one reaches it.
     if target == "grbl":
         assert max(f for _, f in found) == pytest.approx(3000.0, rel=0.02)
 
@@ -143,7 +143,7 @@ def test_a_change_of_feed_ends_a_block(tmp_path: Path, xya: Machine) -> None:
 
 
 def test_the_time_of_the_firmware_s_own_planner_is_told(tmp_path: Path, xya: Machine) -> None:
-    """One move of 20 mm at 10 mm/s: L / v + v / a, of a machine that has that planner."""
+    """A move of 20 mm at 10 mm/s takes L / v + v / a on a machine with grbl's planner."""
     deviation = parse_machine_quantity("0.01 mm exact, assumed", ("m",))
     own = replace(xya, planner=GrblPlanner(kind="grbl", junction_deviation=deviation))
     made = plan(tmp_path, own, "G1 X20 F600\nM30\n")
@@ -160,7 +160,7 @@ def test_the_time_of_the_firmware_s_own_planner_is_told(tmp_path: Path, xya: Mac
 def test_what_is_not_the_plan_is_not_written(
     tmp_path: Path, xya: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ends that come back 0.1 mm off: an error, and no file."""
+    """When the ends read back 0.1 mm off, there is an error and no file."""
     made = plan(tmp_path, xya, "G1 X5 F600\nM30\n")
     usual = firmware_program._decimal
     monkeypatch.setattr(firmware_program, "_decimal", lambda v: usual(v + 0.1) if v else "0")
@@ -171,7 +171,7 @@ def test_what_is_not_the_plan_is_not_written(
 
 @pytest.mark.linuxcnc
 def test_linuxcnc_takes_what_is_written_for_it(tmp_path: Path, xya: Machine) -> None:
-    """Its interpreter ends every block where it was written, to the 4 decimals of both."""
+    """LinuxCNC's interpreter ends every block where it was written, within one fourth decimal."""
     rs274 = shutil.which("rs274")
     if rs274 is None:
         pytest.skip("rs274 (Debian's linuxcnc-uspace) is not installed")
@@ -188,7 +188,7 @@ def test_linuxcnc_takes_what_is_written_for_it(tmp_path: Path, xya: Machine) -> 
 def test_the_command_says_what_it_wrote(
     tmp_path: Path, examples: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """x-180 for grbl: a handful of blocks where the timed program has thousands of lines."""
+    """x-180 needs a handful of blocks for grbl, but thousands of lines as a timed program."""
     out = tmp_path / "x.gcode"
     with pytest.raises(SystemExit) as stopped:
         main(["compile", str(examples / "x-180.prg"), "-m", "lathe-winder", "--target", "grbl",
@@ -201,10 +201,11 @@ def test_the_command_says_what_it_wrote(
 
 
 def test_klipper_gets_the_shaper_of_each_mode(tmp_path: Path) -> None:
-    """The eye of the stepper winder on its belt, the motor held: f = sqrt(k/m) / 2 pi.
+    """The eye of the stepper winder swings on its belt while the motor holds: f = sqrt(k/m) / 2 pi.
 
-    60 kN/m and 1.2 kg, 25 N s/m of the belt and 8 of the rollers. Whatever type is named leaves
-    at most 5 % of that mode within 10 %, by the impulses and the phasor sum written out here.
+    The belt has 60 kN/m, the eye 1.2 kg; the belt damps with 25 N s/m, the rollers with 8. Every
+    named type leaves at most 5 % of that mode within 10 %, by the impulses and the phasor sum
+    below.
     """
     machine = load_machine("stepper-winder")
     made = plan(tmp_path, machine, "O1\nG1 X30 F1200\nM30\n")
@@ -229,7 +230,7 @@ def test_klipper_gets_the_shaper_of_each_mode(tmp_path: Path) -> None:
 
 
 def left(train: Shaper, hz: float, zeta: float) -> float:
-    """Return the share of a mode that a train leaves, by the sum of its phasors."""
+    """Return the share of a mode that a train of impulses leaves, by the sum of its phasors."""
     w = 2.0 * math.pi * hz
     decayed = train.amplitudes * np.exp(-zeta * w * (train.times_s[-1] - train.times_s))
     turned = np.exp(1j * w * math.sqrt(1.0 - zeta**2) * train.times_s)
@@ -248,9 +249,10 @@ def words_of(line: str) -> dict[str, float]:
 
 
 def test_marlin_gets_the_damped_frequency(tmp_path: Path) -> None:
-    """Marlin's echo comes half a period of F later, and of 128 parts: F is the damped frequency.
+    """F is the damped frequency, because Marlin's second impulse comes half a period of F later.
 
-    1 / (1 + K) first, K / (1 + K) then, K = exp(-pi zeta / sqrt(1 - zeta^2)), to a 128th.
+    The first impulse is 1 / (1 + K) and the second K / (1 + K), with K = exp(-pi zeta / sqrt(1 -
+    zeta^2)), within 1 / 128.
     """
     machine = load_machine("stepper-winder")
     head = head_of(tmp_path, machine, "marlin")
@@ -275,8 +277,8 @@ def test_marlin_gets_the_damped_frequency(tmp_path: Path) -> None:
 def test_reprapfirmware_gets_one_shaper_for_all(tmp_path: Path) -> None:
     """One train leaves at most 5 % of the modes of X and A within 10 %, and no shorter one does.
 
-    X: 60 kN/m and 1.2 kg; A's mode is read from what is told. ZVD, by which one may see that the
-    train is theirs: 1, 2 k, k^2 over (1 + k)^2, half a damped period apart
+    X has 60 kN/m and 1.2 kg; the mode of A is read from the file's head. ZVD shows that the trains
+    are RepRapFirmware's: 1, 2 k and k^2 over (1 + k)^2, half a damped period apart
     (``AxisShaper::Configure``).
     """
     machine = load_machine("stepper-winder")
@@ -310,7 +312,7 @@ def test_reprapfirmware_gets_one_shaper_for_all(tmp_path: Path) -> None:
 
 
 def test_one_shaper_lies_between_two_modes() -> None:
-    """30 and 34 Hz: one train leaves at most 5 % of both within 10 %; of 10 and 97 Hz none does."""
+    """One train leaves at most 5 % of 30 and 34 Hz within 10 %, but none of 10 and 97 Hz."""
     near = [FlexibleMode(frequency_hz=f, damping_ratio=0.05) for f in (30.0, 34.0)]
     found = shortest_for_all(near)
     assert found is not None and 30.0 <= found.frequency_hz <= 34.0
@@ -325,7 +327,7 @@ def test_one_shaper_lies_between_two_modes() -> None:
 def test_a_firmware_is_refused_what_it_has_no_word_for(
     tmp_path: Path, xya: Machine, target: str
 ) -> None:
-    """M0 is no word of Klipper, and ends the job in RepRapFirmware (``GCodes2.cpp``)."""
+    """M0 is no word of Klipper, and in RepRapFirmware it ends the job (``GCodes2.cpp``)."""
     made = plan(tmp_path, xya, "G1 X30 F1200\nM0\nG1 X0\nM30\n")
     with pytest.raises(PlanError, match=rf"program for {target}: M0 \(line 2\)"):
         write(made, target, tmp_path / "out.gcode")
@@ -333,7 +335,7 @@ def test_a_firmware_is_refused_what_it_has_no_word_for(
 
 
 def test_a_feed_that_replaces_the_programmed_ones_is_written(tmp_path: Path, xya: Machine) -> None:
-    """With --feed the program is as fast as the plan: F of the job caps nothing."""
+    """With --feed the program is as fast as the plan; no F of the job limits it."""
     feed = parse_feed("3000 mm/min")
     as_it_is = plan(tmp_path, xya, "G1 X60 A110 F1200\nX0 A0\nM30\n")
     faster = plan(tmp_path, xya, "G1 X60 A110 F1200\nX0 A0\nM30\n", feed=feed)
@@ -342,14 +344,14 @@ def test_a_feed_that_replaces_the_programmed_ones_is_written(tmp_path: Path, xya
     assert max(f for _, f in blocks(out.read_text())) == pytest.approx(1200.0, rel=1e-3)
     write(faster, "grbl", out)
     found = blocks(out.read_text())
-    # 3000 mm/min of one axis is more of both together, as grbl counts F.
+    # 3000 mm/min along one axis is a higher F of both together, as grbl counts.
     assert max(f for _, f in found) >= 3000.0
-    # Ends are rounded: what that makes of a constant speed begins no new block.
+    # Rounded ends change a constant speed a little; that begins no new block.
     assert len(found) <= 4
 
 
 def test_linuxcnc_s_own_time_is_that_of_its_blends(tmp_path: Path, xya: Machine) -> None:
-    """One move of 20 mm at 10 mm/s: L / v + v / a; the program's own P counts."""
+    """A move of 20 mm at 10 mm/s takes L / v + v / a, and the program's own P counts."""
     own = replace(xya, planner=LinuxCncPlanner(kind="linuxcnc", exact_stop=True))
     made = plan(tmp_path, own, "G1 X20 F600\nM30\n")
     (file,) = write(made, "linuxcnc", tmp_path / "out.ngc")
@@ -363,7 +365,7 @@ def test_linuxcnc_s_own_time_is_that_of_its_blends(tmp_path: Path, xya: Machine)
 def test_an_axis_that_moves_before_the_job_names_it_is_told(
     tmp_path: Path, first: str, early: bool
 ) -> None:
-    """The rounded corner before a descent would move Z from the program's zero while it crosses."""
+    """The rounded corner before a descent would move Z before the job names it."""
     machine = made_machine(tmp_path, "XYZ", "A", '[programs]\nfeed_mode = "grbl"\n')
     text = f"G21 G90\n{first}\nG0 Z7\nG1 X40 F1000\nG0 X0 Y0\nM30\n"
     found = plan(tmp_path, machine, text, dialect="grbl", interpolation="auto")
@@ -375,7 +377,7 @@ def test_an_axis_that_moves_before_the_job_names_it_is_told(
 def test_a_plan_is_read_once_for_all_passes(
     tmp_path: Path, xya: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The program is written and read back; a plan too long to keep gives the same program."""
+    """Its program is written and read back; a plan too long to keep gives the same program."""
     zigzag = "".join(f"G1 X{10 + k % 3} A{40 * (k % 2)} F6000\n" for k in range(12))
     made = plan(tmp_path, xya, f"G21 G90\n{zigzag}M2\n", interpolation="auto")
     reads = []

@@ -1,4 +1,4 @@
-"""The writer of part programs against the reader: read, write, read is the identity."""
+"""The writer of part programs against the reader: read, write, read changes nothing."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MACHINE = load_machine("lathe-winder")
 
 
 def said(operation: Operation) -> tuple[object, ...]:
-    """All that an operation says, but where it stood."""
+    """Return the content of an operation without its place."""
     if isinstance(operation, Move):
         return ("move", operation.target, operation.feed, dict(operation.tags))
     fields = [
@@ -65,7 +65,7 @@ def blocks(draw: st.DrawFn) -> str:
 
 @st.composite
 def programs(draw: st.DrawFn) -> str:
-    """A main program with calls of two subroutines, one of which calls the other."""
+    """A main program calls two subroutines, and one of these calls the other."""
     body = st.lists(blocks(), min_size=1, max_size=6)
     lines = ["%", "O 7", *draw(body), "M99", "O 8", *draw(body)]
     lines += [f"M98 P7 L{draw(st.integers(1, 2))}", *draw(body), "M99", "O 1", "G91 G1 F600 A1"]
@@ -122,7 +122,7 @@ def test_other_meanings_of_f_come_back_too(tmp_path: Path, examples: Path, mode:
 def test_any_position_is_written_to_the_last_digit(
     tmp_path_factory: pytest.TempPathFactory, radians: float, metres: float
 ) -> None:
-    """Positions that no decimal gives are off by two units in the last place at most.
+    """Positions without an exact decimal are off by two units in the last place at most.
 
     Below 1e-12 m or rad the 17 decimals of the dialect are the limit, 1e-17 of its unit.
     """
@@ -143,7 +143,7 @@ def test_any_position_is_written_to_the_last_digit(
 
 
 def test_what_a_part_program_cannot_say_is_refused(tmp_path: Path) -> None:
-    """An output has no word; no file is left behind, whole or in part."""
+    """An output has no word; no file is left, whole or in part."""
     job = Job(name="made", file="made", sha256="", axes=("A", "X", "Y"), start=(0.0,) * 3,
               operations=Stream.of([SetOutput("valve", 1.0, Source("made", 4))]))  # fmt: skip
     with pytest.raises(PlanError, match=r"made:4: .* has no word for the output 'valve'"):
@@ -169,7 +169,7 @@ def test_blocks_are_as_in_the_printed_listing(examples: Path) -> None:
 
 
 def test_a_subroutine_too_long_to_be_held_is_written_out_whole() -> None:
-    """Both passes, block by block; one block less is held, and folded."""
+    """Both passes, block by block; with one block less it is held, and folded."""
     for length, folded in ((MAX_BODY + 1, False), (MAX_BODY, True)):
         blocks = [
             OutBlock(1, f"X{k % length}", passes=(k // length + 1,)) for k in range(2 * length)
@@ -199,7 +199,7 @@ def passes(count: int, *words: str, feed: int | None = None) -> list[OutBlock]:
 
 
 def test_bodies_that_are_held_together_are_not_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What does not fit beside those that are held is written out, and what still fits is held."""
+    """A body that does not fit beside those kept is written out; a body that still fits is kept."""
     monkeypatch.setattr(nc, "_MAX_KEPT", 5)
     first, second = passes(2, "X1", "X2", "X3"), passes(2, "X4", "X5", "X6")
     assert written([*first, *second, *passes(2, "X7", "X8")]) == [2, *[0] * 6, 2]
@@ -226,7 +226,7 @@ def test_each_call_stays_a_call_with_its_own_count(tmp_path: Path) -> None:
 def test_fanuc_has_as_many_subprograms_as_four_digits_leave(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The main program is number 1, so the last number is that of the one before it."""
+    """The main program is number 1, so the last number belongs to the one before it."""
     monkeypatch.setattr(nc, "_MOST_FANUC", 3)
     for count in (2, 3):
         bodies = "".join(f"O{k}\nX{k}\nM99\n" for k in range(7, 7 + count))

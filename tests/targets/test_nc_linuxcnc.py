@@ -1,4 +1,4 @@
-"""LinuxCNC's own interpreter as the oracle of writer and reader.
+"""LinuxCNC's own interpreter as the reference for writer and reader.
 
 ``rs274 -g`` prints the canonical moves that a program would send to the machine, with four
 decimals; ends are compared to half of the last one. In CI its absence is a failure.
@@ -96,10 +96,10 @@ def assert_same_end(call: Canonical, operation: Move, unit: float = 1.0) -> None
 def test_linuxcnc_ends_every_move_where_we_do(
     rs274: str, tmp_path: Path, examples: Path, name: str, subroutines: bool
 ) -> None:
-    """Each straight feed ends where ours does, and takes the time that ours takes.
+    """Each straight feed has the same end and the same time as here.
 
-    LinuxCNC turns G93 into a rate along X Y Z (A alone: along A); length over rate is the time,
-    to the 4 decimals with which the rate is printed.
+    LinuxCNC turns G93 into a rate along X Y Z (A alone: along A); length over rate is the time, to
+    the 4 decimals with which the rate is printed.
     """
     job = read_job(examples / name, MACHINE)
     write_part_program(
@@ -125,7 +125,7 @@ def test_linuxcnc_ends_every_move_where_we_do(
 
 
 def random_program(rng: random.Random) -> str:
-    """A program in the words that both dialects have, calls of nested subroutines included."""
+    """A program in the words of both dialects, calls of nested subroutines included."""
 
     def body(count: int) -> list[str]:
         lines = []
@@ -136,7 +136,7 @@ def random_program(rng: random.Random) -> str:
             elif kind < 0.15:
                 lines.append(f"G4 P{rng.randint(1, 50) / 100}")
             elif kind < 0.2:
-                # Absolute only: LinuxCNC takes the words of an incremental G28 in its own way.
+                # Absolute only: LinuxCNC reads the words of an incremental G28 in its own way.
                 lines.append("G90 G28" + rng.choice(["", " X3", " A12.5 Y-1"]))
             else:
                 names = rng.sample("AXY", rng.randint(1, 3))
@@ -172,7 +172,7 @@ def test_both_read_the_same_program_alike(rs274: str, tmp_path: Path, seed: int)
 
 
 def moving(moves: list[Move]) -> list[Move]:
-    """The moves that go anywhere, as ``moves_of`` keeps of the other side."""
+    """Return the moves with motion, like ``moves_of`` for the other side."""
     kept: list[Move] = []
     last: tuple[float, ...] = (0.0, 0.0, 0.0)
     for operation in moves:

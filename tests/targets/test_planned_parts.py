@@ -1,4 +1,4 @@
-"""Into how many chords a piece is divided, against the distance of its chords from it."""
+"""The number of chords of a piece, and the distance of these chords from it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROUNDED_M = 1e-9
 
 
 def chords(pieces, tolerance_m: float) -> list[int]:
-    """Return into how many moves each piece, a move of the job, is divided as it is written."""
+    """Return the number of moves into which each piece, a move of the job, is divided."""
     moves = [Move(tuple(c.sum(axis=0)), Feed(FeedMode.RAPID, 0.0), HERE) for c in pieces]
     timed = polynomials([(1.0, c.tolist(), i) for i, c in enumerate(pieces)], axes=AXES)
     made = list(planned_job(job_of(moves, AXES), timed, winder(), tolerance_m))
@@ -68,7 +68,7 @@ def test_a_straight_piece_is_one_chord() -> None:
 
 
 def test_a_corner_lies_between_its_slowest_moves() -> None:
-    """Into a reversal and out of it equally slowly: no slow piece of its own behind the corner."""
+    """Into a reversal and out of it equally slowly: no slow piece of its own after the corner."""
     x = np.array([0.0, 0.1, 0.1 + 2e-5, 0.1, 0.0])
     points = np.column_stack([x, np.zeros(5)])
     speeds = np.array([0.036, 0.006, 0.006, 0.036])

@@ -1,4 +1,4 @@
-"""Step tables cut from a law: counts, sums, rounding, rates, and what they leave on a mode."""
+"""Step tables cut from a law: counts, sums, rounding, rates, and their swing on a mode."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_positions_follow_the_law_within_a_step(tables: tuple[StepTable, ...]) -
 def test_the_residual_after_rounding_is_that_of_the_law(
     tables: tuple[StepTable, ...], frequency: float
 ) -> None:
-    """Steps of 2 um add up to the motion but for less than one of them."""
+    """Steps of 2 um add up to the motion, except for less than one of them."""
     mode = FlexibleMode(frequency, 0.02)
     for table in (tables[49], tables[164]):
         exact = residual_m(

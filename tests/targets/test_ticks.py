@@ -1,4 +1,4 @@
-"""Tick tables against the definition, written out in exact fractions and in plain loops."""
+"""Tick tables, compared with the definition in exact fractions and in plain loops."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_the_remainder_is_carried(scale: Fraction, per_tick: Fraction) -> None:
 
 @pytest.mark.parametrize("scale", [55_358.0, 62_294.0 / 3.0, 2015.7566394, 1e5 / 7.0])
 def test_a_million_ticks_lose_nothing(scale: float) -> None:
-    """There and back a hundred times over 1 000 000 ticks ends where it began, to the count."""
+    """Forth and back a hundred times over 1 000 000 ticks ends at the start, to the count."""
     ends = [0.0, 0.3137931]
     points = [[ends[k % 2]] for k in range(101)]
     machine = winder(X=scale)
@@ -93,7 +93,7 @@ def test_a_million_ticks_lose_nothing(scale: float) -> None:
 
 
 def test_the_start_is_rounded_once() -> None:
-    """Start and rows are of one rounding, wherever the trajectory starts."""
+    """Start and rows are rounded together, wherever the trajectory starts."""
     trajectory = lines([[-0.123456], [0.2]], [5.0], historical=True)
     table = compile_ticks(trajectory, winder())
 

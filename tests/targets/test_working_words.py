@@ -1,8 +1,7 @@
-"""Words that work a machine beside its axes: each at its place, or refused by name.
+"""Words that switch devices of a machine: each at its place, or refused by name.
 
-Programs are played here by a reader of a few lines that knows the modes alone (G0 or G1, spindle,
-S, coolant, position), once as they were written by hand and once as they were compiled; LinuxCNC's
-interpreter plays its own.
+A small reader that only knows the modes (G0 or G1, spindle, S, coolant, position) plays the
+programs here, once as written by hand and once as compiled; LinuxCNC's interpreter plays its own.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ PEN = (
     "G21\nG92 X0 Y0\nM300 S30\nG4 P150\nM18\nM17\nG1 X10 Y2 F3500\nM117 half way\nM300 S30.00\n"
     "G4 P150\nG0 X12 Y9 F6000\nM106 S255\nG1 X14\nM280 P0 S90\nG28 X\nM84\n"
 )
-NEAR_MM = 0.11  # the tolerance of the plan, and that of its chords
+NEAR_MM = 0.11  # the plan's tolerance plus its chords' tolerance
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +71,7 @@ def compiled(folder: Path, machine: Machine, text: str, target: str, **options: 
 
 
 def played(text: str) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Return each straight way: its modes, where it begins and where it ends, mm."""
+    """Return each straight way: its modes, its start and its end, mm."""
     at, found = np.zeros(2), []
     motion, spindle, power, coolant = "G0", "M5", "S0", "M9"
     for line in text.splitlines():
@@ -110,7 +109,7 @@ def stretches(text: str) -> list[tuple[str, np.ndarray, np.ndarray]]:
 def test_each_way_is_gone_in_the_modes_of_the_program(
     tmp_path: Path, machines: dict[str, Machine], text: str, interpolation: str
 ) -> None:
-    """Travel stays G0, and power and coolant change where they did, within the tolerance."""
+    """Travel stays G0, and power and coolant change at their places, within the tolerance."""
     near_mm = 3.0 if interpolation == "b-spline" else NEAR_MM  # which has no tolerance
     out = compiled(tmp_path, machines["grbl"], text, "grbl", interpolation=interpolation)
     wanted, found = stretches(text), stretches(out)
@@ -143,7 +142,7 @@ def test_random_programs_keep_their_modes(tmp_path: Path, machines: dict[str, Ma
 
 
 def test_words_of_a_line_go_over_as_they_are(tmp_path: Path, machines: dict[str, Machine]) -> None:
-    """For the firmware of the source: in order, travel as G0, messages alone left out."""
+    """For the firmware of the source: in order, travel as G0, only messages left out."""
     out = compiled(tmp_path, machines["klipper"], PEN, "klipper")
     lines = [line for line in out.splitlines() if not line.startswith(";")]
     others = [line for line in lines if not line.startswith(("G0 ", "G1 "))]
@@ -210,7 +209,7 @@ def test_a_g0_with_its_planned_time_is_told_and_is_dark(
 def test_a_mill_goes_in_g0_with_its_spindle_on(tmp_path: Path, spindle: str) -> None:
     """It plunges along Z, which no laser does; an output that is on stays on, too.
 
-    The same moves along X and Y alone may be those of a laser, and so may Z moves with it off.
+    The same moves along X and Y alone may be a laser's, and so may Z moves with it off.
     """
     text = f"G0 Z5\n{spindle}\nM64 P1\nG0 X10\nG1 Z-1 F300\nG1 Y10 F600\nG0 Z5\nG0 X0\nM5\nM2\n"
     machine = made_machine(tmp_path, "XYZ", "", '[programs]\ndialect = "linuxcnc"\n')
@@ -225,7 +224,7 @@ def test_a_mill_goes_in_g0_with_its_spindle_on(tmp_path: Path, spindle: str) -> 
 
 @pytest.mark.parametrize("length", ["G43 H1\nG0 Z15\n", "G43 Z15 H1\n"])
 def test_the_tool_goes_over_the_place_before_its_length_holds(tmp_path: Path, length: str) -> None:
-    """Over the place first, then down with G43: no chord before G43 moves Z, none behind G49."""
+    """Over the place first, then down with G43: no chord before G43 moves Z, none after G49."""
     machine = made_machine(tmp_path, "XYZ", "", '[programs]\ndialect = "linuxcnc"\n')
     text = f"M3 S900\nG0 X20 Y10\n{length}G1 Z-2 F300\nG0 Z15\nG49\nG0 X0 Y0\nM5\nM2\n"
     lines = compiled(tmp_path, machine, text, "linuxcnc").splitlines()
@@ -281,7 +280,7 @@ def test_the_command_ends_with_2_and_writes_nothing(
 
 
 def acting(job: Job) -> list[str]:
-    """Return what a job does, in order: its words, and where its moves end."""
+    """Return the actions of a job, in order: its words, and the ends of its moves."""
     found = []
     for item in job:
         if isinstance(item, Move):
@@ -297,15 +296,15 @@ def acting(job: Job) -> list[str]:
 @pytest.mark.parametrize(
     ("dialect", "text", "wanted"),
     [
-        # RS274/NGC switches before it moves; a Fanuc's M5 and M9 act behind the move.
+        # RS274/NGC switches before it moves; a Fanuc's M5 and M9 act after the move.
         ("grbl", "G1 X5 F600 M5\nX9\n", "M5,5,9,end"),
         ("fanuc", "G1 X5. F600 M5\nX9.\nM30\n", "5,M5,9,end"),
         ("fanuc", "G1 X5. F600 S9 M3\nX9.\nM30\n", "S9 M3,5,9,end"),
-        # A change of the tool comes before the move of its block, a stop behind it.
+        # A change of the tool comes before the move of its block, a stop after it.
         ("linuxcnc", "G1 X5 F600 T2 M6\nX9 M0\nM2\n", "T2 M6,5,9,M0,end"),
-        # grbl goes on behind M30 with spindle and coolant off.
+        # grbl goes on after M30 with spindle and coolant off.
         ("grbl", "M3 S9\nG1 X5 F600\nM30\nX9\n", "M3 S9,5,M5 M9,9,end"),
-        # The zero is where the job begins, and in which system, is said once.
+        # The zero is the job's start, and its system is named once.
         ("grbl", "G55\nG92 X7\nG1 X9 F600\nG92 X0\nX1\n", "G92 X0,G55,2,3,end"),
         ("marlin", "M280 P0 S90\nG28 X\nG1 X5 F600\n", "M280 P0 S90,0,G28 X,5,end"),
         ("marlin", "M0 Turn the part ; (2)\nM1 S5\nG1 X5 F600\n", "M0 Turn the part,M1 S5,5,end"),
@@ -324,7 +323,7 @@ def test_the_reader_knows_what_a_program_works(
 
 
 def test_words_are_events_at_their_places(tmp_path: Path, machines: dict[str, Machine]) -> None:
-    """The tick of each event is that at which X comes by its place, the motion going on."""
+    """The tick of each event is that at which X passes its place, while the motion goes on."""
     text = "M3 S0\nG1 X10 F3000 S100\nX20 S200\nX30 S300\nM5\n"
     made = plan(tmp_path, machines["grbl"], text)
     x = made.machine.axis_names.index("X")
@@ -343,7 +342,7 @@ def test_words_are_events_at_their_places(tmp_path: Path, machines: dict[str, Ma
 def test_a_dwell_behind_a_move_that_stays_is_written_once(
     tmp_path: Path, machines: dict[str, Machine]
 ) -> None:
-    """Plotters write the last point twice: the dwell behind it stays one, and so does its time."""
+    """Plotters write the last point twice: the dwell after it stays one, and so does its time."""
     text = "G1 X5 Y1 F3000\nG1 X5 Y1\nM300 S50\nG4 P150\nG1 X9\nG1 X9\nG4 P50\n"
     made = plan(tmp_path, machines["klipper"], text)
     write(made, "klipper", tmp_path / "out.nc")
@@ -357,7 +356,7 @@ def test_a_dwell_behind_a_move_that_stays_is_written_once(
 def test_linuxcnc_switches_where_the_program_did(
     tmp_path: Path, machines: dict[str, Machine]
 ) -> None:
-    """Its interpreter, asked what it calls: the same speeds and switches, at the same places."""
+    """Its interpreter prints its calls: the same speeds and switches, at the same places."""
     rs274 = shutil.which("rs274")
     if rs274 is None:
         pytest.skip("rs274 (Debian's linuxcnc-uspace) is not installed")
@@ -384,7 +383,7 @@ def test_linuxcnc_switches_where_the_program_did(
 
 
 def times_of(command: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[float, float]:
-    """Return both times that a command which writes one program tells."""
+    """Return both times that a command reports for a written program."""
     with pytest.raises(SystemExit) as stopped:
         main([*command, "--json"])
     said = capsys.readouterr()
@@ -396,7 +395,7 @@ def times_of(command: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[fl
 def test_a_program_is_not_slower_than_its_source_unless_told_to(
     tmp_path: Path, machines: dict[str, Machine], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A tenth of the limits makes slow chords: both times are said, and nothing is written."""
+    """A tenth of the limits makes slow chords: both times are printed, and nothing is written."""
     machine = str(machines["klipper"].reference)
     job, out = tmp_path / "zigzag.gcode", tmp_path / "out.gcode"
     ends = [(5 * k, 8 * (k % 2)) for k in range(1, 9)]
@@ -421,7 +420,7 @@ def test_a_program_is_not_slower_than_its_source_unless_told_to(
 def test_compare_shows_what_the_firmware_makes_of_the_program(
     tmp_path: Path, machines: dict[str, Machine], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Beside the planned time that of the written program; of ``firmware`` both are one."""
+    """Beside the planned time, the time of the written program; for ``firmware`` both are one."""
     machine, out = str(machines["klipper"].reference), str(tmp_path / "out.gcode")
     job = tmp_path / "line.gcode"
     job.write_text("G1 X20 Y5 F6000\nG1 X40 Y0\n")

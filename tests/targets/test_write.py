@@ -1,4 +1,4 @@
-"""The targets by name: what they write, what they refuse, and the part program of a plan."""
+"""The targets by name, their files and refusals, and the part program of a plan."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_plan_over_the_limits_leaves_no_file(tmp_path) -> None:
 
 
 def test_the_part_program_follows_the_plan_in_place_and_time(tmp_path) -> None:
-    """Its words, read by a few lines here: times add up, chords stay within 10 um, dwells stay."""
+    """A small reader of its words: times add up, chords stay within 10 um, dwells stay."""
     trajectory = polynomials(PIECES)
     write(plan_of(trajectory), "nc", tmp_path / "out.ngc")
     text = (tmp_path / "out.ngc").read_text()
@@ -140,7 +140,7 @@ def test_the_part_program_follows_the_plan_in_place_and_time(tmp_path) -> None:
             stops.append((words["M"], round(time_s, 9)))
     assert stops == [("dwell", 0.5), ("0", 1.75), ("dwell", 2.75), ("30", 4.75)]
     assert x_m == 0.0
-    assert 2e-6 < worst <= 1.01e-5  # the bound is kept, and not by cutting the path to dust
+    assert 2e-6 < worst <= 1.01e-5  # the bound is kept, and not by many tiny chords
 
 
 def test_our_own_reader_takes_the_part_program(tmp_path) -> None:
@@ -159,7 +159,7 @@ def test_our_own_reader_takes_the_part_program(tmp_path) -> None:
 
 
 def test_a_rest_that_no_dwell_asks_for_keeps_its_time() -> None:
-    """A move to where the axis is takes its time; outputs stay between the moves around them."""
+    """A move to the present place takes its time; outputs stay between the moves around them."""
     pieces = [(1.0, [[0.0], [0.1]], 0), (0.75, [[0.1]], 1), (1.0, [[0.1], [-0.1]], 3)]
     operations = [
         Move((0.1,), FEED, HERE),
@@ -175,7 +175,7 @@ def test_a_rest_that_no_dwell_asks_for_keeps_its_time() -> None:
 
 
 def test_a_target_is_refused_before_anything_is_planned() -> None:
-    """By its name and the kind of machine alone, with what would do."""
+    """By its name and the kind of machine alone, with the targets that would do."""
     assert not target_of("nc", winder()).takes_shaped
     with pytest.raises(OptionError, match=r"unknown target 'okuma'. Known: csv, fanuc, fluidnc"):
         target_of("okuma", winder())

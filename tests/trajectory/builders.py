@@ -6,7 +6,7 @@ from dataclasses import replace
 
 
 def without_drives(machine):
-    """Return a machine whose drives give whatever its axes may do."""
+    """Return a machine whose drives allow everything that its axes may do."""
     drives = {
         name: replace(drive, amplifier=replace(drive.amplifier, current_limit=None))
         for name, drive in machine.drives.items()

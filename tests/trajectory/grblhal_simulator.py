@@ -1,7 +1,7 @@
-"""grblHAL's simulator: where its motors stand in each millisecond of its own time.
+"""grblHAL's simulator: the places of its motors in each millisecond of its own time.
 
-``THREADLINE_GRBLHAL`` names ``grblHAL_sim`` of github.com/grblHAL/Simulator with three axes, as it
-is built by ``cmake .. && make``.
+``THREADLINE_GRBLHAL`` names ``grblHAL_sim`` of github.com/grblHAL/Simulator with three axes, as
+built by ``cmake .. && make``.
 """
 
 from __future__ import annotations
@@ -17,31 +17,30 @@ from threadline.base.arrays import FloatArray
 
 STEPS_PER_MM = 80.0
 _EVERY_S = 1e-3
-_GAP_S = 5e-3  # without a block in hand it prints nothing
-_QUIET_S = 6.0  # of the clock: after which nothing more comes
+_GAP_S = 5e-3  # without a queued block it prints nothing
+_QUIET_S = 6.0  # of the clock: after this time nothing more comes
 _LONGEST_S = 300.0
 _OVER = "\x06"  # Ctrl-F
 
 
 def installed() -> str | None:
-    """Return the simulator; None where it is not named."""
+    """Return the simulator; None if it is not named."""
     return os.environ.get("THREADLINE_GRBLHAL")
 
 
 def places_on_grblhal(
     moves: list[str], settings: list[str], folder: Path, simulator: str
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (n,) times in s and (n, 2) places of X and Y in mm, while blocks are in hand.
+    """Return (n,) times in s and (n, 2) places of X and Y in mm, while blocks are queued.
 
-    The last tenth of a second is missing: what is in the steps' own buffer then is no block any
-    more.
+    The last tenth of a second is missing: it is in the steps' own buffer and no block any more.
     """
     printed = folder / "steps.out"
     words = ["-n", "-t", "1", "-r", str(_EVERY_S), "-e", str(folder / "settings.dat")]
     words += ["-b", os.devnull, "-s", str(printed), "-g", str(folder / "answers.txt")]
     with subprocess.Popen([simulator, *words], stdin=subprocess.PIPE, text=True) as running:
         assert running.stdin is not None
-        # Its own time runs as the clock does, so that its planner keeps up with its motors.
+        # Its own time runs with the clock, so that its planner keeps up with its motors.
         running.stdin.write("".join(f"{line}\n" for line in [*settings, *moves]))
         running.stdin.flush()
         began = grown = time.monotonic()
@@ -60,7 +59,7 @@ def places_on_grblhal(
             running.wait(_QUIET_S)
         finally:
             running.kill()
-    # Before its greeting it tells that there were no settings yet.
+    # Before its greeting it reports that there were no settings yet.
     _, greeted, answers = (folder / "answers.txt").read_text().partition("GrblHAL")
     assert greeted and "error" not in answers, answers[-500:]
     rows = []

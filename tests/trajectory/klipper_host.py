@@ -1,8 +1,8 @@
-"""Klipper's own host in batch mode: every step that it would have a board make, and when.
+"""Klipper's own host in batch mode: every step that it would let a board make, and when.
 
 ``THREADLINE_KLIPPER`` names a checkout of Klipper in which ``cp test/configs/linuxprocess.config
 .config && make olddefconfig && make`` has made ``out/klipper.dict``, and
-``THREADLINE_KLIPPER_PYTHON`` a Python that has what its ``scripts/klippy-requirements.txt`` names.
+``THREADLINE_KLIPPER_PYTHON`` a Python with the packages of its ``scripts/klippy-requirements.txt``.
 """
 
 from __future__ import annotations
@@ -45,20 +45,20 @@ INSTANTANEOUS_CORNER_VELOCITY={instant}
 G90
 G4 P1000
 """
-# To set a position makes it work out every step; at the end of its input it drops what is left.
+# Setting a position makes it compute every step; at the end of its input it drops the rest.
 _END = "M400\nSET_KINEMATIC_POSITION X=0 Y=0 Z=0\n"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
-    """Steps of a motor: when each is made, and between which places, in steps."""
+    """Steps of a motor: the time of each, and the places before and after it, in steps."""
 
     time_s: FloatArray
     middle: FloatArray
 
 
 def installed() -> tuple[Path, str] | None:
-    """Return the checkout and its Python; None where they are not named."""
+    """Return the checkout and its Python; None if they are not named."""
     checkout = os.environ.get("THREADLINE_KLIPPER")
     if checkout is None:
         return None

@@ -1,6 +1,6 @@
-"""LinuxCNC without a screen: how long its own motion controller takes for programs.
+"""LinuxCNC without a screen: the time of its own motion controller for programs.
 
-Where each joint is commanded to is sampled in every servo cycle of 1 ms, so that the time is a
+The commanded place of each joint is sampled in every servo cycle of 1 ms, so that the time is a
 count of cycles, however busy the machine is.
 """
 
@@ -18,9 +18,9 @@ import numpy as np
 from tests.one_hal import one_hal
 from threadline.machine import Machine
 
-_DEBIANS = "/usr/bin/python3"  # which has the module of LinuxCNC
+_DEBIANS = "/usr/bin/python3"  # the Python with LinuxCNC's module
 _CYCLE_S = 1e-3
-_REST = 300  # cycles: the pause before the moves that count
+_REST = 300  # cycles: the pause before the measured moves
 _BEFORE = "G0 {first}0 {second}0\nG4 P0.4\n"
 _INI = """[EMC]
 MACHINE = measured
@@ -138,7 +138,7 @@ for program in sorted(folder.glob("*.ngc")):
 _TRIES_WITHOUT_PROGRESS = 3
 """Debian's LinuxCNC stands still now and then, at another program each time, where a computer is
 busy: a new start goes on behind the programs that ended."""
-_LASTS_S = 150.0  # s for one try, on a computer that does much else
+_LASTS_S = 150.0  # s for one try, on a busy computer
 
 
 def times_on_linuxcnc(programs: dict[str, str], machine: Machine, folder: Path) -> dict[str, float]:
@@ -181,7 +181,7 @@ def times_on_linuxcnc(programs: dict[str, str], machine: Machine, folder: Path) 
 
 def _run(folder: Path) -> None:
     """Have LinuxCNC run the programs once; leave nothing of it behind."""
-    # Its real-time part refuses to be of root without another user to fall back on, who then needs
+    # Its real-time part refuses to run as root without another user to fall back on, who then needs
     # a folder of his own.
     with tempfile.TemporaryDirectory() as theirs, one_hal():
         Path(theirs).chmod(0o777)
@@ -206,7 +206,7 @@ def _run(folder: Path) -> None:
 
 
 def _moving_s(samples: Path) -> float:
-    """Return how long the joints move behind the last pause."""
+    """Return the time in which the joints move after the last pause."""
     rows = [line.split() for line in samples.read_text().splitlines()]
     places = np.array([[float(word) for word in row] for row in rows if len(row) == 2])
     moves = np.flatnonzero((np.abs(np.diff(places, axis=0)) > 1e-12).any(axis=1))

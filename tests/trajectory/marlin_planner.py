@@ -1,4 +1,4 @@
-"""Marlin's own planner: what its ``planner.cpp``, compiled by itself, makes of moves.
+"""Marlin's own planner: the moves planned by its ``planner.cpp``, compiled by itself.
 
 ``marlin_steps`` compiles it from the folder that ``THREADLINE_MARLIN`` names.
 """
@@ -18,7 +18,7 @@ CORNERS = {"deviation": False, "jumps": True}
 
 
 def installed() -> Path | None:
-    """Return the folder of Marlin; None where it is not named."""
+    """Return the folder of Marlin; None if it is not named."""
     named = os.environ.get(marlin_steps.FOLDER)
     return None if named is None else Path(named)
 

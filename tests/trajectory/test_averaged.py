@@ -1,4 +1,4 @@
-"""Averages over time: closed forms of a kernel of boxes and a B-spline."""
+"""Averages over time, compared with closed forms of a kernel of boxes and a B-spline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HERE = Source("test", 1)
 
 
 def motion(coefficients, duration, operation=None):
-    """Pieces one after the other; coefficients (n, order, axes)."""
+    """Return pieces one after the other; coefficients (n, order, axes)."""
     duration = np.asarray(duration, dtype=float)
     return Trajectory(
         axes=("X", "Y"),
@@ -50,7 +50,7 @@ def job(*operations):
 
 
 def corner(v=0.2, time=0.3):
-    """X, then Y at even speed, with rests about it."""
+    """Return X, then Y at even speed, with rests before, between and after."""
     way = v * time
     pieces = [[[0, 0], [0, 0]], [[0, 0], [way, 0]], [[way, 0], [0, way]], [[way, way], [0, 0]]]
     return motion(pieces, [0.1, time, time, 0.1])
@@ -67,10 +67,10 @@ def kernel(t, step):
 
 
 def test_corner_is_cut_by_the_mean_of_the_kernel():
-    """v E|t| sin(turn / 2), the mean by quadrature; straight parts stay where they were."""
+    """v E|t| sin(turn / 2), the mean by quadrature; straight parts stay in place."""
     step = WIDTH / STEPS
     mean = 2 * quad(lambda t: t * kernel(t, step), 0, WIDTH / 2, limit=200, epsrel=1e-10)[0]
-    assert mean / WIDTH == pytest.approx(0.1109, abs=1e-4)  # as the docstring says
+    assert mean / WIDTH == pytest.approx(0.1109, abs=1e-4)  # as the docstring states
     smooth = averaged_trajectory(corner(), even_averages(WIDTH))
     middle = smooth(np.array([0.4]))[0]
     away = np.linalg.norm(middle - [0.06, 0.0])
@@ -169,7 +169,7 @@ def test_reader_gives_the_same_in_bounded_memory():
 
 
 def test_a_motion_that_begins_and_ends_at_speed_stands_before_and_after_it():
-    """As the motion of a historical controller does: 2 m/s from the first instant to the last."""
+    """The motion of a historical controller does so: 2 m/s from the first instant to the last."""
     block = TrajectoryBlock(
         start_s=np.array([0.0]),
         duration_s=np.array([1.0]),
@@ -194,7 +194,7 @@ def long_blocks(count, length):
 
 
 def test_reader_holds_the_blocks_around_an_instant_alone():
-    """Sixty blocks of a megabyte: four at once at most, as they are made, read and checked."""
+    """Sixty blocks of a megabyte: at most four exist at once, being made, read and checked."""
     count, length = 60, 12_000
     reader = TrajectoryReader(
         Trajectory(axes=("X", "Y"), blocks=Stream(long_blocks, count, length))

@@ -1,4 +1,4 @@
-"""Which limit binds when, against the phases of a closed form."""
+"""The limits that bind at each instant, compared with the phases of a closed form."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def bound(machine, feed, **options):
 def test_a_single_move_is_bound_as_its_seven_phases_are() -> None:
     """v 1, a 10.5, j 2100: four phases of a / j, two of v / a - a / j, and the rest at v.
 
-    2 %: the instants are 4001, and where one limit gives way to the next a little is lost.
+    The bar is 2 %: there are 4001 instants, and a little is lost where one limit replaces another.
     """
     found, duration_s = bound(WINDER, Feed(FeedMode.RAPID, 0.0))
     ramp_s, push_s = 10.5 / 2100.0, 1.0 / 10.5
@@ -43,10 +43,10 @@ def test_a_single_move_is_bound_as_its_seven_phases_are() -> None:
 
 
 def test_a_feed_binds_where_it_is_the_speed() -> None:
-    """At 36 mm/s, to which the normal feed caps it: all but two ramps of milliseconds.
+    """At 36 mm/s, the cap of the normal feed: the whole time except two ramps of milliseconds.
 
-    The time is that of the chord at that feed, and half a percent for ramps and elements: a lead-in
-    that is as long as a share of the chord takes half as much again.
+    The time is that of the chord at the feed, plus half a percent for ramps and elements: a lead-in
+    as long as a share of the chord takes half as much again.
     """
     found, duration_s = bound(WINDER, Feed(FeedMode.FASTEST_AXIS, 0.3))
     nominal_s = 0.45 / (10 / 55358.0 / 5e-3)

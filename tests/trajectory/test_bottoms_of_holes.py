@@ -1,7 +1,7 @@
 """A machine whose controller plans by itself reaches every point at which a path goes back.
 
-grbl, Marlin, Klipper and LinuxCNC come to a stop where the next block goes back along this one, so
-a drilled hole is as deep as written. A program written anew for them must be as deep, too.
+grbl, Marlin, Klipper and LinuxCNC stop where the next block goes back along the present one, so a
+drilled hole is as deep as written. A program compiled for them must be as deep, too.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def lowest_mm(made: Plan, hole_x_mm: float) -> float:
 def test_a_hole_is_as_deep_as_written(tmp_path: Path, interpolation: str) -> None:
     made = planned(tmp_path, DRILLED, PLANNER, interpolation=interpolation)
     found = [lowest_mm(made, x) for x in (10.0, 20.0, 30.0)]
-    # The samples stand 0.1 ms apart, and the rest is between two of them.
+    # The samples are 0.1 ms apart, and the rest is between two of them.
     assert found == pytest.approx([-5.0, -3.25, -5.0], abs=1e-4)
     write(made, "grbl", tmp_path / "out.nc")
     depths = [float(z) for z in re.findall(r"Z(-[0-9.]+)", (tmp_path / "out.nc").read_text())]
@@ -50,7 +50,7 @@ def test_a_hole_is_as_deep_as_written(tmp_path: Path, interpolation: str) -> Non
 
 
 def test_only_a_path_that_goes_back_along_itself_is_stopped(tmp_path: Path) -> None:
-    """Within a degree; a needle of two degrees is rounded within the tolerance, as any corner."""
+    """Within a degree; a needle of two degrees is rounded within the tolerance, like any corner."""
     rests = {}
     for beside_mm in (0.0, 0.1, 0.4):
         text = f"G1 X-1 Y-1 F600\nX10\nX0 Y{beside_mm - 1.0}\nM30\n"
@@ -63,7 +63,7 @@ def test_only_a_path_that_goes_back_along_itself_is_stopped(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("target", ["grbl", "linuxcnc", "klipper"])
 def test_an_axis_stays_until_the_program_moves_it(tmp_path: Path, target: str) -> None:
-    """Z stands where the operator left it, above the work: a rounded corner would bring it to 0.
+    """The operator left Z above the work: a rounded corner would bring it to 0.
 
     Firmwares go to the place of the hole first, and then along Z.
     """
@@ -78,7 +78,7 @@ def test_an_axis_stays_until_the_program_moves_it(tmp_path: Path, target: str) -
 
 
 def test_without_a_planner_the_tolerance_holds(tmp_path: Path) -> None:
-    """The controllers of other machines follow the motion as it is planned."""
+    """The controllers of other machines follow the planned motion."""
     made = planned(tmp_path, DRILLED, "", interpolation="auto")
     for x, depth in ((10.0, -5.0), (20.0, -3.25), (30.0, -5.0)):
         assert depth + 0.02 < lowest_mm(made, x) <= depth + 0.1

@@ -1,4 +1,4 @@
-"""The budget is refused before work starts; repeated passes folded agree with all unrolled."""
+"""The budget is checked before the work starts; folded passes equal unrolled ones."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def program(tmp_path: Path, text: str) -> Job:
 
 
 def way_by_line(items: Iterator[tuple[Operation | MoveRun, int]]) -> dict[int, float]:
-    """Return the sum of the way over all axes by line, with the times that each happens."""
+    """Return the sum of the way over all axes by line, each times its number of passes."""
     way: dict[int, float] = {}
     position = np.zeros(3)
     for item, times in items:
@@ -102,7 +102,7 @@ def test_a_dwell_and_a_slow_feed_are_refused_at_their_lines(tmp_path: Path) -> N
 
 
 def test_what_is_within_the_budget_passes(tmp_path: Path) -> None:
-    """The bound is one of the machine file: the same job with half the budget is refused."""
+    """The budget comes from the machine file: with half of it the same job is refused."""
     job = program(tmp_path, "O1\nG91 G1 X1 F2000\nX-1\nM99\nO2\nM98 P1 L1000000\nM30\n")
     check_budget(job, MACHINE, FEED)  # 1.1e7 ticks
     small = replace(MACHINE, tick_budget=replace(MACHINE.tick_budget, si=1e7))

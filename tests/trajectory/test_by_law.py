@@ -21,7 +21,7 @@ from ..path.builders import job_of
 
 WINDER = load_machine("lathe-winder")
 ROOT = Path(__file__).resolve().parents[2]
-FAST = Feed(FeedMode.FASTEST_AXIS, 1e4)  # so that the limits alone bind
+FAST = Feed(FeedMode.FASTEST_AXIS, 1e4)  # so that only the limits bind
 
 
 def by(name: str, points: list[tuple[float, ...]], feed: Feed = FAST) -> Trajectory:
@@ -138,7 +138,7 @@ def test_prove_compile_and_judge_take_a_law(
     judged = json.loads(out)
     assert code == 0 and judged["interpolation"] == "law:modified-sine"
     assert judged["duration_s"] == proved["duration_s"]
-    # The jerk of a cubic steps: what it asks for is reported, as of the historical ones.
+    # The jerk of a cubic steps: its demand is reported, as for historical interpolations.
     _, out, _ = ran(capsys, "prove", *X180, "--law", "cubic", "--json")
     named = {(c["name"], c["axis"]): c for c in json.loads(out)["criteria"]}
     assert named["jerk", "X"]["status"] == "reported"

@@ -1,4 +1,4 @@
-"""A dwell in the middle of a program, under every way of giving a motion its time."""
+"""A dwell in the middle of a program, with every way of timing a motion."""
 
 from __future__ import annotations
 

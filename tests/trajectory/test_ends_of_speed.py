@@ -1,4 +1,4 @@
-"""Averages with weights of their own for starts and stops, against the convolution by hand."""
+"""Averages with their own weights for starts and stops, compared with a convolution by hand."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEP_S = 0.001
 
 
 def still_then(speeds: FloatArray, *, chunk: int) -> Trajectory:
-    """Pieces of 50 ms at each speed, in blocks of ``chunk``."""
+    """Return pieces of 50 ms at each speed, in blocks of ``chunk``."""
     way = np.concatenate([[0.0], np.cumsum(speeds * 0.05)])
     starts = np.arange(len(speeds)) * 0.05
     coefficients = np.stack([way[:-1], np.diff(way)], axis=1)[:, :, None]
@@ -47,7 +47,7 @@ def averages() -> Averages:
 
 
 def response(weights: FloatArray, after_s: FloatArray) -> FloatArray:
-    """Position so long after a step of velocity by 1, of the spline whose controls are averages."""
+    """Return the position after a step of velocity by 1; averages are the spline's controls."""
     from scipy.interpolate import BSpline
 
     middle = len(weights) // 2
@@ -81,7 +81,7 @@ def test_each_end_has_its_own_weights(averages: Averages, chunk: int) -> None:
         near = np.where(np.abs(t - at_s) <= 0.1, response(weights, np.clip(t - at_s, -0.1, 0.1)), 0)
         expected += by * (far + near)
     np.testing.assert_allclose(moved(t)[:, 0], expected, atol=1e-12)
-    # The test can fail: the plain averages are elsewhere.
+    # The test can fail: the plain averages differ.
     plain = averaged_trajectory(
         still_then(speeds, chunk=chunk), Averages(weights=averages.weights, step_s=STEP_S)
     )

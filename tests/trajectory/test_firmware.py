@@ -1,11 +1,11 @@
-"""What firmwares make of chords: closed forms, and the times of their own planners.
+"""The plans of firmwares along chords: closed forms, and the times of their own planners.
 
-The figures of ``GRBL_S`` are those of grbl 1.1h's own ``planner.c`` (commit bfb67f0c), compiled for
-this machine, its buffer kept full; those of ``KLIPPER_S`` of Klipper's own ``toolhead.py`` (commit
-84104bbb), its look-ahead queue flushed as its host does; those of ``REPRAP_S`` of
+The figures of ``GRBL_S`` come from grbl 1.1h's own ``planner.c`` (commit bfb67f0c), compiled for
+this machine, its buffer kept full; those of ``KLIPPER_S`` from Klipper's own ``toolhead.py``
+(commit 84104bbb), its look-ahead queue flushed as its host does; those of ``REPRAP_S`` from
 RepRapFirmware's own ``DDA.cpp`` (commit fc1cd16c), compiled for this machine with a ring that holds
-58 moves ahead. Grbl and RepRapFirmware compute with numbers of 24 bits: 1e-5 of a time, and 1e-6.
-Klipper's and ours are double: 1e-12.
+58 moves ahead. Grbl and RepRapFirmware compute with 24 bits: 1e-5 of a time, and 1e-6. Klipper and
+this package use doubles: 1e-12.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def planned(
 
 
 def times(blocks, count):
-    """Return how long each of the moves takes."""
+    """Return the duration of each move."""
     found = np.zeros(count)
     for block in blocks:
         np.add.at(found, block.operation, block.duration_s)
@@ -172,7 +172,7 @@ def test_reprapfirmware_takes_the_time_of_its_own_planner(job: str, policy: int)
 def test_moves_in_parts_are_those_of_the_whole(
     planner: FirmwarePlanner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However many moves are in hand at once, every piece is the same."""
+    """However many moves are read at once, every piece is the same."""
     points, speed = zigzag(400), np.where(np.arange(400) % 11 < 6, 30.0, 140.0)
     whole = times(planned(planner, points, speed, **ON_GRBL), 400)
     monkeypatch.setattr(moves_in_hand, "AT_ONCE", 1)
@@ -199,14 +199,14 @@ def test_moves_in_parts_are_those_of_the_whole(
 
 @pytest.mark.parametrize("planner", [GRBL, MARLIN], ids=["grbl", "marlin"])
 def test_one_move_is_a_trapezoid(planner: FirmwarePlanner) -> None:
-    """v / a + L / v where it reaches its speed, 2 sqrt(L / a) where not."""
+    """v / a + L / v if it reaches its speed, otherwise 2 sqrt(L / a)."""
     for length, wanted in ((100.0, 50.0 / 800.0 + 100.0 / 50.0), (2.0, 2 * np.sqrt(2.0 / 800.0))):
         blocks = planned(planner, [[length, 0.0, 0.0]], 50.0, **ON_GRBL)
         assert times(blocks, 1).sum() == pytest.approx(wanted, rel=1e-12)
 
 
 def corner_speed(planner: FirmwarePlanner, degrees: float, **limits) -> float:
-    """Return the speed, mm/s, at which two long moves meet that turn by ``degrees``."""
+    """Return the speed, mm/s, at the corner of two long moves that turn by ``degrees``."""
     turn = np.radians(degrees)
     points = [[50.0, 0.0, 0.0], [50.0 + 50.0 * np.cos(turn), 50.0 * np.sin(turn), 0.0]]
     (block,) = planned(planner, points, 100.0, **limits)
@@ -222,7 +222,7 @@ def test_klipper_takes_a_square_corner_at_its_velocity() -> None:
 
 @pytest.mark.parametrize("planner", [GRBL, MARLIN], ids=["grbl", "marlin"])
 def test_a_corner_is_taken_on_its_circle(planner: FirmwarePlanner) -> None:
-    """v^2 / r = a with the circle that comes within the junction deviation of the corner.
+    """v^2 / r = a with the circle whose distance from the corner is the junction deviation.
 
     The circle touches both moves: its centre is r + d from the corner and r from the moves, so that
     sin(theta / 2) = r / (r + d) with theta between them.
@@ -237,7 +237,7 @@ def test_a_corner_is_taken_on_its_circle(planner: FirmwarePlanner) -> None:
         bend = np.array([np.cos(np.radians(turn)) - 1.0, np.sin(np.radians(turn))])
         allowed = 500.0 / np.abs(bend / np.linalg.norm(bend)).max()
         if planner is MARLIN:
-            # What the second move itself may have, whatever the axes allow across it.
+            # The limit of the second move itself, whatever the axes allow across it.
             along = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
             allowed = 500.0 / np.abs(along).max()
         wanted = np.sqrt(allowed * radius)
@@ -249,7 +249,7 @@ def test_a_corner_is_taken_on_its_circle(planner: FirmwarePlanner) -> None:
     [(0.5, 0.008676), (2, 0.034713), (5, 0.087735), (10, 0.175441), (20, 0.350686), (44, 0.768257)],
 )
 def test_short_moves_of_marlin_bend_by_its_own_measure(turn_deg: float, angle: float) -> None:
-    """The angles are what the table of arc cosines in its ``planner.cpp`` gives."""
+    """The angles come from the table of arc cosines in its ``planner.cpp``."""
     turn = np.radians(turn_deg)
     moves = Moves(
         length=np.array([50.0, 0.5]),
@@ -263,7 +263,7 @@ def test_short_moves_of_marlin_bend_by_its_own_measure(turn_deg: float, angle: f
 
 
 def test_marlin_keeps_its_jumps() -> None:
-    """A corner of 90 degrees at v steps X and Y by v each; from rest a move sets out slowly."""
+    """A corner of 90 degrees at v steps X and Y by v each; from rest a move starts slowly."""
     jumps = {"X": number("8 mm/s", "m/s"), "Y": number("6 mm/s", "m/s")}
     planner = MarlinPlanner(kind="marlin", jump=jumps)
     limits = {"acceleration": (500.0,) * 3, "velocity": (500.0,) * 3}
@@ -274,11 +274,11 @@ def test_marlin_keeps_its_jumps() -> None:
 
 
 def test_short_blocks_are_no_faster_than_the_ring_can_stop() -> None:
-    """Of blocks of 0.1 mm in a line the ring holds 1.5 mm: v^2 = 2 a s of what it can see."""
+    """Of blocks of 0.1 mm in a line the ring holds 1.5 mm: v^2 = 2 a s over that length."""
     points = np.stack([0.1 * np.arange(1, 201), np.zeros(200), np.zeros(200)], axis=1)
     blocks = planned(GRBL, points, 100.0, **ON_GRBL)
     peak = max(float((1e3 * np.abs(b.coefficients[:, 1, 0]) / b.duration_s).max()) for b in blocks)
-    # A block begins at what 14 more can stop from, and gains within itself half of a block's worth.
+    # A block begins at a speed that 14 more can stop, and gains half of a block's worth within.
     assert np.sqrt(2 * 800.0 * 1.4) <= peak <= np.sqrt(2 * 800.0 * 1.5)
 
 

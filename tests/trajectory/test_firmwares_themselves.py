@@ -1,9 +1,9 @@
-"""What Klipper's host and grblHAL's simulator make of programs, step by step, beside our models.
+"""Klipper's host and grblHAL's simulator, step by step, compared with the models here.
 
-The bar is 1 % of the time. Klipper's host is met within a quarter of a step at every step of its
-motors (it moves steps by up to 25 us to compress them: 0.2 of a step here), its times within that;
-grblHAL's simulator within the millisecond in which it prints, and the segments of 10 ms in which
-it works out its speeds.
+The bar is 1 % of the time. Klipper's host agrees within a quarter of a step at every step of its
+motors (it moves steps by up to 25 us to compress them: 0.2 of a step here), and in its times within
+that; grblHAL's simulator agrees within the millisecond of its output, and the segments of 10 ms in
+which it computes its speeds.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ JOBS = {"circuit": circuit(), "short": short_moves(), "circuits": circuits()}
 
 
 def with_limits() -> list[str]:
-    """Moves of which each has other limits, below and above those of the configuration."""
+    """Moves with different limits, below and above those of the configuration."""
     rng, lines, x, a = random.Random(7), ["G1 F9000"], 0.0, 0.0
     for k in range(30):
         limits = {
@@ -124,7 +124,7 @@ def planned(
     dialect: str,
     axes: str = "",
 ) -> Trajectory:
-    """Return our plan on axes X and the other, which turns or counts in mm."""
+    """Return the plan on X and the other axis, which is rotary or linear."""
     linear, other = ("X", "A") if rotary else ("XY", "Y")
     unit = "deg" if rotary else "mm"
     base = made_machine(folder, linear, rotary, f'[programs]\ndialect = "{dialect}"\n')
@@ -190,7 +190,7 @@ def test_grblhals_simulator_is_where_ours_is(tmp_path: Path, name: str) -> None:
     time_s, places = time_s[begins:], places[begins:] - places[begins]
     moving = np.flatnonzero(np.diff(places, axis=0).any(axis=1))
     time_s, places = time_s[: moving[-1] + 2], places[: moving[-1] + 2]
-    # Where ours is as far along as theirs: both go the same way, so that the way tells the time.
+    # The time at which the plan is as far along: both go the same way.
     fine_s = np.linspace(0.0, ours.duration_s, int(ours.duration_s / 1e-4))
     way = _way(1e3 * ours(fine_s))
     at_s = np.interp(_way(places), way, fine_s)
@@ -210,7 +210,7 @@ def compiled(folder: Path, lines: list[str], rotary: str, target: str) -> list[s
 def compiled_with(
     folder: Path, lines: list[str], rotary: str, target: str, dialect: str, axes: str = ""
 ) -> list[str]:
-    """Return what ``compiled`` returns, of a program in any dialect."""
+    """Return the result of ``compiled`` for a program in any dialect."""
     planned(folder, GRBL, lines, rotary, dialect, axes)
     out = folder / "out.gcode"
     words = ["compile", str(folder / "job.nc"), "-m", str(folder / "measured.toml")]
@@ -222,7 +222,7 @@ def compiled_with(
 
 
 def test_klippers_host_takes_what_is_compiled_for_it(tmp_path: Path) -> None:
-    """Every block, to the end of the job; a word that it does not know would end its run."""
+    """Every block runs to the end of the job; an unknown word would end its run."""
     klipper = klipper_host.installed()
     if klipper is None:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_KLIPPER names a checkout of Klipper")
@@ -246,7 +246,7 @@ def test_grblhals_simulator_takes_what_is_compiled_for_it(tmp_path: Path) -> Non
     settings += ["$110=6000", "$111=36000", "$120=500", "$121=2000", "$11=0.01"]
     _, places = grblhal_simulator.places_on_grblhal(blocks, settings, tmp_path, simulator)
     assert places[:, 0].max() == pytest.approx(300.0, abs=0.02)
-    assert places[-1] == pytest.approx([0.0, 1391.922], abs=15.0)  # what its last 0.1 s lacks
+    assert places[-1] == pytest.approx([0.0, 1391.922], abs=15.0)  # the missing last 0.1 s
 
 
 def _behind_a_run_up(moves: list[str]) -> list[str]:

@@ -26,7 +26,7 @@ def followed(points, axes, tolerance_m=1e-4, feed=RAPID, name="auto", **given):
 
 
 def ppoly(trajectory):
-    """The same motion as scipy's piecewise polynomial, (k, pieces, axes)."""
+    """Return the same motion as scipy's piecewise polynomial, (k, pieces, axes)."""
     start = np.concatenate([block.start_s for block in trajectory])
     duration = np.concatenate([block.duration_s for block in trajectory])
     c = np.concatenate([block.coefficients for block in trajectory])
@@ -79,7 +79,7 @@ def test_limits_ends_and_tolerance(line, tolerance_m):
     scaled = motion(times) * path.radius_m
     vertices = np.array(points) * path.radius_m
     assert gap_to_polyline(scaled, vertices).max() <= 1.01 * tolerance_m
-    # Vertices are held against chords of the samples: add the sagitta of the fastest turn.
+    # Vertices are compared with chords of the samples: add the sagitta of the fastest turn.
     sagitta = np.linalg.norm(limits_of(path)[1] * path.radius_m) * (times[1] - times[0]) ** 2 / 8
     assert gap_to_polyline(vertices, scaled).max() <= 1.01 * tolerance_m + sagitta
 
@@ -190,7 +190,7 @@ def test_operations_follow_the_moves():
 
 
 def test_look_ahead_over_blocks_of_tiny_moves():
-    """30 000 moves of 10 um on a line: as fast as one move, but for the braking near block ends."""
+    """30 000 moves of 10 um on a line: as fast as one move, except for braking near block ends."""
     whole = 0.3
     points = np.linspace(0, whole, 30_001)[:, None]
     _, trajectory = followed(points.tolist(), ("X",))
@@ -206,7 +206,7 @@ def test_no_motion_is_an_empty_trajectory():
 
 @pytest.mark.parametrize("name", ["auto", "parabolic", "cubic", "quintic", "linear"])
 def test_a_feed_beyond_the_budget_is_refused_before_any_sample(name) -> None:
-    """100 mm at 1e-12 m/s: 1e11 s are 2e13 ticks of 5 ms. Sampled first, they fill any memory."""
+    """100 mm at 1e-12 m/s: 1e11 s are 2e13 ticks of 5 ms, too many samples for any memory."""
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]])
     slow = Feed(FeedMode.FASTEST_AXIS, 1e-12)
     programmed = programmed_path(job_of(points, ("A", "X", "Y"), slow), WINDER)

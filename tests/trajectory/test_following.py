@@ -1,4 +1,4 @@
-"""Timing that loops and drives can follow: against closed forms, and against the twin."""
+"""Timing that loops and drives can follow, compared with closed forms and with the twin."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SPEC = load_spec(None, WINDER)
 FAST = Feed(FeedMode.FASTEST_AXIS, 10.0)
 CORNERS = [[0.0, 0.0], [0.1, 0.03], [0.06, 0.1], [0.13, 0.12], [0.15, 0.02]]
 CORNER = [[0.0, 0.0], [0.02, 0.006], [0.012, 0.02]]
-# Of X: what its motor takes at 4 A and 10 V, by hand from the printed numbers.
+# For X: the demand of its motor at 4 A and 10 V, by hand from the printed numbers.
 RAD_PER_M = 55358.0 * 2.0 * np.pi / 4000.0
 VOLTS_PER_M_S = 8.6 / (1000.0 * 2.0 * np.pi / 60.0) * RAD_PER_M / 0.45
 AMPERES_PER_M_S2 = 3.606e-4 * RAD_PER_M / 0.082
@@ -47,7 +47,7 @@ def proved(points, **words):
 
 @cache
 def proved_corner(**words):
-    """Several tests look at the same plans; each is made in seconds, as the way is short."""
+    """Several tests use the same plans; each takes seconds, because the way is short."""
     return proved(CORNER, **words)
 
 
@@ -71,7 +71,7 @@ def test_a_steady_motion_lags_by_the_voltage_that_it_needs():
 
 
 def test_the_answer_is_what_the_twin_does():
-    """Within two counts of X, 36 um: the twin rounds what it is told and what it reads."""
+    """Within two counts of X, 36 um: the twin rounds its commands and its readings."""
     plan, _ = proved_corner(contour_m=6e-4)
     recording = simulate(tick_table(plan.commands), WINDER)
     commanded = values(recording, "X.commanded")
@@ -82,9 +82,9 @@ def test_the_answer_is_what_the_twin_does():
 
 
 def test_the_loads_keep_the_contour_that_was_asked_for():
-    """0.1 mm of the path and 0.3 mm of the loops, and what the twin's counts and levels add.
+    """0.1 mm for the path and 0.3 mm for the loops, plus the twin's counts and levels.
 
-    On the limits of axes and drives alone the same path is out of specification.
+    With the limits of axes and drives alone the same path is out of specification.
     """
     plan, found = proved_corner()
     assert 0.25e-3 < worst(found, "contour_error") <= 0.43e-3
@@ -97,7 +97,7 @@ def test_the_loads_keep_the_contour_that_was_asked_for():
 
 @pytest.mark.long(shown_by="test_a_place_that_strays_by_nothing_is_not_slowed")
 def test_motions_that_stray_a_hundredth_too_far_are_slowed_and_not_lost():
-    """Of four short moves every round ends so; 0.864 s is what the guards alone leave."""
+    """With four short moves every round ends so; the guards alone would leave 0.864 s."""
     plan, found = proved((0.2 * np.array(CORNERS)).tolist())
     assert plan.duration_s < 0.83
     assert worst(found, "contour_error") <= 0.43e-3
@@ -105,7 +105,7 @@ def test_motions_that_stray_a_hundredth_too_far_are_slowed_and_not_lost():
 
 @pytest.mark.long(shown_by="test_the_loads_keep_the_contour_that_was_asked_for")
 def test_the_contour_is_kept_where_the_program_rests():
-    """What the loops still make of the move before a rest counts against the one after it."""
+    """The loops' response to the move before a rest counts against the move after it."""
     extra = {k: Dwell(0.001, Source("job.prg", k)) for k in (1, 2)}
     plan, found = proved(CORNERS[:4], extra=extra)
     assert worst(found, "contour_error") <= 0.43e-3
@@ -124,7 +124,7 @@ def test_loads_that_follow_are_not_slowed_for_their_loops():
 
 
 def test_no_slowness_helps_where_the_loads_never_come_near():
-    """A stop without warning from 1 m/s: the load is on its way past it, whatever comes next."""
+    """A sudden stop from 1 m/s: the load is on its way past it, whatever comes next."""
     follower = Follower(answers=(answers_of(WINDER)["X"],), radius_m=np.ones(1), tolerance_m=1e-4)
     past = Past(follower.memory_s)
     past.add(straight(0.0, 0.0, 1.0))
@@ -175,7 +175,7 @@ def test_no_drive_is_asked_for_more_than_it_can_give():
 
 
 def test_a_long_move_uses_all_the_volts_that_are_left_to_it():
-    """Against the closed form: at the top speed the volts of the velocity are all there is."""
+    """By the closed form: at the top speed the velocity alone takes all these volts."""
     trajectory = timed(WINDER, axes=("X",), points=[[0.0], [0.4]])
     times = np.linspace(0.0, trajectory.duration_s, 20_001)
     speed = np.abs(trajectory(times, 1)).max()
@@ -186,10 +186,10 @@ def test_a_long_move_uses_all_the_volts_that_are_left_to_it():
 
 
 def test_the_machine_file_says_what_is_kept_for_the_loop(tmp_path):
-    """With 0.75 of 4 A left instead of 0.9; where loads follow, 1.1215 times as much is counted.
+    """With 0.75 of 4 A left instead of 0.9; if the loads follow, 1.1215 times as much is counted.
 
     The volts of a tick are held for 5 ms; motor and load follow them with a pole at 46.7 1/s, so
-    that the current begins pT / (1 - exp(-pT)) above its mean.
+    that the current begins at pT / (1 - exp(-pT)) times its mean.
     """
     file = tmp_path / "kept.toml"
     file.write_text(

@@ -53,7 +53,7 @@ def test_extremes_within_a_piece_are_exact():
 
 @given(st.lists(st.lists(st.floats(-1, 1), min_size=6, max_size=6), min_size=1, max_size=5))
 def test_no_dense_sample_exceeds_the_peak(coefficients):
-    """And the peak is met by a dense sample to the square of its spacing."""
+    """And a dense sample reaches the peak, to the square of its spacing."""
     trajectory = trajectory_of(coefficients, [0.3] * len(coefficients), historical=True)
     peaks = limit_peaks(trajectory, WINDER)
     u = np.linspace(0, 1, 2001)
@@ -82,7 +82,7 @@ def test_steps_count_as_infinite():
 
 
 def test_an_end_at_speed_counts_as_infinite_acceleration():
-    """c u^3 begins at rest with nothing that steps; it ends at 3 c a second."""
+    """c u^3 begins at rest without a step; it ends at 3 c a second."""
     peaks = limit_peaks(trajectory_of([[0, 0, 0, 0.02]], [1.0]), WINDER)
     for quantity in ("acceleration", "jerk"):
         assert peak(peaks, quantity).value_si == np.inf

@@ -1,4 +1,4 @@
-"""Limits of braking and along the path that stand in a machine file, against closed forms."""
+"""Limits of braking and along the path in a machine file, compared with closed forms."""
 
 from __future__ import annotations
 
@@ -104,9 +104,9 @@ def test_a_diagonal_that_brakes_otherwise_along_the_path():
 
 @pytest.mark.parametrize("interpolation", ["optimal", "auto", "parabolic", "quintic"])
 def test_limits_of_the_path_hold_in_corners_and_at_a_reversal(interpolation):
-    """Seen at random instants by the formulas of a curve; without ``[path]`` they are left by far.
+    """At random instants by the formulas of a curve; without ``[path]`` they are far exceeded.
 
-    The last corner but one turns back by 180 degrees, where ``optimal`` rests.
+    At the last corner but one the path turns back by 180 degrees, and ``optimal`` rests.
     """
     limits = {"velocity": 0.2, "acceleration": 1.0, "centripetal": 0.8}
     axes = {"X": (1.0, 4.0, 4.0), "Y": (1.0, 4.0, 4.0)}
@@ -132,7 +132,7 @@ def test_braking_beyond_its_limit_is_refused_by_name():
     machine = machine_of(X=(1.0, 4.0, 3.0))
     with pytest.raises(LimitError, match="axis X: deceleration reaches"):
         check_limits(motion, machine)
-    # An axis that turns back within a piece brakes before it and speeds up after it.
+    # An axis that turns back within a piece brakes before it and accelerates after it.
     assert {p.quantity for p in limit_peaks(motion, machine) if p.axis == "X"} == {
         "travel", "velocity", "acceleration", "deceleration", "jerk",
     }  # fmt: skip
@@ -189,7 +189,7 @@ def test_limits_that_mean_nothing_are_refused_by_name(tmp_path, name, under, tex
 
 
 def test_a_verdict_lists_both_where_the_machine_has_them(examples):
-    """The braking is that of dense samples of the plan; of other machines neither is listed."""
+    """The braking equals dense samples of the plan; for other machines neither is listed."""
     import threadline as tl
 
     limits = {"velocity": 0.4, "acceleration": 3.0}

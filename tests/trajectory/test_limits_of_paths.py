@@ -1,6 +1,6 @@
-"""Limits along and across the path, and braking: held by a motion that is looked at from outside.
+"""Limits along and across the path, and braking, checked from outside the planner.
 
-Speeds and accelerations along the path are worked out here from the motion's velocities,
+Speeds and accelerations along the path are computed here from the motion's velocities,
 accelerations and jerks at random instants, by the formulas of a curve in space.
 """
 
@@ -31,7 +31,7 @@ def seen(motion, count):
     times = np.random.default_rng(3).uniform(0.0, motion.duration_s, count)
     v, a, j = (motion(times, order) for order in (1, 2, 3))
     speed = np.linalg.norm(v, axis=1)
-    moving = speed > 1e-3 * speed.max()  # nearer to rest there is no direction
+    moving = speed > 1e-3 * speed.max()  # almost at rest there is no direction
     v, a, j, speed = v[moving], a[moving], j[moving], speed[moving]
     along = v / speed[:, None]
     push = (along * a).sum(axis=1)
@@ -51,7 +51,7 @@ def seen(motion, count):
 
 @pytest.mark.parametrize("name", list(PATHS))
 def test_all_limits_hold_at_a_million_instants(name):
-    """A third of a million on each path, all limits at once; none is left by a thousandth."""
+    """A third of a million instants on each path, all limits at once; none is exceeded by 0.1 %."""
     limits = {"velocity": 1.0, "acceleration": 8.0, "jerk": 200.0}
     motion = retime(PATHS[name], *limits.values(), tolerance=0.01, **GIVEN)
     found = seen(motion, 340_000)
@@ -64,7 +64,7 @@ def test_all_limits_hold_at_a_million_instants(name):
 @pytest.mark.parametrize("quantity", list(GIVEN))
 @pytest.mark.parametrize("name", ["curve", "corners"])
 def test_each_limit_binds_where_it_is_the_only_one(name, quantity):
-    """It is used to 0.98 at least, and would be left by far without it: the motion is slower."""
+    """At least 0.98 of it is used, and without it the motion would be faster and far beyond it."""
     given = GIVEN[quantity] if quantity != "deceleration" else [3.0, 3.0, 3.0]
     free = retime(PATHS[name], 1.0, 8.0, 200.0, 0.01)
     motion = retime(PATHS[name], 1.0, 8.0, 200.0, 0.01, **{quantity: given})
@@ -75,7 +75,7 @@ def test_each_limit_binds_where_it_is_the_only_one(name, quantity):
 
 
 def test_the_bound_lies_above_what_is_seen_and_near_to_it():
-    """Every share that is told is at least that of 10^5 instants, and at most 3 % more."""
+    """Every share is at least the largest of 10^5 instants, and at most 3 % more."""
     motion = retime(CURVE, 1.0, 8.0, 200.0, 0.01, **GIVEN)
     found = seen(motion, 100_000)
     limits = {"velocity": 1.0, "jerk": 200.0, **GIVEN}
@@ -89,7 +89,7 @@ def test_the_bound_lies_above_what_is_seen_and_near_to_it():
 
 
 def test_braking_harder_than_speeding_up_takes_the_time_of_the_closed_form():
-    """A straight way without jerk: v^2 / 2 a to speed up, v^2 / 2 d to brake, the rest at v."""
+    """A straight way without jerk: v^2 / 2 a to accelerate, v^2 / 2 d to brake, the rest at v."""
     length, v, a, d = 1.0, 1.0, 4.0, 10.0
     least_s = length / v + 0.5 * v / a + 0.5 * v / d
     motion = retime([[0.0, 0.0], [0.0, -length]], v, a, deceleration=d)
@@ -100,7 +100,7 @@ def test_braking_harder_than_speeding_up_takes_the_time_of_the_closed_form():
 
 @pytest.mark.long(shown_by="test_each_limit_binds_where_it_is_the_only_one")
 def test_a_round_at_a_centripetal_limit_takes_the_time_of_its_circumference():
-    """v^2 = a r: four rounds of 1 m at 2 m/s^2, and less than a second to speed up and brake."""
+    """v^2 = a r: four rounds of 1 m at 2 m/s^2, and less than a second to accelerate and brake."""
     turn = np.linspace(0.0, 8.0 * np.pi, 2000)
     points = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     motion = retime(points, 10.0, 50.0, 5000.0, 1e-4, centripetal=2.0)

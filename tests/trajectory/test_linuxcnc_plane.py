@@ -1,8 +1,8 @@
-"""LinuxCNC's planner on X and Y: arcs in corners, arcs of G2 and G3, and moves that it joins.
+"""LinuxCNC's planner on X and Y: arcs in corners, arcs of G2 and G3, and joined moves.
 
 ``COUNTED_S`` are servo cycles of 1 ms of LinuxCNC's own planner: its ``tp.c``, ``tc.c``,
-``blendmath.c`` and ``spherical_arc.c`` of 2.9.0~pre1, compiled by themselves and given the same
-moves, on an X of 100 mm/s and 500 mm/s^2 and a Y of 400 mm/s^2.
+``blendmath.c`` and ``spherical_arc.c`` of 2.9.0~pre1, compiled by themselves with the same moves,
+on an X of 100 mm/s and 500 mm/s^2 and a Y of 400 mm/s^2.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ JOINED = {
     "G1 F3000 X10\nX20\nF1200 X30\nX40\nG0 X50\nX60\n": "X20\nF1200 X40\nG0 X50\nX60\n",
     # The second and third corner are further than Q from any single line.
     "G1 F3000 X10\nX20 Y0.5\nX30 Y-0.5\nX40\n": "X10\nX20 Y0.5\nX30 Y-0.5\nX40\n",
-    # A short arc is two moves where it is within Q of its chord, and these are joined on.
+    # A short arc is two moves if it is within Q of its chord, and these are joined further.
     "G1 F3000 X20\nG3 X20.2 Y0.002 I0.098 J4.9\nG1 X40 Y0.402\n": "X20.2 Y0.002\nX40 Y0.402\n",
 }
 
@@ -135,7 +135,7 @@ JOINED = {
 def test_plane_programs_take_the_time_that_linuxcnc_takes(
     tmp_path: Path, plane: Machine, name: str, words: str
 ) -> None:
-    """It is met to a few cycles."""
+    """It agrees to a few cycles."""
     found = planned(tmp_path, plane, PROGRAMS[name], words).duration_s
     assert found == pytest.approx(COUNTED_S[name, words], rel=1e-3)
 
@@ -176,7 +176,7 @@ def test_at_most_101_moves_become_one(tmp_path: Path, plane: Machine) -> None:
 
 
 def test_lines_and_arcs_go_into_each_other(tmp_path: Path, plane: Machine) -> None:
-    """Places go on, speeds but for the tenth of an acceleration in a cycle; limits are kept."""
+    """Places are continuous, speeds except for a tenth of a cycle's acceleration; limits hold."""
     for name in ("corners", "walk", "slot"):
         (block,) = planned(tmp_path, plane, PROGRAMS[name], "G64 P0.05 Q0")
         c, lasts = block.coefficients, block.duration_s[:, None]
@@ -207,7 +207,7 @@ def test_an_arc_is_run_along_its_circle(tmp_path: Path, plane: Machine) -> None:
 def test_plane_moves_in_parts_are_those_of_the_whole(
     tmp_path: Path, plane: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Moves are let go once those in hand settle them, and go on from there."""
+    """Moves are released once the read ones settle them, and go on from there."""
     path = tmp_path / "job.ngc"
     lines = PROGRAMS["curve"] + PROGRAMS["walk"]
     path.write_text(f"G21 G90 G94\n{SLOT}{lines}G1 X0 Y0\n{SLOT}M2\n")

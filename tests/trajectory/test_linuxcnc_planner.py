@@ -1,4 +1,4 @@
-"""LinuxCNC's trajectory planner: its own times, without a screen, and what overlapping moves keep.
+"""LinuxCNC's trajectory planner: its own times without a screen, and the limits of blends.
 
 The figures of ``MEASURED_S`` are counts of servo cycles of 1 ms of LinuxCNC 2.9.0~pre1 on an X of
 100 mm/s and 500 mm/s^2 and an A of 360 deg/s and 2000 deg/s^2. A motion begins and ends within a
@@ -72,7 +72,7 @@ MEASURED_S = {
     ("short", "G64 P0.1"): 7.034,
     ("short", "G64"): 5.929,
     ("short", "G64 P0.01"): 7.543,
-    ("to and fro", "G64"): 9.400,  # of its planner alone, as in test_linuxcnc_plane
+    ("to and fro", "G64"): 9.400,  # for its planner alone, as in test_linuxcnc_plane
 }
 PROGRAMS = {"few": FEW, "circuits": circuits(), "short": short_moves(), "to and fro": to_and_fro()}
 
@@ -81,7 +81,7 @@ SQUARE = "G1 F3000 X40\nY40\nX0\nY0\nX40\nY40\n"
 
 
 def bends() -> str:
-    """Twenty moves of X and Y of half a millimetre to three, some of which nearly go back."""
+    """Twenty moves of -2 to 3 mm along each of X and Y; some almost go back."""
     rng, lines, x, y = random.Random(12), ["G1 F3000"], 0.0, 0.0
     for _ in range(20):
         x, y = x + rng.uniform(-2.0, 3.0), y + rng.uniform(-2.0, 3.0)
@@ -151,7 +151,7 @@ def test_programs_take_the_time_that_linuxcnc_takes(
 @pytest.mark.waits
 @pytest.mark.linuxcnc
 def test_linuxcnc_itself_takes_that_time(tmp_path: Path, machine: Machine) -> None:
-    """The bar is 1 %; what is in the way of less is whole cycles."""
+    """The bar is 1 %; whole cycles prevent a smaller one."""
     if shutil.which("linuxcnc") is None:
         pytest.skip("linuxcnc (Debian's linuxcnc-uspace) is not installed")
     asked = {
@@ -172,13 +172,13 @@ STOPS_S = {"square": 5.554, "bends": 2.621}  # LinuxCNC
 
 @pytest.mark.parametrize("name", STOPS)
 def test_moves_of_a_plane_take_longer_after_g61(tmp_path: Path, plane: Machine, name: str) -> None:
-    """By the tenth of their acceleration that corners take: without it they are 1 to 5 % off."""
+    """Corners take a tenth of their acceleration: without this the times are 1 to 5 % off."""
     found = planned(tmp_path, plane, STOPS[name], "G61").duration_s
     assert found == pytest.approx(STOPS_S[name], rel=1e-3)
 
 
 def test_speeds_do_not_step_and_accelerations_are_kept(tmp_path: Path, machine: Machine) -> None:
-    """At corners as anywhere: position and speed go on, and two halves make an acceleration."""
+    """In corners, too: position and speed are continuous, and two halves make an acceleration."""
     (block,) = planned(tmp_path, machine, PROGRAMS["short"], "G64 P0.1")
     c, lasts = block.coefficients, block.duration_s[:, None]
     assert np.abs(c[:-1].sum(axis=1) - c[1:, 0]).max() < 1e-12
@@ -189,7 +189,7 @@ def test_speeds_do_not_step_and_accelerations_are_kept(tmp_path: Path, machine: 
 
 
 def test_a_corner_is_left_within_the_tolerance(tmp_path: Path, machine: Machine) -> None:
-    """X out by 20 mm and back at an A that goes on: X turns within P of 20 mm."""
+    """X goes 20 mm forth and back while A goes on: X turns within P of 20 mm."""
     for p_mm in (0.5, 0.1, 0.02):
         motion = planned(tmp_path, machine, "G1 F3000 X20 A100\nX0 A200\n", f"G64 P{p_mm}")
         x = motion(np.linspace(0.0, motion.duration_s, 20_001))[:, 0] * 1e3

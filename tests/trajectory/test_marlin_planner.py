@@ -114,7 +114,7 @@ def planner(corners: str, travel: float, by_axes: bool) -> MarlinPlanner:
 def our_time(
     program: Program, corners: str, at_once: int = 1000, *, by_axes: bool = False
 ) -> float:
-    """Return the time in s, with so many moves read at once."""
+    """Return the time in s, with this number of moves read at once."""
     ends = np.vstack([np.zeros(4), program.points])
     way = np.diff(ends, axis=0)
     count = len(way)
@@ -225,9 +225,9 @@ def test_moves_of_a_few_steps_wait_for_the_next_however_they_are_read(seed: int)
 
 
 def test_marlins_own_planner_takes_as_long(tmp_path: Path) -> None:
-    """By both rules of corners; speeds that follow S-curves take the same times.
+    """By both rules of corners; with S-curves the times are the same.
 
-    The code of the checkout says whether it is an older one.
+    The code of the checkout shows whether it is an older one.
     """
     marlin = marlin_planner.installed()
     if marlin is None:

@@ -21,7 +21,7 @@ SLOW = Feed(FeedMode.FASTEST_AXIS, 1e-4)  # m/s: 50 s for 5 mm
 
 @pytest.mark.parametrize("interpolation", ["cubic", "quintic", "parabolic", "linear", "auto"])
 def test_a_slow_piece_does_not_fill_memory(interpolation: str, tmp_path: Path) -> None:
-    """Its samples come in blocks that follow each other without a gap, and end where it ends."""
+    """Its samples come in blocks without a gap, and end at its end."""
     file = tmp_path / "slow.prg"
     file.write_text("%\nO 1;\nN 10 G91 G01 X 5 F 2160;\nN 20 M30;\n%\n")
     machine = load_machine("lathe-winder")
@@ -36,7 +36,7 @@ def test_a_slow_piece_does_not_fill_memory(interpolation: str, tmp_path: Path) -
 
 
 def test_a_piece_of_a_billion_samples_begins_at_once(tmp_path: Path) -> None:
-    """An axis that takes months for a degree: its first blocks were preceded by 3 GB of numbers."""
+    """An axis takes months for a degree: once, 3 GB of numbers came before its first blocks."""
     file = tmp_path / "m.toml"
     file.write_text('base = "lathe-winder"\naxes.A.acceleration = "1e-12 rad/s^2 exact, assumed"\n')
     machine = load_machine(str(file))
@@ -71,7 +71,7 @@ def test_a_limit_that_takes_longer_than_the_budget_is_told_at_once(tmp_path: Pat
 
 @pytest.mark.parametrize("words", ["G01 X 5 F 0.000001", "G04 P 9000000"])
 def test_the_block_that_is_too_long_is_named(words: str, tmp_path: Path) -> None:
-    """A feed far below, and a dwell: each names its own line, with ``optimal`` as with ``auto``."""
+    """A feed far too low, and a dwell: each names its own line, with ``optimal`` and ``auto``."""
     machine = load_machine("lathe-winder")
     job = tmp_path / "slow.prg"
     job.write_text(f"%\nO 1;\nN 10 G91 G01 X 1 F 2160;\nN 20 {words};\nN 30 M30;\n%\n")

@@ -1,4 +1,4 @@
-"""The fastest motion: against closed forms, against every limit, against what ``auto`` takes."""
+"""The fastest motion, compared with closed forms, with every limit, and with ``auto``."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def straight(length, velocity, acceleration, jerk, gap=1e-4):
 def test_rest_to_rest_takes_the_time_of_the_closed_form(
     length, velocity, acceleration, jerk, printed_s
 ):
-    """Never less than the least, and within 0.5 % of it: what the finest elements still lose."""
+    """Never below the least time, and within 0.5 % of it, the loss of the finest elements."""
     least_s = shortest_move(length, velocity, acceleration, jerk).duration_s
     if printed_s is not None:
         assert least_s == pytest.approx(printed_s, abs=6e-6)
@@ -64,9 +64,10 @@ def test_rest_to_rest_takes_the_time_of_the_closed_form(
 
 
 def test_finer_elements_come_nearer_to_the_least_time(monkeypatch):
-    """Order, not closeness: with a quarter of the loss of an element about half is lost in all.
+    """The order: with a quarter of the loss per element about half of the whole loss is left.
 
-    What an element loses goes with the square of its length, and their number with its inverse.
+    The loss of an element is proportional to the square of its length, and their number to its
+    inverse.
     """
     least_s = 1.3
     lost = []
@@ -78,7 +79,7 @@ def test_finer_elements_come_nearer_to_the_least_time(monkeypatch):
 
 
 def test_units_change_nothing():
-    """Metres or micrometres, and another unit of time: the same number of the other unit."""
+    """Metres or micrometres, and another unit of time: the same number in the other unit."""
     here = straight(0.3, 0.8, 5.0, 70.0)[0].duration_s
     tiny = straight(0.3e6, 0.8e6, 5.0e6, 70.0e6)[0].duration_s
     slow = straight(0.3, 0.8e-3, 5.0e-6, 70.0e-9)[0].duration_s
@@ -94,7 +95,7 @@ def plan(axes, points, tolerance_m=1e-4, interpolation="optimal", machine=WINDER
 @settings(max_examples=25, deadline=None)
 @given(polylines(), st.sampled_from([1e-3, 1e-4, 1e-5]))
 def test_no_limit_is_left_anywhere_and_auto_is_never_faster(line, tolerance_m):
-    """Exact extremes of every piece and joint; half a percent is for what elements lose."""
+    """Exact extremes of every piece and joint; half a percent is the loss of the elements."""
     axes, points = line
     _, path, trajectory = plan(axes, points, tolerance_m)
     if trajectory.duration_s == 0.0:
@@ -140,7 +141,7 @@ def test_it_rests_where_the_program_rests_and_starts_and_ends_without_accelerati
     points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0]]
     _, _, with_dwell = plan(("X", "Y"), points, extra={1: dwell})
     _, _, without = plan(("X", "Y"), points)
-    # A stop at the corner costs time beside the dwell itself.
+    # A stop at the corner costs time in addition to the dwell.
     assert with_dwell.duration_s > without.duration_s + 0.25
     still = [b for b in with_dwell if not b.coefficients[:, 1:].any()]
     assert len(still) == 1 and still[0].duration_s.sum() == pytest.approx(0.25)
@@ -162,7 +163,7 @@ def test_no_faster_than_the_feed():
 
 
 def test_a_run_whose_loads_follow_rests_after_as_many_pieces_as_are_solved_together(monkeypatch):
-    """Loads remember what was before, so that it has no windows; what they do is left out here."""
+    """Loads remember their past, so such a run has no windows; their errors are left out here."""
 
     def alone(elements, limits, _follower, _past, begin_s):
         return in_time.in_time(fastest(elements, limits), limits, begin_s)
@@ -201,7 +202,7 @@ def test_moves_of_nanometres_neither_stop_it_nor_break_a_limit(points):
 
 
 def test_a_chord_of_nanometres_before_the_end_leaves_no_jump(monkeypatch):
-    """The vertex before it is kept here, which a metre's tolerance leaves out otherwise."""
+    """The vertex before it is kept here; with a metre's tolerance it is left out elsewhere."""
     monkeypatch.setattr(interpolations, "NEAR_SHARE", 1e-9)
     points = [[0.0, 0.0], [-0.078, 0.0105], [-0.0309, -0.03], [-0.1051, -0.03]]
     points.append([points[-1][0] - 2.5e-8, points[-1][1] - 1.08e-8])
@@ -214,9 +215,9 @@ def test_a_chord_of_nanometres_before_the_end_leaves_no_jump(monkeypatch):
 
 @pytest.mark.parametrize("speed", [0.004, 0.03])
 def test_a_feed_far_below_the_limits_is_reached_at_once(speed):
-    """Two chords at a feed: their length at it, and less than two ramps to it.
+    """Two chords at a feed: their length at the feed, and less than two ramps.
 
-    With a corner they are no single line. The lead-ins took a second where the feed was low.
+    With a corner they are no single line. Once the lead-ins took a second at a low feed.
     """
     feed = Feed(FeedMode.FASTEST_AXIS, speed)
     programmed = programmed_path(
@@ -232,7 +233,7 @@ def test_a_dense_run_has_as_many_elements_as_pieces_and_loses_little(monkeypatch
     turn = np.linspace(0.0, 9.0, 300)
     points = np.stack([0.1 * np.sin(turn), 0.05 - 0.05 * np.cos(1.3 * turn)], axis=1).tolist()
     found = []
-    for order in (0, 5):  # of the coefficients of pieces for which one is enough
+    for order in (0, 5):  # share of pieces for which one element is enough
         monkeypatch.setattr("threadline.motion.timing.optimal.elements.OF_QUARTIC", order)
         trajectory = plan(("X", "Y"), points)[2]
         found.append((sum(map(len, trajectory)), trajectory.duration_s))
@@ -243,7 +244,7 @@ def test_a_dense_run_has_as_many_elements_as_pieces_and_loses_little(monkeypatch
 
 
 def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
-    """Elements so long that their polynomials in time leave the limits, and no cut to mend it."""
+    """The elements are so long that their polynomials in time exceed limits that no cut mends."""
     points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0], [0.1, 0.1]]
     cut_s = plan(("X", "Y"), points)[2].duration_s
     monkeypatch.setattr(in_time, "CUTS", 0)
@@ -251,7 +252,7 @@ def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
     monkeypatch.setattr("threadline.motion.timing.optimal.solve.IDLE_ROUNDS", 0)
     _, _, coarse = plan(("X", "Y"), points)
     ratio = max(peak.ratio for peak in limit_peaks(coarse, WINDER))
-    assert 0.5 < ratio <= 1.0 + 1e-9  # the bound that slows it is somewhat above the extremes
+    assert 0.5 < ratio <= 1.0 + 1e-9  # the bound that slows it lies somewhat above the extremes
     assert coarse.duration_s > cut_s
     monkeypatch.setattr(in_time, "_stretch", lambda *_: 1.0)
     _, _, unmended = plan(("X", "Y"), points)

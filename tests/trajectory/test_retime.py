@@ -39,7 +39,7 @@ def test_a_single_move_has_the_time_of_its_closed_form(length, limits, least_s):
 def test_moves_of_fifteen_decades_in_one_path_cost_no_more_than_others():
     """A corner of nanometres beside a move of a megametre is not cut ever finer.
 
-    It was: four million elements, and no end.
+    Once there were four million elements, and no end.
     """
     points = [[0.0], [4e3], [0.0], [2.6e3], [2.6e3 + 2e-9], [-1.6e5], [-1e4], [-1e4 + 0.03], [1e6]]
     motion = retime(points, 0.03, 2.0, 2.3, 5.9e-6)
@@ -52,7 +52,7 @@ def test_moves_of_fifteen_decades_in_one_path_cost_no_more_than_others():
 
 
 def test_a_long_way_at_the_limit_of_velocity_loses_nothing_at_its_ends():
-    """Two moves on one line take L / v + v / a; a lead-in as long as metres lost 20 ms of it."""
+    """Two moves on one line take L / v + v / a; a lead-in of metres once lost 20 ms."""
     motion = retime([[0.0], [-1.3], [-3.1]], 0.0365, 2.66)
     least_s = 3.1 / 0.0365 + 0.0365 / 2.66
     assert least_s <= motion.duration_s <= least_s * 1.00005  # it was 1.00023
@@ -60,7 +60,7 @@ def test_a_long_way_at_the_limit_of_velocity_loses_nothing_at_its_ends():
 
 @pytest.mark.filterwarnings("error")
 def test_an_axis_that_moves_by_less_than_the_least_number_is_no_limit():
-    """Its limit over its way is above the largest number."""
+    """Its limit over its way exceeds the largest number."""
     motion = retime([[0.0, 0.0], [1.0, 5e-324]], 1.0, 5.0, 50.0)
     assert motion.duration_s == pytest.approx(1.3, rel=1e-12)
 
@@ -70,7 +70,7 @@ def test_units_and_the_parameter_change_nothing(name):
     """Other units of length and time, the way back, and chords cut into parts: the same time.
 
     The way back has the same time by symmetry, and points on the chords change no straight line.
-    They differ by 1e-14 and 7e-8.
+    The differences are 1e-14 and 7e-8.
     """
     points = np.random.default_rng(4).normal(size=(9, 2))
     here_s = retime(points, [1.0, 2.0], [8.0, 5.0], 200.0, 1e-2).duration_s
@@ -127,7 +127,7 @@ def test_a_wider_tolerance_is_faster_and_is_kept():
 )
 @pytest.mark.parametrize("tolerance", [1e-3, 0.2, 100.0])
 def test_the_motion_ends_at_the_last_point_whatever_the_tolerance(points, tolerance):
-    """Also where points lie nearer to each other than the tolerance can tell apart."""
+    """This also holds for points closer to each other than the tolerance."""
     motion = retime(points, 1.0, 5.0, 50.0, tolerance)
     span = np.abs(points).max()
     # Digits of the largest coordinate.
@@ -142,7 +142,7 @@ def test_a_path_far_shorter_than_its_tolerance_takes_the_straight_way():
 
 
 def test_dense_points_beside_a_curve_take_hardly_longer_than_the_curve():
-    """Points up to 2 um beside an arc, 0.2 mm apart: it took 5 times as long to follow them all."""
+    """Points up to 2 um beside an arc, 0.2 mm apart: following all took 5 times as long."""
     turn = np.arange(400) * 2e-4 / 0.05
     arc = 0.05 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     beside = np.random.default_rng(11).uniform(-2e-6, 2e-6, arc.shape)
@@ -152,7 +152,7 @@ def test_dense_points_beside_a_curve_take_hardly_longer_than_the_curve():
 
 @pytest.mark.parametrize("count", [1, 5])
 def test_one_point_and_equal_points_are_no_motion_and_stand_there(count):
-    """Such a motion stood at 0, which may be far outside the machine."""
+    """Such a motion once stood at 0, which may be far outside the machine."""
     motion = retime([[1.0, 2.0]] * count, 1.0, 1.0, 1.0)
     assert motion.duration_s == 0.0
     assert motion([-1.0, 0.0, 3.0]).tolist() == [[1.0, 2.0]] * 3
@@ -165,10 +165,10 @@ def test_one_point_and_equal_points_are_no_motion_and_stand_there(count):
     [(0, np.inf), (0, 60.0), (1, 0.6), (2, 60.0), (14, 5.8), (28, 0.6), (35, 5.8), (38, 0.6)],
 )
 def test_a_higher_limit_of_velocity_costs_no_time(seed, jerk):
-    """Elements were cut less fine the higher it was: 1e9 took 5 to 20 % longer than 10.
+    """Once elements were coarser the higher it was: 1e9 took 5 to 20 % longer than 10.
 
-    Between limits that the axes reach the time may grow by what the docstring states: the last
-    four are the worst of 180 sets, with up to 0.6 %. Limits out of reach are one and the same.
+    Between limits that the axes reach the time may grow by the amount in the docstring: the last
+    four are the worst of 180 sets, with up to 0.6 %. Limits out of reach are all the same.
     """
     random = np.random.default_rng(seed)
     points = random.normal(size=(7, 1 + seed % 3))
@@ -229,7 +229,7 @@ def test_what_is_no_number_in_range_is_refused_by_name(given, said):
     ],
 )
 def test_what_is_no_time_is_refused(times, said):
-    """A time that is not a number got the start of the motion, without a word."""
+    """A time that is not a number once gave the start of the motion, without a message."""
     motion = retime([[0.0], [1.0]], 1.0, 1.0)
     with pytest.raises(PlanError, match=said):
         motion(times)
@@ -238,7 +238,7 @@ def test_what_is_no_time_is_refused(times, said):
 
 @pytest.mark.parametrize("derivative", [-1, 1.5, None])
 def test_a_derivative_is_a_whole_number(derivative):
-    """Of -1 the places were returned."""
+    """For -1 the places were once returned."""
     motion = retime([[0.0], [1.0]], 1.0, 1.0)
     with pytest.raises(PlanError, match=f"the derivative is {derivative}; it must be"):
         motion([0.5], derivative)

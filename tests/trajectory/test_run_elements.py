@@ -10,7 +10,7 @@ from threadline.motion.timing.optimal.run_elements import run_elements
 
 
 def test_pieces_of_femtometres_beside_a_rest_are_left_out():
-    """They are less than the rounding of a place: no motion from rest along them has digits."""
+    """They are below the rounding of a place: a motion from rest along them has no digits."""
     ways = np.array([1e-15, 0.1, 1e-13, 0.05, 2e-15])
     starts = np.cumsum(ways) - ways
     zeros = np.zeros(5)

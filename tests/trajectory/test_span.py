@@ -1,4 +1,4 @@
-"""What a whole reading of a trajectory tells is kept: it need not be planned again for that."""
+"""Results of a whole reading of a trajectory are kept, without planning it again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from threadline.motion.timing.types import TrajectoryBlock
 
 
 def block(start_s: float, way: float) -> TrajectoryBlock:
-    """Return one piece of 0.5 s, straight; a way of 0 is a rest."""
+    """Return one straight piece of 0.5 s; a way of 0 is a rest."""
     return TrajectoryBlock(
         start_s=np.array([start_s]),
         duration_s=np.array([0.5]),
@@ -37,7 +37,7 @@ class Counted:
 def test_one_reading_tells_duration_and_motion() -> None:
     made = Counted()
     trajectory = Trajectory(axes=("X",), blocks=Made(made))
-    next(iter(trajectory))  # a part of it tells nothing
+    next(iter(trajectory))  # a part of a reading is not enough
     assert len(list(trajectory)) == 5 and made.begun == 2
     assert trajectory.duration_s == pytest.approx(2.5)
     assert trajectory.moves_s == pytest.approx((0.5, 2.0))

@@ -1,4 +1,4 @@
-"""Steps in place of slower first and last stitches: same times, same way, one speed."""
+"""Steps of speed in place of slower first and last stitches: same times, same way."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LAST_S = 0.02  # each piece
 
 
 def chords(lengths, directions, *, rests=(), split=None):
-    """Straight pieces from the origin, at rest after ``rests``; ``split`` into two blocks."""
+    """Return straight pieces from the origin, at rest after ``rests``; ``split`` in two blocks."""
     steps = np.array(lengths)[:, None] * np.array(directions, dtype=float)
     starts = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)[:-1]])
     n = len(steps)
@@ -23,7 +23,7 @@ def chords(lengths, directions, *, rests=(), split=None):
         start_s=np.arange(n) * LAST_S,
         duration_s=np.full(n, LAST_S),
         coefficients=np.stack([starts, steps], axis=1),
-        # An operation that is no move, between two moves, is a rest.
+        # An operation without motion between two moves is a rest.
         operation=np.arange(n) + np.searchsorted(np.array(rests, dtype=int), np.arange(n)),
     )
     cuts = [0, n] if split is None else [0, split, n]
@@ -53,7 +53,7 @@ def test_legs_rest_for_what_their_run_ups_cost(split):
     "planned",
     [
         chords([1, 1, 0.8, 1, 1], [X] * 5),  # slower between two faster ones
-        chords([1, 0.8, 0.8, 1], [X, X, Y, Y]),  # a corner that is passed moving
+        chords([1, 0.8, 0.8, 1], [X, X, Y, Y]),  # a corner that is passed in motion
         chords([1, 1, 1], [X] * 3),
         chords([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [X] * 6),  # no piece has the speed of a leg
     ],

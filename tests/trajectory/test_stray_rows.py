@@ -1,4 +1,4 @@
-"""Errors of loads as rows of the timing: their slopes, and what the motion gains by them."""
+"""Errors of loads as rows of the timing: their slopes, and the time that they save."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def planned(contour_m):
 
 
 def test_rows_are_the_slopes_of_what_the_loads_stray(monkeypatch):
-    """Each coefficient of a motion in turn is made larger by a ten-thousandth.
+    """Each coefficient of a motion in turn is raised by a ten-thousandth.
 
-    What the loads then stray about the place of the row is worked out anew. A fifth of a slope is
-    for the times of elements, which a row takes from three values of each, and for the steps of
-    place and tick.
+    The error of the loads about the place of the row is then computed anew. A fifth of a slope is
+    allowed for the times of elements, which a row takes from three values of each, and for the
+    steps of place and tick.
     """
     caught = {}
 
@@ -68,18 +68,18 @@ def test_rows_are_the_slopes_of_what_the_loads_stray(monkeypatch):
         more = b.copy()
         more[k] *= 1.0 + 1e-4
         _, _, moved = strays_of(more)
-        about = slice(chosen[0] - 3, chosen[0] + 4)  # the place may move by some steps
+        about = slice(chosen[0] - 3, chosen[0] + 4)  # the place may shift by some steps
         change = (moved.share[about].max() - strays.share[about].max()) / 1e-4
         assert change == pytest.approx(rows.weights[0, k] * b[k], rel=0.2)
 
 
 @pytest.mark.long(shown_by="test_a_motion_that_strays_a_little_is_slowed_for_it")
 def test_the_motion_is_near_the_least_that_any_plan_can_take(monkeypatch):
-    """Least by a linear program over what X is told tick by tick, which shares no code with it.
+    """A linear program over X's commands, tick by tick, gives the least; it shares no code.
 
     The path comes within 0.1 mm of the programmed point, so the loads are within 0.4 mm. Guards
-    alone are 5 % slower than with rows (0.845 s); the rest above the program is the acceleration
-    that a rigid drive has at a tenth of reserve, and the ticks.
+    alone are 5 % slower than with rows (0.845 s); the rest above the program comes from the
+    acceleration of a rigid drive with a tenth of reserve, and from the ticks.
     """
     count = 315  # as the tool finds it; that one more would do is not needed here
     assert not comes(WINDER, count, 0.1, "loop", 4e-4)
@@ -93,7 +93,7 @@ def test_the_motion_is_near_the_least_that_any_plan_can_take(monkeypatch):
 
 
 def test_a_motion_that_strays_a_little_is_slowed_for_it(monkeypatch):
-    """Most rounds end with a hundredth too much; it takes no more than it had to spare."""
+    """Most rounds end with a hundredth too much; it takes no more than it could spare."""
     caught = {}
 
     def kept(problem, block, limits, follower, past):
@@ -145,7 +145,7 @@ def test_the_step_is_that_of_the_whole_matrix(monkeypatch, many):
 
 
 def test_rows_are_of_peaks_and_of_some_places_between_them():
-    """A step takes the square of their number: with many elements, fewer of them."""
+    """A step costs the square of their number, so there are fewer of them with many elements."""
     share = 0.8 + 0.15 * np.sin(np.arange(3000) / 7.0)
     share[1000:2000] = 0.5
     peaks = [k for k in range(1, 2999) if share[k - 1] < share[k] > share[k + 1] and share[k] > 0.6]

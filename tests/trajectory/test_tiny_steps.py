@@ -1,4 +1,4 @@
-"""Steps of which hardly a digit is left where they are: no motion, no step of an acceleration."""
+"""Steps with hardly a digit at their place: no motion, and no step of an acceleration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from threadline.motion.timing.retime import retime
         325595,  # 1.7e-12 m back: steps of the acceleration by rounding, an infinite jerk
         340078,  # the same in two axes, 1.6e-11 m
         311512,  # 2 um after 0.6 m: the corner has pieces of picometres that take 0.6 us
-        318564,  # 22 nm at the end of a curve: what is left out there turned the piece before it
+        318564,  # 22 nm at the end of a curve: leaving them out turned the piece before
         360213,  # the same with a kink of 6 % between two axes
         361226,  # 0.4 nm after 0.28 m: the move ended in a curve as short, 3.6 % too late
     ],
@@ -42,12 +42,12 @@ def test_corners_that_a_tolerance_of_a_metre_lets_be_cut_are_passed_no_slower_th
 @pytest.mark.parametrize(
     "number",
     [
-        325193,  # a jerk that is reached in 1.4 ms of 520 ms of speeding up: 0.4 of it was used
+        325193,  # a jerk that is reached in 1.4 ms of 520 ms of acceleration: 0.4 of it was used
         335391,  # 51 s at the feed, which is reached in 0.9 ms
     ],
 )
 def test_the_jerk_is_used_from_the_start_where_the_feed_is_far_off(number: int) -> None:
-    """They were slower than by ``auto``, by 3e-6 and 4e-5: the lead-in was held to the feed."""
+    """They were slower than by ``auto``, by 3e-6 and 4e-5: the feed limited the lead-in."""
     tally = Tally(Counter(), [])
     run_case(number, without_drives(load_machine("lathe-winder")), tally)
     assert tally.failed == [] and 0.9 < tally.worst <= 1.001 and 0.0 < tally.slowest < 0.99998

@@ -1,7 +1,7 @@
-"""Runs that are planned some pieces at a time: as fast as in one, and without a step between.
+"""Runs planned some pieces at a time: as fast as in one, and without a step in between.
 
-The motion is held against that of the whole run, which is planned by the same solver without any
-window, and against its limits at random instants.
+The tests compare the motion with a plan of the whole run by the same solver without a window, and
+with its limits at random instants.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def test_all_limits_hold_at_a_million_instants_of_windows(short):
 
 
 def test_where_no_way_on_is_known_the_plan_ends_in_a_rest(short, monkeypatch):
-    """As if no slow motion could go on from any window: each ends at rest, and the next begins."""
+    """No slow motion could continue any window: each ends at rest, and the next begins there."""
     way = windows._slow_way
     monkeypatch.setattr(
         windows, "_slow_way", lambda *given: None if given[1] is not None else way(*given)
@@ -94,9 +94,9 @@ def test_where_no_way_on_is_known_the_plan_ends_in_a_rest(short, monkeypatch):
 
 
 def test_windows_along_rough_points_go_on_where_a_faster_way_would_not(monkeypatch):
-    """Points 0.1 mm apart, 2 um beside a curve, at a low jerk: the way on begins evenly.
+    """Points 0.1 mm apart, 2 um beside a curve, at a low jerk: the continuation begins evenly.
 
-    Without that a window in three came to rest, and the motion took 16 and 32 % more.
+    Otherwise a window in three came to rest, and the motion took 16 and 32 % more.
     """
     slow = Limits(velocity=np.full(3, 1.0), acceleration=np.full(3, 8.0), jerk=np.full(3, 200.0))
     monkeypatch.setattr(points_growth, "LIMITS", slow)
@@ -113,7 +113,7 @@ def test_windows_along_rough_points_go_on_where_a_faster_way_would_not(monkeypat
 
 
 def test_pieces_are_taken_in_order_up_to_each_rest():
-    """However many are asked for and put back, all come, once, and none from behind a rest."""
+    """However many are read and put back, all come, once, and none from beyond a rest."""
     random = np.random.default_rng(6)
     number = np.arange(200)
     rest = (random.random(200) < 0.04).astype(np.int64)

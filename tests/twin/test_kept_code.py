@@ -103,7 +103,7 @@ def test_what_was_not_asked_for_the_longest_goes_first(
 
 
 def by_shape(folder: Path, shape: str, number: int, written: list[int]) -> int:
-    """``100 + number``, of a module that is known by a shape; note that it was written."""
+    """Return ``100 + number`` from a module known by a shape, and record that it was written."""
 
     def write() -> ir.Module:
         written.append(number)
