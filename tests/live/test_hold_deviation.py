@@ -12,6 +12,7 @@ from tests.live.bench import Bench, table_of_counts, there_and_back
 from threadline.commands.plan import Plan
 from threadline.files import RunEnd, Stream, TickBlock, tick_table
 from threadline.live.braking import MOST_PLACES, CountLimits, brake
+from threadline.live.grbl_operated import GrblOperated
 from threadline.live.hold_deviation import (
     hold_ahead_m,
     hold_deviation_m,
@@ -21,8 +22,10 @@ from threadline.live.hold_deviation import (
     rests_within,
     spoiled_by_holds,
 )
+from threadline.live.links import GrblLink, RowsOperated, SimLink
 from threadline.live.path_window import PathWindow
 from threadline.live.states import Cause, State
+from threadline.live.supervised import interventions
 from threadline.machine import load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, simulate
@@ -200,6 +203,20 @@ def test_what_a_hold_was_foreseen_to_do_is_what_it_does() -> None:
 
     assert worst.measured is not None
     assert worst.measured == pytest.approx(shaken, rel=0.35)
+
+
+def test_a_controller_that_holds_by_itself_is_not_told_to_wait() -> None:
+    """Its hold stands where it is asked for: the note says what that does, and no rest is waited
+    for."""
+    plan = planned("helix.gcode", "stepper-winder")
+    may = interventions(plan, load_spec(None, plan.machine))
+    assert may.hold_at_rest and "so a hold stands at the" in may.notes[0]
+    by_itself = may.at_once()
+    assert not by_itself.hold_at_rest
+    assert by_itself.notes[0].startswith("the controller holds at once: at full speed that shakes")
+    assert "stands at" not in "".join(by_itself.notes)
+    assert GrblLink.holds_at_once and GrblOperated.holds_at_once
+    assert not RowsOperated.holds_at_once and not SimLink.holds_at_once
 
 
 def test_a_hold_that_stays_in_spec_is_left_alone() -> None:

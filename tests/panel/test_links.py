@@ -338,3 +338,15 @@ def test_hal_is_homed_jogged_run_held_and_stopped(
     assert kept is not None
     (record,) = kept.index.runs()
     assert record.link == link
+
+
+def test_inputs_that_nothing_simulated_switches_are_said() -> None:
+    """They are lit at rest: without a word an operator would look for the letter that is held."""
+    placer = load_machine("letter-placer")
+    told = (
+        "nobody is at the simulated machine: its inputs start button, letter held, acknowledge and "
+        "home button are on from the start"
+    )
+    assert at_link("sim", placer, 1.0).notes == (told,)
+    assert at_link("sim:slower", placer, 1.0).notes[1:] == (told,)
+    assert at_link("sim", load_machine("lathe-winder"), 1.0).notes == ()

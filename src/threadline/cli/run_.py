@@ -178,6 +178,7 @@ def run(
         for line in over.prepare(plan):
             note(line)
         may = interventions(plan, spec_asked)
+        may = may.at_once() if over.holds_at_once else may
         for line in may.notes:
             note(line)
         recorded = {

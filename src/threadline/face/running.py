@@ -153,6 +153,7 @@ def run(
             **({"override": override} if override else {}),
         }
         may = interventions(plan, spec)
+        may = may.at_once() if over.holds_at_once else may
         notes += may.notes
         manner = Manner(may=may, recorded=recorded, pass_stops=pass_stops)
         inputs = [one for one in inputs_read() if not one.samefile(file)]

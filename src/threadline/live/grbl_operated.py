@@ -38,6 +38,8 @@ class GrblOperated(GrblRun):
         Queue of the operator's commands; receiver of samples, events and changes of state.
     """
 
+    holds_at_once = True
+
     def __init__(
         self, controller: Controller, desk: Desk, sink: Sink, *, pass_stops: bool = False
     ) -> None:

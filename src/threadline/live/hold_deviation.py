@@ -293,7 +293,14 @@ def _with_events(
         yield replace(block, events=(*block.events, *due))
 
 
-def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Result] = ()) -> str:
+def hold_words(
+    plan: Plan,
+    leaves_m: float,
+    *,
+    waits: bool,
+    spoiled: Sequence[Result] = (),
+    at_once: bool = False,
+) -> str:
     """Return a note on holds for the operator before a run; empty if there is nothing to say.
 
     Parameters
@@ -304,9 +311,13 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Re
         Distance of a hold from the path, and whether it waits for a rest.
     spoiled
         The criteria that a hold would bring out of specification, by simulation.
+    at_once
+        Whether the controller holds on its path by itself, and waits for no rest.
     """
     if spoiled and math.isfinite(leaves_m):
         found = _results_words(spoiled)
+        if at_once:
+            return f"the controller holds at once: at full speed that shakes the load ({found})"
         until = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
         return f"braking at full speed would shake the load ({found}), so a hold stands {until}"
     if not 0.0 < leaves_m < math.inf:
@@ -317,6 +328,8 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Re
         places += f" or {1e3 * ahead_m:.2f} mm from where it is due"
     if not waits:
         return f"a hold may stand {places}, within the limit"
+    if at_once:
+        return f"a hold may stand {places}, beyond the limit: the controller holds at once"
     if rests_within(plan):
         return f"a hold may stand {places}, so it stands at the next rest"
     return f"a hold may stand {places}, so it waits for a rest, and there is none before the end"

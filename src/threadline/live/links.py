@@ -46,6 +46,8 @@ class Link(Protocol):
     """Runs checked plans on the machine at its far end."""
 
     label: str
+    holds_at_once: bool
+    """Whether the controller holds on its path by itself, and waits for no rest."""
     """Name of the far end if it is neither a machine nor its twin; else empty."""
 
     @property
@@ -144,6 +146,7 @@ class GrblLink:
     """
 
     label = ""
+    holds_at_once = True
 
     def __init__(self, address: str, machine: Machine, *, approach: bool = False) -> None:
         check_address(address)
@@ -262,6 +265,8 @@ def link_of(
 
 
 _BY_ITSELF = "grbl switches its drives by itself"
+_SAFE = frozenset({"light-grid", "enable"})
+"""Kinds of contacts that are on at rest on a real machine, too."""
 _NO_HOME = "there is nothing to home: HAL takes where it begins for home"
 
 
@@ -287,6 +292,20 @@ class AtLink:
     console: bool = False
 
 
+def _by_nobody(machine: Machine) -> tuple[str, ...]:
+    """Return a note on the inputs that no simulated part switches: they are on, so nothing waits."""
+    names = [
+        name.replace("_", " ")
+        for name, contact in machine.contacts.items()
+        if contact.cylinder is None and contact.kind not in _SAFE
+    ]
+    if not names:
+        return ()
+    said = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    are = "inputs {} are" if len(names) > 1 else "input {} is"
+    return (f"nobody is at the simulated machine: its {are.format(said)} on from the start",)
+
+
 def at_link(link: str, machine: Machine, speed: float) -> AtLink:
     """Return the description of the far end of a link; nothing is connected.
 
@@ -297,9 +316,10 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
     """
     found = link_of(link, machine, speed, None)
     if link == "sim":
-        return AtLink()
+        return AtLink(notes=_by_nobody(machine))
     if link == SLOWER:
-        return AtLink("", {}, ("where the computer is busy, the simulated machine goes slower",))
+        slower = "where the computer is busy, the simulated machine goes slower"
+        return AtLink(notes=(slower, *_by_nobody(machine)))
     if link.startswith("hal:"):
         return AtLink(found.label, {}, (_NO_HOME,))
     return AtLink(
@@ -319,6 +339,7 @@ class RowsOperated(Executor):
 
     age_s = 0.0
     board = None
+    holds_at_once = False
     meanwhile: Callable[[], None] = staticmethod(lambda: None)
 
     @property

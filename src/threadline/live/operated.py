@@ -57,6 +57,8 @@ class Operated(Protocol):
     """Whether the positions of the axes are known, or were known when a fault came."""
     stopped_by: str
     """Source of the stop, if the motion was stopped."""
+    holds_at_once: bool
+    """Whether the controller holds on its path by itself, and waits for no rest."""
     meanwhile: Callable[[], None]
     """Called repeatedly while the machine homes, if homing is waited for here."""
 

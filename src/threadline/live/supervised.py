@@ -89,8 +89,9 @@ class Interventions:
         The criteria that a hold elsewhere would bring out of specification, by simulation.
     no_override
         Why the feed of the run cannot be overridden; empty if it can.
-    notes
-        Notes on them for the operator before the run.
+    notes, notes_at_once
+        Notes on them for the operator before the run; the second for a controller that holds on its
+        path by itself.
     """
 
     hold_deviation_m: float
@@ -98,6 +99,11 @@ class Interventions:
     spoiled_by_holds: Sequence[Result]
     no_override: str
     notes: Sequence[str]
+    notes_at_once: Sequence[str]
+
+    def at_once(self) -> Interventions:
+        """Return them for a controller whose holds wait for no rest."""
+        return replace(self, hold_at_rest=False, notes=self.notes_at_once)
 
 
 def interventions(plan: Plan, spec: Spec) -> Interventions:
@@ -107,15 +113,20 @@ def interventions(plan: Plan, spec: Spec) -> Interventions:
     at_rest = hold_waits(plan, spec, leaves_m)
     spoiled = () if at_rest else kind.spoiled_by_holds(plan, spec)
     at_rest = at_rest or bool(spoiled)
-    notes = [hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled)]
-    if why := kind.override_spoils(plan, spec, leaves_m, at_rest):
-        notes.append(f"the feed of this run cannot be overridden: {why}")
+    held = [
+        hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled, at_once=at_once)
+        for at_once in (False, True)
+    ]
+    why = kind.override_spoils(plan, spec, leaves_m, at_rest)
+    more = f"the feed of this run cannot be overridden: {why}" if why else ""
+    notes, notes_at_once = ([note for note in (one, more) if note] for one in held)
     return Interventions(
         hold_deviation_m=leaves_m,
         hold_at_rest=at_rest,
         spoiled_by_holds=spoiled,
         no_override=kind.no_override or why,
-        notes=[note for note in notes if note],
+        notes=notes,
+        notes_at_once=notes_at_once,
     )
 
 
@@ -377,6 +388,8 @@ class ExecutedLink(ABC):
     speed
         Seconds of machine time per second.
     """
+
+    holds_at_once = False
 
     def __init__(self, speed: float) -> None:
         self._speed = speed

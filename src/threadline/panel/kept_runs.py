@@ -248,6 +248,7 @@ class KeptRuns:
         if proof.content["sha256"] != head["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
         may = self._interventions(str(head["proof"]), plan, spec)
+        may = may.at_once() if executor.holds_at_once else may
         LiveContour.rehearse(plan, spec, self._channels)
         load, number = executor.prepare(plan), int(head["number"])
         load = replace(load, notes=(*load.notes, *may.notes))
