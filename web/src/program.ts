@@ -313,8 +313,7 @@ export class Program {
     if (state.calculating !== null) return ["", `calculating, ${Math.round(state.calculating * 100)} %`];
     const run = state.progress;
     if (!run) return ["", ""];
-    if (run.ended)
-      return ["", isOf(state.proven?.program ?? "", run) ? toldEnd(state) : toldRun(state)];
+    if (run.ended) return ["", isOf(state.proven?.program ?? "", run) ? toldEnd(state) : toldRun(state)];
     const left = (Math.max(run.duration_s - run.time_s, 0) * 100) / state.feed_percent;
     const percent = Math.floor((100 * Math.min(run.time_s, run.duration_s)) / run.duration_s);
     const ends = state.state === "running" && left >= LONG_S ? `, ends at ${timeOfDay(left)}` : "";
