@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from threadline.jobs import Job, read_job
 from threadline.machine import load_machine
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
-from threadline.proof.pipeline import REPEATED, Trials, plan_job, prove_plan
+from threadline.proof.pipeline import NOMINAL, REPEATED, Trials, plan_job, prove_plan
 from threadline.search import paced, shaft
 from threadline.search.fastest import Grid, find_fastest
 from threadline.search.paced import Question
@@ -119,6 +121,109 @@ def test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within(
     assert inner and all(count == (4 if by_all else 1) for count in inner)
 
 
+@pytest.mark.parametrize("other", ["drawn machines", "a given machine"])
+def test_the_forecast_of_this_machine_spares_no_run_of_other_machines(
+    other: str, job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Everything is far within, and still every speed is judged in all runs, the inner ones too."""
+    drawn = other == "drawn machines"
+    wanted = Trials(repeats=4, machines=2 if drawn else 0)
+    criteria = tuple(
+        replace(c, limit=1e-3) if c.name == "stitch_residual" else c for c in SPEC.criteria
+    )
+    asked: dict[float, set[Trials]] = {}
+    original = paced.try_plan
+
+    def in_one_run(plan, spec, trials, *more, **named):  # type: ignore[no-untyped-def]
+        asked.setdefault(plan.duration_s, set()).add(trials)
+        return original(plan, spec, NOMINAL, *more, **named)
+
+    monkeypatch.setattr(paced, "try_plan", in_one_run)
+    shaft.constant_speeds(
+        Question(
+            job=job,
+            machine=MACHINE,
+            spec=replace(SPEC, criteria=criteria),
+            options=Options(),
+            low=0.998,
+            high=1.002,
+            trials=wanted,
+            actual=None if drawn else MACHINE,
+        ),
+        Grid(points=3, near=0, edge=5e-3),
+    )
+    assert len(asked) > 2
+    assert all(wanted in trials for trials in asked.values())
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A plan that is known by its tolerance alone, and its verdict."""
+
+    plan: float
+    verdict: Verdict
+
+
+@pytest.mark.parametrize("share", [0.61, 1.13, 1.5])
+def test_the_schedule_has_the_largest_tolerance_that_passes(
+    share: float, job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To a 64th of the searched range, which ends at 1.5 times the limit of the residual."""
+    limit_m = next(c.limit for c in SPEC.criteria if c.name == "stitch_residual")
+    assert limit_m is not None
+    most_m = share * limit_m
+
+    def tried(tolerance_m: float, *_: object) -> _Tried:
+        failed = "" if tolerance_m <= most_m else "it swings"
+        return _Tried(tolerance_m, Verdict(results=(), simulated=True, incomplete=failed))
+
+    monkeypatch.setattr(shaft, "plan_job", lambda _job, _machine, options: options.tolerance_m)
+    monkeypatch.setattr(shaft, "try_plan", tried)
+    found = shaft._schedule(Question(job=job, machine=MACHINE, spec=SPEC, options=Options()))
+    assert isinstance(found, _Tried)
+    assert most_m - 1.2 * limit_m / 64 <= found.plan <= most_m
+
+
+@pytest.mark.parametrize("schedule_s", [8.0, 12.0])
+def test_the_answer_is_the_faster_of_constant_speed_and_schedule(
+    schedule_s: float, job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constant: Any = SimpleNamespace(complete=True, best=1.0, verdict="of the constant speed")
+    pace = SimpleNamespace(tolerance_m=2e-5)
+    plan = SimpleNamespace(duration_s=schedule_s, stitched=SimpleNamespace(pace=pace))
+    schedule: Any = SimpleNamespace(plan=plan, verdict="of the schedule")
+    monkeypatch.setattr(shaft, "constant_speeds", lambda _: constant)
+    monkeypatch.setattr(shaft, "at_speed", lambda *_: SimpleNamespace(duration_s=10.0))
+    monkeypatch.setattr(shaft, "_schedule", lambda _: schedule)
+    found: Any = shaft.fastest_shaft(
+        Question(job=job, machine=MACHINE, spec=SPEC, options=Options())
+    )
+    assert (found.duration_s, found.constant_s) == (min(schedule_s, 10.0), 10.0)
+    faster = schedule_s < 10.0
+    assert found.by_schedule == faster
+    assert found.verdict == ("of the schedule" if faster else "of the constant speed")
+
+
+def test_a_search_without_a_lowest_speed_begins_at_half_the_speed_of_the_slowest_stitch(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And at no lower one: slow speeds take longest to simulate."""
+    ranges: list[tuple[float, float]] = []
+
+    def none_passes(_question: Question, asked: paced.Paced, _grid: Grid) -> Any:
+        ranges.append((asked.low, asked.high))
+        return SimpleNamespace(intervals=(), complete=True, best=None)
+
+    monkeypatch.setattr(shaft, "fastest_paced", none_passes)
+    question = Question(job=job, machine=MACHINE, spec=SPEC, options=Options())
+    shaft.constant_speeds(question)
+    lowest, highest = shaft.speed_range_hz(MACHINE)
+    fastest = shaft.at_speed(question, highest).stitched
+    half = 0.5 * len(fastest.turns) / fastest.slowest_s
+    assert half > lowest
+    assert ranges == [(pytest.approx(half), highest)]
+
+
 def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
     job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,6 +238,34 @@ def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
             options = replace(Options(), feed=parse_feed(f"{end!r} stitch/s"))
             plan = plan_job(job, MACHINE, options)
             assert prove_plan(plan, SPEC, trials=REPEATED).verdict.passed
+
+
+def test_one_end_that_more_runs_refuse_is_enough_to_search_again_with_all(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One run passes everywhere, all runs up to 1 stitch/s: the lower end stands, the upper not."""
+
+    def tried(speed_hz: float, _spec: object, trials: Trials, *_: object, **__: object) -> Any:
+        failed = "" if trials.repeats == 1 or speed_hz <= 1.0 else "it swings"
+        return SimpleNamespace(verdict=Verdict(results=(), simulated=True, incomplete=failed))
+
+    monkeypatch.setattr(shaft, "_far_within", lambda *_: True)
+    monkeypatch.setattr(shaft, "at_speed", lambda _question, speed_hz: speed_hz)
+    monkeypatch.setattr(paced, "try_plan", tried)
+    found = shaft.constant_speeds(
+        Question(
+            job=job,
+            machine=MACHINE,
+            spec=SPEC,
+            options=Options(),
+            low=0.9,
+            high=1.1,
+            trials=Trials(repeats=4),
+        ),
+        Grid(points=5, near=0, edge=5e-3),
+    )
+    assert found.best is not None and 0.99 < found.best <= 1.0
+    assert all(one.high <= 1.0 for one in found.intervals)
 
 
 def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:

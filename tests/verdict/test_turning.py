@@ -132,6 +132,20 @@ def test_a_machine_that_stops_on_its_way_fails() -> None:
     assert result.note == "short"
 
 
+@pytest.mark.parametrize("per_block", [2, 1000])
+def test_a_machine_that_stops_lacks_the_way_to_the_end_of_the_job(per_block: int) -> None:
+    """On the other side of its zero, whether the rest of the path was read by then or not."""
+    points = [[0.0], [0.1], *([-0.1 - 0.01 * k] for k in range(5))]
+    commanded, operation = follow(points, 40)
+    stands = np.minimum(np.arange(len(commanded)), 29)
+    result = turning(
+        points, commanded[stands], operation[stands], move_s=40 * TICK_S,
+        vertices_per_block=per_block,
+    ).result("turning_point_error")  # fmt: skip
+    assert result.measured == pytest.approx(0.1 * 29 / 40 + 0.14, abs=1e-12)
+    assert result.note == "the recording ends before the job"
+
+
 def test_a_recording_that_ends_early_measures_no_turning() -> None:
     points = [[0.0], [0.1], [0.0]]
     commanded, operation = follow(points, 40)
