@@ -115,6 +115,7 @@ def test_a_desk_at_twice_its_size_has_room_for_the_work(browser: Browser, plant:
     page.close()
 
 
+@pytest.mark.parametrize("plant", [("lathe-winder", 0.1)], indirect=True)
 def test_a_hold_moves_nothing_and_the_decimal_points_are_in_line(
     browser: Browser, plant: Plant
 ) -> None:
