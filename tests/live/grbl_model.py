@@ -44,11 +44,11 @@ class GrblModel(threading.Thread):
 
     def __init__(
         self, settings: dict[int, float], *, faster: float = 1.0, blocks: int = BLOCKS,
-        characters: int = ROOM,
+        characters: int = ROOM, port: int = 0,
     ) -> None:  # fmt: skip
         super().__init__(daemon=True)
         self.homing_s, self.homed_at_s = 0.0, np.inf
-        self.server = socket.create_server(("127.0.0.1", 0))
+        self.server = socket.create_server(("127.0.0.1", port))
         self.port = self.server.getsockname()[1]
         self.settings, self.faster, self.room = settings, faster, blocks
         self.characters = characters

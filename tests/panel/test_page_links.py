@@ -15,11 +15,14 @@ from tests.panel.browsing import (
     Page,
     expect,
     held_and_let_go,
+    moved_on,
     opened,
+    part,
     press,
     press_until,
     ready,
     shot,
+    stands,
     state,
 )
 from tests.panel.test_page_looks import nothing_is_wider
@@ -55,6 +58,52 @@ def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> 
             state(page, "fault")
             expect(page.locator("#state")).to_contain_text("Alarm")
             shot(page, "27-grbl")
+            page.close()
+    finally:
+        model.close()
+
+
+@pytest.mark.long(shown_by="test_what_is_not_homed_and_what_is_there_is_said")
+def test_a_grbl_program_is_held_in_the_middle_and_a_lost_link_comes_back(
+    browser: Browser, tmp_path: Path
+) -> None:
+    """The hold stands where it is asked for; a board that was unplugged needs no new panel."""
+    model = GrblModel(settings())
+    model.start()
+    link = f"grbl:{model.address}"
+    lines = "".join(f"G1 A{10 * k} X{5 * k} F6000\n" for k in range(1, 41))
+    (tmp_path / "long.gcode").write_text(f"G21 G90\n{lines}M30\n", "utf-8")
+    try:
+        with panel(tmp_path, "-m", "stepper-winder", "--link", link) as address:
+            page = browser.new_page(viewport=SIZE)
+            page.set_default_timeout(60_000)
+            page.goto(address)
+            ready(page)
+            part(page, "Prepare")
+            press(page, "Calculate")
+            expect(page.locator("#figures")).to_contain_text("long.gcode", timeout=300_000)
+            if page.locator("#override").is_visible():
+                page.locator("#override").fill("a trial")
+            part(page, "Run")
+            press(page, "Start")
+            moved_on(page, 0.0)
+            press_until(page, "Hold", "holding")
+            stood = stands(page)
+            assert 1.0 < stood < 195.0
+            expect(page.locator("#state")).not_to_contain_text("rest of the program")
+            expect(page.locator("#log")).not_to_contain_text("a hold stands at")
+            press_until(page, "Resume", "running")
+            moved_on(page, stood)
+            model.close()
+            state(page, "fault")
+            expect(page.locator("#state")).to_contain_text("the link is gone")
+            model = GrblModel(settings(), port=model.port)
+            model.start()
+            expect(page.locator("#age")).to_contain_text("no data")
+            press(page, "Reconnect")
+            state(page, "disabled")
+            press_until(page, "Enable", "enabled")
+            press_until(page, "Home all", "idle")
             page.close()
     finally:
         model.close()

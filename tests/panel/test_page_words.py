@@ -136,3 +136,15 @@ def test_what_is_typed_is_what_is_asked_for(browser: Browser, plant: Plant) -> N
     assert (sent["interpolation"], sent["feed_forward"]) == ("default", False)
     assert "shaper" not in sent
     page.close()
+
+
+def test_calculate_says_what_it_needs(browser: Browser, plant: Plant) -> None:
+    """Where no program is in the folder, there is nothing to calculate."""
+    plant.box.with_name("there.prg").unlink()
+    page = opened(browser, plant)
+    press(page, "Take control")
+    part(page, "Prepare")
+    calculates = page.get_by_role("button", name="Calculate", exact=True)
+    expect(calculates).to_be_disabled()
+    expect(calculates).to_have_attribute("title", "choose or load a program first")
+    page.close()

@@ -37,7 +37,10 @@ export class Buttons {
     const unreasoned = state !== null && this.program.wantsReason(state);
     for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) {
       const what = one.dataset.what!;
-      const waits = (what === "start" && unreasoned) || (changed && OF_CALCULATION.has(what));
+      const waits =
+        (what === "start" && unreasoned) ||
+        (what === "calculate" && !this.program.chosen) ||
+        (changed && OF_CALCULATION.has(what));
       const may =
         !(WITHOUT_DATA.has(what) ? deaf : stale) && this.can(one, what, state) && !waits && !this.ends(one);
       put(one, "disabled", !this.jogging.keeps(one) && !may);
@@ -76,6 +79,7 @@ export class Buttons {
       (BY_PLACE.has(what) && byPlace) ||
       (what === "start" && homeless && one.disabled && HOME_FIRST) ||
       (what === "override-feed" && overridden) ||
+      (what === "calculate" && session.mine() && !this.program.chosen && "choose or load a program first") ||
       (one.disabled && state !== null && session.waits(what)) ||
       ""
     );

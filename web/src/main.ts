@@ -89,8 +89,10 @@ function heard(message: FromPanel): void {
     own.answered(message.number, message.ok);
     if (!message.ok && session.moves) session.letGo();
     if (!message.ok && !renewal) say(message.text, true);
-  } else if (message.type === "said") say(message.text, message.wrong);
-  else if (message.type === "board") board.take(message);
+  } else if (message.type === "said") {
+    say(message.text, message.wrong);
+    if (message.wrong && (session.state?.calculating ?? null) !== null) program.refused(message.text);
+  } else if (message.type === "board") board.take(message);
   else if (message.type === "console") board.hear(message);
 }
 

@@ -6,7 +6,7 @@ import type { Figures, Preview, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { toldEnd, toldRun, unitOf } from "./session";
 import { note, say } from "./toasts";
-import { tellVerdict } from "./verdict";
+import { tellRefusal, tellVerdict } from "./verdict";
 import { inTrouble, isOf, timeOfDay } from "./wording";
 
 type Field = HTMLInputElement | HTMLSelectElement;
@@ -146,7 +146,18 @@ export class Program {
     return this.calculate();
   }
 
+  /** Whether a program is chosen. */
+  get chosen(): boolean {
+    return value("program") !== "";
+  }
+
+  /** Show why the chosen program has no verdict, until it is calculated again or another is chosen. */
+  refused(why: string): void {
+    tellRefusal(value("program"), why);
+  }
+
   private calculate(): number {
+    tellRefusal("", "");
     this.asked = this.fields();
     const priority = shown(by("priority")) ? this.priority : "programmed";
     const given = optionFields().filter(

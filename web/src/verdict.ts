@@ -1,14 +1,32 @@
 /** The verdict of a calculation: its figures, and its criteria in sentences, each with the used share of its limit. */
 
-import { by, made, put } from "./dom";
+import { by, made, put, tell, value } from "./dom";
 import type { Criterion, Figures } from "./messages";
 import { clock, sentence, used, verdictWords, worst } from "./wording";
 
 const MOST = 8;
 
+const NOTHING =
+  "Nothing is calculated yet. Calculate plans the program, simulates it and checks it against the specification.";
+let refusal = { program: "", why: "" };
+
+/** Show in the verdict's place why a program has none; "" for no reason. */
+export function tellRefusal(program: string, why: string): void {
+  refusal = { program, why };
+  tellNone();
+}
+
+function tellNone(): void {
+  const of = refusal.why !== "" && refusal.program === value("program");
+  tell("verdict-none", of ? refusal.why : NOTHING);
+  put(by("verdict-none"), "className", of ? "wrong" : "hint");
+}
+
 /** Show a calculation; null for none. A line of the program in it leads there. */
 export function tellVerdict(found: Figures | null, toLine: (line: number) => void): void {
   put(by("verdict-none"), "hidden", found !== null);
+  if (found) refusal = { program: "", why: "" };
+  tellNone();
   by("figures").replaceChildren(...(found ? figureRows(found) : []));
   by("criteria").replaceChildren(
     ...(found ? worst(found.criteria).slice(0, MOST) : []).map((one) =>

@@ -293,7 +293,7 @@ class AtLink:
 
 
 def _by_nobody(machine: Machine) -> tuple[str, ...]:
-    """Return a note on inputs that no simulated part switches: they are on, so nothing waits."""
+    """Return a note on the inputs that no simulated part switches: they are on from the start."""
     names = [
         name.replace("_", " ")
         for name, contact in machine.contacts.items()
