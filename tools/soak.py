@@ -32,7 +32,7 @@ from threadline.live import sim_process
 from threadline.live.executor import Executor
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_process import sim_link, simulated_of
-from threadline.live.states import Desk
+from threadline.live.states import Desk, Hold
 from threadline.live.store.run_store import INDEX, RunStore
 from threadline.live.supervised import Conduct, Running, run_commands
 from threadline.live.wire import Connection, Message
@@ -216,7 +216,7 @@ def run_until_killed(
         executor.connect()
         executor.enable()
         executor.home()
-        executor.start(plan.commands, pass_stops=True, hold_at_rest=True)
+        executor.start(plan.commands, pass_stops=True, hold=Hold.AT_REST)
         while not executor.over:
             executor.step()
             at_tick(executor.tick)

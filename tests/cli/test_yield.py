@@ -138,7 +138,7 @@ REQUIRED = '[[criteria]]\nname = "{}"\nlimit = "0.1 mm"\nrequired = {}\n'
     ("name", "required", "status", "said"),
     [
         # It compares many runs of one machine: a yield has one run of each.
-        ("repeatability", "true", 2, "repeatability is required, and is of many runs of one"),
+        ("repeatability", "true", 2, "repeatability is required and compares runs of one machine"),
         ("repeatability", "false", 0, "compares runs of one machine: repeatability"),
         # It needs stitches, which a part program does not have.
         ("seam_error", "true", 1, "seam_error is required, and was not measured"),

@@ -27,7 +27,7 @@ from threadline.live.executor import Executor
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import simulated_of
-from threadline.live.states import Desk, Kept
+from threadline.live.states import Desk, Hold, Kept
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options
@@ -44,7 +44,7 @@ class Case:
     machine: Machine
     commands: Commands
     ticks: int
-    hold_at_rest: bool = False
+    hold: Hold = Hold.AT_ONCE
 
     @property
     def start(self) -> np.ndarray:
@@ -65,7 +65,8 @@ def case(name: str) -> Case:
     machine = load_machine(machine_name)
     plan = plan_job(open_job(EXAMPLES / job, machine, Options()), machine, Options())
     ticks = int(plan.duration_s / float(machine.command_clock.period_s))
-    return Case(machine, plan.commands, ticks, hold_at_rest=name == "cylinders")
+    hold = Hold.AT_REST if name == "cylinders" else Hold.AT_ONCE
+    return Case(machine, plan.commands, ticks, hold=hold)
 
 
 def child(work: Callable[[], object]) -> int:
@@ -140,7 +141,7 @@ def execute(
     executor.connect()
     executor.enable()
     executor.home()
-    executor.start(which.commands, pass_stops=True, hold_at_rest=which.hold_at_rest)
+    executor.start(which.commands, pass_stops=True, hold=which.hold)
     while not executor.over:
         executor.step()
         at_tick(executor.tick)

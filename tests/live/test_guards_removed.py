@@ -8,6 +8,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ from threadline.live.jogging import JogAhead
 from threadline.live.scans_ahead import ScansAhead
 from threadline.live.sim_kinds import SimRows
 from threadline.live.sim_machine import SimMachine
-from threadline.live.states import Cause, Desk, State
+from threadline.live.states import Cause, Desk, Hold, State
 from threadline.live.wire import Message
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, open_job, plan_job, prove_plan
@@ -94,9 +95,9 @@ def without_end(one: JogAhead, until: int) -> Message:
     return _extend(one, until)
 
 
-def held_anywhere(one: Executor, commands: Commands, **options: bool) -> None:
+def held_anywhere(one: Executor, commands: Commands, **options: Any) -> None:
     """Begin a run in which a hold takes effect anywhere."""
-    _start(one, commands, **{**options, "hold_at_rest": False})
+    _start(one, commands, **{**options, "hold": Hold.AT_ONCE})
 
 
 def unconfirmed(*given: object) -> object:

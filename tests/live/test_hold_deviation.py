@@ -24,11 +24,13 @@ from threadline.live.hold_deviation import (
 )
 from threadline.live.links import GrblLink, RowsOperated, SimLink
 from threadline.live.path_window import PathWindow
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Hold, State
 from threadline.live.supervised import interventions
 from threadline.machine import load_machine
+from threadline.proof.option_form import Door
 from threadline.proof.options import Options
-from threadline.proof.pipeline import open_job, plan_job, simulate
+from threadline.proof.pipeline import open_job, plan_job, simulate, with_product
+from threadline.proof.request import Words
 from threadline.verdict import load_spec
 
 TICK_S = 0.005
@@ -80,7 +82,7 @@ def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
     rows = there_and_back(40.0, cruise=100)  # X reverses within 8 rows: too short for a rest
     rows = np.concatenate([rows, np.zeros((12, 3), np.int64), rows])
     bench = Bench().ready()
-    bench.executor.start(table_of_counts(rows), hold_at_rest=True)
+    bench.executor.start(table_of_counts(rows), hold=Hold.AT_REST)
     bench.go_on(150)
     bench.desk.ask(Cause.HOLD)
     bench.go_on(900)
@@ -104,7 +106,7 @@ def test_a_hold_in_a_rest_stands_there() -> None:
     rows = there_and_back(40.0, cruise=100)
     rows = np.concatenate([rows, np.zeros((200, 3), np.int64), rows])
     bench = Bench().ready()
-    bench.executor.start(table_of_counts(rows), hold_at_rest=True)
+    bench.executor.start(table_of_counts(rows), hold=Hold.AT_REST)
     bench.go_on(len(rows) // 2 - 60)
     bench.desk.ask(Cause.HOLD)
     bench.go_on(len(rows) + 100)
@@ -128,17 +130,17 @@ def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> 
     assert 36e-3 * 29.4e-3 < worst < 2e-3  # most of all at the reversal
     spec = load_spec(None, plan.machine)
     assert hold_waits(plan, spec, leaves_m=1e-6)
-    words = hold_words(plan, 1e-4, waits=True)
+    words = hold_words(plan, 1e-4, Hold.AT_REST)
     assert f"0.10 mm beside the path or {1e3 * worst:.2f} mm from where it is due" in words
     assert words.endswith("there is none before the end")
-    assert hold_words(plan, 1e-4, waits=False).endswith("within the limit")
+    assert hold_words(plan, 1e-4, Hold.AT_ONCE).endswith("within the limit")
     wide = replace(spec, criteria=[
         replace(c, limit=2e-3) if c.name == "progress_error" else c for c in spec.criteria
     ])  # fmt: skip
     assert not hold_waits(plan, wide, leaves_m=1e-6)
     motors = planned("x-180.prg", "lathe-winder", interpolation="linear")
     assert hold_ahead_m(motors) == 0.0
-    assert hold_words(motors, 0.0, waits=False) == ""
+    assert hold_words(motors, 0.0, Hold.AT_ONCE) == ""
     assert not hold_waits(motors, spec, leaves_m=0.0)
 
 
@@ -149,7 +151,7 @@ def test_whether_there_is_a_rest_is_known_before(rest: int, long: bool) -> None:
     whole = np.concatenate([np.zeros((30, 3), np.int64), rows, np.zeros((rest, 3), np.int64), rows])
     table = table_of_counts(whole)
     bench = Bench().ready()
-    bench.executor.start(table, hold_at_rest=True)
+    bench.executor.start(table, hold=Hold.AT_REST)
     bench.go_on(100)
     bench.desk.ask(Cause.HOLD)
     bench.go_on(len(whole) + 30)
@@ -173,7 +175,7 @@ def test_braking_that_shakes_the_load_out_of_spec_is_foreseen() -> None:
     for result in found.values():
         assert result.measured is not None and result.limit == pytest.approx(0.5e-3)
         assert result.limit < result.measured < 1e-3
-    words = hold_words(plan, 0.0, waits=True, spoiled=spoiled)
+    words = hold_words(plan, 0.0, Hold.AT_REST, spoiled=spoiled)
     assert "contour error" in words and "of 0.5 mm" in words
     assert words.endswith("so a hold stands at the end, for there is no rest")
 
@@ -210,13 +212,79 @@ def test_a_controller_that_holds_by_itself_is_not_told_to_wait() -> None:
     for."""
     plan = planned("helix.gcode", "stepper-winder")
     may = interventions(plan, load_spec(None, plan.machine))
-    assert may.hold_at_rest and "so a hold stands at the" in may.notes[0]
+    assert may.hold is Hold.GENTLY and "so a hold brakes within 0.26 s" in may.notes[0]
     by_itself = may.at_once()
-    assert not by_itself.hold_at_rest
+    assert by_itself.hold is Hold.AT_ONCE
     assert by_itself.notes[0].startswith("the controller holds at once: at full speed that shakes")
     assert "stands at" not in "".join(by_itself.notes)
     assert GrblLink.holds_at_once and GrblOperated.holds_at_once
     assert not RowsOperated.holds_at_once and not SimLink.holds_at_once
+
+
+def test_a_gentle_hold_keeps_the_work_in_spec() -> None:
+    """Half a second of braking lets the belts follow, where braking at once shakes them."""
+    plan = planned("helix.gcode", "stepper-winder")
+    assert spoiled_by_holds(plan, load_spec(None, plan.machine), Hold.GENTLY) == ()
+
+
+def test_a_hold_that_lifts_the_fibre_is_foreseen_wherever_it_lifts() -> None:
+    """The loops close up their lags in a hold, and the eye swings. At the fastest rows that lifts
+    nothing."""
+    job = EXAMPLES / "vessel.wind.toml"
+    machine = load_machine("lathe-winder")
+    how = Words.of(
+        "prove", Door.PYTHON, {"feed": "70 mm/s", "product": str(job)}
+    ).options(str(job))  # fmt: skip
+    plan = plan_job(open_job(job, machine, how), machine, how)
+    spec = with_product(load_spec(None, machine), machine, how)
+
+    spoiled = spoiled_by_holds(plan, spec)
+
+    (lifting,) = [result for result in spoiled if result.name == "lifting"]
+    assert lifting.measured is not None and lifting.limit == pytest.approx(5e-5)
+    assert lifting.measured > 2.0 * lifting.limit
+    assert spoiled_by_holds(plan, spec, Hold.GENTLY) == ()
+
+
+def braked(hold: Hold, stop_after: int | None = None) -> tuple[Bench, int, int]:
+    """Return a held run, the tick at which its rows slow down, and the tick at which it rests."""
+    rows = there_and_back(40.0, cruise=600)
+    bench = Bench().ready()
+    bench.executor.start(table_of_counts(rows), hold=hold)
+    bench.go_on(200)
+    bench.desk.ask(Cause.HOLD)
+    if stop_after is not None:
+        bench.go_on(200 + stop_after)
+        bench.desk.ask(Cause.STOP)
+    bench.go_on(560)
+    steps = np.diff(bench.commanded()[:, 0])
+    planned_steps = rows[: len(steps), 0]
+    slows = int(np.argmax(steps != planned_steps))
+    return bench, slows, int(np.flatnonzero(steps)[-1]) + 1
+
+
+def test_a_gentle_hold_brakes_for_half_a_second_and_starts_as_gently() -> None:
+    at_once, slows, rests = braked(Hold.AT_ONCE)
+    gently, slows_too, rests_later = braked(Hold.GENTLY)
+    assert at_once.executor.state is gently.executor.state is State.HOLDING
+    assert slows_too == pytest.approx(slows, abs=8)  # it begins to brake with slope 0
+    assert rests - slows < 0.25 / TICK_S < 0.5 / TICK_S <= rests_later - slows
+    stood = len(gently.commanded())
+    gently.desk.ask(Cause.RESUME)
+    gently.go_on()
+    assert gently.executor.ended == (RunEnd.COMPLETED, "")
+    counts = gently.commanded()[:, 0]
+    assert counts[-1] == there_and_back(40.0, cruise=600)[:, 0].sum()
+    steps = np.diff(counts[stood - 1 :])
+    full = int(np.argmax(steps == steps.max())) - int(np.argmax(steps > 0))
+    assert full >= 0.4 / TICK_S  # it starts as slowly as it braked
+
+
+def test_a_stop_in_a_gentle_hold_brakes_at_once() -> None:
+    _, slows, rests_later = braked(Hold.GENTLY)
+    stopped, slows_too, rests = braked(Hold.GENTLY, stop_after=15)
+    assert stopped.executor.ended is not None and stopped.executor.ended[0] is RunEnd.STOPPED
+    assert rests - slows_too < 0.6 * (rests_later - slows)
 
 
 def test_a_hold_that_stays_in_spec_is_left_alone() -> None:

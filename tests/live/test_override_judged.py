@@ -19,7 +19,7 @@ from threadline.live.hold_deviation import (
     override_exceeds,
     spoiled_by_override,
 )
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Hold, State
 from threadline.live.supervised import interventions
 from threadline.machine import load_machine
 from threadline.proof.options import Options
@@ -130,7 +130,7 @@ def test_a_rate_that_meets_a_mode_is_foreseen_and_named(tmp_path: Path) -> None:
     assert judge([simulate(plan.commands, plan.machine)], plan, spec).result(
         "contour_error"
     ).measured == pytest.approx(7.4e-5, rel=0.02)
-    percent, spoiled = spoiled_by_override(plan, spec, holds=False)
+    percent, spoiled = spoiled_by_override(plan, spec, Hold.AT_REST)
     assert [result.name for result in spoiled] == ["contour_error"]
     may = interventions(plan, spec)
     assert f"at {percent} % its loads would shake (contour error 0." in may.no_override
@@ -167,7 +167,7 @@ def test_a_plan_that_stays_in_spec_may_be_overridden(tmp_path: Path) -> None:
     wide = replace(
         spec, criteria=tuple(replace(c, limit=c.limit and 10.0 * c.limit) for c in spec.criteria)
     )
-    assert spoiled_by_override(plan, wide, holds=True) == (100, ())
+    assert spoiled_by_override(plan, wide, Hold.AT_ONCE) == (100, ())
     slow = planned("x-180.prg", "lathe-winder")
     may = interventions(slow, load_spec(None, slow.machine))
     assert may.no_override == ""
@@ -177,14 +177,14 @@ def test_a_plan_that_stays_in_spec_may_be_overridden(tmp_path: Path) -> None:
 def test_what_fails_at_the_whole_feed_is_no_fault_of_an_override(tmp_path: Path) -> None:
     plan, spec = zigzag(tmp_path)
     hard = replace(spec, criteria=tuple(replace(c, limit=c.limit and 1e-7) for c in spec.criteria))
-    assert spoiled_by_override(plan, hard, holds=True) == (100, ())
+    assert spoiled_by_override(plan, hard, Hold.AT_ONCE) == (100, ())
 
 
 def test_feed_forward_that_would_leave_its_path_slower_is_refused() -> None:
     plan = planned("stitcher-test-path.seam.toml", "stitcher", feed_forward_s=0.04)
     may = interventions(plan, load_spec(None, plan.machine))
     leaves = 1e3 * hold_deviation_m(plan)
-    assert may.hold_at_rest
+    assert may.hold is Hold.AT_REST
     assert "make the loads follow the path at the full feed alone" in may.no_override
     stated = float(may.no_override.split("up to ")[1].split(" mm")[0])
     assert stated >= round(leaves, 2) > 0.0

@@ -18,7 +18,7 @@ from threadline.errors import CommandError, LimitError
 from threadline.files import Recording, RunEnd, switch_schedule
 from threadline.files.formats import read_recording
 from threadline.live.sim_machine import SimFault, parse_fault
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Hold, State
 from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.proof.options import Options
@@ -49,7 +49,7 @@ def simulated() -> Recording:
 
 def bench(fault: SimFault | None = None) -> Bench:
     made = Bench(other=placer(), same=True, start=np.zeros(0, np.int64), fault=fault).ready()
-    made.executor.start(planned().commands, hold_at_rest=True)
+    made.executor.start(planned().commands, hold=Hold.AT_REST)
     return made
 
 
@@ -177,7 +177,7 @@ def test_a_wait_without_its_contact_is_a_fault() -> None:
     jammed = replace(placer().cylinders["X"], friction=held, stiction=held)
     machine = replace(placer(), cylinders={**placer().cylinders, "X": jammed})
     made = Bench(other=machine, same=True, start=np.zeros(0, np.int64)).ready()
-    made.executor.start(planned().commands, hold_at_rest=True)
+    made.executor.start(planned().commands, hold=Hold.AT_REST)
     made.go_on()
     ended, text = made.executor.ended or (None, "")
     assert (made.executor.state, ended) == (State.FAULT, RunEnd.FAULT)

@@ -48,7 +48,7 @@ def test_another_process_finds_the_same() -> None:
     plan, spec = planned()
     found, here = run_work.interventions_apart(plan, spec), interventions(plan, spec)
     assert found.hold_deviation_m == here.hold_deviation_m
-    assert found.hold_at_rest == here.hold_at_rest
+    assert found.hold is here.hold
     assert found.no_override == here.no_override
     assert found.notes == here.notes
     assert found.notes, "an operator is told nothing of holds: this compares nothing"

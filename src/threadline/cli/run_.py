@@ -57,6 +57,7 @@ from threadline.live.job_run import (
 from threadline.live.links import link_of
 from threadline.live.sim_machine import SimFault, parse_fault
 from threadline.live.sim_process import REAL_TIME
+from threadline.live.states import Hold
 from threadline.live.store.run_store import RunStore, check_folder
 from threadline.live.store.whole_trace import as_one
 from threadline.live.supervised import check_halts, check_override, check_runnable, interventions
@@ -192,7 +193,7 @@ def run(
             execution.continue_,
             execution.at,
             plan,
-            lambda operation: over.rest(plan, operation, at_rest=may.hold_at_rest),
+            lambda operation: over.rest(plan, operation, at_rest=may.hold is Hold.AT_REST),
             asks=not confirmed,
         )
         recorded |= known_of

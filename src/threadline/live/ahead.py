@@ -13,7 +13,14 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.errors import CommandError, LimitError
 from threadline.files import Commands, Event, tick_table
-from threadline.live.braking import MOST_PLACES, CountLimits, brake, change_rate, most_changed
+from threadline.live.braking import (
+    MOST_PLACES,
+    CountLimits,
+    brake,
+    change_rate,
+    gentle_ticks,
+    most_changed,
+)
 from threadline.live.feed_override import feed_words
 from threadline.live.pace import place_words
 from threadline.live.path_window import PathWindow
@@ -50,6 +57,8 @@ class Ahead:
     to_rest
         Whether the rows end at the program's next rest, for a hold that would leave the path
         anywhere else.
+    gently
+        Whether the next cut, and the next start from rest, are those of a gentle hold.
     rate
         Rows of the table per tick that the run is to play: 1, or from 0.1 to 0.99. The next refill
         begins the change.
@@ -82,7 +91,8 @@ class Ahead:
         self._overrides = [(-1, 1.0)]  # ticks and rates that the machine was sent
         self._given: list[tuple[int, Event]] = []  # sent events, and their ticks
         self._window.reach(MOST_PLACES)
-        self.to_rest = False
+        self.to_rest = self.gently = False
+        self._held_ticks = gentle_ticks(float(machine.tick_clock.period_s))
         self._before_cut: tuple[Any, ...] | None = None
 
     @property
@@ -202,7 +212,8 @@ class Ahead:
         self._given = [given for given in self._given if given[0] < tick]
         self._overrides = [change for change in self._overrides if change[0] < tick]
         self._window.put_back(back)
-        self._places = np.concatenate([self._places, self._brake()])
+        down = self._brake(self._held_ticks if self.gently else 0.0)
+        self._places = np.concatenate([self._places, down])
         self._rate, self._on_the_way = self.rate, np.empty(0)  # from the next start on
         self._line = self.end, self.place
         return self._refill(tick, np.empty(0))
@@ -227,9 +238,10 @@ class Ahead:
 
     def start_again(self) -> None:
         """Start from rest: the rate rises from 0 to the rate of the run over the next rows."""
-        self._window.reach(self.place + MOST_PLACES)
-        self._rate = self.rate
-        self._on_the_way = change_rate(self._window, self.place, (0.0, self._rate), self._limits)
+        gently = self._held_ticks if self.gently else 0.0
+        self._window.reach(self.place + most_changed(gently))
+        self._rate, rates = self.rate, (0.0, self.rate)
+        self._on_the_way = change_rate(self._window, self.place, rates, self._limits, gently)
 
     def _end_of_path(self) -> int:
         """Return the place at which rows end: the next stop, wait or wanted rest, or the end."""
@@ -239,11 +251,11 @@ class Ahead:
         ends = [last if rest is None else rest, last if halt is None else halt.tick]
         return min(last, *ends)
 
-    def _brake(self) -> FloatArray:
+    def _brake(self, gently: float = 0.0) -> FloatArray:
         now = self.end
         before = (self.place_at(now - 2), self.place_at(now - 1), self.place)
         stop = float(self._end_of_path())
-        return np.minimum(brake(self._window, before, self._limits), stop)
+        return np.minimum(brake(self._window, before, self._limits, gently), stop)
 
     def _refill(self, begin: int, tail: FloatArray, events: Sequence[Event] = ()) -> Message:
         places = np.concatenate([self._places[begin - self._first :], tail])

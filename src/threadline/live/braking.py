@@ -20,6 +20,8 @@ from threadline.base.compiled import njit
 from threadline.dynamics.analysis import fastest
 from threadline.machine import Machine
 
+GENTLE_S = 0.5
+"""Duration of the braking and of the start of a gentle hold, s: loops close up their lags in it."""
 _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
 """Braking durations in ticks to try in turn; the first one that keeps every limit is used."""
 MOST_PLACES = ceil(_DURATIONS[-1]) + 2
@@ -165,7 +167,14 @@ def _fall(before: float, place: float, ticks: float) -> FloatArray:
     return np.asarray(place + rate * ticks * _FALLS[ticks])
 
 
-def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -> FloatArray:
+def gentle_ticks(tick_s: float) -> float:
+    """Return the shortest braking of a gentle hold, in ticks: ``GENTLE_S`` or ``MOST_PLACES``."""
+    return next((ticks for ticks in _DURATIONS if ticks * tick_s >= GENTLE_S), _DURATIONS[-1])
+
+
+def brake(
+    path: Path, before: tuple[float, float, float], limits: CountLimits, gently: float = 0.0
+) -> FloatArray:
     """Return the (n,) places at the next ticks for braking to rest along the path.
 
     Parameters
@@ -176,13 +185,16 @@ def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -
         Places two ticks ago, one tick ago, and now.
     limits
         Limits of the axes. If no duration keeps them, the duration that exceeds them least is used.
+    gently
+        Shortest duration, in ticks, at most that of ``gentle_ticks``; 0 for as short as the limits
+        allow.
     """
     second, first, now = before
     if now <= first:
         return np.empty(0)
     best, least = np.empty(0), np.inf
     own = path.counts(np.arange(floor(second), floor(now) + MOST_PLACES, dtype=np.float64))
-    for ticks in _DURATIONS:
+    for ticks in (one for one in _DURATIONS if one >= gently):
         places = _fall(first, now, ticks)
         # Two ticks of rest after it: the jerk of stopping counts, too.
         whole = np.concatenate([before, places, places[-1:], places[-1:]])
@@ -194,19 +206,21 @@ def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -
     return best
 
 
-def rise(path: Path, place: float, limits: CountLimits) -> FloatArray:
+def rise(path: Path, place: float, limits: CountLimits, gently: float = 0.0) -> FloatArray:
     """Return the (n,) places at the next ticks for starting again from rest, up to the rate 1.
 
     Parameters
     ----------
     path
-        The path, known for ``MOST_PLACES`` beyond ``place``, or to its end.
+        The path, known for ``most_changed`` beyond ``place``, or to its end.
     place
         Place at which the run rests.
     limits
         Limits of the axes, as for ``brake``.
+    gently
+        Shortest duration, in ticks.
     """
-    return change_rate(path, place, (0.0, 1.0), limits)
+    return change_rate(path, place, (0.0, 1.0), limits, gently)
 
 
 def most_changed(gently: float) -> int:

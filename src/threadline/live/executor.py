@@ -20,7 +20,7 @@ from threadline.live.feed_override import feed_words, refuse_override
 from threadline.live.guards import clock_s
 from threadline.live.jogging import JogAhead, MoveAhead
 from threadline.live.kinds_run import RunAhead, run_kind_of
-from threadline.live.states import MOVING, Cause, Desk, Sink, State, next_state
+from threadline.live.states import MOVING, Cause, Desk, Hold, Sink, State, next_state
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 
@@ -65,7 +65,8 @@ class Executor(AtRest):
         self._many = _many(machine) if speed == 0.0 or speed >= _QUICK else 0
         self._run_kind = run_kind_of(machine)
         self._ahead: RunAhead | JogAhead | None = None
-        self._hold_at_rest = False
+        self._hold = Hold.AT_ONCE
+        self._gently = False  # how the sent braking brakes
         self._lease = ticks_in(LEASE_S, machine)
         self._lease_until = 0
         self._depth = ticks_in(DEPTH_S, machine)
@@ -107,7 +108,7 @@ class Executor(AtRest):
         commands: Commands,
         *,
         pass_stops: bool = False,
-        hold_at_rest: bool = False,
+        hold: Hold = Hold.AT_ONCE,
         loads_follow: bool = False,
         from_rest: bool = False,
         no_override: str = "",
@@ -120,8 +121,8 @@ class Executor(AtRest):
             Commands to run.
         pass_stops
             Whether the run goes on at stops of the program without an answer.
-        hold_at_rest
-            Whether a hold waits for the next rest of the program, so as not to leave the path.
+        hold
+            How it is held, so as not to spoil the work.
         loads_follow
             Whether the commands make the loads follow the motion (``RunKind.loads_follow``).
         from_rest
@@ -142,7 +143,7 @@ class Executor(AtRest):
             commands, self._machine, pass_stops=pass_stops, loads_follow=loads_follow
         )
         ahead.refuse_elsewhere(self._stands)
-        self._hold_at_rest = hold_at_rest
+        self._hold, ahead.gently = hold, hold is Hold.GENTLY
         self.no_override = self._run_kind.no_override or no_override
         if from_rest:
             ahead.start_again()
@@ -220,7 +221,7 @@ class Executor(AtRest):
         first = ahead.extend(self._depth)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
         self._heard_s = clock_s()
-        self._braked = self._brake_again = False
+        self._braked = self._brake_again = self._gently = False
         self._guards = self._run_kind.guards(self._machine)  # without memory of the last motion
         self._ahead, self._began, self._number = ahead, stands, self._number + 1
         self._settle = ahead.settle_ticks
@@ -302,19 +303,19 @@ class Executor(AtRest):
     def _command(self, cause: Cause) -> None:
         cause.refuse_after(self.ended)
         moving = self.state in MOVING
-        waits = cause is Cause.HOLD and self._hold_at_rest
+        waits = cause is Cause.HOLD and self._hold is Hold.AT_REST
         self._go(cause, "it goes on to the next rest and stands there" if waits else "")
         if cause is Cause.STOP and moving:
             self._homed = self._homed and (self._ahead is None or self._ahead.keeps_home)
             self.ended = self.ended or (RunEnd.STOPPED, f"stopped by {self.stopped_by}")
             self._brake()
         elif cause is Cause.HOLD:
-            if self._hold_at_rest and not isinstance(self._ahead, JogAhead | None):
+            if self._hold is Hold.AT_REST and not isinstance(self._ahead, JogAhead | None):
                 self._ahead.to_rest = True
                 if self._ahead.rests:  # in a rest already: the braking after it is not played
                     self._link.send(self._ahead.extend(self._ahead.end))
             else:
-                self._brake()
+                self._brake(gently=self._hold is Hold.GENTLY)
         elif cause is Cause.RESUME:
             self._start_again()
 
@@ -324,15 +325,22 @@ class Executor(AtRest):
         gone_s = min(clock_s() - self._heard_s, DEPTH_S) if self._real_time else 0.0
         return self.tick + int(gone_s / self._period_s) + self._lead
 
-    def _brake(self) -> None:
+    def _brake(self, *, gently: bool = False) -> None:
         """Replace the rows that the machine holds by braking along the path, once.
 
-        Rows that already brake are kept: a second cut after a refused one could not be undone.
+        Rows that already brake are kept: a second cut after a refused one could not be undone. A
+        gentle braking is replaced by one at once after the next report, when it is not refused.
         """
         ahead = self._ahead
-        if ahead is None or self._braked or self._rest is not None or ahead.end <= self.tick:
+        if ahead is None or self._rest is not None or ahead.end <= self.tick:
             return
-        self._braked = True
+        if self._braked:
+            harder = self._gently and not gently
+            self._gently, self._brake_again = self._gently and gently, self._brake_again or harder
+            return
+        self._braked, self._gently = True, gently
+        if not isinstance(ahead, JogAhead):
+            ahead.gently = gently
         self._link.send(ahead.cut(self._soonest))
 
     def _start_again(self) -> None:
@@ -407,8 +415,8 @@ class Executor(AtRest):
                 self._leave()
             return
         if self._brake_again:
-            self._brake_again = False
-            self._brake()
+            self._brake_again = self._braked = False
+            self._brake(gently=self._gently)
         played = standing and self.tick >= ahead.end
         if isinstance(ahead, JogAhead):  # teaching reads the position at the end
             played = played and ahead.settled(self.tick)

@@ -21,7 +21,7 @@ from threadline.live.grbl_words import Status, in_words
 from threadline.live.guards import clock_s
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load
-from threadline.live.states import MOVING, Cause, Desk, Sink, State, next_state
+from threadline.live.states import MOVING, Cause, Desk, Hold, Sink, State, next_state
 
 _AT_REST = frozenset({State.DISABLED, State.ENABLED, State.FAULT})
 """States in which reports of a controller at rest are ignored: nothing is begun in them."""
@@ -235,7 +235,7 @@ class GrblOperated(GrblRun):
         assert load.program is not None
         self.refuse_program(load.program, self._starts(load))
 
-    def run(self, load: Load, *, hold_at_rest: bool, no_override: str = "") -> None:  # noqa: ARG002  # it holds on its path
+    def run(self, load: Load, *, hold: Hold, no_override: str = "") -> None:  # noqa: ARG002  # it holds on its path
         """Begin a run."""
         assert load.program is not None
         self.start(load.program, self._starts(load), no_override=no_override)

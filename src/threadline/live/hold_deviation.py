@@ -19,11 +19,20 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
-from threadline.files import Event, RecordingBlock, Stream, TickBlock, TickTable, tick_table
+from threadline.files import Event, RecordingBlock, Stream, TickBlock, tick_table
 from threadline.live.ahead import OVERRIDE_S, ticks_in
-from threadline.live.braking import MOST_PLACES, CountLimits, brake, change_rate, most_changed, rise
+from threadline.live.braking import (
+    MOST_PLACES,
+    CountLimits,
+    brake,
+    change_rate,
+    gentle_ticks,
+    most_changed,
+    rise,
+)
 from threadline.live.pace import Pace
 from threadline.live.path_window import HALTS, PathWindow, rest_rows
+from threadline.live.states import Hold
 from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import simulate
 from threadline.verdict import Judge, Result, Spec, Status
@@ -32,7 +41,9 @@ from threadline.verdict.rendering import shown
 _AROUND_S = 2.0  # time before and after, in s, in which the nearest place of the path is sought
 _FINER = 4  # points of the path for each tick
 _AT_ONCE = 1 << 13
-_HOLDS = 8  # simulated holds, each at the fastest rows of a part of the table
+_HOLDS = 8  # simulated holds of a run, one in each part of the table
+_PLACES = (None, 0.62, 0.24, 0.86)
+"""Places of the holds within the parts: their fastest rows, then shares of their rows."""
 _STANDS_S = 0.5  # duration of each: the loads come to rest in it
 _MOST_ROWS = 200_000  # longest table that is simulated with holds
 _SPARE = 0.97  # share of a limit that a hold may use by its prediction
@@ -114,20 +125,24 @@ def hold_waits(plan: Plan, spec: Spec, leaves_m: float) -> bool:
     return leaves_m > 0.0 and math.isfinite(limit_m) and hold_ahead_m(plan) > limit_m
 
 
-def spoiled_by_holds(plan: Plan, spec: Spec) -> tuple[Result, ...]:
+def spoiled_by_holds(plan: Plan, spec: Spec, hold: Hold = Hold.AT_ONCE) -> tuple[Result, ...]:
     """Return the criteria that a hold would bring out of specification, as measured.
 
-    A run that is held at its fastest rows, in ``_HOLDS`` parts of its table, is simulated on the
-    nominal machine: it brakes and starts again as the executor does. A criterion that fails without
-    a hold too is not counted.
+    Runs that are held once in each of ``_HOLDS`` parts of their table are simulated on the nominal
+    machine, until one fails. A run brakes and starts again as the executor does. The first is held
+    at its fastest rows, the others at ``_PLACES`` of the parts: where axes with different lags
+    close up, the eye of a winder swings, and lifts the fibre at other places than the fastest. A
+    criterion that fails without a hold too is not counted.
     """
-    table = tick_table(plan.commands)
-    window = PathWindow(table, pass_stops=True)
-    places, until = _held_places(table, window, plan)
-    return _spoiled(plan, spec, window, places) if until else ()
+    for at in _PLACES:
+        window = PathWindow(tick_table(plan.commands), pass_stops=True)
+        places, until = _held_places(window, plan, at, _gently(plan, hold))
+        if until and (found := _spoiled(plan, spec, window, places)):
+            return found
+    return ()
 
 
-def spoiled_by_override(plan: Plan, spec: Spec, *, holds: bool) -> tuple[int, tuple[Result, ...]]:
+def spoiled_by_override(plan: Plan, spec: Spec, hold: Hold) -> tuple[int, tuple[Result, ...]]:
     """Return an override in % that would bring the work out of specification, and the criteria.
 
     100 and nothing if none does. Two runs at each of ``_SLOWER`` rates are simulated on the nominal
@@ -136,15 +151,15 @@ def spoiled_by_override(plan: Plan, spec: Spec, *, holds: bool) -> tuple[int, tu
 
     Parameters
     ----------
-    holds
-        Whether it is held anywhere, and not at rests only.
+    hold
+        How it is held.
     """
     table = tick_table(plan.commands)
     for rate in _SLOWER:
         window = PathWindow(table, pass_stops=True)
         rows = int(window.reach(rate * _MOST_ROWS))
         evenly = np.minimum(rate * np.arange(ceil(rows / rate) + 1.0), rows)
-        changing = _overridden_places(window, plan, (rate, rows), holds=holds)
+        changing = _overridden_places(window, plan, (rate, rows), hold)
         for places in (_resting(evenly, window, plan), changing):
             if len(places) and (found := _spoiled(plan, spec, window, places)):
                 return round(100.0 * rate), found
@@ -197,11 +212,21 @@ def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> 
     )
 
 
-def _held_places(table: TickTable, window: PathWindow, plan: Plan) -> tuple[FloatArray, int]:
+def _gently(plan: Plan, hold: Hold) -> float:
+    """Return the shortest duration of a braking, in ticks."""
+    return gentle_ticks(float(plan.machine.tick_clock.period_s)) if hold is Hold.GENTLY else 0.0
+
+
+def _held_places(
+    window: PathWindow, plan: Plan, at: float | None, gently: float
+) -> tuple[FloatArray, int]:
     """Return the (n,) places at the ticks of a run with holds, and the tick after the last hold.
 
-    0 if no row moves. The rest of the table after the last hold is played unchanged.
+    0 if no row moves. The rest of the table after the last hold is played unchanged. ``at`` is the
+    place of the holds within their parts, as a share of the rows; None: at the fastest row.
+    ``gently`` is the shortest duration of a braking, in ticks.
     """
+    table = tick_table(plan.commands)
     rows = int(window.reach(_MOST_ROWS))
     radius = plan.machine.radius_m / table.counts_per_unit
     step = np.diff(window.counts(np.arange(rows + 1.0)), axis=0) * radius
@@ -210,17 +235,18 @@ def _held_places(table: TickTable, window: PathWindow, plan: Plan) -> tuple[Floa
     stands = np.ones(ceil(_STANDS_S / float(table.clock.period_s)))
     places, until = np.arange(3.0), 0
     for begin, end in pairwise(np.linspace(0, rows, _HOLDS + 1).astype(int).tolist()):
-        fastest = begin + int(np.argmax(speed[begin:end])) if end > begin else begin
-        if end <= begin or speed[fastest] <= 0.0 or fastest <= places[-1] or fastest + 2 >= rows:
+        if end <= begin:
             continue
-        on = np.arange(places[-1] + 1.0, fastest + 1.0)
-        places = np.concatenate([places, on])
-        window.reach(places[-1] + 2.0 * MOST_PLACES)
+        row = begin + (int(np.argmax(speed[begin:end])) if at is None else int(at * (end - begin)))
+        if speed[row] <= 0.0 or row <= places[-1] or row + 2 >= rows:
+            continue
+        places = np.concatenate([places, np.arange(places[-1] + 1.0, row + 1.0)])
+        window.reach(places[-1] + MOST_PLACES + most_changed(gently))
         last = float(window.reach(places[-1]))
         before = (float(places[-3]), float(places[-2]), float(places[-1]))
-        down = np.minimum(brake(window, before, limits), last)
+        down = np.minimum(brake(window, before, limits, gently), last)
         rests_at = float(down[-1]) if len(down) else float(places[-1])
-        up = np.minimum(rise(window, rests_at, limits), last)
+        up = np.minimum(rise(window, rests_at, limits, gently), last)
         places = np.concatenate([places, down, rests_at * stands, up])
         until = len(places)
     rest = np.arange(np.floor(places[-1]) + 1.0, rows + 1.0)
@@ -228,7 +254,7 @@ def _held_places(table: TickTable, window: PathWindow, plan: Plan) -> tuple[Floa
 
 
 def _overridden_places(
-    window: PathWindow, plan: Plan, slower: tuple[float, int], *, holds: bool
+    window: PathWindow, plan: Plan, slower: tuple[float, int], hold: Hold
 ) -> FloatArray:
     """Return the (n,) places at the ticks of a run at a rate, up to a row; empty if none moves."""
     rate, rows = slower
@@ -239,15 +265,15 @@ def _overridden_places(
         return np.empty(0)
     limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
     stands, gently = ticks_in(_STANDS_S, plan.machine), float(ticks_in(OVERRIDE_S, plan.machine))
-    places = np.arange(3.0)
+    held, places = _gently(plan, hold), np.arange(3.0)
 
     def go_on(more: FloatArray) -> None:
         nonlocal places
         places = np.concatenate([places, np.minimum(more, rows)])
-        window.reach(places[-1] + stands + 2.0 * most_changed(gently))
+        window.reach(places[-1] + stands + 2.0 * most_changed(max(gently, held)))
 
     def change(before: float, after: float) -> None:
-        slowly = gently if before else 0.0
+        slowly = gently if before else held
         go_on(change_rate(window, float(places[-1]), (before, after), limits, slowly))
 
     go_on(np.empty(0))
@@ -257,8 +283,8 @@ def _overridden_places(
         if fastest <= places[-1] or fastest + 2 >= rows:
             continue
         go_on(places[-1] + rate * np.arange(1.0, (fastest - places[-1]) / rate + 1.0))
-        if holds and part % 2:
-            go_on(brake(window, (places[-3], places[-2], places[-1]), limits))
+        if hold is not Hold.AT_REST and part % 2:
+            go_on(brake(window, (places[-3], places[-2], places[-1]), limits, held))
             go_on(np.full(stands, places[-1]))
             change(0.0, rate)
         else:
@@ -296,8 +322,8 @@ def _with_events(
 def hold_words(
     plan: Plan,
     leaves_m: float,
+    hold: Hold,
     *,
-    waits: bool,
     spoiled: Sequence[Result] = (),
     at_once: bool = False,
 ) -> str:
@@ -307,8 +333,8 @@ def hold_words(
     ----------
     plan
         The plan.
-    leaves_m, waits
-        Distance of a hold from the path, and whether it waits for a rest.
+    leaves_m, hold
+        Distance of a hold from the path, and how the run is held.
     spoiled
         The criteria that a hold would bring out of specification, by simulation.
     at_once
@@ -318,15 +344,20 @@ def hold_words(
         found = _results_words(spoiled)
         if at_once:
             return f"the controller holds at once: at full speed that shakes the load ({found})"
+        shaken = f"braking at full speed would shake the load ({found})"
+        if hold is Hold.GENTLY:
+            tick_s = float(plan.machine.tick_clock.period_s)
+            lasts_s = gentle_ticks(tick_s) * tick_s
+            return f"{shaken}, so a hold brakes within {lasts_s:.2g} s; STOP brakes at once"
         until = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
-        return f"braking at full speed would shake the load ({found}), so a hold stands {until}"
+        return f"{shaken}, so a hold stands {until}"
     if not 0.0 < leaves_m < math.inf:
         return ""
     ahead_m = hold_ahead_m(plan)
     places = f"{1e3 * leaves_m:.2f} mm beside the path"
     if ahead_m > 0.0:
         places += f" or {1e3 * ahead_m:.2f} mm from where it is due"
-    if not waits:
+    if hold is not Hold.AT_REST:
         return f"a hold may stand {places}, within the limit"
     if at_once:
         return f"a hold may stand {places}, beyond the limit: the controller holds at once"

@@ -19,7 +19,7 @@ from threadline.live.continuing import Continued
 from threadline.live.guards import clock_s
 from threadline.live.links import Link
 from threadline.live.sim_process import LEAST_SPEED
-from threadline.live.states import Cause, Desk, State
+from threadline.live.states import Cause, Desk, Hold, State
 from threadline.live.store.run_store import OpenRun
 from threadline.live.store.whole_trace import joined_with, whole_recording
 from threadline.live.supervised import Conduct, Interventions, Running
@@ -163,7 +163,7 @@ def execute(
     with moved(kept), closed(Desk()) as desk, attended(desk) as keys, kept:
         conduct = Conduct(
             pass_stops=manner.pass_stops,
-            hold_at_rest=manner.may.hold_at_rest,
+            hold=manner.may.hold,
             no_override=manner.may.no_override,
             watch=keys.step,
             again=manner.again,
@@ -217,7 +217,8 @@ def _content(
         "trace": str(done.kept.trace),
         "ended": done.ended.value,
         "hold_deviation_m": finite(may.hold_deviation_m),
-        "hold_waits_for_rest": may.hold_at_rest,
+        "hold": may.hold.value,
+        "hold_waits_for_rest": may.hold is Hold.AT_REST,
         "spoiled_by_holds": [
             {"name": r.name, "axis": r.axis, "measured": r.measured, "limit": r.limit}
             for r in may.spoiled_by_holds

@@ -34,6 +34,7 @@ from threadline.live.hold_deviation import (
 )
 from threadline.live.path_window import rests_of
 from threadline.live.scans_ahead import ScansAhead, waits_of_schedule
+from threadline.live.states import Hold
 from threadline.live.turns_ahead import TurnsAhead
 from threadline.live.wire import Message
 from threadline.machine import Machine
@@ -48,6 +49,8 @@ class RunAhead(Protocol):
     """Whether positions are known after a stop."""
     to_rest: bool
     """Whether a hold waits for the next rest of the program."""
+    gently: bool
+    """Whether the next cut, and the next start from rest, are those of a gentle hold."""
     rate: float
     """Rows of the table per tick that it is to play, where ``RunKind.no_override`` is empty."""
 
@@ -160,7 +163,8 @@ class RunKind:
         Returns the distance of a hold from the path, in m; infinite if work can be held only at its
         rests.
     spoiled_by_holds
-        Returns the criteria that a hold would bring out of specification.
+        Returns the criteria that a hold would bring out of specification; its last argument is
+        how the run is held.
     rest
         Makes the commands for the rest of a job.
     loads_follow
@@ -174,7 +178,7 @@ class RunKind:
         Why the feed of its runs cannot be overridden; empty if it can.
     override_spoils
         Returns why an override would spoil the work of a plan; empty if it would not. Its last
-        arguments are the distance of a hold from the path, and whether holds wait for a rest.
+        arguments are the distance of a hold from the path, and how the run is held.
     by_hand
         Whether its axes can be moved by hand, one at a time.
     """
@@ -185,22 +189,22 @@ class RunKind:
     halts: Callable[[Commands], Iterable[Event]]
     hold_deviation_m: Callable[[Plan], float]
     rest: MakeRest
-    spoiled_by_holds: Callable[[Plan, Spec], tuple[Result, ...]] = lambda _, __: ()
+    spoiled_by_holds: Callable[[Plan, Spec, Hold], tuple[Result, ...]] = lambda *_: ()
     loads_follow: Callable[[Plan], bool] = lambda _: False
     rests_s: Callable[[Commands], FloatArray | None] = lambda _: None
     by_hand: bool = False
     reports_plan_time: bool = False
     no_override: str = ""
-    override_spoils: Callable[[Plan, Spec, float, bool], str] = lambda *_: ""
+    override_spoils: Callable[[Plan, Spec, float, Hold], str] = lambda *_: ""
 
 
-def _override_spoils(plan: Plan, spec: Spec, leaves_m: float, at_rest: bool) -> str:
+def _override_spoils(plan: Plan, spec: Spec, leaves_m: float, hold: Hold) -> str:
     """Return why an override would spoil the work of axes; empty if it would not."""
     if hold_waits(plan, spec, leaves_m):
         return override_words(max(leaves_m, hold_ahead_m(plan)), 100, ())
     if (percent := override_exceeds(plan)) < MOST_PERCENT:
         return f"at {percent} % its rows would go beyond the acceleration or jerk of an axis"
-    return override_words(0.0, *spoiled_by_override(plan, spec, holds=not at_rest))
+    return override_words(0.0, *spoiled_by_override(plan, spec, hold))
 
 
 def _rests_s(commands: Commands) -> FloatArray:

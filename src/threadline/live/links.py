@@ -26,7 +26,7 @@ from threadline.live.operated import Load, Operated
 from threadline.live.port import Port, check_address
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import IN_STEP, REAL_TIME, SLOWER, sim_link
-from threadline.live.states import Desk, Sink
+from threadline.live.states import Desk, Hold, Sink
 from threadline.live.supervised import (
     UNATTENDED,
     Conduct,
@@ -175,7 +175,7 @@ class GrblLink:
     ) -> tuple[RunEnd, str]:
         """Home, send the program, and record the reports of the controller.
 
-        The controller holds on its path, whatever ``hold_at_rest`` says.
+        The controller holds on its path, whatever ``hold`` says.
         """
         assert self._program is not None
         assert self._controller is not None
@@ -194,7 +194,7 @@ class GrblLink:
             in_order = sorted(starts, key=lambda way: machine.axes[way[0]].kind != "linear")
             if why := moved_in_turn(one, machine, in_order, conduct.watch):
                 return why
-        one.run(load, hold_at_rest=False, no_override=conduct.no_override)
+        one.run(load, hold=Hold.AT_ONCE, no_override=conduct.no_override)
         while not one.over:
             one.step()
             conduct.watch(one)
@@ -368,11 +368,11 @@ class RowsOperated(Executor):
         """Refuse a plan that does not begin where the machine stands."""
         self._run_kind.ahead(load.commands, self._machine).refuse_elsewhere(self.stands)
 
-    def run(self, load: Load, *, hold_at_rest: bool, no_override: str = "") -> None:
+    def run(self, load: Load, *, hold: Hold, no_override: str = "") -> None:
         """Begin a run; see ``Executor.start``."""
         self.start(
             load.commands,
-            hold_at_rest=hold_at_rest,
+            hold=hold,
             loads_follow=run_kind_of(self._machine).loads_follow(load.plan),
             from_rest=load.rest is not None,
             no_override=no_override,

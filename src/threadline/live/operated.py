@@ -12,7 +12,7 @@ from threadline.files import Channel, Commands, RunEnd
 from threadline.live.derived import Rest
 from threadline.live.grbl_console import GrblBoard
 from threadline.live.grbl_words import Program
-from threadline.live.states import State
+from threadline.live.states import Hold, State
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +150,7 @@ class Operated(Protocol):
     def refuse(self, load: Load) -> None:
         """Refuse a load that does not begin where the machine stands."""
 
-    def run(self, load: Load, *, hold_at_rest: bool, no_override: str = "") -> None:
+    def run(self, load: Load, *, hold: Hold, no_override: str = "") -> None:
         """Begin a run; ``no_override`` says why its feed cannot be overridden, if it cannot."""
 
     def override(self, percent: int) -> None:

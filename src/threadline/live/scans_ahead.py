@@ -74,7 +74,7 @@ class ScansAhead:
         period_s = float(schedule.clock.period_s)
         self.settle_ticks = max(1, round(_SETTLE_S / period_s))
         self.end = 0
-        self.to_rest = False
+        self.to_rest = self.gently = False
         self._rows = self._sent_waits = self._sent_creeps = self._reach = 0
         self._place = self._now = 0  # as reported
         self._off: int | None = None

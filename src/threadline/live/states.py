@@ -31,6 +31,17 @@ class State(StrEnum):
     FAULT = "fault"  # nothing moves before a reset
 
 
+class Hold(StrEnum):
+    """How a run is held."""
+
+    AT_ONCE = "at once"
+    """It brakes along the path as hard as the limits of the axes allow."""
+    GENTLY = "gently"
+    """It brakes along the path in ``braking.GENTLE_S``, and starts again in that time."""
+    AT_REST = "at rest"
+    """It goes on to the next rest of the program, and stands there."""
+
+
 class Cause(StrEnum):
     """Cause of a transition: a command of the operator, or a reported event."""
 

@@ -19,7 +19,7 @@ from threadline.live.derived import Rest
 from threadline.live.executor import Executor
 from threadline.live.hold_deviation import hold_waits, hold_words
 from threadline.live.kinds_run import run_kind_of
-from threadline.live.states import Desk, Sink, State
+from threadline.live.states import Desk, Hold, Sink, State
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.proof.proof_file import ProofFile, check_proof, read_proof
@@ -83,10 +83,10 @@ class Interventions:
     ----------
     hold_deviation_m
         Distance of a hold from the path, m; infinite if work can be held only at its rests.
-    hold_at_rest
-        Whether a hold waits for the next rest of the program.
+    hold
+        How the run is held.
     spoiled_by_holds
-        The criteria that a hold elsewhere would bring out of specification, by simulation.
+        The criteria that a hold at once would bring out of specification, by simulation.
     no_override
         Why the feed of the run cannot be overridden; empty if it can.
     notes, notes_at_once
@@ -95,34 +95,36 @@ class Interventions:
     """
 
     hold_deviation_m: float
-    hold_at_rest: bool
+    hold: Hold
     spoiled_by_holds: Sequence[Result]
     no_override: str
     notes: Sequence[str]
     notes_at_once: Sequence[str]
 
     def at_once(self) -> Interventions:
-        """Return them for a controller whose holds wait for no rest."""
-        return replace(self, hold_at_rest=False, notes=self.notes_at_once)
+        """Return them for a controller that holds at once by itself."""
+        return replace(self, hold=Hold.AT_ONCE, notes=self.notes_at_once)
 
 
 def interventions(plan: Plan, spec: Spec) -> Interventions:
     """Return the effects of holds and overrides of the feed on the work of a plan."""
     kind = run_kind_of(plan.machine)
     leaves_m = kind.hold_deviation_m(plan)
-    at_rest = hold_waits(plan, spec, leaves_m)
-    spoiled = () if at_rest else kind.spoiled_by_holds(plan, spec)
-    at_rest = at_rest or bool(spoiled)
+    hold = Hold.AT_REST if hold_waits(plan, spec, leaves_m) else Hold.AT_ONCE
+    spoiled = kind.spoiled_by_holds(plan, spec, hold) if hold is Hold.AT_ONCE else ()
+    if spoiled:
+        shaken = kind.spoiled_by_holds(plan, spec, Hold.GENTLY)
+        hold = Hold.AT_REST if shaken else Hold.GENTLY
     held = [
-        hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled, at_once=at_once)
+        hold_words(plan, leaves_m, hold, spoiled=spoiled, at_once=at_once)
         for at_once in (False, True)
     ]
-    why = kind.override_spoils(plan, spec, leaves_m, at_rest)
+    why = kind.override_spoils(plan, spec, leaves_m, hold)
     more = f"the feed of this run cannot be overridden: {why}" if why else ""
     notes, notes_at_once = ([note for note in (one, more) if note] for one in held)
     return Interventions(
         hold_deviation_m=leaves_m,
-        hold_at_rest=at_rest,
+        hold=hold,
         spoiled_by_holds=spoiled,
         no_override=kind.no_override or why,
         notes=notes,
@@ -206,7 +208,7 @@ class Conduct:
 
     Parameters
     ----------
-    pass_stops, hold_at_rest, loads_follow, no_override
+    pass_stops, hold, loads_follow, no_override
         See ``Executor.start``.
     watch
         Called after each step, for progress.
@@ -218,7 +220,7 @@ class Conduct:
     """
 
     pass_stops: bool = False
-    hold_at_rest: bool = False
+    hold: Hold = Hold.AT_ONCE
     loads_follow: bool = False
     no_override: str = ""
     watch: Callable[[Running], None] = lambda _: None
@@ -276,7 +278,7 @@ def run_commands(
         executor.start(
             commands,
             pass_stops=conduct.pass_stops,
-            hold_at_rest=conduct.hold_at_rest,
+            hold=conduct.hold,
             loads_follow=conduct.loads_follow,
             from_rest=again is not None,
             no_override=conduct.no_override,

@@ -89,7 +89,7 @@ class TurnsAhead:
         self.start = play.start_steps
         self.settle_ticks = ceil(_REST_S / float(period_s))
         self.end = 0
-        self.to_rest = False
+        self.to_rest = self.gently = False
         self._turns = _turns_of(play, self._every)
         self._waiting: list[_Turn] = []  # read, and not sent
         self._sent: list[_Turn] = []  # sent, perhaps not begun, with their beginnings as sent

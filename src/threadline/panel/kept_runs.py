@@ -31,7 +31,7 @@ from threadline.live.continuing import (
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load, Operated
 from threadline.live.path_window import REST_S
-from threadline.live.states import Cause, Sink, State
+from threadline.live.states import Cause, Hold, Sink, State
 from threadline.live.store.run_store import OpenRun, RunStore
 from threadline.live.store.whole_trace import (
     as_one,
@@ -253,7 +253,7 @@ class KeptRuns:
         load, number = executor.prepare(plan), int(head["number"])
         load = replace(load, notes=(*load.notes, *may.notes))
         rests = run_kind_of(plan.machine).rests_s
-        rests_s = rests(plan.commands) if may.hold_at_rest else None
+        rests_s = rests(plan.commands) if may.hold is Hold.AT_REST else None
         found = Prepared(number, stops, load, spec, proof, override, inputs, may, rests_s)
         if "run" not in head:
             return found
@@ -271,7 +271,7 @@ class KeptRuns:
         plan = whole.load.plan
         refuse_other_rows(record, plan)
         operation = operation_at(plan, last_executed(trace_of(folder, record)), at)
-        load = executor.rest(whole.load, operation, at_rest=whole.may.hold_at_rest)
+        load = executor.rest(whole.load, operation, at_rest=whole.may.hold is Hold.AT_REST)
         assert load.rest is not None
         again = continued_by(plan, load.rest)
         return replace(whole, load=load, again=again, continues=folder.name)
@@ -314,7 +314,7 @@ class KeptRuns:
         }
         try:
             may = ready.may
-            executor.run(ready.load, hold_at_rest=may.hold_at_rest, no_override=may.no_override)
+            executor.run(ready.load, hold=may.hold, no_override=may.no_override)
         except ThreadlineError as error:
             self._break_off(error)
             raise
