@@ -2,9 +2,7 @@
 
 import { by, made, put, tell, value } from "./dom";
 import type { Criterion, Figures } from "./messages";
-import { clock, sentence, used, verdictWords, worst } from "./wording";
-
-const MOST = 8;
+import { clock, nearest, sentence, used, verdictWords } from "./wording";
 
 const NOTHING =
   "Nothing is calculated yet. Calculate plans the program, simulates it and checks it against the specification.";
@@ -28,14 +26,16 @@ export function tellVerdict(found: Figures | null, toLine: (line: number) => voi
   if (found) refusal = { program: "", why: "" };
   tellNone();
   by("figures").replaceChildren(...(found ? figureRows(found) : []));
-  by("criteria").replaceChildren(
-    ...(found ? worst(found.criteria).slice(0, MOST) : []).map((one) =>
-      row(one, hasLines(found!) ? toLine : null),
-    ),
-  );
+  by("criteria").replaceChildren(...(found ? criterionRows(found, toLine) : []));
   by("notes").replaceChildren(...(found?.warnings ?? []).map((text) => made("li", text)));
   put(by("doubts"), "hidden", !found?.doubts.length);
   by("doubts-told").replaceChildren(...(found?.doubts ?? []).map((text) => made("li", text)));
+}
+
+function criterionRows(found: Figures, toLine: (line: number) => void): HTMLLIElement[] {
+  const { shown, others } = nearest(found.criteria);
+  const rows = shown.map((one) => row(one, hasLines(found) ? toLine : null));
+  return others ? [...rows, made("li", others)] : rows;
 }
 
 /** Whether the program is text, whose lines are known: a design of stitches in the colours of threads is none. */

@@ -140,6 +140,19 @@ export function worst(criteria: Criterion[]): Criterion[] {
   return [...found.values()].sort((a, b) => order(b) - order(a));
 }
 
+/** Criteria of a verdict that are listed, failed ones beside. */
+const MOST_CRITERIA = 8;
+
+/** The criteria that are nearest to their limits, all failed ones among them; and how many others there are. */
+export function nearest(criteria: Criterion[]): { shown: Criterion[]; others: string } {
+  const all = worst(criteria);
+  const failed = all.filter((one) => one.status === "failed").length;
+  const shown = all.slice(0, Math.max(MOST_CRITERIA, failed));
+  const others = all.length - shown.length;
+  const words = counted(others, "other criterion is", "other criteria are");
+  return { shown, others: others ? `${words} farther from the limit` : "" };
+}
+
 /** Whether a run is one of a program, by its file: a winding and a cycle have names of their own. */
 export function isOf(program: string, run: { file: string }): boolean {
   return program === run.file;

@@ -8,6 +8,7 @@ import {
   before,
   clock,
   inTrouble,
+  nearest,
   sentence,
   timeOfDay,
   used,
@@ -143,6 +144,15 @@ describe("criteria", () => {
     expect(used(criterion({ limit: 0 }))).toBeNull();
     expect(used(criterion({}))).toBeCloseTo(0.9);
   });
+  it("are listed up to eight, with all that failed, and the others are counted", () => {
+    const of = (count: number, status: Criterion["status"]) =>
+      Array.from({ length: count }, (_, k) => criterion({ name: `one_${status}_${k}`, status }));
+    expect(nearest(of(8, "passed")).others).toBe("");
+    const found = nearest(of(9, "passed"));
+    expect([found.shown.length, found.others]).toEqual([8, "1 other criterion is farther from the limit"]);
+    expect(nearest([...of(3, "passed"), ...of(10, "failed")]).shown).toHaveLength(10);
+  });
+
   it("are told once for each axis, the failed ones first", () => {
     const found = worst([
       criterion({ measured: 0.0001 }),

@@ -36,7 +36,7 @@ MANY_S = 0.09
 as it can without other commands."""
 _QUICK = 10.0
 """Least speed for such long reports: commands wait at most 9 ms at that speed."""
-_STARVED = "refills came too late: the machine has braked by itself"
+_STARVED = "refills came too late, this computer was busy: the machine has braked by itself"
 _SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
 
 
