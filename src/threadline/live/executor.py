@@ -67,6 +67,7 @@ class Executor(AtRest):
         self._ahead: RunAhead | JogAhead | None = None
         self._hold = Hold.AT_ONCE
         self._gently = False  # how the sent braking brakes
+        self._harder = False  # it is to be replaced by a braking at once
         self._lease = ticks_in(LEASE_S, machine)
         self._lease_until = 0
         self._depth = ticks_in(DEPTH_S, machine)
@@ -221,7 +222,7 @@ class Executor(AtRest):
         first = ahead.extend(self._depth)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
         self._heard_s = clock_s()
-        self._braked = self._brake_again = self._gently = False
+        self._braked = self._brake_again = self._gently = self._harder = False
         self._guards = self._run_kind.guards(self._machine)  # without memory of the last motion
         self._ahead, self._began, self._number = ahead, stands, self._number + 1
         self._settle = ahead.settle_ticks
@@ -335,10 +336,10 @@ class Executor(AtRest):
         if ahead is None or self._rest is not None or ahead.end <= self.tick:
             return
         if self._braked:
-            harder = self._gently and not gently
-            self._gently, self._brake_again = self._gently and gently, self._brake_again or harder
+            if self._gently and not gently:
+                self._gently, self._harder = False, True
             return
-        self._braked, self._gently = True, gently
+        self._braked, self._gently, self._harder = True, gently, False
         if not isinstance(ahead, JogAhead):
             ahead.gently = gently
         self._link.send(ahead.cut(self._soonest))
@@ -399,7 +400,7 @@ class Executor(AtRest):
         if what == "refill" and self._ahead is not None and self._ahead.undo():
             # Braking was to begin at a tick in the past; the next report gives a later one.
             self._lead, self._brake_again = max(2 * self._lead, 1), True
-            self._braked = False
+            self._braked = self._harder = False
         elif self.state is not State.FAULT:
             self._fault(f"the machine refused a {what}: {why}")
             self.over = what == "begin"  # nothing moves, and no report will come
@@ -415,8 +416,11 @@ class Executor(AtRest):
                 self._leave()
             return
         if self._brake_again:
-            self._brake_again = self._braked = False
+            self._brake_again = False
             self._brake(gently=self._gently)
+        if self._harder:
+            self._braked = False
+            self._brake()
         played = standing and self.tick >= ahead.end
         if isinstance(ahead, JogAhead):  # teaching reads the position at the end
             played = played and ahead.settled(self.tick)
