@@ -101,7 +101,7 @@ def press_until(page: Page, text: str, names: str) -> None:
 
 
 def x_mm(page: Page) -> float:
-    return float(page.locator("#at-X").inner_text().split()[0])
+    return float(page.locator("#at-X").inner_text().removesuffix("mm"))
 
 
 def moved_on(page: Page, from_mm: float) -> None:

@@ -128,7 +128,7 @@ def test_a_hold_moves_nothing_and_the_decimal_points_are_in_line(
     for text, name in (("Hold", "holding"), ("Resume", "running")):
         press_until(page, text, name)
         expect(page.locator("#next")).to_be_visible(visible=name == "holding")
-        tops.append(page.locator("#work").bounding_box())
+        tops.append([page.locator(box).bounding_box() for box in ("#by-hand", "#seen-section")])
     assert tops[0] == tops[1]
     for size in SIZES:
         page.set_viewport_size({"width": size[0], "height": size[1]})
