@@ -168,7 +168,7 @@ def _fall(before: float, place: float, ticks: float) -> FloatArray:
 
 
 def gentle_ticks(tick_s: float) -> float:
-    """Return the shortest braking of a gentle hold, in ticks: ``GENTLE_S`` or ``MOST_PLACES``."""
+    """Return the shortest braking of a gentle hold in ticks: ``GENTLE_S``, or the longest known."""
     return next((ticks for ticks in _DURATIONS if ticks * tick_s >= GENTLE_S), _DURATIONS[-1])
 
 

@@ -68,6 +68,7 @@ class Executor(AtRest):
         self._hold = Hold.AT_ONCE
         self._gently = False  # how the sent braking brakes
         self._harder = False  # it is to be replaced by a braking at once
+        self._braked_from = 0  # its first tick
         self._lease = ticks_in(LEASE_S, machine)
         self._lease_until = 0
         self._depth = ticks_in(DEPTH_S, machine)
@@ -330,7 +331,8 @@ class Executor(AtRest):
         """Replace the rows that the machine holds by braking along the path, once.
 
         Rows that already brake are kept: a second cut after a refused one could not be undone. A
-        gentle braking is replaced by one at once after the next report, when it is not refused.
+        gentle braking is replaced by one at once when a report shows that the machine plays it, so
+        that it was not refused.
         """
         ahead = self._ahead
         if ahead is None or self._rest is not None or ahead.end <= self.tick:
@@ -342,7 +344,8 @@ class Executor(AtRest):
         self._braked, self._gently, self._harder = True, gently, False
         if not isinstance(ahead, JogAhead):
             ahead.gently = gently
-        self._link.send(ahead.cut(self._soonest))
+        self._braked_from = self._soonest
+        self._link.send(ahead.cut(self._braked_from))
 
     def _start_again(self) -> None:
         ahead = self._ahead
@@ -418,7 +421,7 @@ class Executor(AtRest):
         if self._brake_again:
             self._brake_again = False
             self._brake(gently=self._gently)
-        if self._harder:
+        if self._harder and self.tick >= self._braked_from:
             self._braked = False
             self._brake()
         played = standing and self.tick >= ahead.end

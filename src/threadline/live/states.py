@@ -37,7 +37,7 @@ class Hold(StrEnum):
     AT_ONCE = "at once"
     """It brakes along the path as hard as the limits of the axes allow."""
     GENTLY = "gently"
-    """It brakes along the path in ``braking.GENTLE_S``, and starts again in that time."""
+    """It brakes along the path in about ``braking.GENTLE_S``, and starts again in that time."""
     AT_REST = "at rest"
     """It goes on to the next rest of the program, and stands there."""
 
