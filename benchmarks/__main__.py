@@ -30,7 +30,9 @@ def main() -> int:
         print(f"-- {name}", flush=True)
         for entry in importlib.import_module(f"benchmarks.{name}").run():
             results.append(entry)
-            ratio = "     no peer" if entry["ratio"] is None else f"{entry['ratio']:10.3g} x"
+            ratio = "     no peer" if entry["peer_value"] is None else "    no ratio"
+            if entry["ratio"] is not None:
+                ratio = f"{entry['ratio']:10.3g} x"
             print(f"   {ratio}  {entry['name']}: {entry['note']}", flush=True)
     if chosen == names:
         temporary = RESULTS.with_suffix(".json.part")

@@ -6,8 +6,8 @@ sample and its moves spend; a peer gets as many simulations. A peer minimises th
 for the share beyond the limit; the share of the acceleration is one more coordinate for it.
 
 The value is the median over the seeds of the least cost; a seed without a candidate in
-specification counts as the largest cost. ``design`` also gives the trade of cost for margin, which
-the peers do not.
+specification counts as the largest cost. There is no ratio where ``design`` finds that nothing has
+to change, at a cost of 0. ``design`` also gives the trade of cost for margin; the peers do not.
 """
 
 from __future__ import annotations
@@ -139,17 +139,13 @@ def _compared(name: str, evaluator: Evaluator) -> Iterator[dict[str, Any]]:
             "ours": mine,
             "peer": peer,
             "peer_value": value,
-            "ratio": None if value is None else _ratio(value, mine),
+            "ratio": None if value is None or mine == 0.0 else value / mine,
             "unit": "cost",
             "note": f"not installed: {missing[peer]}" if value is None else
-            f"{len(found)} seeds at {int(np.median(spent))} simulations each: lower in {wins}, "
-            f"higher in {losses}; load {os.getloadavg()[0]:.1f}",
+            f"cost {mine:.3g} against {value:.3g}; {len(found)} seeds at "
+            f"{int(np.median(spent))} simulations each: lower in {wins}, higher in {losses}; "
+            f"load {os.getloadavg()[0]:.1f}",
         }  # fmt: skip
-
-
-def _ratio(peer: float, ours: float) -> float:
-    """Return the peer's cost over ours; 1 where both found that nothing has to change."""
-    return 1.0 if peer == ours else peer / max(ours, 1e-9)
 
 
 def _most(space: Space) -> float:
