@@ -8,9 +8,11 @@ out. ``days`` keeps the machine of the file and changes friction, supply and the
 encoder between two counts, all within what runs are drawn from. ``machines`` changes every number
 within its tolerance as well. Each candidate is one run of the planned commands, judged by every
 criterion that has a limit. ``repeatability`` of a day is its largest distance from the mean of
-1200 drawn days, as a verdict counts it; of a machine, which has days of its own, it is left out. A
+1200 drawn days, as a verdict counts it; it is left out for machines, which have days of their own,
+and for kinds of machines whose runs are simulated one by one (frames, on/off machines, rotary
+tables that learn). The days of these kinds change what the days of their verdicts change. A
 criterion that allows nothing, such as ``dac_saturation``, counts as 1000 % where it fails, and so
-does a required one that could not be measured.
+does a required one that could not be measured, and a run that never ends.
 
 The program's own search (``proof/worst_search.py``) climbs from corner to corner by single changes.
 This one shares no step with it. Climbs of three methods go side by side, and where one has ended
@@ -33,22 +35,25 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
+from threadline.errors import MachineError, RecordingError
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at
-from threadline.machine.variants import numbers_at, uncertain
+from threadline.machine.variants import numbers_at, uncertain, variant
 from threadline.machine.vary import REPEAT_SEED, Days, drawn_days, varied_numbers
 from threadline.proof.judge_runs import RunsJudge
+from threadline.proof.kinds import kind_of
+from threadline.proof.kinds.variants import with_machine_hash
 from threadline.proof.option_form import Door, Word
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.proof.request import Words
-from threadline.verdict import EachRun, Spec
+from threadline.verdict import EachRun, Judge, Spec
 from threadline.verdict.finding import RunFindings, Worst
 from threadline.verdict.measure import Measure, MeasureKind, OfRun
 from threadline.verdict.registry import MEASURES
@@ -71,54 +76,113 @@ Climb = Generator[FloatArray, FloatArray, None]
 ELITE, SMOOTHED = 0.1, 0.7  # of the cross-entropy method
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Box:
     """What a claim holds for: places between -1 and 1 of numbers, then of a day.
 
     Parameters
     ----------
-    machine
-        The machine whose numbers vary.
-    numbers
+    machines
+        Whether the numbers of the machine file vary within their tolerances.
+
+    Attributes
+    ----------
+    ends
         (n,) largest part of the tolerance of each number; empty: the machine of the file alone.
     together
         (n,) whether all candidates of a restart share the number, as dead times.
+    day
+        Numbers of a day.
+    endless
+        The last of them, which have no ends: encoders between two counts, scans.
     """
 
-    machine: Machine
-    numbers: FloatArray
-    together: np.ndarray
+    def __init__(self, machine: Machine, machines: bool, day: int, endless: int) -> None:
+        found = uncertain(machine) if machines else ()
+        delays = [any(path.endswith(".delay") for path in one.numbers) for one in found]
+        self.machine, self.day, self.endless = machine, day, endless
+        self.ends = np.array([one.farthest for one in found])
+        self.together = np.array(delays, dtype=np.bool_)
+        self.size = len(found) + day
 
-    @property
-    def size(self) -> int:
-        return len(self.numbers) + 2 + len(self.machine.axis_names)
 
-    def runs(self, places: FloatArray) -> tuple[dict[str, FloatArray], FloatArray]:
-        """Return numbers of the machine file, and (k, axes) encoder phases, of (k, size) places."""
-        count, own = len(self.numbers), places[:, : len(self.numbers)]
+class Together:
+    """Runs that are simulated side by side."""
+
+    def __init__(self, plan: Plan, spec: Spec, machines: bool) -> None:
+        axes = len(plan.machine.axis_names)
+        self.box = Box(plan.machine, machines, 2 + axes, axes)
+        self.judge = RunsJudge(plan, spec if machines else with_distance(plan, spec), threads=1)
+
+    def judged(self, places: FloatArray) -> EachRun:
+        """Return the results of (k, size) places."""
+        return self.judge.judged(*self._runs(places))
+
+    def named(self, place: FloatArray) -> dict[str, object]:
+        """Return the numbers of a (size,) place, and its encoder phases."""
+        numbers, phases = self._runs(place[None])
+        return {
+            "numbers": {path: float(values[0]) for path, values in numbers.items()},
+            "phases": phases[0].tolist(),
+        }
+
+    def _runs(self, places: FloatArray) -> tuple[dict[str, FloatArray], FloatArray]:
+        """Return numbers of the machine file, and (k, axes) encoder phases."""
+        machine, count = self.box.machine, len(self.box.ends)
         days = 1.0 + places[:, count : count + 2] * np.array([FRICTION, SUPPLY])
-        found = numbers_at(self.machine, own * self.numbers) if count else {}
+        found = numbers_at(machine, places[:, :count] * self.box.ends) if count else {}
         of_days = Days(
             friction=days[:, 0],
             supply=days[:, 1],
             phases=0.5 + 0.5 * places[:, count + 2 :],
             tension=np.ones(len(days)),
         )
-        varied = varied_numbers(self.machine, of_days)
+        varied = varied_numbers(machine, of_days)
         for path, values in varied.items():
             if path in found:
-                found[path] = found[path] * (values / number_at(self.machine, path).si)
+                found[path] = found[path] * (values / number_at(machine, path).si)
             else:
                 found[path] = values
-        return found, 0.5 + 0.5 * places[:, count + 2 :]
+        return found, of_days.phases
 
 
-def box_of(machine: Machine, machines: bool) -> Box:
-    """Return the box of days, or of machines and days."""
-    found = uncertain(machine) if machines else ()
-    delays = [any(path.endswith(".delay") for path in one.numbers) for one in found]
-    ends = np.array([one.farthest for one in found])
-    return Box(machine, ends, np.array(delays, dtype=np.bool_))
+class OneByOne:
+    """Runs of a kind of machines that are simulated one by one, on the days of that kind."""
+
+    def __init__(self, plan: Plan, spec: Spec, machines: bool) -> None:
+        self._plan, self._kind = plan, kind_of(plan.machine)
+        ranges = self._kind.ranges_of_days(plan.commands)
+        self.box = Box(plan.machine, machines, ranges, ranges)
+        self.judge = Judge(plan, spec)
+
+    def judged(self, places: FloatArray) -> EachRun:
+        """Return the results of (k, size) places."""
+        return EachRun.joined([self._one(place) for place in places])
+
+    def named(self, place: FloatArray) -> dict[str, object]:
+        """Return the numbers of a (size,) place, and where its day is in its ranges (0 to 1)."""
+        parts, day = self._split(place)
+        numbers = numbers_at(self.box.machine, parts[None]) if len(parts) else {}
+        return {
+            "numbers": {path: float(values[0]) for path, values in numbers.items()},
+            "day": day.tolist(),
+        }
+
+    def _split(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        count = len(self.box.ends)
+        return place[:count] * self.box.ends, 0.5 + 0.5 * place[count:]
+
+    def _one(self, place: FloatArray) -> EachRun:
+        parts, day = self._split(place)
+        plan, machine = self._plan, self._plan.machine
+        if len(parts):
+            machine = variant(machine, parts)
+        commands = with_machine_hash(plan.commands, machine)
+        try:
+            (run,) = self._kind.on_days(commands, machine, day[None])
+            return self.judge.each(run)
+        except (MachineError, RecordingError):
+            own = self._kind.simulate(plan.commands, plan.machine)
+            return self.judge.each(own).without_answer()
 
 
 def used(found: EachRun) -> tuple[FloatArray, list[str]]:
@@ -227,17 +291,17 @@ class Claim:
         words, machine = Words.of("prove", Door.PYTHON, given), load_machine(reference)
         options = words.options(job)
         plan = plan_job(open_job(Path(job), machine, options), machine, options)
-        self.box = box_of(machine, machines)
-        self.spec = spec = limited(words.spec(machine))
-        self.judge = RunsJudge(plan, spec if machines else with_distance(plan, spec), threads=1)
+        self.plan, self.spec = plan, limited(words.spec(machine))
+        together = bool(machine.motors) and kind_of(machine).together(machine)
+        self.runs = (Together if together else OneByOne)(plan, self.spec, machines)
+        self.box = self.runs.box
         self.tried, self.worst, self.at = 0, 0.0, np.zeros(self.box.size)
         self.criterion = ""
         self._begun_s = self._told_s = time.process_time()
 
     def shares(self, places: FloatArray) -> FloatArray:
         """Return the (k,) used shares of (k, size) places; print what is worse than all before."""
-        numbers, phases = self.box.runs(places)
-        shares, names = used(self.judge.judged(numbers, phases))
+        shares, names = used(self.runs.judged(places))
         self.tried += len(places)
         best = int(np.argmax(shares))
         if shares[best] > self.worst * (1.0 + 1e-4):
@@ -254,14 +318,12 @@ class Claim:
 
     def answer(self) -> dict[str, object]:
         """Return what was found, with the numbers of that machine and day."""
-        numbers, phases = self.box.runs(self.at[None])
         return {
             "share": self.worst,
             "criterion": self.criterion,
             "tried": self.tried,
             "processor_s": round(time.process_time() - self._begun_s, 1),
-            "numbers": {path: float(values[0]) for path, values in numbers.items()},
-            "phases": phases[0].tolist(),
+            **self.runs.named(self.at),
         }
 
 
@@ -334,9 +396,8 @@ def corners(claim: Claim, random: np.random.Generator) -> Climb:
     elite = max(int(ELITE * CANDIDATES), 2)
     for _ in range(GENERATIONS):
         places = np.where(random.random((CANDIDATES, n)) < chance, 1.0, -1.0)
-        # Encoders have no ends: anywhere between two counts.
-        phases = len(claim.box.machine.axis_names)
-        places[:, n - phases :] = random.uniform(-1.0, 1.0, (CANDIDATES, phases))
+        endless = claim.box.endless
+        places[:, n - endless :] = random.uniform(-1.0, 1.0, (CANDIDATES, endless))
         shares = yield places
         order = np.argsort(-shares, kind="stable")
         seen = (places[order[:elite]] > 0.0).mean(axis=0)

@@ -53,9 +53,38 @@ def test_a_limit_of_nothing_and_a_missing_value_break_a_claim() -> None:
 
 def test_the_distance_from_the_mean_of_days_is_the_repeatability_of_these_days() -> None:
     claim = Claim(FAST, machines=False)
-    plan, judge = claim.judge.plan, claim.judge
+    plan, judge = claim.plan, claim.runs.judge
     days = drawn_days(MEAN_OF, len(plan.axes), np.random.default_rng(REPEAT_SEED))
     found = judge.judged(varied_numbers(plan.machine, days), days.phases)
     verdict = prove_plan(plan, claim.spec, None, Trials(repeats=MEAN_OF)).verdict
     measured = verdict.result("repeatability").measured
     assert found.row(AWAY).values.max() == pytest.approx(measured, rel=1e-9)
+
+
+PLACER = (
+    "threadline prove examples/letter-cycle.toml -m letter-placer+whole-scans+own-damping "
+    "--shaper zv"
+)
+
+
+def test_runs_that_are_simulated_one_by_one_are_searched() -> None:
+    """The middle of the ranges of a day is the nominal run, for every criterion; an end is not."""
+    claim = Claim(PLACER, machines=False)
+    nominal = prove_plan(claim.plan, claim.spec, None, Trials(repeats=1)).verdict
+    places = np.zeros((2, claim.box.size))
+    places[1] = 1.0
+    found = claim.runs.judged(places)
+    assert len(found.rows) > 5
+    for row, result in zip(found.rows, nominal.results, strict=True):
+        assert row.values[0] == pytest.approx(result.measured, rel=1e-9), row.text
+    assert any(row.values[0] != row.values[1] for row in found.rows)
+
+
+def test_a_machine_of_its_own_for_each_run_is_searched() -> None:
+    """A machine with all numbers at their ends uses more than twice as much of a limit."""
+    claim = Claim(PLACER, machines=True)
+    places = np.zeros((2, claim.box.size))
+    places[1, : len(claim.box.ends)] = 1.0
+    shares = claim.shares(places)
+    assert shares[0] < 0.25 < 0.5 < shares[1]
+    assert claim.answer()["share"] == shares[1]
