@@ -70,9 +70,7 @@ def wound_glb(
 
 
 def _thinned(surface: Surface, fibre: FloatArray, width_m: float) -> IntArray:
-    """Return the rows to draw: evenly spaced along the fibre, and both ends of every known
-    stretch.
-    """
+    """Return the rows to draw: evenly spaced along the fibre, and the ends of known stretches."""
     radius = float(surface.r[:, 0].min())
     apart = max(min(0.5 * width_m, 0.2 * radius), 1e-6)
     known = np.isfinite(fibre[:, 0])
