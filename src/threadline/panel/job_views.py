@@ -43,9 +43,7 @@ from threadline.verdict.stitch_run import StitchRun
 MOST_POINTS = 6000
 """Most points of a path, stitches, or changes of line that are sent to the page."""
 _MOST_SWITCHED = 400  # an output with more changes would be drawn as a grey area
-_MOST_READ = (
-    2_000_000  # largest number of moves read from a job that is shown before its calculation
-)
+_MOST_READ = 2_000_000  # largest number of moves read from a job before its calculation
 _MOST_TEXT = 300_000  # largest size of a program, bytes, whose text is shown
 _STEP = "step "
 _LEAST_TURN_M = 1e-4  # least distance between two turn-rounds

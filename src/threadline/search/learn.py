@@ -43,9 +43,7 @@ from threadline.verdict.needle import has_stitches
 REPEATS = 5
 MOST_REPEATS = 100
 _HALVINGS = 5
-_RINGING_S = (
-    0.25  # the error is learned for this time after the motion, and fades out over the same time
-)
+_RINGING_S = 0.25  # the error is learned so long after the motion, and then fades out as long
 _MOST_TICKS = 400_000
 _FULL = 0.999  # a drive that uses a larger share of its limit counts as limited
 

@@ -18,9 +18,7 @@ from threadline.verdict import Verdict
 
 _LOWERED = 8  # largest number of feeds at which the whole job is tried
 _LOWER = 0.98
-_OVER_MACHINES = (
-    12  # largest number of feeds tried over the tolerances, for each share of the limits
-)
+_OVER_MACHINES = 12  # largest number of feeds tried over the tolerances, for one share
 _LEAST_SLOWER, _MOST_SLOWER, _POWER = 1.04, 1.4, 0.7  # next duration = this power of the used share
 _CLOSE = 1.02  # ratio of feeds at which a bisection ends
 _UNKNOWN = 1.2  # used share that stands for a broken limit of 0

@@ -35,9 +35,7 @@ _ROUNDS = 3
 _SWINGS = 60  # number of swings in a run at the ultimate gain
 _VOLT_SHARE = 0.1
 _HALVINGS = 7
-_SLOWEST = (
-    12.0  # duration of a run in time constants of the slowest pole: the line is then straight
-)
+_SLOWEST = 12.0  # duration of a run in time constants of the slowest pole
 _LINE = 0.3  # share of a run, at its end, to which the line is fitted
 _TRAVEL = 0.8  # share of the travel that a step may use
 
