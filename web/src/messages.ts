@@ -175,7 +175,7 @@ export interface Preview {
   file: string;
   text: string[];
 }
-/** A run, or the last one. */
+/** Progress of the present run, or the final progress of the last run. */
 export interface Progress {
   run: string;
   program: string;

@@ -21,7 +21,7 @@ from threadline.motion.laws.fairing import MOST_PASSES
 from threadline.report.document import Table
 from threadline.units import parse_number
 
-_FEW = 20  # rows that are printed whole
+_FEW = 20  # largest number of rows of which all are printed
 
 
 def cam(

@@ -183,11 +183,11 @@ def _part(seeking: Seeking, report: Path | None) -> Part | None:
 def _asked(
     files: Sequence[Path], machine: str | None, words: Words, seeking: Seeking, part: Part | None
 ) -> DesignRequest:
-    """Return whose redesign is wanted: by the command line, or with --merge by the parts."""
+    """Return job, machine and options from the command line, or with --merge from the parts."""
     searches = seeking.searches
     if part is not None:
         searches = part.count if searches == 1 else searches
-        searches_of(part, searches)  # refuses too few of them
+        searches_of(part, searches)  # raises an error if there are fewer searches than parts
     aims = DesignAims(
         corners=seeking.corners, plot=seeking.plot, front=seeking.front, searches=searches
     )
@@ -200,7 +200,7 @@ def _asked(
 def _check_output(
     output: Path | None, inputs: Sequence[Path | str | None], part: Part | None
 ) -> None:
-    """Refuse an output that would replace an input, or a name that no machine file has."""
+    """Refuse an output that would replace an input, or that is not the name of a machine file."""
     if output is None:
         return
     if part is not None:

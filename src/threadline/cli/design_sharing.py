@@ -132,8 +132,8 @@ def merged_design(
     Raises
     ------
     OptionError
-        If job, machine, options or versions here are others, or the machine of the file comes to
-        something else here.
+        If job, machine, options or versions differ from the parts', or if the machine of the file
+        has another result on this computer.
     """
     question = redesign(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)
     identity = design_identity(question)

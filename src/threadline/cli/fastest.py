@@ -55,15 +55,16 @@ def fastest(
     constant and stitch by stitch. For an on/off machine the shortest cycle is searched: each move
     gets its own shaper or switching times, and each wait its length.
 
-    Every trial is proved by twenty runs, like threadline prove, or by one with --nominal. What is
-    named has also passed a search for a bad day near a limit, and with --tolerances a search for a
-    bad machine. With --margin "20 %" a fifth of every limit is kept free. With --robust "100 %" one
-    plan must pass on every machine at the ends of the tolerances. With --learned 5 a plan is judged
-    by what five repeats make of it. With --band "20 %" the commands of an on/off machine must pass
-    for all modes within 20 % of their frequency. With --interpolation optimal no feed is searched,
-    but all other choices of a plan that are not given: tolerance, distance outside corners,
-    reserve, smoothing, contour, feed-forward. The fastest in spec is compared with the least times
-    within the limits of axes and drives alone.
+    Every trial is proved by twenty runs, as threadline prove does, or by one run with --nominal. If
+    a result is close to a limit, the search also looks for a run that fails, and with --tolerances
+    for a machine that fails. With --margin "20 %" a fifth of every limit is kept free. With
+    --robust "100 %" one plan must pass on every machine at the ends of the tolerances. With
+    --learned 5 the table that five repeats have learned is judged in place of the plan. With --band
+    "20 %" the commands of an on/off machine must pass for all modes within 20 % of their frequency.
+    With --interpolation optimal no feed is searched; the search chooses the options that are not
+    given: tolerance, distance outside corners, reserve, smoothing, contour, feed-forward. The
+    duration of the fastest plan in spec is compared with the least times within the limits of axes
+    and drives alone.
 
     Exit status: 0 if a feed passes, 1 if none does, 2 for wrong input.
 
@@ -115,7 +116,7 @@ OUTPUTS: Mapping[str, type[SearchOutput]] = {
     "shaft": ShaftOutput,
     "switchings": CycleOutput,
 }
-"""Output of each kind of search; keys as of ``searched_as`` and ``search.by_pace``."""
+"""Output class of each kind of search; the keys are the results of ``searched_as``."""
 
 
 def register(app: typer.Typer) -> None:

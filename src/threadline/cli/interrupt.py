@@ -73,7 +73,7 @@ class Termination:
         raise KeyboardInterrupt if number == signal.SIGINT else TerminatedError
 
     def repeat(self) -> None:
-        """Send the signal again in a moment: Python dropped its exception."""
+        """Send the signal again after a moment, because Python dropped its exception."""
         self.was_lost, self._came_s = True, -math.inf
         self._again = threading.Timer(
             _AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, self.number)

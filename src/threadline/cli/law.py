@@ -123,7 +123,7 @@ def law(
 
 
 def _called(name: str) -> Law:
-    """Return the law of a name; load shapers, which takes a second, only if the name has one."""
+    """Return the law with a name; a shaped law imports the shapers, which takes a second."""
     if "*" not in name:
         return law_of_catalogue(name)
     from threadline.motion.shaping.shaped_law import law_named

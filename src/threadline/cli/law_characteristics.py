@@ -19,7 +19,7 @@ def law_row(law: Law) -> list[str]:
 
 
 def law_json(law: Law) -> dict[str, Any]:
-    """Return the characteristics of a law as JSON content; Cj is None where it is infinite."""
+    """Return the characteristics of a law as JSON content; an infinite Cj is None."""
     return {
         "name": law.name,
         "Cv": law.velocity,

@@ -34,7 +34,7 @@ from threadline.report.document import Table
 from threadline.units import parse_number
 
 COPIED = "modified-sine"
-"""Law that the new law is compared with: cams of embroidery machines use it."""
+"""Law with which the new law is compared: cams of embroidery machines use it."""
 _RATIOS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 _BAND = 0.1
 _DRAWN = 3
@@ -65,7 +65,7 @@ class _Move:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfMode:
-    """A mode and the move that excites it, as they were typed; None where nothing was.
+    """A mode and the move that excites it, as typed; None for an option that was not given.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ def _near(folder: Path) -> Path:
 
 def _of_arguments(error: TyperException) -> str:
     """Return the fault of an argument, in Threadline's own words if it has some."""
-    faults = getattr(error.__cause__, "errors", None)  # of pydantic, by which typer reads values
+    faults = getattr(error.__cause__, "errors", None)  # pydantic's: typer reads values with it
     if isinstance(error, typer.BadParameter) and error.param and faults is not None:
         fault, *_ = faults()
         if isinstance(raised := fault.get("ctx", {}).get("error"), ThreadlineError):

@@ -21,19 +21,19 @@ from threadline.base.wording import grouped, plain
 STDOUT = "standard output"
 """Name of standard output in errors, where a file has its path."""
 _STDERR = 2  # its file descriptor
-_NEARLY = 99  # percent: above this the share left says nothing about the time left
-_TELLING_FROM = 0.05  # share done below which it says nothing about the time left
+_NEARLY = 99  # percent: from this share done on, the time left is not estimated
+_TELLING_FROM = 0.05  # below this share done the time left is not estimated
 EVERY_S = 50.0  # a minute without output is too long
 LOOK_S = 1.0
 PLANNING_STAGE = "planning"
 """Stage whose progress ``PLANNING`` holds."""
-"""The stage without a share done: the duration is unknown until the motion is planned."""
+"""This stage has no share done, because the duration is unknown until the motion is planned."""
 WRITING_STAGE = "writing and reading back"
 """Stage whose progress ``WRITING`` holds."""
 STARTING_S = 0.6
 _STARTING = "starting ..."
 _ERASED = "\r" + " " * len(_STARTING) + "\r"
-COMPILING_S = 4.0  # of compiling, after which a line says why it takes so long
+COMPILING_S = 4.0  # after this time of compiling, a line says why it takes so long
 _ONCE = "once on this computer: later runs begin at once"
 _EACH_TIME = (
     "as every run does on this computer: no folder to keep it in can be written; name one in "
@@ -53,7 +53,7 @@ class Starting:
         self._may = False
 
     def begin(self) -> None:
-        """Show the word soon, if standard error is a terminal."""
+        """Allow the word to be shown, if standard error is a terminal."""
         with self._lock:
             self._may = sys.stderr is not None and sys.stderr.isatty()
 
@@ -92,7 +92,7 @@ class Telling:
     shown
         Whether a progress bar shows the stage.
     grown
-        Times at which the share was seen to have grown, on the monotonic clock, with the shares.
+        Each increase of the share that ``look`` found: time on the monotonic clock, and the share.
     """
 
     warnings: list[str] = field(default_factory=list)
@@ -103,13 +103,13 @@ class Telling:
     grown: list[tuple[float, float]] = field(default_factory=list)
 
     def look(self) -> None:
-        """Note when the share done has grown."""
+        """Record the share done and the time, if the share has grown since the last call."""
         fraction = share_of(self.stage, self.fraction)
         if fraction > max((share for _, share in self.grown[-1:]), default=0.0):
             self.grown.append((time.monotonic(), fraction))
 
     def doing(self) -> str:
-        """Return the stage, its share done, and the time left if it can be told."""
+        """Return the stage, its share done, and the time left if it can be estimated."""
         self.look()
         fraction = share_of(self.stage, self.fraction)
         if not self.stage or not fraction:
@@ -122,10 +122,11 @@ class Telling:
         return f"{self.stage}, {percent} % done{left}"
 
     def _left_s(self) -> float:
-        """Return the time left at the rate of the last half of the time; 0 if it cannot be told.
+        """Return the time left, s, by the rate in the second half of the time; <= 0 if unknown.
 
-        A first few percent tell nothing: they may be of the quickest or of the slowest part. A
-        share that stands for longer than it should tells nothing any more.
+        The first few percent give no estimate, because a stage may begin with its quickest or its
+        slowest part. If the share has not grown for longer than the estimated rest, the result is
+        negative.
         """
         began_s, now_s = self.since_s, time.monotonic()
         *before, (last_s, last) = [(began_s, 0.0), *self.grown]
@@ -138,12 +139,12 @@ class Telling:
 
 
 def share_of(stage: str, fraction: float) -> float:
-    """Return the share done of a stage, ``fraction`` unless the stage tells it by ``WRITING``."""
+    """Return the share done of a stage: while writing from ``WRITING``, else ``fraction``."""
     return WRITING.share if stage == WRITING_STAGE else fraction
 
 
 def in_full(stage: str) -> str:
-    """Return a stage whose share done is unknown, with the motion that is planned so far."""
+    """Return the text of a stage with unknown share done; for planning, with the motion so far."""
     so_far = PLANNING.words() if stage == PLANNING_STAGE else ""
     return f"{stage}, {so_far}" if so_far else stage
 
@@ -165,7 +166,7 @@ def _write(text: str) -> None:
         sys.stderr.write(text)
         sys.stderr.flush()
     except (OSError, ValueError):
-        with suppress(OSError):  # or the interpreter would flush the rest at exit, and complain
+        with suppress(OSError):  # otherwise the interpreter flushes the rest at exit, and fails
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STDERR)
 
 
@@ -206,8 +207,8 @@ def _two_digits(value: float) -> str:
 def telling(*, starting: bool = False) -> Iterator[Telling]:
     """Collect the warnings of the block; print a line every minute while the command runs.
 
-    The compiling of machine code, which happens once on a computer, is reported once. With
-    ``starting`` a terminal shows within a second that the command is being loaded.
+    If machine code is compiled for longer than ``COMPILING_S``, one line says so. With
+    ``starting``, a terminal shows within a second that the command is being loaded.
     """
     held = Telling()
     before = _TELLING.set(held)
@@ -225,7 +226,7 @@ def telling(*, starting: bool = False) -> Iterator[Telling]:
         word.cancel()
         STARTING.over()
         ended.set()
-        beat.join()  # or a line that it has begun would appear after or within the error
+        beat.join()  # otherwise its unfinished line would appear after or within the error
         _TELLING.reset(before)
 
 

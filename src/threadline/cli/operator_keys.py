@@ -26,7 +26,7 @@ from threadline.live.supervised import Running
 
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 _OVERRIDES = {"-": -STEP_PERCENT, "+": STEP_PERCENT}
-"""Any other key stops."""
+"""Change of the override in %, by key. Any key without a meaning stops the run."""
 _ALONE = f"nobody is at the keyboard: the run stops after {UNATTENDED_S:g} s unless it is resumed"
 
 

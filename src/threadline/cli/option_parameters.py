@@ -80,7 +80,7 @@ class SectionedCommand(TyperCommand):
     """A command whose help lists its options by purpose, as the page of the options does."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments and options for ``--help``, those of the command alone last."""
+        """Write arguments and options for ``--help``; options of this command alone come last."""
         sections: dict[str, list[tuple[str, str]]] = {"Arguments": []}
         sections |= {group.value: [] for group in Group} | {"Options of this command": []}
         for one in self.get_params(ctx):

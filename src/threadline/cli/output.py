@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from threadline.machine import Machine
 
 _STDOUT = 1  # its file descriptor
-_FILE_WIDTH = 120  # of a table in a file or a pipe, which has no width of its own
+_FILE_WIDTH = 120  # width of a table in a file or a pipe, which has no width of its own
 
 
 def print_json(content: Any) -> None:
@@ -85,7 +85,7 @@ def report_failed_print(else_: str) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        with suppress(OSError):  # or the interpreter would flush the rest at exit, and complain
+        with suppress(OSError):  # otherwise the interpreter flushes the rest at exit, and fails
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
         note(f"{STDOUT} cannot be written ({error.strerror or error}); {else_}")
 

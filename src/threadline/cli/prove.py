@@ -155,7 +155,7 @@ def write_worst(proof: Proof, file: Path) -> None:
 
 
 def write_worst_beside(proof: Proof, report: Path, worst: Path | None) -> Path | None:
-    """Write the machine file of the worst machine into a report; return the file to name."""
+    """Write the worst machine's file into a report; return ``worst``, or else the written file."""
     if proof.worst is None:
         return worst
     write_worst(proof, report / "worst.toml")
@@ -163,7 +163,7 @@ def write_worst_beside(proof: Proof, report: Path, worst: Path | None) -> Path |
 
 
 def worst_product(proof: Proof) -> str:
-    """Return in words the product of the worst machine found; empty for the product as it is."""
+    """Return how the product of the worst machine differs from the file's; empty if equal."""
     from threadline.verdict.replayed import product_of, product_words
 
     product = product_of(proof.plan)
@@ -173,20 +173,20 @@ def worst_product(proof: Proof) -> str:
 
 
 def product_lines(proof: Proof) -> list[str]:
-    """Return the line that tells the product of the worst machine; none for the file's product."""
+    """Return a line with the product of the worst machine; empty if it is the file's product."""
     product = worst_product(proof)
     return [f"Its product, as numbers for the file of --product: {product}"] if product else []
 
 
 def worst_machine_command(job: Path, machine: str, words: Words, worst: Path) -> str:
-    """Return the command that proves the plan on the worst machine, in as many runs."""
+    """Return the command that proves the plan on the worst machine with the same options."""
     from threadline.cli.search_text import command_line  # loads the searches
 
     return command_line("prove", job, {"-m": machine, **words.typed(), "--actual": worst})
 
 
 def plot_every(machine: Machine) -> int | None:
-    """Return the ticks between lines of a plot file: ``operator.record_every``."""
+    """Return the number of ticks between two lines of a plot file; None without ``[operator]``."""
     return None if machine.operator is None else round(machine.operator.record_every.si)
 
 

@@ -181,7 +181,7 @@ def merged(rows: Sequence[Sequence[str]]) -> list[list[str]]:
     >>> merged([["100 %", "a"], ["50 %", "a"], ["25 %", "b"]])
     [['100 % to 50 %', 'a'], ['25 %', 'b']]
     """
-    found: list[tuple[str, str, list[str]]] = []  # first and last of the first cells, the others
+    found: list[tuple[str, str, list[str]]] = []  # first, last, common cells
     for head, *rest in rows:
         if found and found[-1][2] == rest:
             found[-1] = (found[-1][0], head, rest)

@@ -26,8 +26,8 @@ from threadline.report.shaper import MeasuredPower
 from threadline.units import without_noise
 
 LEAST_BAND = 0.05
-"""Narrowest band that a measured mode is given: it moves with the place and the load."""
-_MINOR = 0.5  # share of the power along the axis below which the user is warned
+"""Least half width of a measured mode's band: its frequency varies with position and load."""
+_MINOR = 0.5  # the user is warned if the axis has a smaller share of the power
 _GRID = 11
 _MOST_DAMPED = 0.9
 
@@ -199,7 +199,7 @@ def _fit_content(measured: Measured, one: KlipperFit) -> dict[str, Any]:
 
 
 def measured_power(measured: Measured, train: Shaper) -> MeasuredPower:
-    """Return the contents of the picture."""
+    """Return the contents of the figure of a measurement in the report."""
     found, choice = measured.found, measured.choice
     named = f"Klipper's {choice.shaper_type} at {choice.frequency_hz:.1f} Hz"
     return MeasuredPower(

@@ -148,12 +148,12 @@ def _refuse_overlaps(modes: Sequence[GivenMode]) -> None:
 
 
 def bands_of(modes: Sequence[GivenMode], band: float) -> tuple[float, ...]:
-    """Return the half band width of every mode: its own, else ``band``."""
+    """Return the half band width of every mode: the mode's own value, or else ``band``."""
     return tuple(band if one.band is None else one.band for one in modes)
 
 
 def tolerances_of(modes: Sequence[GivenMode], tolerance: float) -> tuple[float, ...]:
-    """Return the tolerance of every mode: its own, else ``tolerance``."""
+    """Return the tolerance of every mode: the mode's own value, or else ``tolerance``."""
     return tuple(tolerance if one.tolerance is None else one.tolerance for one in modes)
 
 

@@ -83,10 +83,10 @@ def wind(
 
     No machine is needed.
 
-    For each layer: the patterns that close with the wanted coverage, the nearest to a geodesic
-    first, and what closes them; the pattern that is wound; fibre, mass and thickness. Then the
-    sheet for the shop: metres, grams, time and cost; and the stiffness of the laminate.
-    Exit status: 0, or 2 for wrong input.
+    The command prints a table for each layer: the patterns that close with the wanted coverage, the
+    nearest to a geodesic first, the pattern that is wound, and the layer's fibre length, mass and
+    thickness. Then it prints the sheet for the shop, with metres, grams, time and cost, and the
+    stiffness of the laminate. Exit status: 0, or 2 for wrong input.
 
     Example: threadline wind examples/vessel.wind.toml
     """
@@ -174,7 +174,7 @@ def _check_program(product: Path, machine: str | None, out: Path | None, bare: P
 def _write_program(
     winding: Winding, laid: tuple[Laid, ...], machine: str, out: Path, dialect: str | None
 ) -> tuple[str, tuple[str, ...]]:
-    """Write the circuits as passes; describe the file, and return the warnings of the job."""
+    """Write the circuits as subroutine passes; return the file's description, and warnings."""
     chosen = load_machine(machine)
     job = job_of(winding, laid, chosen)
     return write_passes(job, chosen, out, dialect), job.warnings

@@ -252,7 +252,7 @@ def _part(drawing: Drawing, report: Path | None) -> Part | None:
     if drawing.merge:
         raise OptionError("--part and --merge exclude each other", remedy="Give one of them.")
     part = parse_part(drawing.part)
-    part.machines(drawing.variants)  # refuses too few of them before a long plan
+    part.machines(drawing.variants)  # refuses too few machines before a long plan
     whole = {
         "--why": drawing.why,
         "--at-least": drawing.at_least,
@@ -266,7 +266,7 @@ def _part(drawing: Drawing, report: Path | None) -> Part | None:
 def _question(
     files: Sequence[Path], machine: str | None, words: Words, drawing: Drawing
 ) -> Question:
-    """Return whose yield is wanted: by the command line, or with --merge by the parts."""
+    """Return job, machine and options from the command line, or with --merge from the parts."""
     if not drawing.merge:
         return question_from_words(files, machine, words, drawing.variants, drawing.seed)
     given = {

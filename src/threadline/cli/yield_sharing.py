@@ -215,7 +215,7 @@ def check_part_options(
     Raises
     ------
     OptionError
-        If the part has no file of its own, or an option belongs to the whole yield.
+        If the part has no output file, or an option belongs to the whole work.
     """
     typed = [name for name, value in given.items() if value not in (None, False)]
     if typed:

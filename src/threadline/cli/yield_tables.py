@@ -18,7 +18,7 @@ from threadline.search.machine_yield import MachineYield, yield_words
 
 _MACHINES = MACHINES
 SAMPLES = 256
-_SAMPLES_ALONE = 16  # where machines are simulated one by one
+_SAMPLES_ALONE = 16  # number of samples if machines are simulated one by one
 
 
 def counted(progress: Progress, what: str, total: int | None = None) -> Done:
@@ -51,6 +51,8 @@ class Sensitivities:
         (n,) yield of ``machines`` machines, with one of the n tolerances halved.
     own
         Yield of the same machines with every tolerance as in the file.
+    machines
+        Number of machines from which each yield is counted.
     """
 
     indices: Influence

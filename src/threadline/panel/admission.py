@@ -1,8 +1,9 @@
 """Admission of requests: host, origin and token are checked before anything reads the request.
 
-A page of another site can make a browser send requests to this machine. It cannot choose their
-``Origin``, and a host name that was redirected to this address shows in their ``Host``. A client
-that connects and does not finish a request keeps nobody else out.
+A page of another site can make a browser send requests to this computer. The checks recognise such
+a request by its ``Origin``, which the page cannot choose, or by its ``Host``, which has the foreign
+name if a host name was redirected to this address. The number and the time of unfinished requests
+are limited, so that they cannot keep other clients out.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ HALF_OPEN_S = 5.0
 """Time limit in s for the head of a request, and for each further part of its body."""
 MOST_HALF_OPEN = 256
 """Most connections without a complete request; beyond that the oldest is dropped."""
-MOST_BODY_S = 60.0  # from the first part of a body to its last
+MOST_BODY_S = 60.0  # time limit in s from the first part of a body to its last part
 HELLO_S = 5.0
 """Time limit in s for the hello of a websocket."""
 MOST_WITHOUT_HELLO = 256
@@ -51,7 +52,7 @@ HEADERS: Mapping[str, str] = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-"""Headers of every answer: no page of another site may frame this one, or load it."""
+"""Headers of every response; they keep pages of other sites from framing or loading this page."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,9 +41,9 @@ from threadline.verdict import Spec, closing, load_spec
 from threadline.verdict.rendering import criteria_json
 from threadline.verdict.replayed import least_friction, recorded_fibre, wound_job
 
-_SHOWN = 2000  # points of a plot
-_MOST_PLACES = 20_000  # places along the middle of the bands of a winding
-_OUTLINE = 241  # places of the meridian of a mandrel
+_SHOWN = 2000  # largest number of instants in a plot
+_MOST_PLACES = 20_000  # largest number of places on the centre line of the bands of a winding
+_OUTLINE = 241  # number of places on the meridian of a mandrel
 _NICE = 10  # the executor gets processor time first
 
 
@@ -124,14 +124,14 @@ def figures(proof: Proof) -> dict[str, Any]:
 def wound(proof: Proof) -> dict[str, Any] | None:
     """Return the mandrel of a proof's product with the fibre of the simulated run, for drawing.
 
-    At most ``_MOST_PLACES`` places of the fibre are kept, at least half a band apart.
+    At most ``_MOST_PLACES`` places of the fibre are kept, at least half a band width apart.
     """
     job = wound_job(proof.plan)
     samples = None if job is None else recorded_fibre(proof.recording, job)
     if job is None or samples is None:
         return None
     turn, along = job.tool.turn, job.tool.along
-    assert turn is not None and along is not None  # every eye has both
+    assert turn is not None and along is not None  # a machine with an eye has both axes
     surface, fibre = job.surface, samples.fibre
     u = np.linspace(0.0, surface.length_m, _OUTLINE)
     known = np.flatnonzero(fibre.known)
@@ -171,7 +171,7 @@ def _rounded(values: FloatArray) -> list[float]:
 def circuits_and_points(job: Job) -> tuple[int | None, int]:
     """Return the number of passes of outermost subroutine calls, and the number of moves.
 
-    With one pass or none, the first is None.
+    The number of passes is None if there are fewer than two.
     """
     circuits, points, least = 0, 0, 0
     before: Source | None = None

@@ -76,7 +76,7 @@ class MachineGuide:
 
     @property
     def printable(self) -> Path:
-        """The guide as PDF; it exists once ``tables`` was called."""
+        """File of the guide as PDF; ``tables`` makes it."""
         return self._folder / "guide.pdf"
 
     async def tables(self) -> dict[str, Any] | str:
@@ -114,7 +114,7 @@ def add_guide(app: FastAPI, guide: MachineGuide) -> None:
 
 _CHILD = import_and_call("threadline.panel.calculating", "main")
 _PREVIEW = import_and_call("threadline.panel.job_views", "main")
-PREVIEW_S = 20.0  # longest time for reading a program that is shown before it is calculated
+PREVIEW_S = 20.0  # time limit for reading a program that is shown before its calculation
 _MOST_LINE = 32 << 20
 
 
@@ -196,16 +196,17 @@ class Calculation:
         self._task.add_done_callback(lambda task: self._over(task, tell))
 
     def _over(self, task: asyncio.Task[None], tell: Callable[[Figures | str], None]) -> None:
-        """Note that the calculation is over; report an unexpected error.
+        """Clear the share done when the calculation has ended, and report an unexpected error.
 
-        The task cannot do this itself: if it is cancelled before its first step, it never runs.
+        The task cannot do this itself, because it never runs if it is cancelled before its first
+        step.
         """
         self.share = None
         if not task.cancelled() and (error := task.exception()) is not None:
             tell(f"the calculation has failed: {error}")
 
     def forget(self) -> None:
-        """Forget the latest calculation: a program was changed."""
+        """Forget the latest calculation, because a program was changed."""
         self.proven, self.figures, self._starts, self.wound = None, None, [], None
 
     def to_start(self, proof: str) -> Mapping[str, Any]:
@@ -295,10 +296,11 @@ _NOT_WOUND = {404: {"description": "the latest calculation has no product, or th
 def add_winding(
     app: FastAPI, calculation: Calculation, running_s: Callable[[], float | None]
 ) -> None:
-    """Add the request for the fibre of the latest calculation, which is read-only.
+    """Add the request for the fibre of the latest calculation; it is read-only.
 
-    ``running_s`` returns the time of its run in s, or None if it does not run. During a run, the
-    answer holds the fibre that the simulated run has laid by that time; otherwise all of it.
+    ``running_s`` returns the time of the program's run in s, or None if the program does not run.
+    During a run, the answer holds the fibre that the simulated run has laid by that time; otherwise
+    all of it.
     """
 
     @app.get("/api/wound", responses=_NOT_WOUND)  # type: ignore[arg-type]

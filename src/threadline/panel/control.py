@@ -1,9 +1,10 @@
 """Clients of the panel: control over the machine, and messages in the words of the page.
 
 Errors and warnings are shared with the command line, and name its options. If the page has a field
-for an option, its label replaces the name; otherwise the option is marked as the command line's.
+for an option, the label of the field replaces the name of the option. Other options are marked as
+options of the command line.
 
-Time is an argument of every method, so that nothing here waits.
+Methods get the present time as an argument, so that tests need not wait.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ class ControlLease:
         self._held: Lease | None = None
         self._until_s = 0.0
         self._asks: int | None = None
-        self._passes_s = 0.0  # when control passes to the asking client
+        self._passes_s = 0.0  # instant at which control passes to the asking client
 
     def holder(self, now_s: float) -> Lease | None:
         """Return the lease in force; None if it has run out, or nobody has control."""
@@ -151,7 +152,7 @@ class ControlLease:
         return True
 
     def renew(self, word: str, now_s: float, client: int | None = None) -> bool:
-        """Renew the lease; False if the word is not the one of the lease in force.
+        """Renew the lease; return False if ``word`` does not belong to the lease in force.
 
         Parameters
         ----------
@@ -211,11 +212,13 @@ class Client:
 
     def __init__(self, number: int, name: str) -> None:
         self.number, self.name = number, name
-        self._sent: OrderedDict[int, float] = OrderedDict()  # when each state was sent
+        self._sent: OrderedDict[int, float] = (
+            OrderedDict()
+        )  # instant at which each state was sent, by its number
         self._waiting: deque[str] = deque()
         self._state: tuple[int, str] | None = None
         self._ready = asyncio.Event()
-        self._last = 0  # number of its latest command
+        self._last = 0  # number of the client's latest command
         self.full = False
         """Whether it does not read its messages."""
 
@@ -246,7 +249,7 @@ class Client:
         return text
 
     def saw(self, seq: int, now_s: float) -> bool:
-        """Return whether a state was sent to it a short time ago, so that it may act on it."""
+        """Return whether the state ``seq`` is new enough for the client to act on it."""
         sent_s = self._sent.get(seq)
         return sent_s is not None and now_s - sent_s <= SEEN_S
 

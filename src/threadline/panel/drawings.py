@@ -1,6 +1,7 @@
 """Drawings of the panel: files read into shapes, shapes written as DXF, text as outlines.
 
-A process of its own reads a drawing; it loads the geometry, and neither the panel nor the planner.
+A separate process reads a drawing. It imports the geometry modules, but neither the panel nor the
+planner.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ MOST_SHAPES = 5000
 MOST_POINTS = 400_000
 """Most points of all shapes of a drawing together."""
 _MOST_TOLD = 20
-WRONG = 2  # exit status of a process that was given a wrong drawing
-_CHORDS = 64  # of a piece that is neither a line nor an arc
+WRONG = 2  # exit status of the process for a drawing with an error
+_CHORDS = 64  # chords for a piece of curve that is neither a line nor an arc
 _CLOSED_M = 1e-6
 _LEAST = {"line": 2, "polygon": 3, "arc": 3, "circle": 2, "spline": 3, "leader": 2}
 _READERS = {".dxf": read_dxf, ".svg": read_svg}

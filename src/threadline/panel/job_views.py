@@ -1,6 +1,6 @@
-"""What the page draws of a job besides positions: its lines, stitches, steps and switchings.
+"""Lines, stitches, steps and switchings of a job, which the page draws besides positions.
 
-The same reading serves a calculated plan, and a job that is shown before it is calculated.
+The same functions read a calculated plan, and a job that is shown before its calculation.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ from threadline.verdict.stitch_run import StitchRun
 
 MOST_POINTS = 6000
 """Most points of a path, stitches, or changes of line that are sent to the page."""
-_MOST_SWITCHED = 400  # changes of an output beyond which its lane would be a grey area
-_MOST_READ = 2_000_000  # moves of a job that is shown before it is calculated
-_MOST_TEXT = 300_000  # bytes of a program whose text is shown
+_MOST_SWITCHED = 400  # an output with more changes would be drawn as a grey area
+_MOST_READ = 2_000_000  # largest number of moves read from a job before its calculation
+_MOST_TEXT = 300_000  # largest size of a program, bytes, whose text is shown
 _STEP = "step "
-_LEAST_TURN_M = 1e-4  # between two turn-rounds
+_LEAST_TURN_M = 1e-4  # least distance between two turn-rounds
 
 
 def plan_views(proof: Proof) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def plan_views(proof: Proof) -> dict[str, Any]:
 
 
 class _Operations:
-    """The operations of a recording in the order in which they begin, and when each begins."""
+    """The operations of a recording in the order of their begins, and the instants, s."""
 
     def __init__(self, operation: IntArray, begin_s: FloatArray, end_s: float) -> None:
         self.operation, self.begin_s, self.end_s = operation, begin_s, end_s
@@ -94,13 +94,13 @@ class _Operations:
         return cls(np.concatenate(at), np.concatenate(begin_s), count * period_s)
 
     def ends_s(self, wanted: IntArray) -> FloatArray:
-        """Return when each of the ascending operations ``wanted`` is over, s."""
+        """Return the instants, s, at which the operations ``wanted``, ascending, end."""
         following = np.searchsorted(self.operation, wanted, side="right")
         return np.append(self.begin_s, self.end_s)[following]
 
 
 def _lines(job: Job, wanted: IntArray) -> tuple[IntArray, IntArray]:
-    """Return line and circuit of each of the ascending operations ``wanted``; 0 for no circuit.
+    """Return (n,) line and (n,) circuit, 0 for none, of the ascending operations ``wanted``.
 
     A circuit is a pass of an outermost subroutine call.
     """
@@ -176,7 +176,7 @@ def _lanes(recording: Recording) -> list[dict[str, Any]]:
 
 
 def _turn_rounds(proof: Proof) -> dict[str, Any] | None:
-    """Return when and where the axis along the mandrel turns round; None without a mandrel."""
+    """Return instants and places at which the axis along the mandrel reverses; None without one."""
     mandrel = mandrel_of(proof.plan.machine)
     recording = proof.recording
     found = None if mandrel is None else recording.find(ChannelKind.COMMANDED, mandrel.along)
@@ -207,9 +207,9 @@ def _turn_rounds(proof: Proof) -> dict[str, Any] | None:
 
 
 def _tension(recording: Recording) -> dict[str, Any] | None:
-    """Return the fibre's tension in the simulated run: means over pieces, smallest and largest.
+    """Return the fibre's tension in the simulated run, N: means over intervals, least and most.
 
-    None on a machine without a spool, or without a product that says what is wound.
+    None if the machine has no spool, or the job has no product.
     """
     found = recording.find(ChannelKind.TENSION)
     if found is None:
@@ -229,7 +229,10 @@ def _tension(recording: Recording) -> dict[str, Any] | None:
 
 
 def _further_apart(places: FloatArray, least: float) -> NDArray[np.bool_]:
-    """Return which places are real turns of the carriage, not a quiver of rounded positions."""
+    """Return (n,) whether a turn is farther than ``least`` from the last kept one.
+
+    Smaller turns come from rounded positions, and are no turns of the carriage.
+    """
     kept = np.zeros(len(places), dtype=np.bool_)
     before = -np.inf
     for k, place in enumerate(places.tolist()):
@@ -246,7 +249,7 @@ def _stitches(
     Parameters
     ----------
     begun
-        When the operations begin; None before the job is planned.
+        Instants at which the operations begin; None before the job is planned.
     uses
         Name of the limit, and the (s,) share of it that each stitch uses.
     """
@@ -351,7 +354,10 @@ _NOT_BEGUN = _Operations(np.zeros(0, np.int64), np.zeros(0), 0.0)
 
 
 def _programmed(job: Job) -> tuple[FloatArray, IntArray, int, bool]:
-    """Return (n, axes) positions of a job, their lines, their number, and whether they are all."""
+    """Return (n, axes) positions and (n,) lines of a job, the number of moves, and completeness.
+
+    The last value is False if the job has more than ``_MOST_READ`` moves.
+    """
     at, lines, count = [np.array([job.start], np.float64)], [np.zeros(1, np.int64)], 0
     for item in move_runs(job):
         if not isinstance(item, MoveRun):

@@ -58,7 +58,7 @@ from threadline.verdict.progress import PlanClock
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A run that may begin: its proof was compared with the present files.
+    """A run that may begin, because its proof matches the present files.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Prepared:
     stops
         Number of stops received when it was requested.
     may
-        What holds and overrides of the feed do to its work.
+        Effect of holds and feed overrides on the verdict of the work.
     rests_s
         (n, 2) begin and end of the rests for which a hold waits, s; None: it takes effect at once.
     again, continues
@@ -87,12 +87,12 @@ class Prepared:
     continues: str = ""
 
     def moves(self, machine: Machine) -> list[tuple[str, int]]:
-        """Return the moves to where the rest begins, in their order."""
+        """Return the moves to the start of the rest, in their order: axis and counts."""
         assert self.again is not None
         return list(zip(machine.axes, self.again.rest.begins.tolist(), strict=False))
 
     def rest_notes(self) -> dict[str, Any]:
-        """Return what the operator must know before confirming the rest."""
+        """Return the notes that the operator reads before confirming the rest."""
         assert self.again is not None
         return {"run": self.continues, "notes": list(self.again.notes)}
 
@@ -110,7 +110,7 @@ class Owned:
     Parameters
     ----------
     machine, spec_file
-        The machine, and the specification that its work is judged by; None: its own.
+        The machine, and the file of the specification; None: the machine's own specification.
     folder, store
         Folders of the programs and of the runs.
     speed
@@ -137,7 +137,7 @@ class KeptRuns:
     label
         Entry for the index; see ``AtLink``.
     said
-        Called with a text for people, and whether something is wrong.
+        Function that takes a text for people, and whether the text is about a fault.
 
     Attributes
     ----------
@@ -152,14 +152,16 @@ class KeptRuns:
         self._link = {"link": owned.link, **({"label": label} if label else {})}
         self._pool = ThreadPoolExecutor(1)
         self._preparing: tuple[Future[Prepared], int, int] | None = None
-        self._given_up = ""  # the command that came instead of the start being checked
+        self._given_up = ""  # the command that cancelled the start being checked
         self._judging: Future[_Finished] | None = None
         self._channels: tuple[Channel, ...] = ()
         self._simulated = True
         self._sink: Sink | None = None  # of the open run
         self._live: LiveContour | None = None  # of the open run
-        self._may: tuple[str, Interventions] | None = None  # of the latest proof, by its hash
-        self._completed: dict[str, int] = {}  # runs by program
+        self._may: tuple[str, Interventions] | None = (
+            None  # hash of the latest proof, and its interventions
+        )
+        self._completed: dict[str, int] = {}  # number of completed runs, by program
         self._left_out_s = 0.0  # time of the job before its rest; 0 for a whole run
         self._open: tuple[OpenRun, Prepared, ExitStack] | None = None
         self._progress: dict[str, Any] | None = None
@@ -174,7 +176,7 @@ class KeptRuns:
     # --- the sink of the executor ----------------------------------------------------------
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Keep the channels for later runs."""
+        """Store the channels of the recordings of later runs."""
         self._channels, self._simulated = channels, simulated
 
     def block(self, block: RecordingBlock) -> None:
@@ -184,8 +186,9 @@ class KeptRuns:
             self._plan_clock.take(block.events)
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
-        """Keep the reason of a change of state, and write the change into the open run."""
-        # A stop in a fault keeps the fault's reason; an override is shown by itself.
+        """Store the reason for a change of state, and write the change into the open run."""
+        # A stop during a fault does not replace the reason of the fault. An override has its own
+        # display.
         if (text or state is not self._state) and cause is not Cause.OVERRIDE:
             self.why = text
         self._state = state
@@ -209,7 +212,7 @@ class KeptRuns:
         return "" if self._judging is None else "the last run is being judged"
 
     def give_up(self, why: str) -> None:
-        """Drop a start that is being checked: another command came."""
+        """Drop a start that is being checked, because the command ``why`` came."""
         self._given_up = self._given_up or why
 
     def prepare(self, head: Mapping[str, Any], stops: int, executor: Operated) -> None:
@@ -260,7 +263,7 @@ class KeptRuns:
         return self._rest_of(str(head["run"]), str(head["at"]), found, executor)
 
     def _interventions(self, proof: str, plan: Plan, spec: Spec) -> Interventions:
-        """Return what holds and overrides do to the work of a proof; simulated once per proof."""
+        """Return the effect of holds and overrides on a proof's work; simulated once per proof."""
         if self._may is None or self._may[0] != proof:
             self._may = proof, interventions_apart(plan, spec)
         return self._may[1]
@@ -320,7 +323,7 @@ class KeptRuns:
             raise
 
     def end(self, executor: Operated) -> None:
-        """Close a run that is over, and start judging it; accept the verdict of the last one."""
+        """Close a run that has ended, and start to judge it; take the verdict of an earlier run."""
         if self._open is not None:
             run, ready, stack = self._open
             self._open = None
@@ -385,7 +388,7 @@ class KeptRuns:
         return known
 
     def progress(self, executor: Operated) -> dict[str, Any] | None:
-        """Return the progress of the open run, or the end of the last one; None without one.
+        """Return the progress of the open run, or the last run's final one; None without a run.
 
         ``time_s`` does not advance during a hold, so the time left is the time without holds.
         """
@@ -441,7 +444,7 @@ class KeptRuns:
 
 
 def next_hold(rests_s: FloatArray | None, time_s: float) -> dict[str, Any]:
-    """Return where a hold that is asked for now takes effect, as fields of ``Progress``.
+    """Return the place at which a hold would take effect now, as fields of ``Progress``.
 
     Parameters
     ----------

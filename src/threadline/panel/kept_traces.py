@@ -20,7 +20,7 @@ from threadline.panel.calculation import answer_of
 _CHILD = import_and_call("threadline.panel.thinned_traces", "main")
 _TOLD = ("run", "started", "job", "ended", "text", "passed")
 _MOST_RUNS = 200
-_JUDGED = (0, 1)  # exit status of a report: in spec, out of spec
+_JUDGED = (0, 1)  # exit statuses of a report that was written: in spec, out of spec
 _one_at_a_time = asyncio.Semaphore(1)
 
 

@@ -1,9 +1,9 @@
 """The contour error of a run while it goes on, from the samples that the executor receives.
 
-It is measured as the criterion ``contour_error`` measures it, sample by sample: the distance of the
-load from the chords that the command visits within the lag around it. Only the judge measures
-between the samples and at missed programmed points. A link without measured positions has no live
-error.
+At each sample the measure equals the criterion ``contour_error``: the distance of the load from the
+chords that the command visits within the lag before and after the sample. Only the judge also
+measures between the samples and at missed programmed points. A link without measured positions has
+no live error.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ _LOAD = (ChannelKind.TOOL, ChannelKind.LOAD)
 _ENCODER = (ChannelKind.MEASURED,)
 _ASKED = (ChannelKind.COMMANDED, ChannelKind.OPERATION)
 PIECE_S = 0.1
-"""Samples are measured in pieces of this length, s: 10 a second, as often as the page draws."""
+"""Duration of the pieces in which samples are measured, s: 10 per second, the page's drawing
+rate."""
 _ENDS_S = 5.0
 _REHEARSED = 8  # samples
 
@@ -55,7 +56,7 @@ class LiveContour:
     plan
         The plan of the run.
     limit_m, lag_s
-        The limit, m, and how far the machine may trail its command, s.
+        The limit, m, and the largest lag of the machine behind its command, s.
     channels
         Channels of the blocks.
     kinds
@@ -107,7 +108,7 @@ class LiveContour:
 
     @classmethod
     def rehearse(cls, plan: Plan, spec: Spec, channels: tuple[Channel, ...]) -> None:
-        """Measure a few samples at rest, so that modules are loaded before the run begins."""
+        """Measure a few samples at rest, so that the modules are loaded before the run begins."""
         live = cls.of(plan, spec, channels)
         if live is None:
             return
@@ -200,7 +201,7 @@ class LiveContour:
 
 
 class Also:
-    """A sink that passes everything on to two.
+    """A sink that passes everything on to two sinks.
 
     Parameters
     ----------

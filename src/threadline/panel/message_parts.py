@@ -22,7 +22,7 @@ class Stitches(BaseModel):
     x: list[float]
     y: list[float]
     joined: list[bool]
-    """Whether the thread comes from the previous hole without travel in between."""
+    """Whether the thread leads here from the previous hole without a travel move."""
     block: list[int]
     """Number of the thread, from 1; 0 for a seam."""
     threads: list[str | None]

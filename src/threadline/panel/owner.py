@@ -29,7 +29,7 @@ from threadline.panel.welcoming import positions, readings, signals
 
 SAID_S = 0.25
 """Shortest time between two reports of the lines of a run, s."""
-_MOST_SAID = 40  # lines of a run in one report
+_MOST_SAID = 40  # largest number of lines of a run in one report
 
 
 class MoveSequence:
@@ -50,12 +50,12 @@ class MoveSequence:
         return len(self._queued)
 
     def begin(self, moves: Iterable[tuple[str, int]], stops: int, now_s: float) -> None:
-        """Begin a sequence: axes, and the counts that each moves to."""
+        """Begin a sequence of moves: the axis, and its target in counts."""
         self._queued, self._stops, self._begun = deque(moves), stops, False
         self._renewed_s = now_s
 
     def renew(self, now_s: float) -> None:
-        """Note that somebody still wants the sequence."""
+        """Renew the lease of the sequence: a client still wants it."""
         self._renewed_s = now_s
 
     def lease_s(self, now_s: float) -> float:
@@ -69,7 +69,7 @@ class MoveSequence:
     def next_one(
         self, stops: int, ended: tuple[RunEnd, str] | None, now_s: float
     ) -> tuple[str, int] | None:
-        """Return the move to begin; None without one; drop all if the sequence has to end.
+        """Return the next move to begin, or None; drop all moves if the sequence has to end.
 
         Parameters
         ----------
@@ -95,15 +95,15 @@ TELL_S = 0.05
 """Period of the reports to the server, s."""
 _PATIENCE_S = 0.02
 _OLD_S = 3.0
-"""Age in s above which a request is not executed any more: the situation may have changed."""
+"""Age in s above which a request is refused, because the situation may have changed."""
 _SAFE = frozenset({"let-go", "hold"})
 _BY_DESK = {"hold": Cause.HOLD, "resume": Cause.RESUME}
 _LATER = frozenset({"start", "continue"})
-"""Requests that are answered after a check, which takes seconds."""
+"""Requests that are answered only after a check, which takes seconds."""
 _MOVES = frozenset({"zero", "zero-axis", "approach"})
 _DRIVES = frozenset({"enable", "disable", "home", "reset"})
 _NO_START = frozenset({"disable", "home", "jog", "step", "approach-rest", "start-rest", *_MOVES})
-"""Requests that drop a start being checked: the machine would be elsewhere, or off."""
+"""Requests that cancel a start being checked, because they move the machine or switch it off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ class Owner:
     machine
         The machine.
     desk
-        Queue of the operator's commands to the executor.
+        Queue of the operator's commands for the executor.
     runs
         Keeps the runs.
     """
@@ -143,12 +143,12 @@ class Owner:
         self._heard_s = clock_s()
         self._leaving = False
         self._moves = MoveSequence()
-        self._rest: Prepared | None = None  # of an interrupted run, not confirmed yet
+        self._rest: Prepared | None = None  # rest of an interrupted run that is not confirmed yet
         self._sent_s, self._sent_state = 0.0, State.DISABLED
         self._board = BoardReports(executor)
 
     def serve(self) -> None:
-        """Serve until the server leaves, and the machine stands."""
+        """Serve until the server has left and the machine stands."""
         threading.Thread(target=self._listen, daemon=True).start()
         executor = self._executor
         failed: BaseException | None = None
@@ -165,7 +165,8 @@ class Owner:
                 self._tell()
             self._runs.end(executor)
         except (ThreadlineError, OSError) as error:
-            # Whatever the error: the link ends with this process, and its tail brakes the machine.
+            # The link ends with this process after any error, and the rows sent ahead brake the
+            # machine.
             failed = error
             self._tell_board()
             self._say("dead", why=str(error))
@@ -176,7 +177,7 @@ class Owner:
     # --- the server ------------------------------------------------------------------------
 
     def _listen(self) -> None:
-        """Receive messages, in a separate thread; a stop goes ahead of all."""
+        """Receive messages in a separate thread; a stop is executed before all other requests."""
         while True:
             try:
                 message = self._server.receive()
@@ -195,7 +196,7 @@ class Owner:
         self._stop_for("the panel, whose web server has ended")
 
     def _stop_for(self, whom: str) -> None:
-        """Stop, and record that no operator asked for it."""
+        """Stop the machine, and record ``whom`` as the cause in place of the operator."""
         self._executor.stopped_by = whom
         self._stop()
 
@@ -334,7 +335,7 @@ class Owner:
             return
         if not isinstance(prepared, Prepared):
             number, why = prepared
-            self._tell(at_once=True)  # it is not busy any more
+            self._tell(at_once=True)  # the report clears ``busy``
             self._say("answer", number=number, ok=False, text=why)
             return
         ok, text = True, ""
@@ -353,7 +354,7 @@ class Owner:
         self._say("answer", number=prepared.number, ok=ok, text=text)
 
     def _next_move(self) -> None:
-        """Move the next axis of a sequence, if there is one and nothing forbids it."""
+        """Begin the next move of the sequence, if there is one and the machine is idle."""
         executor, now_s = self._executor, clock_s()
         if executor.state is not State.IDLE:
             self._moves.clear()
@@ -405,18 +406,16 @@ class Owner:
             self._say(kind, **head)
 
     def _say(self, kind: str, **head: Any) -> None:
-        """Send the server a message; a server that does not read is not waited for."""
+        """Send the server a message; drop the message if the server does not read."""
         if self._server.lost or not select.select([], [self._server.fileno()], [], 0.0)[1]:
             return
         self._server.send(Message(kind, head))
 
 
 class BoardReports:
-    """The news of a board since the last report.
+    """Reports on a controller's settings and lines, each sent once.
 
-    Parameters
-    ----------
-    executor
+    Parameters ---------- executor
         The machine; without a board there are no reports.
     """
 

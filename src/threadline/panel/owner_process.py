@@ -41,9 +41,9 @@ class OwnerLink:
     now
         Latest report: state, axes, progress; see ``Owner``.
     heard_s
-        When it came, on the clock that counts sleep.
+        Instant of the latest report, s, on a clock that also runs while the computer sleeps.
     gone
-        Why there is no owner; empty while there is one.
+        Reason why there is no owner; empty while there is one.
     """
 
     def __init__(
@@ -59,9 +59,10 @@ class OwnerLink:
         self._beginning: asyncio.Task[None] | None = None
 
     def connect(self, heard: Callable[[Message], None]) -> None:
-        """Start an owner, and listen to it in a thread; call it on the event loop.
+        """Start an owner, and listen to it in a thread; call this method on the event loop.
 
-        A previous owner is left first, and waited for, as it may still have the machine's link.
+        A previous owner is left first. The start waits for its end, because it may still hold the
+        machine's link.
 
         Parameters
         ----------
@@ -69,7 +70,7 @@ class OwnerLink:
             Called on the loop with each message except the reports of the machine.
         """
         if self._beginning is not None:
-            return  # it is starting
+            return  # an owner is starting
         before = self._leave()
         self._heard, self.now, self.gone = heard, {}, ""
         if before is None:
@@ -103,7 +104,7 @@ class OwnerLink:
                 message = connection.receive()
             except (LinkFaultError, OSError, ValueError):
                 message = None
-            with suppress(RuntimeError):  # the loop is closed: the server ends
+            with suppress(RuntimeError):  # the event loop is closed, because the server ends
                 loop.call_soon_threadsafe(self._take, connection, message)
             if message is None:
                 return
@@ -179,7 +180,7 @@ def owner_main() -> None:
 def own(server: Connection, owned: Owned) -> None:
     """Own a machine until the server leaves, whatever signals come."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # signals are for the server, which asks this to stop
+        signal.signal(number, signal.SIG_IGN)  # the server handles signals, and sends a stop
     serve_owned(server, owned)
 
 
@@ -196,5 +197,5 @@ def serve_owned(server: Connection, owned: Owned) -> None:
             runs = KeptRuns(owned, label, said)
             with operated(link, machine, owned.speed, desk, runs) as executor:
                 Owner(server, executor, machine, desk, runs).serve()
-        except ThreadlineError as error:  # nothing answers there
+        except ThreadlineError as error:  # nothing answers on the link
             server.send(Message("dead", {"why": str(error)}))

@@ -29,13 +29,13 @@ BEAT_S = 0.05
 _REST_BEATS = 2
 """Beats between two states if nothing has changed."""
 _PASSING: Any = {"seq": True, "age_s": True, "control": {"left_s"}}
-"""Fields that change in every state."""
+"""Fields that differ in every state, and are ignored in a comparison of states."""
 _ALIVE_BEATS = 4
-"""The owner is told every 0.2 s that the server lives; it waits five times as long."""
+"""Beats between two signs of life to the owner: 0.2 s, a fifth of the silence that it allows."""
 _STANDS_S = 10.0
-"""Longest wait in s for the machine to stand, at the end of the panel."""
-_LINES_KEPT = 400  # lines of the console, for a page that is loaded again
-_STOPS_KNOWN = 64  # latest stops: one may come twice, by websocket and HTTP, and is reported once
+"""Longest time in s for which the panel, at its end, waits until the machine stands."""
+_LINES_KEPT = 400  # number of console lines kept for a page that is loaded again
+_STOPS_KNOWN = 64  # stops remembered: a stop that comes by websocket and HTTP is reported once
 _NOT_AWAITED = "the machine's own process stops it; the panel did not wait for that"
 _MOVING = frozenset({State.HOMING, State.JOGGING, State.RUNNING, State.HOLDING, State.STOPPING})
 _SAFE = frozenset({"let-go", "hold"})
@@ -50,9 +50,9 @@ _CAUSES = {
 _OF_PROVEN = frozenset({"start", "approach", "continue", "approach-rest", "start-rest"})
 _OF_REST = frozenset({"approach-rest", "start-rest"})
 _OF_REST_ALONE = frozenset({Cause.JOG, Cause.HOME})
-"""Causes that wait only until nothing moves; switching off never waits."""
+"""Causes of commands that need a machine at rest; switching off is possible at any time."""
 _BROKEN = frozenset({State.FAULT, State.DISABLED})
-"""States in which a link may be started again."""
+"""States in which the link may be started again."""
 
 
 class Panel:
@@ -92,7 +92,7 @@ class Panel:
         self._clients: dict[int, Client] = {}
         self._numbers = 0
         self._seq = 0
-        self._asked: dict[int, tuple[int, int]] = {}  # request: client, and its number
+        self._asked: dict[int, tuple[int, int]] = {}  # client and its command number, by request
         self._requests = 0
         self._stops: deque[tuple[int, int | None]] = deque(maxlen=_STOPS_KNOWN)
         self._board: Board | None = None
@@ -151,7 +151,7 @@ class Panel:
             self._owner.send("let-go")
 
     def take(self, client: Client, message: say.Stop | say.Control | say.Alive | say.Act) -> None:
-        """Act on a message of a client; a refusal is answered."""
+        """Act on a message of a client; a refused command gets an answer with the reason."""
         now_s = clock_s()
         match message:
             case say.Stop():
@@ -169,7 +169,7 @@ class Panel:
                 assert_never(message)
 
     def stop(self, who: int, number: int | None) -> None:
-        """Stop the machine, whoever asks.
+        """Stop the machine; every client may ask for it.
 
         Parameters
         ----------
@@ -329,7 +329,7 @@ class Panel:
             found = [what for what in found if what not in _OF_REST]
         found = [what for what in found if what not in self._far_end.lacks]
         if now["lost"]:
-            found.clear()  # there is no owner to obey
+            found.clear()  # no owner can execute a command
         if stands and (state in _BROKEN or now["lost"]):
             found.append("reconnect")
         if calculation.share is not None:
@@ -419,7 +419,8 @@ class Panel:
     async def beat(self) -> None:
         """Show the state to all clients periodically, and tell the owner that the server lives.
 
-        An unchanged state is shown half as often: a page works as much for it as for a new one.
+        An unchanged state is sent half as often, because a page needs as much work for it as for a
+        new one.
         """
         shown: dict[str, Any] = {}
         while True:

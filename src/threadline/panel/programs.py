@@ -30,7 +30,7 @@ from threadline.verdict import Spec
 PROGRAMMED = "programmed"
 """Priority that changes no option."""
 _MARGINS = {"optimum": 0.2, "speed": 0.0}
-"""Share of every limit that the fastest plan of a priority keeps free."""
+"""Share of every limit that the fastest plan must keep free, by priority."""
 
 
 def by_priority(
@@ -90,7 +90,7 @@ _MOST_FILES = 500
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
 _ENDINGS = tuple(ending for known in FORMATS for ending in known.extensions)
 _BESIDE = (".svg", ".dxf", ".csv")
-"""Drawings and tables that stand beside a program."""
+"""Suffixes of drawings and tables that belong to a program, and are no programs themselves."""
 _MOST_LOOKED_AT = 4 << 20
 _SHARED = {
     ".wind.toml": re.compile(rb"^[ \t]*(?:\[\[[ \t]*layer[ \t]*\]\]|layer[ \t]*=)", re.M),
@@ -98,9 +98,10 @@ _SHARED = {
     ".toml": re.compile(rb"^[ \t]*(?:\[\[[ \t]*operation[ \t]*\]\]|operation[ \t]*=)", re.M),
     ".txt": re.compile(rb"^[ \t]*(?:%|/?[GMNO][ \t]*[0-9]|\[G-CODE GENERATED)", re.M | re.I),
 }
-"""Suffixes that other files have, too, and the words by which a job is known: the layers of a
-winding (a product without layers is no job), the operations of a move list, and the first words of
-a part program's lines. The first suffix that fits applies; every seam file is a job."""
+"""Suffixes that files other than jobs also have, and the words by which a job is recognised: the
+layers of a winding, the operations of a move list, and the first words of a part program's lines. A
+product file without layers is no job; every seam file is a job. The first suffix that fits
+applies."""
 _SEAM, _WINDING = "seam", "winding"
 _PART_PROGRAMS = FORMATS[0].extensions
 _REALTIME = re.compile(rb"[?!~\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\xff]")

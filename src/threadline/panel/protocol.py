@@ -197,7 +197,7 @@ class Control(_Strict):
 
 
 class Alive(_Strict):
-    """The client in control is there: its lease is renewed."""
+    """A sign of life of the client in control; it renews the lease."""
 
     type: Literal["alive"]
     lease: Text
@@ -321,13 +321,13 @@ class Reading(BaseModel):
 
 
 class Progress(BaseModel):
-    """A run, or the last one."""
+    """Progress of the present run, or the final progress of the last run."""
 
     run: str
     program: str
-    """Name of the job, which a winding or a cycle gives itself."""
+    """Name of the job; the file of a winding or a cycle states its own name."""
     file: str
-    """Name of the job's file, as a request to calculate it gives it."""
+    """Name of the job's file, as in the request ``calculate``."""
     time_s: float
     duration_s: float
     ended: str | None = None
@@ -338,9 +338,9 @@ class Progress(BaseModel):
     hold: Literal["at once", "at a rest", "at the end"] = "at once"
     """Where a hold takes effect: on the path, at the next rest of the program, or at its end."""
     hold_at_s: float | None = None
-    """Instant of the plan of that rest, s; None without one."""
+    """Instant of the plan, s, of the rest at which a hold takes effect; None without a rest."""
     contour: LiveContour | None = None
-    """None where the link does not measure where the machine is."""
+    """Contour error of the run; None if the link measures no positions."""
 
 
 class RestOfRun(BaseModel):
@@ -382,7 +382,7 @@ class State(BaseModel):
     feed_percent: int = 100
     """Override of the feed of the run, %."""
     no_override: str = ""
-    """Why the feed of the run cannot be overridden; empty if it can."""
+    """Reason why the feed of the run cannot be overridden; empty if it can."""
     control: Holder
     progress: Progress | None
     rest: RestOfRun | None = None

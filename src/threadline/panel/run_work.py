@@ -27,7 +27,7 @@ _NICE = 10  # the executor comes first
 
 
 def interventions_apart(plan: Plan, spec: Spec) -> Interventions:
-    """Return what holds and overrides do to the work of a plan, simulated in another process.
+    """Return the effect of holds and overrides on a plan's work, simulated in another process.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def interventions_apart(plan: Plan, spec: Spec) -> Interventions:
 
 
 def interventions_main() -> None:
-    """Simulate holds and overrides of the plan on standard input; write what they do."""
+    """Simulate holds and overrides of the plan on standard input; write their effect."""
     plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the parent process
     try:
         found: Interventions | str = interventions(plan, spec)

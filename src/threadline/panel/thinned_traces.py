@@ -26,9 +26,10 @@ _ACTUAL = (ChannelKind.LOAD, ChannelKind.MEASURED)
 def thinned(recording: Recording) -> dict[str, Any]:
     """Return commanded and actual positions of all axes, SI.
 
-    All axes share the instants: in each time interval the smallest and the largest deviation of
-    every axis, so that no peak is lost. Actual is the load position, or without one the encoder
-    reading, or the command if nothing is measured; then ``measured`` is False.
+    All axes share the instants. In each time interval these are the instants of the smallest and
+    the largest deviation of every axis, so that no peak is lost. The actual position is the load
+    position, or else the encoder reading. If nothing is measured it is the command, and
+    ``measured`` is False.
     """
     pairs = _pairs(recording)
     if not pairs:

@@ -32,7 +32,7 @@ def positions(
 ) -> dict[str, list[float | None]]:
     """Return commanded, measured and load position of all axes, SI; None if not known.
 
-    For an axis that is not homed no position is known, whatever its encoder reads.
+    No position is known for an axis that is not homed, although its encoder has a reading.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def readings(
 def mandrel_of(machine: Machine) -> Mandrel | None:
     """Return the mandrel of a machine: its first rotary axis beside a linear one; None without.
 
-    Without a profile in the machine file, its radius is the radius at which that axis acts.
+    Without a profile in the machine file, its radius is the radius at which the rotary axis acts.
     """
     linear = [name for name, axis in machine.axes.items() if axis.kind == "linear"]
     for (name, axis), radius_m in zip(machine.axes.items(), machine.radius_m, strict=True):

@@ -1,8 +1,9 @@
 """Animations of a machine at work: a film (.mp4), a moving picture (.gif), or a page (.html).
 
-All three show the same scene: the machine, its planned path dashed and its actual path darker and
-wider where it is off, and below them the error over time with its limit. Nothing depends on colour.
-The page holds its data and draws by itself; it asks no other computer for anything.
+All three formats show the same scene. It has the machine, the planned path as a dashed line, and
+the actual path. The line of the actual path is darker and wider where the error is larger. A graph
+below shows the error over time and its limit. No information depends on colour alone. The HTML page
+holds its own data and script, and loads nothing from a network.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 
 DRAWING = "drawing the animation"
 _SHADES = ("#a9c4dc", "#3f7fb5", "#c04f00", "#2b0f00")
-"""From light to dark without a turn, so that a grey print says the same."""
+"""Colours of the actual path by increasing error; each is darker than the one before, also in grey
+print."""
 _SIZE_IN, _DPI = (7.2, 5.2), 100
 _THIN, _THICK = 1.3, 3.6
 _BEHIND = "0.82"
@@ -43,7 +45,7 @@ def needs_of(file: Path) -> None:
     Raises
     ------
     OptionError
-        If the ending is no format, or ffmpeg is missing, which alone writes films.
+        If no animation format has this ending, or the file is a film and ffmpeg is not installed.
     """
     ending = file.suffix.lower()
     if ending not in WRITERS:
@@ -76,7 +78,7 @@ def write_animation(proof: Proof, file: Path, progress: Progress | None = None) 
 
 
 def _extent(scene: Scene) -> tuple[float, float, float, float]:
-    """Return the least and greatest right and up of all that is drawn, mm."""
+    """Return the limits of the picture in mm: left, right, bottom, top."""
     corners = []
     for line in scene.lines:
         group = scene.groups.get(line.group)
@@ -100,12 +102,12 @@ def _turned(scene: Scene, points: FloatArray, group: str, frame: int) -> FloatAr
 
 
 def _placed(scene: Scene, points: FloatArray, group: str, frame: int) -> FloatArray:
-    """Return (n, 2) points as they are in the picture of a frame."""
+    """Return (n, 2) the points in picture coordinates, mm, at a frame."""
     return np.asarray(_turned(scene, points, group, frame) @ scene.view.T)
 
 
 def _hidden(scene: Scene, points: FloatArray, frame: int) -> NDArray[np.bool_]:
-    """Return (n,) whether a point of the path is on the far side of what turns."""
+    """Return (n,) whether each point of the path is on the far side of a turning mandrel."""
     if scene.group == FIXED or not scene.groups[scene.group].angle.any():
         return np.zeros(len(points), dtype=bool)
     outward = _turned(scene, points, scene.group, frame) * np.array([0.0, 1.0, 1.0])
@@ -113,7 +115,7 @@ def _hidden(scene: Scene, points: FloatArray, frame: int) -> NDArray[np.bool_]:
 
 
 def _widest(scene: Scene) -> float:
-    """Return the error of the darkest and widest line."""
+    """Return the error at which the line of the path is darkest and widest, in the scene's unit."""
     if scene.limit:
         return 1.8 * scene.limit
     return float(scene.error.max()) if len(scene.error) and scene.error.any() else 1.0
@@ -121,7 +123,7 @@ def _widest(scene: Scene) -> float:
 
 @dataclass(slots=True)
 class _Picture:
-    """A figure that shows one frame after the other."""
+    """A figure that is drawn again for each frame."""
 
     scene: Scene
     figure: Figure
@@ -141,7 +143,7 @@ class _Picture:
             self.artists += self.machine.plot(
                 *points.T, color=str(1.0 - line.grey), linewidth=line.width, zorder=2
             )
-        # The plan is there from the start where it stands still, and grows where it turns.
+        # The whole planned path is drawn in every frame. On a mandrel its far side is hidden.
         last = frame * scene.per_frame + 1
         planned = _placed(scene, scene.planned, scene.group, frame)
         unseen = _hidden(scene, scene.planned, frame)
@@ -177,7 +179,7 @@ class _Picture:
 
 
 def _shares(scene: Scene) -> FloatArray:
-    """Return (samples,) how dark and wide the path is; even where no error is known."""
+    """Return (samples,) darkness and width of the path, from 0 to 1; constant without an error."""
     if not len(scene.error):
         return np.full(len(scene.actual), 0.3)
     return np.clip(scene.error / _widest(scene), 0.0, 1.0)

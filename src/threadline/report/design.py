@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _Table = tuple[list[str], list[list[str]]]
-_AROUND = 0.06  # of the region's width, on the logarithmic axis
+_AROUND = 0.06  # margin around the points, as a share of their range on a logarithmic axis
 _FEWEST_TICKS = 4
 _MARKS = ("s", "D", "^", "P", "X")
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _EACH_IN = 1.7
-_ON_PAGE = 5  # targets of one figure
-_PLACE, _TIME = HEADER.index("place"), HEADER.index("time")  # each before its limit
+_ON_PAGE = 5  # largest number of targets in one figure
+_PLACE, _TIME = HEADER.index("place"), HEADER.index("time")  # the column of the limit follows each
 
 
 def difference_figure(found: Sequence[Equal]) -> Figure:

@@ -239,7 +239,7 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
         other = worst.run is not None and worst.run != traces.run.number
         note = f", in {run_words(proof.verdict, worst.run)}" if worst.run and other else ""
         if worst.run is None and proof.verdict.tolerances is not None and worst.note:
-            note = f", {worst.note}"  # of a machine whose runs are not drawn
+            note = f", {worst.note}"  # the worst run belongs to a machine whose runs are not drawn
         tracking.axvline(worst.time_s, label=_worst_label(worst, note), **LIMIT)
     tracking.set_xlabel("time [s]")
     tracking.set_ylabel("actual - commanded [mm]")

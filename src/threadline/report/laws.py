@@ -1,4 +1,4 @@
-"""Reports of motion laws and of measured cams: rise, derivatives, vibration left on a mode."""
+"""Reports of motion laws and of measured cams: rise, derivatives, residual vibration of a mode."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ _COLOURS = ("C0", "C1", "C2", "C3", "C4", "C5", "C6", "C7")
 
 
 def table_name(best: int) -> str:
-    """Return a name for the table with which run ``best`` was made; run 0 is the plan."""
+    """Return the name of the table that run ``best`` played; run 0 played the plan's own table."""
     return f"table of run {best}" if best else "table of the plan, unchanged"
 
 

@@ -176,7 +176,7 @@ _OF_GAPS = ("planned_coverage_gap", "coverage_gap")
 
 
 def _gap_lines(proof: Proof) -> list[str]:
-    """Return which factors a gap between bands points to; nothing where there is none."""
+    """Return the factors that may have caused a coverage gap; empty if no gap exceeds its limit."""
     results = proof.verdict.results
     if not any(one.name in _OF_GAPS and one.status is Status.FAILED for one in results):
         return []
@@ -185,7 +185,7 @@ def _gap_lines(proof: Proof) -> list[str]:
 
 
 def _instead_lines(proof: Proof) -> Iterator[str]:
-    """Yield a line where loops leave a path that was planned without them, and need not."""
+    """Yield a line that recommends ``optimal`` if the contour error of a plan by ``auto`` fails."""
     plan, machine = proof.plan, proof.plan.machine
     if plan.options.get("interpolation") != AUTO or plan.motion.of_loads is not None:
         return
@@ -221,7 +221,7 @@ def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
 
 
 def specification_lines(proof: Proof) -> list[str]:
-    """Return a line with the specification, for limits alone and for an assumed one."""
+    """Return a line with the specification if it is assumed, or if the machine has no dynamics."""
     if not (proof.plan.machine.without_dynamics or is_assumed(proof.spec)):
         return []
     return [f"Asked:                {proof.spec.name}"]
@@ -370,7 +370,7 @@ def about_switching(proof: Proof) -> list[str]:
 
 
 def production(proof: Proof) -> str:
-    """Return words for continuous production; empty if every cycle is as the first."""
+    """Return a text about continuous production; empty if every cycle equals the first."""
     steady = continuous(proof.verdict, proof.plan)
     if not steady:
         return ""
@@ -381,7 +381,7 @@ def production(proof: Proof) -> str:
 
 
 def creep_rows(plan: Plan) -> list[list[str]]:
-    """Return rows of how cylinders creep to end switches that are late; none without."""
+    """Return a row on the creep of cylinders whose end switch is late; empty if none creeps."""
     texts = [
         f"{axis} creeps, {one['opening_m'] * factor:.2g} {unit} each {one['every_s']:.3g} s"
         + (f", ringing {one['rings_m'] * 1e3:.2g} mm at most" if one["rings_m"] else "")
@@ -406,7 +406,8 @@ _ABOUT: Mapping[type, Callable[[Proof], list[str]]] = {
     Scheduled: about_switching,
     Stitched: about_stitched,
 }
-"""By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``KINDS``."""
+"""Makers of the lines by the type of ``Plan.intent``, one for every ``Kind.intent`` in
+``KINDS``."""
 
 
 def about(proof: Proof) -> list[str]:

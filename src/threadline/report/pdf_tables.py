@@ -79,7 +79,7 @@ def shortened(text: str, font: str, size_pt: float, room_pt: float) -> str:
 
 
 _SIZES_PT = (8.0, 7.5, 7.0, 6.5)
-_PADDING_PT = 5.0  # of a cell, left and right together
+_PADDING_PT = 5.0  # horizontal padding of a cell, left and right together
 _NOTE_PT = 120.0  # a narrower column breaks a note too often
 _SHORT_TEXT_PT = 105.0  # a narrower column is not broken if possible
 _LEFT_PT = 6.0  # space between text and the numbers on its left
@@ -144,7 +144,7 @@ def columns_of(
     for group in groups or [[0]]:
         wide = [natural[c] for c in group]
         narrow = [least[c] for c in group]
-        if sum(narrow) > room_pt:  # of one column beside the first: a word is broken
+        if sum(narrow) > room_pt:  # one column beside the first: a word is broken
             narrow = [min(c, room_pt / len(group)) for c in narrow]
         parts.append((tuple(group), size_pt, shared_widths(wide, narrow, room_pt)))
     return parts

@@ -40,7 +40,7 @@ REPORTS: Mapping[type, KindReport] = {
     Scheduled: KindReport(write=write_switching, compare=write_switching_comparison),
     Stitched: KindReport(write=write_stitched, compare=write_stitched_comparison),
 }
-"""By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``KINDS``."""
+"""Report functions by the type of ``Plan.intent``, one for every ``Kind.intent`` in ``KINDS``."""
 
 
 def write_report(studied: ReportData, folder: Path) -> Path:

@@ -1,9 +1,9 @@
 """The scene of an animation: the drawn parts of a machine, and their places at each instant.
 
-A scene is made of lines in a few groups; each moves as a whole: a mandrel turns, a
-carriage goes along, a frame carries its cloth. The path that the tool has made lies in one of the
-groups, so that a wound fibre turns with its mandrel. ``animation`` draws scenes; this file knows
-the machines.
+A scene consists of lines in a few groups. Each group is a rigid body, such as a mandrel that turns,
+a carriage that travels, or a frame that carries its cloth. The path of the tool belongs to one of
+the groups, so that a wound fibre turns with its mandrel. This file makes the scenes of all
+machines; ``animation`` draws them.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Scene:
     played_s
         Time that the animation takes.
     view
-        (2, 3) rows that project a point on the picture, right and up.
+        (2, 3) directions of the picture's right and up; their product with a point projects it.
     towards
         (3,) direction from the scene to the eye.
     lines
@@ -77,7 +77,8 @@ class Scene:
         (samples, 3) path in mm in its group, as it was and as it was planned; ``samples`` is
         ``per_frame`` times the frames.
     error, limit, unit
-        (samples,) error, its limit or None, and its unit; empty for a machine without dynamics.
+        (samples,) error, its limit or None, and the unit of both. The error is empty for a machine
+        without dynamics.
     error_words
         Name of the error.
     per_frame
@@ -111,7 +112,7 @@ class Scene:
 
     @property
     def speed(self) -> float:
-        """How many times faster than the machine it is played."""
+        """Ratio of the speed of the animation to the speed of the machine."""
         return float(self.time_s[1] - self.time_s[0]) * self.frames / self.played_s
 
 
@@ -157,7 +158,7 @@ def _is_turning(machine: Machine, name: str) -> bool:
 
 
 def _sampled(proof: Proof) -> _Run:
-    """Return a run at evenly spaced instants: ``_TRAIL_PER_FRAME`` of them to each frame."""
+    """Return a run at evenly spaced instants, with ``_TRAIL_PER_FRAME`` instants per frame."""
     recording, plan = proof.recording, proof.plan
     end_s = max(plan.duration_s, 1e-3)
     frames = int(min(MOST_FRAMES, max(24.0, min(end_s, _LONGEST_S) * _PER_SECOND)))
@@ -204,7 +205,7 @@ def _off_path(proof: Proof, run: _Run) -> _Error:
 
 
 def _view(turned: float = _TURN, raised: float = _RAISE) -> tuple[FloatArray, FloatArray]:
-    """Return rows right and up of a picture, and the direction to the eye."""
+    """Return (2, 3) directions right and up of a picture, and (3,) the direction to the eye."""
     level = np.array([math.sin(turned), -math.cos(turned), 0.0])
     up = np.array([0.0, 0.0, 1.0])
     right = np.array([math.cos(turned), math.sin(turned), 0.0])
@@ -253,7 +254,7 @@ def _made(
 
 
 def _moving(run: _Run, **shifts: FloatArray) -> Group:
-    """Return a group with the (samples,) shifts x, y and z in mm at its frames."""
+    """Return the motion of a group, at its frames, from (samples,) shifts x, y and z in mm."""
     zero = np.zeros(len(run.time_s))
     shift = np.column_stack([shifts.get(name, zero) for name in "xyz"])[run.frames]
     return Group(shift, np.zeros(len(run.frames)))
@@ -272,7 +273,7 @@ def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float])
 
 
 def _winder(proof: Proof, run: _Run, turning: str, going: list[str]) -> Scene:
-    """A mandrel that turns, with the fibre laid on it, and the carriage in front of it."""
+    """Return the scene of a winder: a turning mandrel with its fibre, and a carriage in front."""
     machine = proof.plan.machine
     axis = machine.axes[turning]
     x, feed = run.actual[going[0]], run.actual[going[1]] if len(going) > 1 else None
@@ -331,7 +332,7 @@ def _winder(proof: Proof, run: _Run, turning: str, going: list[str]) -> Scene:
     def laid(values: Mapping[str, FloatArray]) -> FloatArray:
         place = values[going[0]]
         size = np.interp(place, along, radius)
-        turn = math.pi - values[turning]  # laid in front, where the carriage is
+        turn = math.pi - values[turning]  # the fibre is laid on the carriage's side
         return np.column_stack([place, size * np.cos(turn), size * np.sin(turn)])
 
     groups = {
@@ -354,7 +355,7 @@ def _bounds(path: FloatArray) -> tuple[FloatArray, FloatArray, float]:
 
 
 def _stitcher(proof: Proof, run: _Run, going: list[str]) -> Scene:
-    """A cloth from above, the head that goes over it, and the seam."""
+    """Return the scene of a stitcher from above: the cloth, the moving head, and the seam."""
     actual, planned = _flat(run.actual, going), _flat(run.planned, going)
     low, high, size = _bounds(planned)
     edge = 0.12 * size
@@ -376,7 +377,7 @@ def _stitcher(proof: Proof, run: _Run, going: list[str]) -> Scene:
 
 
 def _embroidery(proof: Proof, run: _Run) -> Scene:
-    """A frame with its cloth, which moves under a needle that stands still."""
+    """Return the scene of an embroidery machine: a frame with its cloth under a fixed needle."""
     names = list(proof.plan.axes)[:2]
     actual, planned = _flat(run.actual, names), _flat(run.planned, names)
     low, high, size = _bounds(planned)
@@ -400,7 +401,7 @@ def _embroidery(proof: Proof, run: _Run) -> Scene:
 
 
 def _placer(proof: Proof, run: _Run) -> Scene:
-    """A gantry from the front: cylinders that carry the tool, and the frame that swings."""
+    """Return the scene of an on/off machine from the front: cylinders, tool, and swinging frame."""
     names = list(proof.plan.axes)
     x = run.actual[names[0]]
     z = run.actual[names[1]] if len(names) > 1 else np.zeros_like(x)
@@ -448,7 +449,7 @@ def _placer(proof: Proof, run: _Run) -> Scene:
 
 
 def _gantry(proof: Proof, run: _Run, names: list[str]) -> Scene:
-    """Axes X Y Z: a bridge over a table, and the tool."""
+    """Return the scene of a machine with axes X, Y, Z: a table, a bridge over it, and the tool."""
     actual, planned = _flat(run.actual, names), _flat(run.planned, names)
     low, high, size = _bounds(planned)
     edge = 0.12 * size
@@ -494,4 +495,4 @@ _SCENES: Mapping[type, tuple[Callable[[Proof, _Run], Scene], Callable[[Proof, _R
     Scheduled: (_placer, _swing),
     Stitched: (_embroidery, _off_command),
 }
-"""Scene and error of each kind of work, by the intent of its plans."""
+"""Functions that make the scene and the error of each kind of work, by type of ``Plan.intent``."""

@@ -89,7 +89,7 @@ def _cell(value: float) -> str:
     return "" if isnan(value) else f"{value:.6g}"
 
 
-_LENGTH, _PLACE = 0.05, 5e-4  # the stitcher's thesis; for a specification without
+_LENGTH, _PLACE = 0.05, 5e-4  # limits if the specification has none: share, m (stitcher's thesis)
 MAX_DRAWN = 20_000
 ABOUT = 20  # stitches before and after the worst that are all drawn
 

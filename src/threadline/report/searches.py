@@ -183,7 +183,7 @@ def _drawn(cell: Mismatch, searched: Searched) -> float:
 
 
 def _nothing(cells: Sequence[Mismatch], what: str) -> str:
-    """Return the text for a figure without points, which names the limit that fails."""
+    """Return the text of a figure without points; it names the limit that fails."""
     limits = dict.fromkeys(cell.limited_by.replace("_", " ") for cell in cells)
     failing = " and ".join(limits)
     return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} fails at all"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _SPAN = (0.4, 1.6)
 _POINTS = 601
-_MOST_HZ = 200.0  # of the picture of a measurement
+_MOST_HZ = 200.0  # highest frequency in the figure of a measurement
 _NAME_WIDE = 0.12  # width of the name of a mode, as a share of the figure
 _READABLE: Any = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
 
@@ -38,9 +38,9 @@ class MeasuredPower:
     spectrum_hz, spectrum
         (m,) power of all axes over the whole range, weighted as Klipper does.
     trains
-        Their residual vibration is drawn at ``damping_ratio``.
+        Shapers whose residual vibration is drawn at ``damping_ratio``.
     damping_ratio
-        The mode's.
+        Damping ratio of the mode.
     """
 
     axis: str
@@ -67,7 +67,7 @@ def write_shaper(
     Parameters
     ----------
     measured
-        The measurement that the modes are from; None if they were given.
+        The measurement that gave the modes; None if the user gave the modes.
 
     Raises
     ------

@@ -1,8 +1,9 @@
 """The wound mandrel in space, as a binary glTF 2.0 file (GLB) that viewers and browsers open.
 
-The mandrel is one node. The bands are nodes of equal laid length, in the order in which they were
-laid, so that hiding the later ones shows an earlier state of the winding. Bands that need more
-friction than there is at its lower end are red. Lengths are m, as glTF demands.
+The mandrel is one node. The bands are divided into nodes of equal laid length, in the order of
+laying, so that a viewer that hides the later nodes shows an earlier state of the winding. A band is
+red where it needs more friction than the lower end of the product's friction range. Lengths are in
+m, as glTF demands.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from threadline.winding.surface import Surface
 
 _ALONG, _ROUND = 240, 96  # quadrangles of the mandrel
 _NODES = 20
-"""Nodes of the bands: each has a twentieth of the laid length."""
-_MOST_PLACES = 120_000  # on the middle of the bands
-_LIFT = 0.002  # of the largest radius: the bands lie above the mandrel, or both would flicker
+"""Number of nodes of the bands; each node has a twentieth of the laid length."""
+_MOST_PLACES = 120_000  # largest number of drawn places on the centre line of the bands
+_LIFT = 0.002  # share of the largest radius by which bands lie above the mandrel, to avoid flicker
 _FLOAT, _UINT, _TRIANGLES = 5126, 5125, 4
 _MATERIALS = (
     ("mandrel", (0.82, 0.82, 0.80)),
@@ -39,18 +40,18 @@ def wound_glb(
     width_m
         Width of the band.
     fibre
-        (n, 3) u in m, angle and angle with the meridian in rad, in order; NaN where the place is
-        not known.
+        (n, 3) in order of laying: arc length u along the meridian in m, angle about the axis and
+        winding angle to the meridian in rad; NaN where the place is unknown.
     slips
-        (n,) whether the fibre needs more friction there than there is.
+        (n,) whether the fibre needs more friction at a place than the product has.
     name
-        Of the scene, for people.
+        Name of the scene, for people.
     """
     made = _Glb(name)
     made.add("mandrel", 0, *_mandrel(surface))
     places = _thinned(surface, fibre, width_m)
     vertices, normals = _edges(surface, fibre[places], width_m)
-    # A quadrangle from each place to the next, where both are known and neighbours in the run.
+    # A quadrangle joins each place to the next if both are known and neighbours in the run.
     joined = np.isfinite(fibre[places, 0])
     joined = joined[:-1] & joined[1:]
     starts, slipped = np.flatnonzero(joined), np.cumsum(slips)
@@ -69,7 +70,7 @@ def wound_glb(
 
 
 def _thinned(surface: Surface, fibre: FloatArray, width_m: float) -> IntArray:
-    """Return the rows that the bands are drawn through: half a width apart, and round the bends."""
+    """Return the rows to draw: evenly spaced along the fibre, and the ends of known stretches."""
     radius = float(surface.r[:, 0].min())
     apart = max(min(0.5 * width_m, 0.2 * radius), 1e-6)
     known = np.isfinite(fibre[:, 0])
@@ -82,7 +83,8 @@ def _thinned(surface: Surface, fibre: FloatArray, width_m: float) -> IntArray:
     apart = max(apart, float(length[-1]) / _MOST_PLACES)
     step = np.floor(length / apart)
     kept = np.concatenate([[True], np.diff(step) > 0.0]) & known
-    # The ends of each known stretch, and one unknown row after it: no band leads across.
+    # Both ends of each known stretch are kept, and one unknown row after it, so that no band
+    # crosses the gap.
     last = known & np.concatenate([~known[1:], [True]])
     gap = ~known & np.concatenate([[False], known[:-1]])
     return np.asarray(np.flatnonzero(kept | jump | last | gap))
@@ -118,13 +120,13 @@ def _edges(surface: Surface, fibre: FloatArray, width_m: float) -> tuple[FloatAr
         [angle - 0.5 * side * width_m * np.cos(winding) / r for side in (-1.0, 1.0)], axis=1
     )
     places, normals = _in_space(surface, u.ravel(), angle.ravel())
-    # A flat band sinks by its sagitta into what bends under it.
+    # A flat band would cut into the curved mandrel by its sagitta.
     sagitta = width_m**2 / (8.0 * np.repeat(r, 2)[:, None])
     return places + (_LIFT * float(surface.r[:, 0].max()) + sagitta) * normals, normals
 
 
 class _Glb:
-    """A GLB in the making: a chunk of JSON that describes the arrays of a binary chunk."""
+    """A GLB under construction: a JSON chunk that describes the arrays in a binary chunk."""
 
     def __init__(self, name: str) -> None:
         self._parts: list[bytes] = []
@@ -137,7 +139,7 @@ class _Glb:
     def add(
         self, name: str, material: int, places: FloatArray, normals: FloatArray, index: IntArray
     ) -> None:
-        """Add a node of triangles: (n, 3) places and normals, (3 m,) numbers of corners."""
+        """Add a node of m triangles: (n, 3) vertices and normals, (3 m,) numbers of vertices."""
         attributes = {
             "POSITION": self._accessor(places.astype("<f4"), _FLOAT, "VEC3", bounds=True),
             "NORMAL": self._accessor(normals.astype("<f4"), _FLOAT, "VEC3"),
@@ -157,7 +159,7 @@ class _Glb:
         self._tables["bufferViews"].append(
             {"buffer": 0, "byteOffset": self._size, "byteLength": len(data), "target": target}
         )
-        self._parts.append(data)  # every array has a multiple of four bytes
+        self._parts.append(data)  # the size of every array is a multiple of four bytes
         self._size += len(data)
         found: dict[str, Any] = {
             "bufferView": len(self._tables["bufferViews"]) - 1,

@@ -100,7 +100,7 @@ def design_figure(proof: Proof, recording: Recording) -> Figure:
 def threads_figure(plan: Plan) -> Figure:
     """Draw the design as embroidered: each block in the colour of its thread, and numbered.
 
-    A block whose colour the file does not say has a grey of its own.
+    A block whose colour is not in the file gets a grey that no other block has.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure

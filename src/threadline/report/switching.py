@@ -79,9 +79,9 @@ def break_figure(
 
 
 _PLACES_IN_ROW = 4
-_INCH = 1.3  # of the unit of heights
+_INCH = 1.3  # length of one unit of height
 _PAGE = 7.0  # units: a page of paper
-_TOP = 0.65  # place 0, from the upper edge
+_TOP = 0.65  # distance of place 0 from the upper edge
 _SMALL, _PLAIN = 7.0, 8.0  # points
 _LINE = 1.2 * _SMALL / 72.0 / _INCH  # units
 _HALF_BAR, _LABEL, _OUTPUTS, _GAP = 0.14, 0.18, 0.2, 0.06
@@ -91,9 +91,10 @@ _BREAK = "#B00000"
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """A place and the condition of its transition; ``then`` is the target of a way back.
+    """A place of the net and the condition of its transition.
 
-    ``opened`` is the place by which a cylinder creeps to the switch that the place waits for.
+    ``then`` names the target if the transition leads back. ``opened`` is the place that lets a
+    cylinder creep to the end switch for which this place waits; None without creep.
     """
 
     place: NetPlace
@@ -103,7 +104,7 @@ class _Bar:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The outputs that are on, and those that creeping opens as well."""
+        """Texts of the outputs that are on, and of further outputs that a creep turns on."""
         if self.opened is None:
             return self.place.on
         beside = [name for name in self.opened.on if name not in self.place.on]
@@ -112,7 +113,7 @@ class _Bar:
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """Bars side by side; ``step`` is empty if the row above has the name of the step."""
+    """Bars side by side; ``step`` is empty if the row above already shows the name of the step."""
 
     step: str
     bars: Sequence[_Bar]

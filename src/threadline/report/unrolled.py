@@ -31,17 +31,22 @@ if TYPE_CHECKING:
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
-_BINS = 200  # places along the mandrel
-_MOST_COLUMNS = 700  # of the map
-_SHOWN = (1, 5)  # circuits after which the pattern is drawn, besides all
-_MOST_OF_IT = 0.85  # share of the mandrel whose bands have different shades
-_MOST_DRAWN = 4000  # points of the centre line of the last fibre
+_BINS = 200  # number of intervals along the mandrel
+_MOST_COLUMNS = 700  # largest number of columns of the map
+_SHOWN = (1, 5)  # circuits after which the pattern is drawn, besides the whole winding
+_MOST_OF_IT = 0.85  # share of the mandrel over which the numbers of bands get different shades
+_MOST_DRAWN = 4000  # largest number of points drawn of the last fibre's centre line
 _OF_FIBRE = ("slip_tendency", "bridging", "lifting", "laid_error", "coverage_gap")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Laid:
-    """The fibre of one run: u, angle and winding angle, whether known, steering, operation."""
+    """The fibre of one run, (n,) each: place, winding angle, steering and operation.
+
+    ``u`` is the arc length along the meridian in m, ``angle`` the angle about the axis and
+    ``winding`` the angle to the meridian, both in rad. ``known`` is 0 where the place is unknown.
+    ``of_run`` is False for the fibre of the plan.
+    """
 
     u: FloatArray
     angle: FloatArray
@@ -53,7 +58,7 @@ class _Laid:
 
 
 def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes], list[Table]]:
-    """Return the figures of a proof with a product, files beside them, tables; none without one."""
+    """Return figures, other files and tables of a winding; all are empty without a product."""
     job = wound_job(proof.plan)
     if job is None:
         return {}, {}, []
@@ -88,7 +93,7 @@ def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes], 
         tables = [Table(title=title, header=header, rows=causes.rows(), note=causes.words())]
     fibre = np.column_stack([laid.u, laid.angle, laid.winding])
     fibre[laid.known == 0.0] = np.nan
-    # The steering of a block stands at its end.
+    # The value of the steering of a block is at the last row of the block.
     ends_of = np.isfinite(laid.steer)
     steer = np.append(np.abs(laid.steer[ends_of]), 0.0)
     of_row = np.concatenate([[0], np.cumsum(ends_of)[:-1]])
@@ -127,7 +132,7 @@ def winding_caption(name: str) -> str:
 
 
 def _laid(proof: Proof, job: WoundJob) -> _Laid:
-    """Return the fibre of the recorded run, else of the planned motion."""
+    """Return the fibre of the recorded run, or of the plan if the recording does not give it."""
     found = recorded_fibre(proof.recording, job)
     parts = list(planned_fibre(proof.plan, job)) if found is None else [found]
 
@@ -148,20 +153,20 @@ def _laid(proof: Proof, job: WoundJob) -> _Laid:
 
 
 def _circuits(job: WoundJob, laid: _Laid) -> list[int]:
-    """Return the rows at which circuits begin: where the fibre crosses the middle rightwards."""
+    """Return the rows at which circuits begin: the fibre crosses the middle from left to right."""
     middle = middle_of(job.surface)
     beside = np.where(laid.known > 0.0, laid.u - middle, np.nan)
     return [int(row) + 1 for row in np.flatnonzero((beside[:-1] < 0.0) & (beside[1:] >= 0.0))]
 
 
 def _thinned(raster: Raster) -> NDArray[np.uint16]:
-    """Return the number of bands, round by along, with at most as many cells as are seen."""
+    """Return the number of bands, (around, along), with no more cells than a figure shows."""
     steps = [max(size // _MOST_COLUMNS, 1) for size in raster.count.shape]
     return raster.count[:: steps[0], :: steps[1]].T.copy()
 
 
 def _shade(panel: Axes, job: WoundJob, raster: Raster, count: NDArray[np.uint16]) -> QuadMesh:
-    """Draw a map: its shades fit the layers on most of the mandrel, not at its poles."""
+    """Draw a map; its scale of shades fits most of the mandrel, not the many bands at the poles."""
     x = 1e3 * job.surface.at(raster.places)[0][:, 0]
     most = max(2.0 * float(np.quantile(count, _MOST_OF_IT)), 4.0)
     panel.set_ylim(0.0, 360.0)
@@ -207,7 +212,7 @@ def _map(proof: Proof, job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
     known = np.flatnonzero(laid.known > 0.0)[-_MOST_DRAWN:]
     line_x = 1e3 * job.surface.at(laid.u[known])[0][:, 0]
     line_a = np.degrees(laid.angle[known]) % 360.0
-    # No line across the seam, nor where the fibre was not known.
+    # The line has gaps where the angle wraps around, and where the fibre is unknown.
     line_a[1:][(np.abs(np.diff(line_a)) > 180.0) | (np.diff(known) > 1)] = np.nan
     panel.plot(line_x, line_a, **ACTUAL)
     _mark(proof, job, laid, panel)

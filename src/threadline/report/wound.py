@@ -67,10 +67,10 @@ def planned_sheet(plan: Plan) -> list[Table]:
 
 
 def layer_times(plan: Plan, winding: Winding) -> dict[int, float] | None:
-    """Return the planned time of every layer by its number, s.
+    """Return the planned time of each layer, s, by layer number; None if layers share a line.
 
-    None where layers share a line of the file. Moves to the first point and joins count for the
-    layer that they lead to.
+    The moves to the first point, and the joins between layers, count for the layer that follows
+    them.
     """
     lines = np.array([operation.source.line for operation in plan.job], dtype=np.int64)
     found, layer_of = np.unique(lines, return_inverse=True)

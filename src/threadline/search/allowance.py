@@ -33,7 +33,7 @@ from threadline.verdict import Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rung:
-    """The fastest plan at one share of the limits, or with one contour allowance.
+    """The result of one trial: the fastest plan at one share of the limits, or one allowance.
 
     Parameters
     ----------
@@ -44,9 +44,10 @@ class Rung:
     duration_s
         Duration of the job at the best feed; None where no feed passes.
     contour_m
-        Allowed distance of the loads from the path; None where the timing has no such limit.
+        Contour allowance of the plan, m; None if the timing has no such limit.
     options
-        Options of the plan if the search chose them; None if it chose the allowance or share alone.
+        Options of the plan if the search chose several; None if it chose only the allowance or the
+        share.
     """
 
     share: float
@@ -63,7 +64,7 @@ class Rung:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FastestJob:
-    """Result of a search: the rung with the shortest job, and all rungs by share of the limits.
+    """Result of a search: the trial with the shortest job, and all trials by share of the limits.
 
     Parameters
     ----------
@@ -80,14 +81,14 @@ class FastestJob:
     whole
         Whether the best plan of the whole job was judged, too, after trials of a part of the job.
     in_one_run
-        Whether every trial was one run of the machine of the file. Then only the answer was judged
-        at the wanted level, if ``whole``.
+        Whether every trial was judged by one run of the file's machine. If ``whole`` is true, too,
+        the best plan was judged at the requested level.
     ended
-        Why the search stopped early; empty where it came to its end.
+        Reason for which the search stopped early; empty if it was completed.
     left
         With ``optimal``: largest number of places that a search left untried when it stopped early.
     by
-        Meaning of the feeds.
+        Feed mode of the feeds in the result.
     enough
         If only limits are judged and even the highest feed passes: the lowest feed found, in
         the same unit, with which the job takes at most 0.1 % longer. Otherwise None.
@@ -139,7 +140,7 @@ def fastest_allowed(question: Question) -> FastestJob:
     job, machine, until = question.job, question.machine, question.until
     top = feed_range_m_s(machine)[1] if question.high is None else question.high
     options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
-    by_contour = options.follows_contour and not machine.takes_positions  # no loop, no lag
+    by_contour = options.follows_contour and not machine.takes_positions  # no loop lags
 
     def proved(amount: float) -> Rung:
         if until is not None:
@@ -154,7 +155,8 @@ def fastest_allowed(question: Question) -> FastestJob:
         try:
             plan = plan_job(job, machine, chosen)
         except LimitError as error:
-            # Where loads follow the motion, the smoothing can make the plan break a limit.
+            # With feed-forward the loads follow the motion, and the smoothing can make it break a
+            # limit.
             if by_contour or error.quantity == "travel":
                 raise
             return rung_of(chosen, top, beyond(error, machine), None, by_contour)
@@ -233,7 +235,7 @@ def rung_of(
 
 
 def _best(rungs: Mapping[float, Rung], otherwise: str) -> Rung:
-    """Return the shortest rung that passes, with its limit; else the rung that came closest."""
+    """Return the passing trial with the shortest job, or else the trial closest to passing."""
     passed = [amount for amount, rung in rungs.items() if rung.duration_s is not None]
     if not passed:
         return min(rungs.values(), key=lambda rung: closeness(rung.found.verdict))
@@ -271,7 +273,7 @@ def _used(rung: Rung) -> float:
 
 
 def _next_share(rungs: Mapping[float, Rung]) -> float | None:
-    """Return the next smaller share of the limits; None once a share passes, or none is left."""
+    """Return the next smaller share of the limits; None if a share has passed, or none is left."""
     least = min(rungs)
     if rungs[least].duration_s is not None:
         return None

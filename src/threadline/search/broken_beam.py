@@ -83,7 +83,10 @@ def train_of(kind: str, mode: FlexibleMode) -> Shaper:
 
 
 def level_steps(shaper: Shaper, on_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return times, s, and heights of the level steps of a shaped move with on-time ``on_s``."""
+    """Return times, s, and heights, (n,) each, of the level steps of a shaped move.
+
+    ``on_s`` is the time, s, for which the unshaped command is on.
+    """
     times = np.concatenate((shaper.times_s, shaper.times_s + on_s))
     heights = np.concatenate((shaper.amplitudes, -shaper.amplitudes))
     order = np.argsort(times, kind="stable")
@@ -114,7 +117,7 @@ def sweep_of_steps(
 
 
 def break_sweeps(machine: Machine, axis: str = "X") -> list[BreakSweep]:
-    """Return sweeps of the full stroke: the unshaped move, and one for each kind of shaper."""
+    """Return the sweeps of a full stroke: one without a shaper, and one for each kind of shaper."""
     cylinder = machine.cylinders[axis]
     on_s, ringing = cylinder.stroke.si / cylinder.speed.si, step_ringing(machine, axis)
     mode = FlexibleMode(*flow_mode(machine, axis))

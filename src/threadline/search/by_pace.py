@@ -66,9 +66,7 @@ from threadline.verdict import Verdict
 class Answer:
     """Result of a search of any kind.
 
-    Parameters
-    ----------
-    question
+    Parameters ---------- question
         The question.
     best, unit
         The best pace or the shortest duration, and its unit; None where nothing is in spec.
@@ -90,7 +88,8 @@ class Answer:
         Planning options of the best plan; None where nothing is in spec, or where only a move list
         can state the plan.
     plan
-        Plans the best; where nothing is in spec, plans the question's own options.
+        Function that makes the best plan; if nothing is in spec, the plan of the question's
+        options.
     over_band
         The cycle for a band of modes; None without a band.
     certainty
@@ -117,14 +116,14 @@ class Answer:
 
     @property
     def passed(self) -> bool:
-        """Whether a plan is in spec, and passes all over the band if there is one."""
+        """Whether a plan is in spec and, with a band, on all machines of the band."""
         if self.over_band is not None:
             return self.over_band.job is not None
         return self.best is not None
 
     @property
     def again(self) -> dict[str, Any] | None:
-        """Options of ``prove`` that plan the best, by word; None where no options can."""
+        """Options with which ``prove`` makes the best plan, by word; None if there are none."""
         return (
             None
             if self.words is None or self.over_band is not None
@@ -171,7 +170,7 @@ def _chosen_words(options: Options) -> dict[str, Word]:
 
 
 def shaft_words(found: FastestShaft) -> dict[str, Word] | None:
-    """Return the planning option of the best plan of a design: a swing, or a constant speed."""
+    """Return the option of a design's best plan: a tolerance of the swing, or a constant speed."""
     if found.duration_s is None:
         return None
     if found.by_schedule:
@@ -328,7 +327,7 @@ SEARCHES: Mapping[str, Search] = {
     "shaft": Search(find=_shaft, again=_shaft_again),
     "switchings": Search(find=_switchings, again=_switchings_again),
 }
-"""By ``searched_as``: the search for the fastest way to do a job in spec."""
+"""Searches for the fastest way to do a job in spec, by the result of ``searched_as``."""
 
 
 def answered(question: Question) -> Answer:
@@ -337,8 +336,8 @@ def answered(question: Question) -> Answer:
     Raises
     ------
     OptionError
-        If ends of tolerances are wanted and no number has a tolerance, or the time was over
-        before a plan was judged.
+        If the question asks for the ends of the tolerances and no number has one, or if the time
+        was over before a plan was judged.
     """
     search = SEARCHES[searched_as(question.job, question.options)]
     with with_answer():
@@ -351,7 +350,7 @@ def answered(question: Question) -> Answer:
 
 
 def _certainty(found: Answer, search: Search) -> Certainty | None:
-    """Search again for the file's machine alone; None where no tolerance ends were asked for."""
+    """Search again for the file's machine alone, and compare; None without tolerance ends."""
     question = found.question
     others = question.trials.others(question.actual or question.machine)
     if not others:

@@ -42,33 +42,34 @@ CHOSEN = (
 LIMIT_SHARE = "limits"
 """Option that a search may choose, too, if no plan with the full limits is in specification."""
 RESERVES = ("volts", "current")
-"""The two knobs of ``reserve``."""
+"""Knobs of the option ``reserve``: the reserves of voltage and of current."""
 BUDGET = "contour_error"
 """Criterion whose limit bounds the error of the path and the error of the loops together."""
 _SEED = 1994
 _CANDIDATES = 600
-AS_GOOD = 0.5  # ticks: a plan must be shorter than the best by this, or it is not simulated
-_FIRST, _LAST, _WIDER, _NARROWER = 0.15, 0.02, 1.3, 0.8  # half width of the candidates
-_PATIENCE = 4  # failures in a row until candidates come from nearer the best
+AS_GOOD = 0.5  # ticks: a plan is simulated only if it is shorter than the best by more than this
+# Standard deviation of candidates about the best place: at first, at least, and two factors on it.
+_FIRST, _LAST, _WIDER, _NARROWER = 0.15, 0.02, 1.3, 0.8
+_PATIENCE = 4  # after so many failures in a row candidates are drawn nearer to the best
 _LEAST, _MOST = 0.2, 1.5  # used shares are clamped to this range before the fit
 _NOISE = 0.03  # least scatter of errors about their plane
 _TICKS = 0.5  # least scatter of durations about their plane, in ticks
-_NEAR = 0.3  # trials farther from the best than this count little
+_NEAR = 0.3  # trials farther from the best plan than this have little weight
 _RIDGE = 1e-3
 _CAUTION = 2.0  # power of the chance to pass: small steps that pass teach more than long ones
-_CLAMPED, _FREE = 1.1, 0.9  # used share of a limit of 0 that is broken, or kept
-_MENDED = 0.1  # share of the limit: a corner missed by more is not mended alone
-_BESIDES = 0.01  # share of the limit by which a corner is mended more than it was missed
+_CLAMPED, _FREE = 1.1, 0.9  # used share that stands for a broken limit of 0, and for a kept one
+_MENDED = 0.1  # share of the limit: a larger excess is not corrected at single corners
+_BESIDES = 0.01  # share of the limit: margin of a correction over the measured excess
 _LEAST_SHARE = 0.05  # least share of the limits of acceleration and jerk
-_LEAST_VOLTS = 0.0025  # least reserve: loops need some volts in every motion
+_LEAST_VOLTS = 0.0025  # least reserve of voltage, because loops need some in every motion
 _AT_CORNERS = frozenset({"contour_error", "turning_point_error"})
 _OF_PLANS = frozenset({"travel", "velocity", "acceleration", "jerk"})
-"""Criteria that every plan keeps, however bold."""
+"""Criteria on limits of the machine, which the planner keeps in every plan."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Knob:
-    """One choice of a plan, from the most careful value at 0 to the boldest at 1.
+    """One choice of a plan as a place from 0, the most careful value, to 1, the boldest value.
 
     Parameters
     ----------
@@ -77,11 +78,12 @@ class Knob:
     careful, bold
         Values at 0 and 1.
     digit
-        Values are multiples of this.
+        Step of the values: each value is a multiple of it.
     typed
-        Rounds a value to the value that its text on a command line gives, in the option's unit.
+        Function that rounds a value, so that typing it as an option gives the same value.
     power
-        Values follow this power of the place, so that small values lie closer together.
+        Exponent: the value changes with this power of the place, so that small values lie closer
+        together.
     """
 
     word: str
@@ -113,7 +115,7 @@ def knobs_of(
 ) -> tuple[Knob, ...]:
     """Return the choices of a search for a job.
 
-    Without a limit of the contour error nothing bounds the path; then its options are not searched.
+    The options of the path are searched only if the specification limits the contour error.
 
     Parameters
     ----------
@@ -185,12 +187,12 @@ def chosen(
     places: Sequence[float],
     narrower: Mapping[int, float] | None = None,
 ) -> Options:
-    """Return the options at a place of each knob.
+    """Return ``options`` with the values of the knobs at ``places``.
 
     Parameters
     ----------
     narrower
-        By line of the program: the tolerance there, as a share of the tolerance elsewhere.
+        By line of the program: the tolerance at its corner, as a share of the general tolerance.
     """
     values = {knob.word: knob.value(at) for knob, at in zip(knobs, places, strict=True)}
     tolerance_m = values.get("tolerance", options.tolerance_m)
@@ -233,26 +235,26 @@ def _share(text: str) -> float:
 
 
 def _typed_m(length_m: float) -> float:
-    """Return a length of four digits, as it is read from a text in mm."""
+    """Return a length, m, rounded to four digits, as read from its text in mm."""
     return _mm(f"{length_m:.4g}") if length_m > 0.0 else 0.0
 
 
 def narrowed(
     options: Options, verdict: Verdict, lines: Sequence[int], end_s: float
 ) -> Options | None:
-    """Return options with a smaller tolerance at the corner that fails.
+    """Return options with a smaller tolerance at the corner where the largest error is.
 
-    None if another criterion fails, or if a smaller tolerance there cannot make up for the excess.
-    If the error lies beside a leg and not at a programmed point, both corners of the leg get a
-    smaller tolerance. If it comes after the end of a table of feed-forward, the contour allowance
-    shrinks instead.
+    The result is None if a criterion without corners fails, or if the excess is too large to be
+    corrected at a single corner. If the largest error is between two programmed points, the corners
+    at both get a smaller tolerance. If it occurs after the end of a table of feed-forward, the
+    contour allowance is reduced instead.
 
     Parameters
     ----------
     lines
         Lines of the moves of the program, in increasing order.
     end_s
-        End of the table.
+        End of the table of commands, s.
     """
     failed = [one for one in verdict.results if one.status is Status.FAILED]
     if not failed or {one.name for one in failed} - _AT_CORNERS:
@@ -280,7 +282,7 @@ def narrowed(
 
 
 def places_of(options: Options, knobs: Sequence[Knob], machine: Machine) -> tuple[float, ...]:
-    """Return the places of the knobs whose options are nearest to these options."""
+    """Return the place of each knob whose value is nearest to its value in ``options``."""
     kept = _kept(machine) if options.reserve is None else options.reserve
     values = {
         "tolerance": options.tolerance_m,
@@ -330,13 +332,14 @@ def used_of(verdict: Verdict) -> dict[str, float]:
 
 
 Try = Callable[[tuple[float, ...], float], Tried]
-"""Makes a plan at places of the knobs, and judges it if it is shorter than a time in s."""
+"""Function that makes the plan at places of the knobs, and judges it if it takes less than a time,
+s."""
 
 
 def boldest(
     attempt: Try, careful: tuple[float, ...], bold: tuple[float, ...], most: int
 ) -> list[Tried]:
-    """Try plans from a bold place to a careful one, until one passes."""
+    """Try at most ``most`` plans, from a bold place to a careful one, until one passes."""
     found: list[Tried] = []
     for k in range(most):
         share = 1.0 - k / max(most - 1, 1)
@@ -363,7 +366,7 @@ def improved(
     tick_s
         Tick of the machine: durations of plans differ by whole ticks.
     careful
-        Places to begin from where no plan passes yet.
+        Places from which the search begins if no plan passes yet.
     """
     random = np.random.default_rng(_SEED)
     width, failed, count = _FIRST, 0, len(careful)
@@ -372,7 +375,7 @@ def improved(
         best = best_of(tried)
         places = careful if best is None else best.places
         best_s = math.inf if best is None or best.duration_s is None else best.duration_s
-        if steps:  # first each choice alone, a little bolder
+        if steps:  # at first each choice is made a little bolder by itself
             step = steps.pop(0)
             at = tuple(min(p + _FIRST * s, 1.0) for p, s in zip(places, step, strict=True))
         else:
@@ -382,7 +385,8 @@ def improved(
             width, failed = min(width * _WIDER, _FIRST), 0
             continue
         failed += 1 if tried[-1].used else 0
-        # A plan that was not simulated was no shorter: look farther away.
+        # A plan without simulation was no shorter than the best, so candidates are drawn farther
+        # away.
         width = width if tried[-1].used else min(width * _WIDER, _FIRST)
         if tried[-1].used and failed % _PATIENCE == 0:
             width = width * _NARROWER if width > _LAST else _FIRST
@@ -404,7 +408,7 @@ def _promising(
     tick_s: float,
     random: np.random.Generator,
 ) -> tuple[float, ...]:
-    """Return the place about the best one with the largest expected gain of time."""
+    """Return the candidate near the best place with the largest expected gain of time."""
     centre = np.array(places)
     near = np.clip(centre + width * random.standard_normal((_CANDIDATES, len(centre))), 0.0, 1.0)
     timed = [one for one in tried if one.duration_s is not None]
@@ -428,9 +432,10 @@ def _promising(
 def _plane(
     tried: Sequence[Tried], values: Sequence[float], centre: FloatArray, at: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return a plane's values at places, and the scatter of ``values`` about the plane.
+    """Return (m,) values of a plane at the (m, knobs) places ``at``, and its scatter.
 
-    The plane is fitted to ``values``; trials near ``centre`` have the most weight.
+    The plane is fitted to the ``values`` of the trials; trials near ``centre`` have the most
+    weight. The scatter is the weighted root mean square of the residuals.
     """
     away = np.array([one.places for one in tried]) - centre
     weight = np.exp(-0.5 * (away**2).sum(axis=1) / _NEAR**2) + 1e-6

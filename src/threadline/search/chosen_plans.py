@@ -46,18 +46,18 @@ from threadline.search.least_times import Bound, bounds_of, least_on_any_path
 from threadline.search.paced import Question, beyond
 from threadline.verdict import Verdict
 
-_CONFIRMED = 200  # runs that a plan must pass to become the best so far
+_CONFIRMED = 200  # number of runs that a plan must pass to become the best plan so far
 _MOST_NARROWED = 6
-_STEPS = 6  # plans between careful and bold
+_STEPS = 6  # number of plans between the careful and the bold end
 _LEAST_PLANS, _MOST_PLANS = 12, 240
-_ALL_TICKS = 150_000  # ticks of all further plans of a search together
+_ALL_TICKS = 150_000  # largest sum of the ticks of all further plans of a search
 PROCESSOR_S = 600.0
 """Processor time in s after which a search without ``--within`` ends, if it has an answer."""
 BOLD: Mapping[str, float] = {
     "tolerance": 0.8, "outside": 1.0, "volts": 0.9, "current": 0.7, "contour": 0.6,
     "smoothing": 0.57, LIMIT_SHARE: 0.8,
 }  # fmt: skip
-"""Places of the knobs of the first plan, the boldest."""
+"""Places of the knobs in the first plan, which is the boldest one."""
 
 
 @dataclass
@@ -98,7 +98,17 @@ class Choosing:
         return min((one.duration_s for one in self.rungs if one.duration_s), default=math.inf)
 
     def attempt(self, places: tuple[float, ...], below_s: float) -> Tried:
-        """Plan and judge; while only single corners are missed, lower their tolerance."""
+        """Plan and judge; lower the tolerance at single corners whose error is above its limit.
+
+        ``below_s`` is a duration, s; a plan that takes longer is not judged.
+
+        Raises
+        ------
+        LimitError
+            If the plan leaves the travel of an axis.
+        HaltError
+            If the time of the search is over.
+        """
         options = chosen(self.options, self.knobs, places, self.narrower)
         self.tried += 1
         used: dict[str, float] = {}
@@ -136,7 +146,7 @@ class Choosing:
 
     @cached_property
     def _lines(self) -> list[int]:
-        """Lines of the moves of the job."""
+        """Lines of the job's moves, in increasing order."""
         programmed = programmed_path(self.question.job, self.question.machine, at_limits=True)
         return sorted({line for block in programmed for line in block.line.tolist()})
 
@@ -158,7 +168,11 @@ class Choosing:
         return plan_job(question.job, question.machine, options)
 
     def _judged(self, plan: Plan) -> Verdict:
-        """Judge a plan; if it passes few runs, it must pass many, and a search for a bad run."""
+        """Judge a plan; one that passes the requested runs must also pass more runs, and a search.
+
+        A plan that passes is judged by ``_CONFIRMED`` runs, and then by a search for a failing
+        run.
+        """
         question = self.question
         verdict = question.judged(plan)
         if not verdict.passed or not 1 < question.trials.repeats < _CONFIRMED:
@@ -224,21 +238,21 @@ def fastest_chosen(question: Question) -> FastestJob:
 
 
 def _left(search: Choosing) -> int:
-    """Return the number of untried places; the place at which the search was interrupted counts."""
+    """Return the number of untried places, with the place at which the search was interrupted."""
     return max(search.most - search.tried + 1, 0)
 
 
 def _with_limits(options: Options, question: Question) -> Iterator[tuple[Options, bool]]:
-    """Yield options to search with, and whether the share of the limits is searched, too."""
+    """Yield the options of each search, and whether it also varies the share of the limits."""
     for limits_too in (False, True):
         for one in _followings(options, question):
             yield one, limits_too
 
 
 def _followings(options: Options, question: Question) -> Iterator[Options]:
-    """Yield the options with feed-forward, if the machine and the question allow it, and as given.
+    """Yield the options with feed-forward, if possible, and then the options as given.
 
-    Feed-forward comes first, because then the loads leave the motion by less.
+    Feed-forward comes first, because it makes the loads follow the motion more closely.
     """
     able = not question.machine.takes_positions and options.timing.shaper is None
     if options.feed_forward_s is None and "feed_forward" in question.free and able:

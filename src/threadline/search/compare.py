@@ -57,7 +57,7 @@ _WINDING_COLUMNS = (
     ("coverage_gap", "gap mm"),
     ("tension_variation", "tension varies %"),
 )
-"""With a product; the tension with a spool in the machine file."""
+"""Columns for a job with a product; the tension also needs a spool in the machine file."""
 _STITCH_COLUMNS = (
     ("stitch_residual", "residual mm"),
     ("servo_force", "force %"),
@@ -267,7 +267,8 @@ def as_run_s(plan: Plan) -> float | None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "program"
         try:
-            # In a context of its own the file is written at once, and the command prints nothing.
+            # A separate context writes the file at once, and keeps the messages of the caller
+            # unchanged.
             written = Context().run(kind_of(plan.machine).targets[planner.kind].write, plan, file)
         except PlanError:
             return None

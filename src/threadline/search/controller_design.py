@@ -199,7 +199,7 @@ def _check(machine: Machine, wanted: Wanted, file: Path) -> None:
 
 
 def _of_regulators(machine: Machine, wanted: Wanted) -> tuple[list[Designed], str]:
-    """Return the designs of all pieces with a regulator, and the options that made them."""
+    """Return designed regulators for all groups of coupled axes, and the options that were used."""
     gain = 1.0 if wanted.gain is None else wanted.gain
     ahead = 4 if wanted.ahead is None else wanted.ahead
     smoothing = 1 if wanted.smoothing is None else wanted.smoothing
@@ -223,7 +223,7 @@ def _of_regulators(machine: Machine, wanted: Wanted) -> tuple[list[Designed], st
 
 
 def _coupled(machine: Machine, wanted: Wanted) -> tuple[list[Designed], str]:
-    """Return the controller of two coupled axes, and the options that made it."""
+    """Return the controller of two coupled axes, and the options that were used."""
     pair = _pair(machine, wanted.axes)
     theta = parse_number("--direction", wanted.direction or "45 deg", "rad", "45 deg")
     coupling = wanted.coupling or "50 %"
@@ -246,7 +246,7 @@ def _pair(machine: Machine, axes: Sequence[str] | None) -> tuple[str, str]:
 
 
 def _base(machine: Machine, file: Path | None) -> str:
-    """Return the machine's reference as seen from the folder of a file; None: from anywhere."""
+    """Return the reference to the machine: relative to a file's folder, or absolute for None."""
     name, overlays = split_reference(machine.reference)
     if name.endswith(".toml"):
         own = Path(machine.file).resolve()
@@ -303,7 +303,7 @@ def overlay_text(machine: Machine, base: str, made: str, designs: Sequence[Desig
 
 
 def _controller_name(axes: Sequence[str], taken: set[str]) -> str:
-    """Return a name for the controller of axes: a machine may have a design before this one."""
+    """Return a name for the controller of the axes that is not in ``taken``."""
     first = "-".join(axis.lower() for axis in axes) + "-designed"
     others = (f"{first}-{number}" for number in count(2))
     return first if first not in taken else next(one for one in others if one not in taken)

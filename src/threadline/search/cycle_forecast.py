@@ -23,8 +23,8 @@ from threadline.verdict import Spec
 from threadline.verdict.switch_run import SwitchRun
 
 _BEAM = 300
-_BRANCHES = 24  # pairs of command and wait that are followed from each state
-_GRID = 0.25  # share of the limit: states whose ringing differs by less count as equal
+_BRANCHES = 24  # largest number of pairs of command and wait that are tried from each state
+_GRID = 0.25  # share of the limit: states whose ringing differs by less are taken as equal
 _LONGEST_WAIT = 6  # steps: a longer wait costs more than another command
 _MEASURE = "residual_vibration"
 _LESS = 0.93
@@ -61,7 +61,7 @@ class MoveChoice:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """Commands, waits in scans, and forecast ringing in units of a full step, for each move."""
+    """Command, wait in scans, and forecast ringing in full steps, for each move of a cycle."""
 
     commands: tuple[LevelCommand, ...]
     waits: tuple[int, ...]
@@ -76,7 +76,7 @@ class _State:
     commands: tuple[LevelCommand, ...] = ()
     waits: tuple[int, ...] = ()
     left: tuple[complex, ...] = ()
-    lasts: int = 0  # scans so far of the operation with its rest; it may move several cylinders
+    lasts: int = 0  # scans of the operation so far, with its rest
 
 
 class CycleForecast:
@@ -171,7 +171,7 @@ class CycleForecast:
         return None
 
     def _after(self, state: _State, index: int, move: ScheduledMove) -> list[_State]:
-        """Return the possible next states: every command after every wait, within the limit."""
+        """Return the next states: pairs of wait and command whose ringing is within the limit."""
         axis, sign = move.axis, 1.0 if move.forward else -1.0
         before = state.commands[-1].scans if state.commands else 0
         along = self._with_before[index]
@@ -227,7 +227,7 @@ class CycleForecast:
         return pauses
 
     def learn(self, cycle: Cycle, proof: Proof) -> None:
-        """Correct the forecast by the twin's measurement; if both agree, lower the limit."""
+        """Correct the forecast by the twin's ringing; if both agree, lower the limit."""
         run = SwitchRun(proof.recording, proof.plan)
         self._pauses = self._between(run, cycle.waits)
         known: dict[str, tuple[float, complex]] = {}
@@ -347,7 +347,7 @@ class CycleForecast:
 
 
 def _kept(states: list[_State], limits: Mapping[str, float]) -> list[_State]:
-    """Return the cheapest states; among states with equal ringing only the cheapest is kept."""
+    """Return the states with the least cost; of states with equal ringing only one is kept."""
     seen: dict[tuple[int, ...], _State] = {}
     for state in sorted(states, key=lambda s: (s.cost, sum(map(abs, s.ringing.values())))):
         place: tuple[int, ...] = ()

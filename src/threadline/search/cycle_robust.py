@@ -90,16 +90,16 @@ def over_band(
 
 
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)
-"""Shares of the limit for a command alone: ringing of earlier moves may use up the rest."""
-_FREQUENCIES = 33  # frequencies of the band in the closed form
+"""Shares of the limit that one command may use; the rest is for the ringing of earlier moves."""
+_FREQUENCIES = 33  # number of frequencies of the band in the closed form
 _LONGEST_PERIODS = 1.5
-_SEEDS = 3  # commands of one duration for each share
+_SEEDS = 3  # number of commands with the same duration for each share
 _LONGER_PERIODS = 0.4  # periods by which commands of real valves may exceed the bound
 _ROUNDS = 10
-_SHORTER = 24  # cycles to try with one command shorter than in the first cycle in spec
+_SHORTER = 24  # number of cycles to try with one command shorter than in the first cycle in spec
 _BEAM = 200
 _LESS = 0.97
-_HOPED = 1.6  # first share of the limit: amplitudes seldom add up in full
+_HOPED = 1.6  # first allowed share of the limit, above 1 because amplitudes seldom add up fully
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -306,7 +306,13 @@ class _Search:
         )
 
     def _commands(self, index: int) -> tuple[int, list[FlowCommand]]:
-        """Return the bound in scans, and a command for each share of the limit that allows one."""
+        """Return a lower bound of the duration, scans, and commands for shares of the limit.
+
+        Raises
+        ------
+        PlanError
+            If no command keeps the limit.
+        """
         move = self._base.moves[index]
         turn = complex(self._turns[move.axis][0])
         longest = move.levels.ticks[-1] + int(_LONGEST_PERIODS * 2.0 * np.pi / np.angle(turn))
@@ -315,7 +321,8 @@ class _Search:
         bound = least = None
         for share in _SHARES:
             wanted = self._flow_move(index, share)
-            # Less ringing takes at least as long: start from the scans of the share before.
+            # A smaller share takes at least as long, so the search starts at the previous share's
+            # scans.
             least = least_scans(wanted, longest, 1 if least is None else least)
             bound = least if bound is None else bound
             if least is None:
@@ -326,7 +333,8 @@ class _Search:
             command = shortest_flow_command(wanted, shortest, least + longer)
             if command is None:
                 break
-            # The closed form knows no friction and no ramp of the air: on the twin they differ.
+            # Commands that are equal in closed form differ on the twin, which has friction and an
+            # air ramp.
             others = (flow_command(wanted, command.scans, seed) for seed in range(1, _SEEDS))
             found += dict.fromkeys([command, *(one for one in others if one is not None)])
         if bound is None or not found:
@@ -341,7 +349,7 @@ class _Search:
         return bound, found
 
     def next(self) -> list[FlowCommand]:
-        """Return for every move the shortest command that keeps the limits in closed form."""
+        """Return the shortest command of each move with which the closed form keeps the limits."""
         moves = self._base.moves
         chosen: dict[int, FlowCommand] = {}
         for _ in range(2):  # twice: an operation is as long as its longest move
@@ -351,7 +359,7 @@ class _Search:
         return [chosen[i] for i in range(len(moves))]
 
     def _free(self, index: int, chosen: Mapping[int, FlowCommand]) -> float:
-        """Return the scans that cost nothing because another move of the operation takes longer."""
+        """Return the scans that a move may take at no cost beside a longer simultaneous move."""
         mine = self._base.moves[index]
         return max(
             (
@@ -376,7 +384,7 @@ class _Search:
                     elapsed = move.first_tick - last + command.scans
                     decayed = ringing * np.abs(self._turns[axis]) ** elapsed
                     rings = decayed + np.abs(may.left(command.ticks, command.levels))
-                    # Where no command is within the limit, the least excess comes first.
+                    # If no command keeps the limit, the command with the least excess is preferred.
                     over = max(float((rings / may.most).max()) - 1.0, 0.0)
                     takes = max(command.scans, free) + 1e3 * over
                     after.append((cost + takes, rings, (*before, command)))
@@ -394,7 +402,7 @@ class _Search:
                     yield [*chosen[:index], one, *chosen[index + 1 :]]
 
     def by_step(self) -> list[Criterion]:
-        """Return the limits of the specification for every step alone, to guide the search."""
+        """Return the limits on residual vibration as one criterion per step and axis."""
         return [
             replace(criterion, axis=axis, step=step, required=False)
             for criterion in self._spec.criteria

@@ -32,7 +32,7 @@ class Deadline:
     end_s
         Deadline on the monotonic clock.
     ended
-        Why the search stopped early; empty while it runs, and where it came to its end.
+        Reason for which the search stopped early; empty while it runs, and if it was completed.
     """
 
     end_s: float = math.inf
@@ -105,10 +105,10 @@ class Deadline:
 
 @contextmanager
 def _from_machine_code() -> Iterator[None]:
-    """Raise the exception of a signal that came during machine code.
+    """Raise the exception of a signal that arrived during machine code.
 
-    Machine code that hands over its arguments or results then fails with a ``SystemError`` of its
-    own, sometimes twice, with the signal's exception as the cause.
+    A signal during a call of machine code makes it fail with a ``SystemError``, whose cause, or the
+    cause of whose cause, is the signal's exception.
     """
     try:
         yield
@@ -164,7 +164,7 @@ def until_deadline(until: Deadline | None, known: Callable[[], object]) -> Itera
 
 
 def no_answer() -> OptionError:
-    """Return the error of a search whose time ended before a plan was judged."""
+    """Return the error for a search whose time was over before a plan was judged."""
     return OptionError(
         "no plan could be judged in that time", remedy="Give --within a longer time."
     )

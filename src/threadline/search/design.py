@@ -142,7 +142,7 @@ def candidate_cells(title: str, names: Sequence[str], candidate: Candidate) -> l
     ]
 
 
-_RETRIED = 8  # settings of a known answer that are tried over the tolerances
+_RETRIED = 8  # number of settings of a known answer that are tried over the tolerances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,7 +186,7 @@ _BY_DEFAULT = Wanted()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Redesign:
-    """A question that is ready to be searched: the whole of it, or some searches at a time.
+    """A prepared redesign; its searches can be made all together, or some at a time.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ class Redesign:
 def redesign(
     job_file: Path, machine: Machine, spec: Spec, options: Options, wanted: Wanted = _BY_DEFAULT
 ) -> Redesign:
-    """Return a question that is ready to be searched.
+    """Read the job for the original machine, and return the prepared redesign.
 
     Raises
     ------
@@ -332,11 +332,11 @@ def _nearest(space: Space, tried: Tried) -> int:
 
 
 def _best_of(space: Space, evaluator: Evaluator, tried: Tried, parameters: FloatArray) -> Candidate:
-    """Return the best tried candidate with these parameters and any settings."""
+    """Return the best tried candidate with the given parameters, over all settings."""
     same = np.abs(tried.points[:, : space.parameters] - parameters).max(axis=1) < 1e-9
     own = tried.taken(np.flatnonzero(same))
     if evaluator.others.asked:
-        # The first sample skipped the other runs of expensive candidates that pass one run.
+        # The first sample did not try further runs of expensive candidates that pass one run.
         points = with_settings(space, parameters, evaluator.effort.settings_log2)
         for level in range(len(space.levels)):
             levels = np.full(len(points), level, dtype=np.int64)
@@ -412,7 +412,7 @@ def machine_toml(result: DesignResult, found: ProvedDesign, folder: Path) -> str
 
 
 def quantity_text(old: Quantity, value: float) -> str:
-    """Return a number as text of a machine file, with the old number's share of tolerance."""
+    """Return a number as text of a machine file, with the same relative tolerance as ``old``."""
     spread = "exact"
     if old.tolerance_si and old.si:
         spread = f"+- {100.0 * abs(old.tolerance_si / old.si):.6g} %"
@@ -422,7 +422,7 @@ def quantity_text(old: Quantity, value: float) -> str:
 
 
 def _base(machine: Machine, folder: Path) -> str:
-    """Return the reference to the base machine as seen from another folder."""
+    """Return the reference to the base machine, relative to ``folder``."""
     name, overlays = split_reference(machine.reference)
     if not name.endswith(".toml"):
         return machine.reference
@@ -435,7 +435,7 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
     given = {(c.name, c.axis) for c in spec.criteria if not c.hard}
     for criterion in spec.criteria:
         if criterion.hard and (criterion.name, criterion.axis) in given:
-            continue  # the machine's own, narrower limit holds without being named
+            continue  # the machine's own limit is narrower, and needs no line in the file
         kind = MEASURES[criterion.name]
         lines += ["", "[[criteria]]", f"name = {toml_string(criterion.name)}"]
         if criterion.axis:
@@ -445,7 +445,7 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
         elif criterion.limit is not None:
             unit = kind.unit("rotary" if criterion.axis in machine.rotary else "linear")
             limit = f"{criterion.limit!r} {unit}"
-            if not unit and criterion.limit > 1.0:  # more than 100 %: readable only with its unit
+            if not unit and criterion.limit > 1.0:  # a share above 100 % is read only with its unit
                 limit = f"{100.0 * criterion.limit!r} %"
             lines.append(f"limit = {toml_string(limit.strip())}")
         if criterion.required:

@@ -21,7 +21,7 @@ from threadline.verdict import Spec
 from threadline.verdict.each_run import clopper_pearson
 
 MOST_TRIED = 12
-"""Most candidates whose machines are drawn."""
+"""Largest number of candidates whose yield is drawn."""
 SEED = 1
 
 
@@ -61,7 +61,7 @@ class CandidateYield:
 def redesigned(
     space: Space, evaluator: Evaluator, point: FloatArray, acceleration: float
 ) -> tuple[Machine, dict[str, float]]:
-    """Return the machine at a (dims,) point, and its numbers that differ, by path.
+    """Return the machine at a (dims,) point, and the changed numbers, by path.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def yield_of(
 ) -> CandidateYield | None:
     """Return the yield of a candidate; None where no commands can be made for it.
 
-    All candidates get the same deviations, in parts of their tolerances.
+    All candidates get the same random deviations, as parts of their tolerances.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ class Ratios:
         return replace(self, others=self.others[index], length=length)
 
     def worse_at(self, index: IntArray, other: Ratios) -> Ratios:
-        """Return these ratios; at ``index``, the worse of these and ``other``."""
+        """Return a copy in which the rows ``index`` are the worse of these ratios and ``other``."""
         worse = self.taken(index).worse(other)
         others = self.others.copy()
         others[index] = worse.others
@@ -148,7 +148,7 @@ class DesignJudge:
 
 
 def _used(criterion: Criterion, found: EachRun) -> FloatArray:
-    """Return (runs,) the largest used share of a limit over the axes of a criterion.
+    """Return (runs,) the largest used share of a criterion's limit over its axes.
 
     An axis that the job does not move uses no share.
     """
@@ -164,7 +164,7 @@ def _used(criterion: Criterion, found: EachRun) -> FloatArray:
 
 
 def _share(values: FloatArray, limit: float | None) -> FloatArray:
-    """Return values over a limit; a value that was not measured uses 0 of the limit."""
+    """Return the values divided by a limit; 0 for a value that was not measured."""
     assert limit is not None
     known = np.nan_to_num(values, nan=0.0, posinf=np.inf)
     if limit <= 0.0:
@@ -203,9 +203,10 @@ def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray)
 
 
 def _is_asked(criterion: Criterion, plan: Plan) -> bool:
-    """Return whether a criterion can differ between machines.
+    """Return whether the result of a criterion can differ between machines.
 
-    The drawing's part of the contour error is the same for every machine; the proof checks it.
+    The contour error between drawing and path is the same for every machine; only the proof checks
+    it.
     """
     if criterion.name == _SEAM or criterion.limit is None:
         return False
@@ -245,7 +246,8 @@ class OtherRuns:
         return cls(
             space=space,
             repeats=trials.repeats,
-            # One by one the corners would take hours: they are left to the proof, too.
+            # If machines are simulated one by one, the corners would take hours, so only the proof
+            # judges them.
             corners=(corners or every) and space.corner_count > 1 and not space.alone,
         )
 
@@ -305,7 +307,7 @@ class OtherRuns:
 
     def _off(self, points: FloatArray, numbers: _Numbers) -> dict[str, FloatArray]:
         """Return the numbers of every corner of candidates, candidate by candidate."""
-        # All corners get the filters of the nominal machine: nobody knows the actual corner.
+        # All corners get the filters of the nominal machine, because the real machine is unknown.
         same = {k: np.repeat(v, self.space.corner_count) for k, v in numbers.items()}
         return same | self.space.numbers(self.space.corners(points))
 

@@ -51,9 +51,9 @@ class DesignRecord:
     words
         Job, machine and options as typed, by name.
     corners, front, searches
-        As in ``Wanted``.
+        Options of the redesign, as in ``Wanted``.
     part
-        Which part.
+        Number of the part, and of all parts.
     """
 
     identity: Mapping[str, str]
@@ -127,12 +127,12 @@ def design_identity(question: Redesign) -> dict[str, str]:
 
 
 def _known(question: Redesign) -> str:
-    """Return a digest of the result of the file's machine at its least settings, bit by bit."""
+    """Return a hash over the bits of the result of the file's machine at its least settings."""
     space, evaluator = question.space, question.evaluator
     point = np.clip(np.zeros((1, len(space.low))), space.low, space.high)
     simulated = evaluator.simulated
     found = evaluator.tried(point, np.zeros(1, dtype=np.int64), beyond=-1.0)
-    evaluator.simulated = simulated  # the machine of the file counts as no candidate
+    evaluator.simulated = simulated  # the machine of the file is not counted as a candidate
     bits = found.ratio.tobytes() + found.nominal.tobytes() + "".join(found.binding).encode()
     return hashlib.sha256(bits).hexdigest()
 

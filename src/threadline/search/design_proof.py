@@ -135,9 +135,11 @@ def proved(
     refused: list[str] = []
     order = cheapest_first(space, tried)
     if trials.machines or trials != trials.alone:
-        # Many candidates cost nearly the same; if one fails, all of them fail by about as much.
+        # Many candidates cost nearly the same. If one of them fails, the others fail by a similar
+        # amount.
         order = pareto(space, tried, 1.0 + 1e-9)
-        # Spread evenly from the cheapest to the one with the largest margin, the likeliest to pass.
+        # The tried candidates are spread evenly from the cheapest to the one with the largest
+        # margin.
         most = min(len(order), _MOST_PROOFS)
         order = order[np.linspace(0, len(order) - 1, most).round().astype(int)]
     for index in order[:_MOST_PROOFS]:

@@ -17,7 +17,7 @@ from threadline.verdict import Spec
 
 MOST_FRONT = 1_000_000
 _MOST_WIDTHS = 6
-_SEARCHED = "10 ms, 80 ms"  # smoothing, where none is given
+_SEARCHED = "10 ms, 80 ms"  # range of the smoothing widths if the user gave none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +73,7 @@ def design_question(words: Words, job: Path, machine: Machine, aims: DesignAims)
             "--feed-forward the loads follow the path, not the motors",
             remedy="Leave one of them out.",
         )
-    # The search tries each smoothing width; the rest of the plan stays the same.
+    # The search varies only the smoothing width; the other options of the plan stay the same.
     options = words.options(job, feed_forward=False, smoothing=None, robust=None)
     if words.text("robust") is not None:
         options = replace(options, robust_share=words.options(smoothing=None).robust_share)
@@ -105,7 +105,7 @@ def _plotted(text: str | None, known: tuple[str, ...] | None) -> tuple[str, str]
 
 
 def _widths_s(feed_forward: bool, text: str | None) -> tuple[float, ...]:
-    """Return smoothing widths, in s: all between them are tried; none without feed-forward."""
+    """Return the least and the largest smoothing width, s; empty without feed-forward."""
     if not feed_forward:
         if text is not None:
             raise OptionError(

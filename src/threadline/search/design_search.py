@@ -95,7 +95,7 @@ def region_of(
 
 
 def _line(low: float, high: float, centre: float, side: int) -> FloatArray:
-    """Return about ``side`` values from low to high, with the centre and two between it and 0.
+    """Return about ``side`` values from low to high, with the centre and two values towards 0.
 
     The edge of the region lies near the design, so the grid is finer there.
     """
@@ -153,7 +153,7 @@ def _slice(
 SEED = 1994
 _ELITE = 8
 _PATIENCE = 4
-_ENOUGH = 2e-3  # relative gain; a smaller gain over several rounds counts as no progress
+_ENOUGH = 2e-3  # relative gain of cost: a smaller gain over several rounds ends the search
 _FIRST_STEP, _STEP_DECAY = 0.15, 0.85
 _SHRINK = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98)
 TARGETS = (0.8, 0.6)
@@ -188,7 +188,7 @@ def first_sample(space: Space, evaluator: Evaluator, report: Report, seed: int =
     assert found is not None
     if not evaluator.others.asked:
         return found
-    # Only the cheapest are tried in other runs; untried candidates in spec are left out.
+    # Only the cheapest candidates are tried in further runs; other candidates in spec are dropped.
     good = np.flatnonzero(found.nominal <= 1.0)
     cheap = good[np.argsort(space.cost(found.points[good]), kind="stable")][: effort.proposals]
     out = found.taken(np.flatnonzero(found.nominal > 1.0))
@@ -284,10 +284,10 @@ def _elite(space: Space, tried: Tried, target: float) -> IntArray:
     return np.concatenate([chosen, near]).astype(np.int64)
 
 
-_FITTED = 4  # candidates per dimension to which a plane is fitted
+_FITTED = 4  # number of candidates per dimension for the fit of a plane
 _FAR = 1.6  # largest ratio of a candidate that is used for a plane
 _ROOM = (0.0, 0.01, 0.03)  # shares of the target that a modelled candidate should leave free
-_MODELLED = 6  # candidates about which planes are fitted
+_MODELLED = 6  # number of candidates around which planes are fitted
 
 
 def cheapest_by_planes(
@@ -391,12 +391,12 @@ def _proposals(
     return every, of_level
 
 
-_FEW = 3  # numbers that may change: with more, moves along the edge find dearer designs
+_FEW = 3  # largest number of parameters: with more, moves along the edge find dearer designs
 _WITHIN = (0.0005, 0.002, 0.005)  # shares of the target that a crossing should leave free
 
 
 def _both_sides(tried: Tried, elite: IntArray, target: float) -> bool:
-    """Return whether some of the elite meet the target, and some do not."""
+    """Return whether the elite has candidates that meet the target, and others that do not."""
     met = tried.ratio[elite] <= target
     return bool(met.any() and not met.all())
 

@@ -19,8 +19,8 @@ from threadline.search.design_space import Space
 from threadline.verdict import Spec
 
 MOST_SEARCHES = 10_000
-_APART = 100  # distance of the seeds of two searches; a search takes one seed for each level
-_LEAST_TRIED = 2  # least number of candidates of a search whose machines are drawn
+_APART = 100  # difference of the seeds of two searches; a search uses one seed for each level
+_LEAST_TRIED = 2  # least number of candidates of a search whose yield is drawn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,7 +47,7 @@ class Search:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Searching:
-    """What every search of a redesign does.
+    """The common data of all searches of a redesign, and the function that makes them.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Searching:
 def most_ratio(evaluator: Evaluator) -> float:
     """Return the largest ratio of candidates that trade cost for margin.
 
-    Candidates beyond the limit were not tried in other runs.
+    Candidates with a larger ratio were not tried in further runs.
     """
     return 1.0 + 1e-9 if evaluator.others.asked else 1.5
 

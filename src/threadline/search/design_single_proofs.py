@@ -63,14 +63,14 @@ class JobReader:
 
 def _sha256(file: Path) -> str:
     if not file.is_file():
-        return ""  # the reader says what is wrong with it
+        return ""  # the reader reports the error of the file
     with file.open("rb") as content:
         return hashlib.file_digest(content, "sha256").hexdigest()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SingleItem:
-    """A candidate: changed numbers of its machine, by path; and a bound for further runs."""
+    """A candidate: changed numbers by path, and the largest ratio with further runs."""
 
     numbers: Mapping[str, float]
     beyond: float

@@ -137,7 +137,7 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
     Parameters
     ----------
     smoothing_s
-        Widths of the feed-forward smoothing: the search tries those from the least to the largest.
+        Widths of the feed-forward smoothing, s: the search tries all from the least to the largest.
         With feed-forward the machine's filters stay unchanged, and the needle goes down at the
         commanded time. Empty for no feed-forward.
 
@@ -229,7 +229,8 @@ def _check_settings(machine: Machine, design: Design) -> None:
     Raises
     ------
     MachineError
-        If no axis has an acceleration to reduce, or there is no lead filter to design.
+        If the settings vary the acceleration and no axis has one, or design lead filters and the
+        machine has none.
     """
     settings = design.settings
     if settings.acceleration is not None and not machine.axes:

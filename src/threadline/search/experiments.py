@@ -101,7 +101,10 @@ class StepRun:
 
 
 def at_filter_rate(machine: Machine) -> Machine:
-    """Return ``machine`` with reference ticks as fast as its controllers, as a generator does."""
+    """Return ``machine`` with reference ticks at the rate of its controllers.
+
+    A signal generator updates the reference of a real machine at the same rate.
+    """
     return dataclasses.replace(
         machine,
         controllers={
@@ -192,7 +195,7 @@ def identify(sweep: Sweep) -> Identified:
 
 
 def dead_time_s(sweep: Sweep, without: ComplexArray) -> float:
-    """Return the dead time by which a sweep lags behind the (k,) response ``without`` one."""
+    """Return the dead time of a sweep, s, from the (k,) response ``without`` dead time."""
     omega = 2 * np.pi * sweep.frequency_hz
     left = np.unwrap(np.angle(sweep.response / without))
     left -= 2 * np.pi * np.round(left[0] / (2 * np.pi))
@@ -200,7 +203,7 @@ def dead_time_s(sweep: Sweep, without: ComplexArray) -> float:
 
 
 def constant_speed_gain(machine: Machine, axis: str, speed_si: float, run_s: float = 0.6) -> float:
-    """Return speed per mean volt at a constant speed, axis units per second per volt.
+    """Return speed over mean voltage at constant speed, axis units per second per volt.
 
     Raises
     ------
@@ -308,7 +311,8 @@ _HIGHEST_HZ = 200.0
 _SWEEP_COUNTS = 60.0
 _RUN_RAD_S = 20.0
 _STEPS_EIGHTH_PI = (1, 2, 3, 4, 5, 6, 8, 16, 32, 64, -2, -3, -4, -6)
-"""Steps in both directions: a belt that falls slack answers differently in each."""
+"""Sizes of the steps in eighths of pi at the motor; a slack belt responds differently by
+direction."""
 _RUN_S = 0.8
 _LONG_RUN_S = 3.0
 

@@ -35,12 +35,12 @@ from threadline.search.feed_ranges import (
 from threadline.verdict import Status, Verdict
 
 EDGE_RELATIVE = 2e-3
-_AT_ENDS = 2  # feeds at the ends that stand for all feeds between them
-_ENOUGH = 4  # feeds in a row that must pass to end a scan from above
+_AT_ENDS = 2  # number of end feeds that stand for all feeds between them
+_ENOUGH = 4  # number of consecutive feeds that must pass to end a scan from above
 _SLOWED = 3.0
-"""Factor by which the motion must be slower for an error that stays the same to count as fixed."""
+"""An error counts as fixed if it stays the same in a motion that is slower by this factor."""
 _FIXED = 0.01
-"""Share by which a fixed error changes at most."""
+"""Largest relative change of a fixed error."""
 RANGE = "range"
 """``limited_by`` of a search that reached the end of its range before any feed failed."""
 
@@ -57,7 +57,8 @@ class Grid:
         Number of feeds tried within each gap of the scan between pass and fail, and in the gaps
         beside it.
     edge
-        Relative distance of pass and fail down to which edges are refined.
+        Relative distance between a passing and a failing feed at which the refinement of an edge
+        ends.
     every
         Whether every interval is examined closely. If not, only the fastest interval and feeds near
         its upper edge are examined closely; the scan then goes down from above until a few feeds in
@@ -132,12 +133,12 @@ class Fastest:
 
     @property
     def fastest(self) -> Interval | None:
-        """The fastest interval; an isolated feed only where no wider interval passes."""
+        """The fastest interval; an isolated feed only if no wider interval passes."""
         return _first(self.intervals) if self.intervals else None
 
     @property
     def best(self) -> float | None:
-        """The highest tried feed that passed; an isolated feed only where no others passed."""
+        """The highest feed that passed; an isolated feed only if no other feed passed."""
         return None if self.fastest is None else self.fastest.high
 
     @property
@@ -204,7 +205,7 @@ def find_fastest(
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
     inside = INSIDE if near else 0
     trials = TrialShares(None, "", 0.0) if trials is None else trials
-    scanned = points + 6.0 * near + 2.0 * an_edge + inside - len(seen)  # for one interval
+    scanned = points + 6.0 * near + 2.0 * an_edge + inside - len(seen)  # estimate for one interval
     trials.expects(_AT_ENDS if grid.between else scanned)
 
     def verdict_at(feed: float) -> Verdict:
@@ -262,7 +263,7 @@ def find_fastest(
         )
     steps["low"] = low if grid.every else min(seen)
     best = _first(intervals).high
-    # An isolated feed that passes may lie between the best and the first that fails.
+    # An isolated passing feed may lie between the best feed and the first failing feed.
     above = [feed for feed in seen if feed > best and not seen[feed].passed]
     limited_by = worst_criterion(seen[min(above)])[0] if above else RANGE
     return Fastest(
@@ -276,7 +277,7 @@ def find_fastest(
 
 
 def _not_below(steps: dict[str, Any], seen: Mapping[float, Verdict]) -> dict[str, Any]:
-    """Return the steps of a search without an answer, as far down as it went."""
+    """Return the steps of a search without an answer, with its lowest feed and its fixed error."""
     fixed = "" if steps["every"] else _fixed([seen[feed] for feed in sorted(seen)])
     return steps | {"low": min(seen), "fixed": fixed} if fixed else steps
 
@@ -295,7 +296,7 @@ def _between_tried(seen: Mapping[float, Verdict]) -> list[Interval]:
 
 
 def _whole_range(verdict_at: Judged, span: tuple[float, float], grid: Grid) -> list[Interval]:
-    """Return the interval between two feeds that stand for the rest; none if one of them fails."""
+    """Return the interval between two feeds that stand for all others; empty if one fails."""
     if not grid.between:
         return []
     low, high = span
@@ -452,7 +453,7 @@ def _bounded(
 
 
 def _first(intervals: Sequence[Interval]) -> Interval:
-    """Return the first interval; an isolated feed only where there are no wider intervals."""
+    """Return the first interval; an isolated feed only if there is no wider interval."""
     return min(intervals, key=lambda interval: interval.alone)
 
 

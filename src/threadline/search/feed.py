@@ -27,11 +27,12 @@ from threadline.verdict import Verdict
 def searched_by(job: Job, machine: Machine) -> FeedMode:
     """Return the feed mode that a search varies.
 
-    For a program with several feeds it is the override, which keeps the ratios of the feeds.
-    Otherwise it is the job's F word, or the speed of the fastest axis. On a machine with a normal
-    feed the operator sets one feed for all moves, so no override is searched. A winding from its
-    product has a planned time for each move: one feed for all would lose the even speed of the
-    fibre and the soft stop of the mandrel, so there it is the override on every machine.
+    A search varies the override of a program with several feeds, so that their ratios are kept. For
+    other programs it varies the job's F word, or the speed of the fastest axis. On a machine with a
+    normal feed the operator sets one feed for all moves, so no override is searched. A winding from
+    its product has a planned time for each move. One feed for all moves would lose the even speed
+    of the fibre and the soft stop of the mandrel, so the search varies the override on every
+    machine.
     """
     named = job.feed_rule.partition(":")[0]
     if named not in RULES:
@@ -118,7 +119,7 @@ def feed_range_m_s(
     if by is FeedMode.F_WORD:
         axes = machine.axis_names
         unit = as_f_words(1.0, rule)
-        # F for the speed of each axis alone: the time at F 1 for the distance of one second.
+        # F at which an axis alone has a speed: the time at F 1 for its distance in one second.
         alone = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
         together = feed_time_s(speeds[1:], unit, axes, machine)
         each = feed_time_s(np.diag(speeds[1]), unit, axes, machine)
@@ -146,9 +147,9 @@ def fastest_feed(
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which a job stays in spec.
 
-    Where loads follow the motion, a feed whose smoothed motion breaks a limit of the machine is out
-    of spec. ``Question.by`` is the feed mode: the fastest axis by default; F words, by the job's
-    feed rule; or an override, a share of the programmed feeds.
+    With feed-forward, a feed whose smoothed motion breaks a limit of the machine is out of spec.
+    ``Question.by`` is the feed mode: the fastest axis by default; F words, by the job's feed rule;
+    or an override, a share of the programmed feeds.
 
     Parameters
     ----------
@@ -178,14 +179,14 @@ def fastest_feed(
         high=high,
         unit=feed_unit(by) or "times the feeds",
         planned_at=[planner(LongMoves.of(part, machine)) for part in shortest_first],
-        # A move programmed outside the travel is outside at every feed.
+        # A move that is programmed outside the travel fails at every feed.
         is_verdict=lambda e: options.following is Following.LOAD and e.quantity != "travel",
     )
     return fastest_paced(question, paced, grid, seen)
 
 
 def feed_unit(by: FeedMode) -> str:
-    """Return the unit of a feed of ``by``; "" for a share of the programmed feeds."""
+    """Return the unit of a feed in the feed mode ``by``; "" for a share of the programmed feeds."""
     return "" if by is FeedMode.OVERRIDE else "m/s"
 
 

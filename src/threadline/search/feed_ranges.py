@@ -13,13 +13,13 @@ Judged = Callable[[float], Verdict]
 INSIDE = 16
 """Number of feeds tried inside an interval before it is accepted."""
 _THIN = 0.96
-"""Used share of the tightest limit above which a close neighbour may exceed it."""
+"""If a feed uses a larger share of its tightest limit, a close neighbour may exceed that limit."""
 _BESIDE = (-47, -29, -16, -7, -3, -1, 1, 3, 7, 16, 29, 47)
-"""Neighbours that are tried beside such a feed, in multiples of ``_JUMP``."""
+"""Neighbours that are tried beside a feed with a thin margin, in multiples of ``_JUMP``."""
 _JUMP = 2e-4
-"""Relative distance of feeds with different rounding of times to ticks."""
+"""Relative distance of two feeds at which times round to different ticks."""
 _LOOKS = 2
-"""Number of the tightest feeds of an interval whose neighbours are tried."""
+"""Number of feeds with the thinnest margins whose neighbours are tried, per interval."""
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -111,7 +111,7 @@ def held_parts(
 def _beside_tightest(
     verdict_at: Judged, seen: Mapping[float, Verdict], part: Interval
 ) -> float | None:
-    """Return a failing feed right beside one of an interval's tightest feeds; None without one."""
+    """Return a failing neighbour of a feed with a thin margin; None without one."""
     looked: set[float] = set()
     for _ in range(_LOOKS):
         uses = {f: used(seen[f]) for f in seen if part.low <= f <= part.high and f not in looked}

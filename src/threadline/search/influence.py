@@ -16,7 +16,7 @@ from threadline.proof.worst_machine import shares_of
 from threadline.search.machine_yield import MachineYield
 from threadline.verdict.each_run import clopper_pearson
 
-_PER_PART = 2.0  # standard deviations per tolerance
+_PER_PART = 2.0  # number of standard deviations in one tolerance
 _RESAMPLES = 200
 
 
@@ -80,7 +80,8 @@ def influence(
         method=cast(Any, shares),
     )
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-        # A number without influence has the same share in every sample, and no spread.
+        # A number without influence has the same index in every sample, so its interval has no
+        # width.
         warnings.simplefilter("ignore", DegenerateDataWarning)
         found = np.nan_to_num(_shares(*values)[:, 0], nan=0.0, posinf=0.0, neginf=0.0)
         # The bootstrap of scipy's result takes no generator: its ends differ between calls.
@@ -110,7 +111,7 @@ def _shares(a: FloatArray, b: FloatArray, exchanged: FloatArray) -> FloatArray:
 
 
 MACHINES = 2000
-"""Machines drawn to count a yield: for 99 %, 1990 of them must be in specification."""
+"""Number of machines drawn for a yield; a yield of 99 % needs 1990 of them in specification."""
 _STEP = 0.5
 _LEAST = 1.0 / 16.0
 _MOST_SHARE = 10.0
@@ -172,7 +173,7 @@ def cheapest_set(
     parts = drawn(judged.plan.machine, seed, np.arange(machines))
 
     def tried(factors: FloatArray) -> tuple[int, float, FloatArray]:
-        """Return the number that pass, minus the sum of shares above 1, and all used shares."""
+        """Return the number that pass, minus the sum of the shares above 1, and all used shares."""
         found = judged.judged(parts * factors, done)
         shares = np.minimum(shares_of(found)[0], _MOST_SHARE)
         return int(found.passed.sum()), -float(shares[shares > 1.0].sum()), shares

@@ -43,9 +43,9 @@ from threadline.verdict.needle import has_stitches
 REPEATS = 5
 MOST_REPEATS = 100
 _HALVINGS = 5
-_RINGING_S = 0.25  # after the motion: the error is still learned, and then fades over as long
+_RINGING_S = 0.25  # the error is learned so long after the motion, and then fades out as long
 _MOST_TICKS = 400_000
-_FULL = 0.999  # share of a drive's limit that counts as reached: the amplifier gives no more
+_FULL = 0.999  # a drive that uses a larger share of its limit counts as limited
 
 
 class Learner:
@@ -107,17 +107,18 @@ class Learner:
         return ChannelKind.LOAD if self.rules.sensed == "head" else ChannelKind.MEASURED
 
     def _intended(self, ticks: int) -> FloatArray:
-        """Return the (ticks, axes) positions that the sensor should read."""
+        """Return the (ticks, axes) intended positions of the sensor, m or rad."""
         motion = self.plan.motion
         if self._kind is ChannelKind.MEASURED and motion.following is Following.LOAD:
-            # The encoder's reading while the load of the file's machine follows its motion.
+            # An encoder should read what it reads on the simulated machine, whose load follows the
+            # motion.
             return self._read(simulate(self.table, self.plan.machine))
         reader = TrajectoryReader(motion.trajectory)
         until_s = np.minimum(self._time_s[:ticks], motion.trajectory.duration_s)
         return np.asarray(reader.ladder(until_s, 1)[:, 0, :])
 
     def _read(self, recording: Recording) -> FloatArray:
-        """Return the (n + 1, axes) sensor readings at the beginning of each tick."""
+        """Return the (n + 1, axes) sensor readings at the beginning of each tick, m or rad."""
         names = []
         for axis in self.plan.axes:
             channel = recording.find(self._kind, axis)
@@ -149,7 +150,9 @@ class Learner:
         return Tried(offset=offset, error=error, passed=passed, error_m=rms)
 
     def next(self, runs: Sequence[Tried]) -> tuple[FloatArray, float, str]:
-        """Return the references for the next run as an offset, the gain, and a note.
+        """Return the (n + 1, axes) offset of the next run in counts, the gain, and a note.
+
+        The note names the limit that shortened the change; it is empty for a full change.
 
         Parameters
         ----------
@@ -173,13 +176,13 @@ class Learner:
         return best.offset, 0.0, note
 
     def commands(self, offset: FloatArray) -> TickTable:
-        """Return the table with an (n + 1, axes) offset in counts, rounded."""
+        """Return the plan's table with an (n + 1, axes) offset in counts, which is rounded."""
         whole = np.zeros_like(self._begun)
         whole[:, self._columns] = np.rint(offset).astype(np.int64)
         return with_offsets(self.table, whole)
 
     def nothing(self) -> FloatArray:
-        """Return the offset of the table that learning begins with."""
+        """Return the (n + 1, axes) offset of the plan's own table: zeros."""
         return np.zeros((len(self._begun), len(self._columns)))
 
     def offset_of(self, table: TickTable) -> FloatArray:
@@ -224,9 +227,9 @@ class Learner:
     def account(
         self, run: Tried, recording: Recording, verdict: Verdict, step: tuple[int, float, str]
     ) -> Repeat:
-        """Return the record of a run; ``followed`` is set later.
+        """Return the record of a run; its ``followed`` is corrected later by ``with_followed``.
 
-        ``step`` has the number of the run, and the gain and the note of the change before it.
+        ``step`` holds the number of the run, and gain and note of the change before the run.
         """
         number, gain, note = step
         currents = [

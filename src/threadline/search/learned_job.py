@@ -45,7 +45,8 @@ def check_table_file(file: Path) -> None:
     Raises
     ------
     OptionError
-        If it does not; the message names the endings.
+        If no format that can hold the table has this ending; the message names the possible
+        endings.
     """
     if file.suffix.lower() not in {".npz", ".csv"}:
         raise OptionError(
@@ -98,7 +99,7 @@ class LearnedJob(Summarised):
     spec
         The specification.
     machines
-        Each machine that repeated the job by its description, and what it learned.
+        The result of each machine, by the description of the machine.
     """
 
     base: Plan
@@ -256,7 +257,7 @@ class LearnedRuns(Summarised):
     repeats
         Every recorded run, in the given order.
     gain, note
-        Gain of the change after the best run, and what shortened it.
+        Gain of the change after the best run, and the limit that shortened the change.
     """
 
     base: Plan
@@ -373,7 +374,7 @@ def learned_from(
 
 
 def typed_options(origin: Mapping[str, str]) -> dict[str, str]:
-    """Return the options, as typed, with which ``prove`` and ``run`` make the plan of a recording.
+    """Return the options, as typed, for ``prove`` and ``run`` to make the plan of a recording.
 
     The learned table is left out.
     """

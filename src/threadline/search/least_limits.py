@@ -61,8 +61,8 @@ class Shares:
     progress, until
         As in ``Question``.
     rungs, left_out
-        Results by share; and skipped shares: even their highest feed takes no less time than the
-        best result so far.
+        Results by share; and skipped shares, with which the job takes at least as long as the best
+        result so far, even at the highest feed.
     top_s
         The job's duration with the full limits at the highest feed; None until it is calculated.
     steps, progress_share
@@ -82,7 +82,7 @@ class Shares:
     progress_share: float = 0.0
 
     def tried(self, share: float, grid: Grid) -> Rung | None:
-        """Return the result of a share, and search it if it is unknown; None: the share is skipped.
+        """Return the result of a share, which is searched if unknown; None if the share is skipped.
 
         Raises
         ------
@@ -100,7 +100,8 @@ class Shares:
         try:
             duration_s = self.duration_s(share, found)
         except KeyboardInterrupt as signal:
-            # One more plan is needed to answer with the found feeds.
+            # The answer needs the duration at the found feed, so one more plan is made after the
+            # interrupt.
             if self.until is None or not self.until.interrupted(signal):
                 raise
             duration_s = self.duration_s(share, found)
@@ -134,7 +135,7 @@ class Shares:
         done = self.steps * each
 
         def telling(_: str, part: float) -> None:
-            # Unexpected searches reduce each search's share of the progress.
+            # If there are more searches than expected, each has a smaller share of the progress.
             self.progress_share = max(self.progress_share, done + part * each)
             progress(f"limits {share:.0%}", self.progress_share)
 
@@ -149,18 +150,19 @@ class Shares:
             with nullcontext() if self.until is None else self.until.interrupting():
                 if self.at_top_s(share) < self._best_s:
                     return False
-        except LimitError:  # the highest feed breaks a limit: no duration to compare
+        except LimitError:  # at the highest feed the plan breaks a limit, so it has no duration
             return False
         self.left_out.add(share)
         return True
 
 
 _LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
-_STEP = 2.0**0.25  # factor between rungs once the best of the ladder is known
+_STEP = 2.0**0.25  # factor between tried shares around the best share of the ladder
 _SCAN = Grid(points=20)
 _CLOSELY = Grid(points=20, near=FINE.near)
 _STEPS = len(_LADDER) + 5
-"""Expected searches: the ladder, two shares on either side of the best, and the best again."""
+"""Expected number of searches: the ladder, two shares on either side of its best, and the best
+again."""
 
 
 def fastest_job(question: Question) -> FastestJob:
@@ -280,7 +282,7 @@ def _span(question: Question, by: FeedMode) -> tuple[float, float]:
 
 
 _OF_SEARCH = 0.7
-"""Share of the progress for the search itself; the rest is for the lowest feed as fast."""
+"""Share of the progress for the search itself; the rest is for the search for ``enough``."""
 _SAME_TIME = 1e-3
 _LOWEST = "looking for the lowest feed as fast"
 _ENOUGH_STEP = 1.02  # ratio of neighbouring feeds at which the search for ``enough`` ends
@@ -289,10 +291,10 @@ _ENOUGH_STEP = 1.02  # ratio of neighbouring feeds at which the search for ``eno
 def _enough(
     best: Rung, planned_s: Callable[[float, float], float], progress: Progress | None
 ) -> float | None:
-    """Return the lowest feed found of the best interval with the time of its upper end.
+    """Return the lowest feed of the best interval that takes as long as the interval's upper end.
 
-    Above it the moves never reach their feed, or an axis holds them back: only acceleration,
-    corners and the axes' own limits set the time.
+    At higher feeds the duration depends only on acceleration, corners and the velocity limits of
+    the axes, because no move reaches its feed.
     """
     interval = best.found.fastest
     if interval is None or best.duration_s is None or best.found.limited_by != RANGE:
@@ -312,13 +314,14 @@ def _enough(
 
 
 _OF_WHOLE = ("planned_coverage_gap", "coverage_gap")
-"""Criteria that only the whole job can meet."""
+"""Criteria that only the whole job can meet, because a part leaves the mandrel partly bare."""
 
 
 def of_a_part(question: Question) -> Question:
-    """Return the question about parts of a winding, at whose begin the fibre is not tied.
+    """Return the question for parts of a winding, without tied fibre and coverage criteria.
 
-    The coverage is judged at the end, by the whole job.
+    The fibre is not tied at the begin of a part. The whole job is judged by its coverage at the end
+    of the search.
     """
     if question.options.product is None:
         return question
@@ -334,10 +337,10 @@ def of_a_part(question: Question) -> Question:
 
 
 def _only_limits(question: Question) -> bool:
-    """Return whether less acceleration cannot win: only the machine's own limits are judged.
+    """Return whether only the machine's own limits are judged, so that full acceleration is best.
 
-    A machine without dynamics does not ring, so only a criterion of the specification could ask
-    for less than its limits.
+    A machine without dynamics does not ring, so only a criterion of the specification could need
+    less acceleration.
     """
     own = all(one.hard or one.limit is None for one in question.spec.criteria)
     return question.machine.without_dynamics and own
@@ -346,9 +349,9 @@ def _only_limits(question: Question) -> bool:
 def _climb(
     tried: Callable[..., Rung | None], rungs: Mapping[float, Rung], ladder: Sequence[float]
 ) -> None:
-    """Try shares of the limits until the neighbours of the best are not better.
+    """Try shares of the limits until both neighbours of the best share are slower.
 
-    A ``ladder`` of one share is extended only where no feed is in spec at that share.
+    A ``ladder`` of one share is replaced by the whole ladder if no feed is in spec at that share.
     """
     for share in ladder:
         tried(share, _SCAN)
@@ -388,5 +391,5 @@ def ignores_limits(job: Job, machine: Machine, options: Options) -> bool:
     """Return whether a share of the limits makes no difference to a plan."""
     if options.timing.pace is Pace.PROGRAMMED:
         return True
-    # Without feed-forward, because its smoothing would hide the timing of the path.
+    # The plan is made without feed-forward, whose smoothing would hide the timing of the path.
     return plan_job(job, machine, replace(options, feed_forward_s=None)).intent.historical

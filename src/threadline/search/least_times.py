@@ -49,7 +49,7 @@ def bounds_of(job: Job, machine: Machine, options: Options) -> tuple[Bound, ...]
     """Return the least times within the limits of the axes, and of axes and drives."""
     freely = replace(options, feed_forward_s=None, contour_m=math.inf)
     path = plan_job(job, machine, freely).motion.path
-    # A table may end before its loads stand; this time is the most that it can save.
+    # A table may end before the loads are at rest; this is the largest time that it saves thereby.
     sooner_s = 0.0
     if options.timing.ends_m is not None:
         sooner_s = EARLIEST * _tick_s(machine)
@@ -100,18 +100,18 @@ def _tick_s(machine: Machine) -> float:
     return float(machine.tick_clock.period_s)
 
 
-_SHARP = 1e-3  # tolerance of the path of one axis at its reversals, per allowed deviation
+_SHARP = 1e-3  # path tolerance at the reversals of one axis, as a share of the allowed deviation
 
 
 def shortened_way(places: FloatArray, rests: IntArray, within: float) -> FloatArray:
-    """Return the places at which an axis must turn back, each nearer by the allowed deviation.
+    """Return the (m,) positions at which an axis must reverse, shortened by the allowed deviation.
 
     Parameters
     ----------
     places
         (n,) positions of the axis in the order of the program.
     rests
-        (n,) whether the motion rests there: such a place counts as an end of the way.
+        (n,) whether the motion is at rest at the position; a rest ends a stretch of the motion.
     within
         Largest distance from the program, in the unit of the axis.
     """

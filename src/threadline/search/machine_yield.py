@@ -29,16 +29,14 @@ from threadline.verdict.rendering import shown
 from threadline.verdict.replayed import NUMBERS, product_of, toleranced
 
 AT_ONCE = 4096
-"""Machines that are judged, and kept in a state, as one part; results do not depend on it."""
+"""Number of machines that are judged and stored as one part; results do not depend on it."""
 _AT_ONCE_ALONE = 32
 _AT_ONCE_LATE = 16_384
-"""The same number if dead times vary: only machines with equal dead times are simulated together.
-"""
+"""Number of machines in a part if dead times vary: only equal dead times are simulated together."""
 _AT_ONCE_AWAY, _TURNS = 256, 8
-"""Most machines that a worker judges together, as it may be lost at any time; parts for each core.
-"""
+"""Most machines in a part for a remote worker, which may be lost; number of parts for each core."""
 _SEARCHED = 2000
-"""Most machines that the search for the worst tries, where they are simulated in batches."""
+"""Most machines that a search for the worst machine tries, if they are simulated in batches."""
 _OF_PRODUCT = "as in the product file: a yield counts machines, and prove varies the product too"
 
 
@@ -129,7 +127,7 @@ class MachineYield(WithinTolerances):
 
     @property
     def same(self) -> dict[str, str]:
-        """Why each toleranced number is the same in every machine, by its name."""
+        """Numbers with a tolerance that are equal in all machines, with the reason, by name."""
         product = product_of(self.plan)
         names = [] if product is None else [NUMBERS[k] for k in toleranced(product)]
         return {**not_drawn(self.plan.machine), **dict.fromkeys(names, _OF_PRODUCT)}
@@ -158,7 +156,7 @@ class MachineYield(WithinTolerances):
         Raises
         ------
         OptionError
-            If the number of machines is 0, or the seed is out of range.
+            If the number of machines is less than 1, or the seed is out of range.
         RecordingError
             If the first machine's result differs from the state's.
         """
@@ -184,15 +182,16 @@ class MachineYield(WithinTolerances):
         return Yield(numbers=self.numbers, found=EachRun.joined(found), seed=seed)
 
     def _at_once(self, variants: int) -> int:
-        """Return the number of machines that are judged, and kept, together."""
+        """Return the number of machines that are judged and stored as one part."""
         if not self.together:
             return _AT_ONCE_ALONE
         if any(path.endswith(TIMES) for number in self.numbers for path in number.numbers):
-            return _AT_ONCE_LATE  # workers get a task for each choice of dead times
+            return _AT_ONCE_LATE  # each task of a worker has one choice of dead times
         elsewhere = workers()
         if elsewhere is None:
             return AT_ONCE
-        # Few enough that all workers end at about the same time, and a lost part costs little.
+        # Parts are small, so that all workers end at about the same time, and a lost part costs
+        # little.
         return max(min(_AT_ONCE_AWAY, variants // (_TURNS * elsewhere.cores)), 1)
 
     def worst(self, known: Yield | None = None, done: Done | None = None) -> Worst:
@@ -282,12 +281,12 @@ def criterion_cells(row: CriterionRow) -> list[str]:
 def quantile(row: CriterionRow, share: float) -> float:
     """Return the value that ``share`` of the measured machines do not exceed; NaN without any.
 
-    A machine whose motion grows without bound counts as infinity.
+    The value of a machine whose motion grows without bound is infinite.
     """
     known = row.values[~np.isnan(row.values)]
     if not len(known):
         return float("nan")
     if np.isfinite(known).all():
         return float(np.quantile(known, share))
-    # No interpolation exists between a number and infinity.
+    # A number and infinity cannot be interpolated.
     return float(np.quantile(known, share, method="inverted_cdf"))

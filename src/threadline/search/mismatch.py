@@ -13,7 +13,7 @@ from threadline.search.feed_ranges import Interval
 from threadline.search.paced import Question
 
 ENDS = (-1.0, 0.0, 1.0)
-"""Lower end of the tolerance, the file's own value, upper end."""
+"""Deviations in parts of the tolerance: the lower end, the file's own value, the upper end."""
 _SLOWEST = 0.25  # lowest speed of a search, as a share of the highest
 _ABOVE = 1.1  # highest speed of a search, as a share of the nominal best
 
@@ -25,7 +25,7 @@ class Searched:
     Parameters
     ----------
     name
-        Name of the quantity, a noun: "no needle speed is in spec".
+        Name of the quantity, a noun for sentences such as "no needle speed is in spec".
     best
         Adjective of the best value.
     unit, per_unit
@@ -33,7 +33,8 @@ class Searched:
     done
         Participle for the work of the machines.
     nothing
-        Drawn value where nothing is in spec: a speed is drawn as 0, a cycle is not drawn.
+        Value drawn in the figure if nothing is in spec: 0 for a speed; NaN, which is not drawn, for
+        a cycle.
     """
 
     name: str

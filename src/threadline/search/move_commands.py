@@ -191,10 +191,10 @@ def time_optimal_s(on_s: float, pole: complex) -> float:
 
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd")
-"""Shapers tried for every move; other shapers take longer than gaps or levels made for it."""
-_LEAST_LEFT, _OTHERS = 8, 12  # kept commands of each duration
+"""Shapers tried for every move; others take longer than gaps or levels made for the move."""
+_LEAST_LEFT, _OTHERS = 8, 12  # number of kept commands of each duration: least ringing, others
 _ENOUGH = 12
-_STEPS = 34  # steps in a period: finer steps gain no time
+_STEPS = 34  # number of steps in a period; finer steps save no time
 _OVER = 2.0  # a command may ring at twice the limit: earlier ringing may cancel the excess
 
 
@@ -237,7 +237,8 @@ class MoveCommands:
             step = step_scans(turn)
             for total in range(dwell, int(np.ceil(period_scans(turn))) + 1, step):
                 found += gapped(on_scans, dwell, turn, most, total, valves, step)
-                # These commands suffice for any earlier ringing: longer ones gain nothing.
+                # Enough commands ring little, so that any earlier ringing is covered; longer ones
+                # are not needed.
                 if sum(abs(c.left) <= 0.5 * limit for c in found) >= _ENOUGH:
                     break
             between = sorted({v for v in way.levels().values() if 0.0 < v < 1.0 - 1e-9})
@@ -259,7 +260,7 @@ class MoveCommands:
         return found
 
     def _plan_with(self, axis: str, name: str) -> Mapping[int, Levels]:
-        """Return the shaped levels of every move of a cylinder with one shaper, by operation."""
+        """Return the levels of a cylinder's moves with one shaper, by operation; may be empty."""
         if (axis, name) not in self._plans:
             texts = ", ".join(f"{a}={name if a == axis else 'none'}" for a in self._machine.moving)
             try:

@@ -109,7 +109,11 @@ def _moved(
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """The shortened rest after a move; the time left of the full rest, and the operation behind."""
+    """The shortened rest after a move.
+
+    ``left_s`` is the part of the full rest, s, that is still due before the operation with the
+    index ``before``.
+    """
 
     rest_s: float
     left_s: float
@@ -124,7 +128,7 @@ def _cut(
     axis: str,
     machine: Machine,
 ) -> _Cut | None:
-    """Return the cut of the rest after a move of one cylinder; None where the rest stays."""
+    """Return the shortened rest after a move of one cylinder; None if the rest stays."""
     move = operations[index]
     assert isinstance(move, Move)
     assert machine.plc is not None
@@ -231,7 +235,7 @@ def _operation_lines(
 
 
 def _tag(key: str, value: float | str) -> str:
-    """Return a move's own key as it is written in a move list."""
+    """Return the value of a move's key as text of a move list."""
     if key == REST:
         return f"{key} = {_text(float(value), 's', 1e3, 'ms')}"
     if key == OVERLAP:

@@ -40,7 +40,7 @@ class Question:
     actual
         The machine that runs the plan, where it differs from ``machine``.
     trials
-        Runs that every verdict consists of.
+        Runs on which every verdict is based.
     low, high
         Ends of the search, in the unit of the search; None for its own ends.
     by
@@ -53,7 +53,7 @@ class Question:
         Half width of a band of modes, as a share of their frequency; a cycle must be in spec all
         over it. None for no band.
     mismatch
-        Whether to search on machines at the ends of the tolerances, too.
+        Whether to repeat the search on machines at the ends of the tolerances.
     words
         Planning options of the same plan, by word, without the options that the search finds.
     free
@@ -103,19 +103,20 @@ class Question:
 
     @property
     def searches(self) -> bool:
-        """Whether a bad run of the answer is searched: ``searched`` may change a verdict."""
+        """Whether ``searched`` looks for a failing run, so that it may change a verdict."""
         alone = self.actual is None and self.learned is None
         return alone and self.trials.repeats >= REPEATED_RUNS
 
     def searched(self, plan: Plan, verdict: Verdict) -> Verdict:
-        """Return the verdict on a plan that may be the answer, after a search for a bad run.
+        """Return the verdict on a plan that may be the answer, after a search for a failing run.
 
-        Over the tolerances, a bad machine and its day are searched together if the worst known
-        machine is close to a limit. Otherwise a bad day is searched if the verdict is near a limit.
-        If a run of the search is out of specification, its verdict is returned. If none is, the
-        given verdict is returned with the same results as from ``prove``, and with the worst run of
-        the search. Verdicts below the level *repeated*, on another machine, or on learned tables
-        are returned unchanged.
+        A *day* is one choice of encoder phases, friction and supply. For a verdict over the
+        tolerances, machine and day are searched together if the worst known machine is close to a
+        limit. Otherwise only the day is searched, if the verdict is near a limit. If a run of the
+        search is out of specification, the verdict on that run is returned. If none is, the given
+        verdict is returned with the worst run of the search; its results are still those of
+        ``prove``. Verdicts below the level *repeated*, on another machine, or on learned tables are
+        returned unchanged.
         """
         if not (verdict.passed and self.searches):
             return verdict
@@ -128,8 +129,8 @@ class Question:
 
 
 _CLOSE = 0.85
-"""Used share of a limit from which on another machine may exceed it: searches from different seeds
-differ by up to 6 %."""
+"""Used share of a limit from which on an untried machine may exceed it, because searches with
+different seeds differ by up to 6 %."""
 _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
 
 

@@ -143,7 +143,7 @@ PACE_OPTIONS: Mapping[str, PaceOptions] = {
         span=lambda *_: (None, None, None),
     ),
 }
-"""By result of ``searched_as``."""
+"""Options of each kind of search, by the result of ``searched_as``."""
 _INSTEAD = {
     "--low": "; it bounds a search by feed or speed",
     "--high": "; it bounds a search by feed or speed",
@@ -158,7 +158,7 @@ _NOT_EVERYWHERE = ("low", "high", "robust", "shaper", "mismatch", "learned")
 
 
 def searched_as(job: Job, options: Options) -> str:
-    """Return the kind of search for a job: its pace, or ``OPTIMAL`` for a search without a feed."""
+    """Return the kind of search: the job's pace, or ``OPTIMAL`` for a search without a feed."""
     at_once = job.paced_by == "feed" and options.interpolation == OPTIMAL
     return OPTIMAL if at_once else job.paced_by
 
@@ -217,7 +217,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
 
 
 def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int | None:
-    """Return the number of repeats after which plans are judged; None for plans as they are.
+    """Return the number of learning repeats before a plan is judged; None to judge the plan itself.
 
     Raises
     ------
@@ -244,7 +244,7 @@ def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int 
 
 
 def _free(words: Words) -> frozenset[str]:
-    """Return the options of a plan that were not given.
+    """Return the options of ``CHOSEN`` that the user did not give.
 
     If ``--contour`` is given without ``--feed-forward``, feed-forward counts as given, so that the
     motors follow the path.
@@ -256,7 +256,7 @@ def _free(words: Words) -> frozenset[str]:
 
 
 def _planned_for(words: Words, machine: Machine) -> str | None:
-    """Return the share of the tolerances that plans must be robust to; None for none.
+    """Return the share of the tolerances for which plans are made robust; None if not wanted.
 
     If a kind of work has feed-forward, only plans with feed-forward are made robust. Plans without
     it are made for the file's machine, and judged on the other machines, too.

@@ -20,10 +20,10 @@ Sensed = Literal["head", "motor"]
 GAIN = 0.9
 
 
-_WORSE = 1.1  # times the least error: a larger error is undone
+_WORSE = 1.1  # a run whose error is larger than this times the least error is undone
 
 
-GIVEN_UP = 1.0 / 16.0  # share of the first gain from which on the best table is kept
+GIVEN_UP = 1.0 / 16.0  # below this share of the first gain the best table is kept
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,20 +182,24 @@ def best_of(runs: Sequence[tuple[bool, float]], gain: float) -> tuple[int, float
 
 
 def follows(best_passed: bool, least: float, passed: bool, error: float) -> bool:
-    """Return whether learning goes on from a run: the first in spec, or not worse than the best."""
+    """Return whether learning goes on from a run.
+
+    Learning goes on from a run in specification if the best run is not, and never the other way
+    round. Otherwise it goes on if the error is at most 1.1 times the least error so far.
+    """
     if passed != best_passed:
         return passed
     return error <= _WORSE * least
 
 
 def best_table(repeats: Sequence[Repeat]) -> int:
-    """Return the number of the followed run that is best in specification."""
+    """Return the number of the best followed run: in specification, with the least used share."""
     followed = (one for one in repeats if one.followed)
     return min(followed, key=lambda one: (not one.verdict.passed, one.share)).number
 
 
 def with_followed(repeats: Sequence[Repeat]) -> list[Repeat]:
-    """Mark the runs that were undone."""
+    """Return the runs with ``followed`` set: False for a run that was undone."""
     found, runs = [], [(one.verdict.passed, one.error_m) for one in repeats]
     for number, one in enumerate(repeats):
         at, _ = best_of(runs[: number + 1], 1.0)

@@ -1,9 +1,9 @@
-"""Ends of intervals of a pace that also pass a search for a bad day, or for a bad machine.
+"""Ends of intervals of a pace that also pass a search for a failing run.
 
-A search by pace ends at the plan that passes by the smallest margin, so a few drawn days prove too
-little. Near a limit every end of an interval is therefore judged on the worst day that a search
-finds, and moved inwards until it passes. The plans between the ends keep their verdicts on drawn
-days.
+A search by pace ends at the plan that passes by the smallest margin, so a few drawn runs prove too
+little. Near a limit, every end of an interval is therefore judged by the worst run that a search
+finds, and moved inwards until it passes. The search varies encoder phases, friction and supply and,
+over the tolerances, also the machine. The plans between the ends keep their verdicts on drawn runs.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def with_searched_edges(
     until: Deadline | None = None,
     best_alone: bool = False,
 ) -> Fastest:
-    """Return a result whose ends of intervals pass a search for a bad run.
+    """Return the result with ends of intervals that also pass a search for a failing run.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def with_searched_edges(
 
 
 def _held(verdict_at: Judged, end: float, other: float, edge: float) -> float | None:
-    """Return the pace nearest to an end of an interval that passes; None if none is found.
+    """Return the passing pace nearest to one end of an interval; None if none is found.
 
     Steps from the end towards the other end double until a pace passes. Then the gap between it and
     the last failing pace is bisected.

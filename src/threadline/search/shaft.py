@@ -23,10 +23,10 @@ from threadline.verdict import Spec, Verdict
 
 GRID = Grid(points=24, near=3, edge=5e-3)
 _RANGE = (0.5, 1.5)
-"""Ends of the tolerances of a schedule search, as shares of the residual's limit."""
+"""Least and largest tolerance of a schedule search, as shares of the limit of the residual."""
 _HALVINGS = 6
 _OF_THE_SLOWEST = 0.5
-_FAR = 0.8  # used share of a limit that counts as far within it
+_FAR = 0.8  # largest used share of a limit that counts as far within the limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,7 +123,7 @@ def constant_speeds(question: Question, grid: Grid = GRID) -> Fastest:
         return whole[speed_hz]
 
     def shortened(speed_hz: float, plan: Plan) -> Verdict:
-        # One run and the forecast of this machine do not apply to other machines.
+        # One run and the forecast are valid only for the file's machine, not for others.
         if trials.repeats > 1 and not trials.machines and question.actual is None:
             first = replace(question, trials=NOMINAL).judged(plan)
             if not first.passed or _far_within(plan, first, question.spec):
@@ -147,7 +147,7 @@ def constant_speeds(question: Question, grid: Grid = GRID) -> Fastest:
 
 
 def _searched_edges(question: Question, found: Fastest) -> Fastest:
-    """Return constant speeds whose ends also pass a search for a bad day."""
+    """Return the constant speeds whose ends also pass a search for a failing run."""
     return with_searched_edges(
         found,
         lambda speed_hz: question.judged(at_speed(question, speed_hz)),
@@ -157,10 +157,10 @@ def _searched_edges(question: Question, found: Fastest) -> Fastest:
 
 
 def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
-    """Return whether one run and the forecast of any day leave a fifth of every limit free.
+    """Return whether one run and the forecast over all dampings leave a fifth of every limit free.
 
-    Then all twenty runs are in spec, too: they differ only in damping, and the forecast is accurate
-    to 6 %. The ends of the found intervals are judged by all runs in any case.
+    If they do, all twenty runs are in spec, too, because the runs differ only in damping and the
+    forecast is accurate to 6 %. The ends of the found intervals are judged by all runs in any case.
     """
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
     if not limits:
@@ -176,9 +176,10 @@ def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
 
 
 def _lowest_of_interest_hz(question: Question) -> float:
-    """Return half the constant speed that the slowest stitch needs by itself, stitches a second.
+    """Return the lowest speed of the search, stitches a second.
 
-    Slower speeds take longest to simulate, and the search looks for the fastest.
+    It is half the constant speed that the slowest stitch needs by itself. Lower speeds take longest
+    to simulate, and are not the answer to a search for the fastest.
     """
     stitched = at_speed(question, speed_range_hz(question.machine)[1]).stitched
     return _OF_THE_SLOWEST * len(stitched.turns) / stitched.slowest_s
@@ -197,9 +198,10 @@ def at_speed(question: Question, speed_hz: float) -> Plan:
 
 
 def _schedule(question: Question) -> Proof | None:
-    """Return the proof of the fastest schedule in spec, over the tolerance it is planned with.
+    """Return the proof of the fastest schedule in spec; None if no schedule is in spec.
 
-    If the time ends first, it is the fastest of the tried schedules.
+    The search varies the tolerance of the swing with which a schedule is planned. If its time is
+    over, the result is the fastest tried schedule.
     """
     spec, options, until = question.spec, question.options, question.until
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
@@ -208,7 +210,8 @@ def _schedule(question: Question) -> Proof | None:
 
     def proof_at(share: float) -> Proof:
         nonlocal tried
-        # The found tolerance is typed in millimetres, and must give the same plan.
+        # The tolerance is rounded to its text in millimetres, which a user types to get the same
+        # plan.
         chosen = replace(options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit)))
         plan = plan_job(question.job, question.machine, chosen)
         proof = try_plan(plan, spec, question.trials, question.actual, question.suspects)

@@ -26,9 +26,9 @@ from threadline.machine import Machine
 from threadline.motion.path import programmed_path
 
 EVENLY_S = 3.0
-"""Simulated time of either end of a move at its own speed."""
-_WORTH = 0.5  # kept share above which a move stays whole
-_LONG_MOVES_MOST_MOVES = 100_000  # longer jobs take long for other reasons
+"""Time for which either end of a long move is simulated at constant speed, s."""
+_WORTH = 0.5  # a job is not shortened if a larger share of it would be kept
+_LONG_MOVES_MOST_MOVES = 100_000  # a job with more moves is not cut
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,10 +135,10 @@ def _without_ends(machine: Machine) -> Machine:
 
 
 _NEAR = 2e-5
-"""Differences of moves, m or rad, that count as rounding of a program's numbers: 0.001 degrees."""
+"""Moves, m or rad, that differ by less are equal but for a program's rounding to 0.001 degrees."""
 _BESIDE_S = 3.0
-"""Least duration of a move's surroundings on either side, by the program's feeds."""
-_LEAST, _MOST = 4, 64  # surrounding moves on either side
+"""Least duration, s, of the surroundings on either side of a move, at the program's feeds."""
+_LEAST, _MOST = 4, 64  # least and largest number of surrounding moves on either side
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 _DISTINCT_MOST_MOVES = 2_000_000
 _NOWHERE = Source("", 0)
@@ -155,7 +155,7 @@ class _Moves:
     code
         (n, k) whole numbers; equal rows are equal moves.
     before
-        By the index of a move, n included: the operations that stand before it.
+        The other operations before a move, by the index of the move; n for those at the end.
     """
 
     ends: FloatArray
@@ -167,10 +167,10 @@ class _Moves:
 def distinct_parts(job: Job, machine: Machine, *, joined: bool = False) -> tuple[Job, ...]:
     """Return jobs that hold every new stretch of ``job``, each with its surroundings.
 
-    A stretch begins and ends at rest, where the whole job goes on. There a mandrel would stop from
-    full speed and lift its fibre, and the fibre would not be tied at the begin of the stretch. With
-    ``joined`` a single job goes on from each stretch to the next; this needs rotary axes without
-    ends.
+    Each stretch begins and ends at rest, although the whole job does not stop there. A mandrel that
+    stops from full speed lifts its fibre, and the fibre is not tied at the begin of a stretch. With
+    ``joined`` the result is a single job that goes on from each stretch to the next without a stop;
+    this needs rotary axes without ends.
 
     ``job`` itself is returned if most of it is new, if its stretches cannot be joined, if it holds
     more than two million moves, or if feeds do not set its speed.
@@ -207,7 +207,7 @@ def distinct_parts(job: Job, machine: Machine, *, joined: bool = False) -> tuple
 
 
 def _again(code: IntArray, end: int, before: int, beside: int) -> int | None:
-    """Return the last move up to ``before`` that follows the same moves as move ``end``."""
+    """Return the last move up to ``before`` that follows the same moves as the move ``end``."""
     came = code[end - beside : end]
     for at in np.flatnonzero((code[end:before] == code[end - 1]).all(axis=1))[::-1]:
         found = end + int(at) + 1
@@ -218,7 +218,7 @@ def _again(code: IntArray, end: int, before: int, beside: int) -> int | None:
 
 
 def _chained(read: _Moves, chain: list[tuple[int, int]]) -> Iterator[Operation | MoveRun]:
-    """Yield the moves of stretches, each shifted to where the one before it ends."""
+    """Yield the moves of all stretches; each stretch is shifted to the end of the previous one."""
     at = read.ends[chain[0][0]]
     for first, stop in chain:
         shift = at - read.ends[first]

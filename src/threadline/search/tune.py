@@ -49,8 +49,11 @@ from threadline.verdict.spec import load_spec
 _ZIEGLER: tuple[ControllerKind, ...] = ("p", "pi", "pid")
 _STEP_RAD = 60.0  # length of a computed step response, in radians at the crossover
 _STEP_LEAST_S = 0.2
-_SMOOTH = 1e-3  # overshoot that counts as none
-_OVERSHOOT, _MODULUS = 0.05, 0.5  # fastest settling: most overshoot, least modulus margin
+_SMOOTH = 1e-3  # largest overshoot that counts as none
+_OVERSHOOT, _MODULUS = (
+    0.05,
+    0.5,
+)  # bounds of the rule settling: largest overshoot, least modulus margin
 _TRIES = 60
 
 

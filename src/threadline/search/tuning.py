@@ -59,7 +59,7 @@ class TunedLoop:
 
     @property
     def name(self) -> str:
-        """ControllerKind and rule, for people."""
+        """Kind of controller and rule, for people."""
         return f"{NAMES[self.kind]}, {self.rule}"
 
     def content(self) -> dict[str, Any]:

@@ -16,13 +16,13 @@ from threadline.search.paced import Question
 from threadline.search.searched_edges import with_searched_edges
 from threadline.verdict import Verdict
 
-_LOWERED = 8  # most feeds at which the whole job is tried
+_LOWERED = 8  # largest number of feeds at which the whole job is tried
 _LOWER = 0.98
-_OVER_MACHINES = 12  # most feeds that are tried over the tolerances, for a share of the limits
-_LEAST_SLOWER, _MOST_SLOWER, _POWER = 1.04, 1.4, 0.7  # the time grows with the used share
+_OVER_MACHINES = 12  # largest number of feeds tried over the tolerances, for one share
+_LEAST_SLOWER, _MOST_SLOWER, _POWER = 1.04, 1.4, 0.7  # next duration = this power of the used share
 _CLOSE = 1.02  # ratio of feeds at which a bisection ends
-_UNKNOWN = 1.2  # used share of a broken limit of 0
-_SLOWED, _FIXED = 3.0, 0.01  # as in ``fastest``: an error that no slower motion mends
+_UNKNOWN = 1.2  # used share that stands for a broken limit of 0
+_SLOWED, _FIXED = 3.0, 0.01  # as in ``fastest``: slower motion does not change a fixed error
 
 
 def planned_at(question: Question, share: float, feed: float) -> Plan:
@@ -33,10 +33,10 @@ def planned_at(question: Question, share: float, feed: float) -> Plan:
 
 
 def in_one_run(question: Question) -> Question:
-    """Return the question that a search asks at every feed: for a winding, in one run.
+    """Return the question for the trials of a search; a winding is judged by one run per feed.
 
-    Near a limit a verdict over repeats takes hundreds of runs, a verdict over tolerances takes
-    hundreds of machines, and a winding is long.
+    Near a limit, a verdict over repeats takes hundreds of runs and a verdict over tolerances takes
+    hundreds of machines, which is too slow for a winding.
     """
     if question.options.product is None or question.trials != question.trials.alone:
         return question
@@ -46,10 +46,11 @@ def in_one_run(question: Question) -> Question:
 
 
 def judged_whole(best: Rung, rungs: dict[float, Rung], question: Question, most: int) -> Rung:
-    """Judge the whole job at the best rung and, if it fails, at the next ones; return the best.
+    """Judge the whole job at the best share of the limits, or at the next; return the best result.
 
-    At most ``most`` rungs are tried. For a winding over the tolerances, every one of them that can
-    be the answer is tried. The results are written into ``rungs``.
+    At most ``most`` shares are tried, in order of duration, until one passes. For a winding over
+    the tolerances, every share that may be the answer is tried. The results replace the entries of
+    ``rungs``.
     """
     over = question.options.product is not None and question.trials.machines > 0
     found, shortest_s = [best], math.inf
@@ -71,16 +72,16 @@ def with_searched_best(
     question: Question,
     seen: Mapping[float, Mapping[float, Verdict]] | None,
 ) -> Rung:
-    """Return the best rung whose feeds also pass a search for a bad run; write it into ``rungs``.
+    """Return the best result with feeds that pass a search for a failing run; update ``rungs``.
 
-    If another rung becomes the best, its feeds are searched next. Once the time is over, nothing is
-    searched.
+    If the result of another share becomes the best, its feeds are searched next. Once the time is
+    over, nothing is searched.
 
     Parameters
     ----------
     seen
-        By share, the verdicts by feed. None: only the best feed of the best rung is searched,
-        because the others were judged by parts of the job, or in one run.
+        Verdicts by feed, for each share. None: only the best feed of the best result is searched,
+        because the other feeds were judged by parts of the job, or by one run.
     """
     done: set[float] = set()
     if not question.searches or (question.until is not None and question.until.ended):
@@ -117,7 +118,7 @@ def _with_searched(
 
 
 def in_order(rung: Rung) -> tuple[float, tuple[bool, float]]:
-    """Return the sort key of a rung: its duration; without a feed in spec, its distance to spec."""
+    """Return the sort key of a result: its duration, or its distance to spec if no feed passes."""
     if rung.duration_s is None:
         return math.inf, closeness(rung.found.verdict)
     return rung.duration_s, (False, 0.0)
@@ -138,17 +139,17 @@ def _of_whole(best: Rung, question: Question) -> Rung:
 
 
 def _over_machines(best: Rung, question: Question, shortest_s: float) -> Rung:
-    """Return ``best`` at the first feed at which all machines are in spec.
+    """Return ``best`` at the highest tried feed at which all machines are in spec.
 
-    A failing feed fails on the first machines, because they failed at the feed above, too. A
-    passing feed takes hundreds of machines, so the error sets the next feed, not a fixed step. The
-    machines are tried before the repeats of the file's machine: near a limit these are hundreds,
-    too.
+    The first machines are those that failed at the feed above, so a failing feed fails soon. A
+    passing feed is judged on hundreds of machines, so the next feed follows from the size of the
+    error and not from a fixed step. The machines are judged before the repeats of the file's
+    machine, which may also be hundreds of runs near a limit.
 
     Parameters
     ----------
     shortest_s
-        Duration from which on the rung cannot be the answer.
+        Duration of the best result so far, s; a longer job cannot be the answer.
     """
     interval = best.found.fastest
     assert interval is not None
@@ -178,9 +179,10 @@ def _over_machines(best: Rung, question: Question, shortest_s: float) -> Rung:
 
 
 def _slower(question: Question, share: float, feed: float, lasts_s: float) -> float | None:
-    """Return a lower feed at which the job takes about ``lasts_s``; None if no feed does.
+    """Return a lower feed at which the job takes about ``lasts_s``; None if it is out of range.
 
-    Above some feed, acceleration and the axes' speeds set the time, and no feed changes it.
+    At high feeds the duration depends only on acceleration and on the speed limits of the axes, so
+    the feed may have to fall far.
     """
     low, high = feed, feed
     while planned_at(question, share, low).duration_s < lasts_s:
@@ -197,7 +199,7 @@ def _slower(question: Question, share: float, feed: float, lasts_s: float) -> fl
 
 
 def _same(worst: tuple[str, float], first: tuple[str, float]) -> bool:
-    """Return whether a criterion uses the same share of its limit as at the first duration."""
+    """Return whether criterion and used share are the same as in the first trial."""
     return worst[0] == first[0] and abs(worst[1] - first[1]) <= _FIXED * first[1] > 0.0
 
 
@@ -206,7 +208,8 @@ def _passed(best: Rung, feed: float, verdict: Verdict, duration_s: float) -> Run
     assert interval is not None
     kept = best.found.intervals
     if feed < interval.high:
-        # Parts of the job, or the file's machine, passed above this feed; the whole job did not.
+        # Higher feeds passed only for parts of the job or on the file's machine, not for the whole
+        # job.
         own = Interval(low=min(interval.low, feed), high=feed)
         kept = (own, *(i for i in kept if i.high < own.low))
     found = replace(best.found, intervals=kept, verdict=verdict)

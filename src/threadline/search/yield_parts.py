@@ -36,7 +36,7 @@ from threadline.verdict import EachRun
 FORMAT = "threadline yield part 1"
 MOST_VARIANTS = 10_000_000
 _PART = re.compile(r"([0-9]{1,9})/([0-9]{1,9})")
-_NAMED = 8  # missing parts that an error names
+_NAMED = 8  # largest number of missing parts that an error names
 _AGAIN = "Make that part again."
 
 
@@ -57,7 +57,7 @@ class Part:
         return f"{self.number}/{self.count}"
 
     def machines(self, variants: int) -> range:
-        """Return the numbers of its machines in the sequence of ``variants``, from 0.
+        """Return the numbers of this part's machines in the sequence of ``variants``, from 0.
 
         >>> [Part(k, 3).machines(10) for k in (1, 2, 3)]
         [range(0, 3), range(3, 6), range(6, 10)]
@@ -70,17 +70,17 @@ class Part:
         return self.share(variants, "machines", "draw more machines (--variants)")
 
     def share(self, total: int, what: str, more: str) -> range:
-        """Return the numbers of its share of ``total`` things, from 0.
+        """Return the numbers of this part's items among ``total`` items, from 0.
 
         Parameters
         ----------
         what, more
-            The name of the things, and how to get more of them.
+            Name of the items, and the advice for getting more of them, for the error.
 
         Raises
         ------
         OptionError
-            If there are fewer things than parts.
+            If there are fewer items than parts.
         """
         if total < self.count:
             raise OptionError(
@@ -129,7 +129,7 @@ class Record:
     seed, variants
         Seed and length of the whole sequence.
     part
-        Which part.
+        Number of the part, and of all parts.
     """
 
     identity: Mapping[str, str]

@@ -40,7 +40,7 @@ _REMEDY = "Give another file to --resume, or remove this one to begin anew."
 MOST_LINE = 64 << 20
 NOT_AS_WRITTEN = KeyError, TypeError, ValueError, AttributeError, OverflowError, zlib.error
 """Errors from the content of a line that Threadline did not write."""
-_MOST_RUNS = 1 << 20  # machines in one line
+_MOST_RUNS = 1 << 20  # largest number of machines in one line
 _TEXTS = ("name", "axis", "step", "unit")
 _FLAGS = ("required", "hard", "of_plan")
 _TOLD = (*_TEXTS, "limit", *_FLAGS)
@@ -172,7 +172,7 @@ class YieldState:
     def add(self, found: EachRun) -> None:
         """Keep the results of the next machines of the sequence."""
         self._append(content_of_runs(found, sum(part.runs for part in self._known)))
-        self._known.append(found)  # joined when read: each call would copy all
+        self._known.append(found)  # joined only when read, because each join copies all results
 
     def check_first(self, found: EachRun) -> None:
         """Compare the file's result of the first machine with its new result.

@@ -1,15 +1,16 @@
 """The rules of Ziegler and Nichols, by the ultimate gain and by a step, from runs of the twin.
 
-J. G. Ziegler and N. B. Nichols, "Optimum settings for automatic controllers", Trans. ASME 64,
-1942. Both experiments run on the simulated machine; on a machine they would overheat belts and
-motors.
+J. G. Ziegler and N. B. Nichols, "Optimum settings for automatic controllers", Trans. ASME 64, 1942.
+Both experiments run on the simulated machine, because on a real machine they would overheat belts
+and motors.
 
 *Ultimate gain.* A proportional controller's gain is raised to the value at which the axis swings
 on forever after a step of one count. The encoder and the DAC of these runs do not round: with
 rounding an axis swings within a count at any gain.
 
-*Step.* Constant volts at the drive, without the loop. The position becomes a straight line, whose
-slope R and whose intersection L with the start are the two numbers of the rule.
+*Step.* The drive gets a constant voltage without the loop. The position over time becomes a
+straight line. The rule takes two numbers from the line: its slope R, and the time L at which it
+meets the initial position.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ from threadline.identify.time_domain import driven_by_volts
 from threadline.machine import Machine
 from threadline.twin.batch import simulate_batch
 
-_GAINS = 24  # tried side by side in each round
+_GAINS = 24  # number of gains tried side by side in each round
 _ROUNDS = 3
-_SWINGS = 60  # swings in a run at the ultimate gain
+_SWINGS = 60  # number of swings in a run at the ultimate gain
 _VOLT_SHARE = 0.1
 _HALVINGS = 7
-_SLOWEST = 12.0  # time constants of the slowest pole until the line is straight
-_LINE = 0.3  # last share of a run that is the line
+_SLOWEST = 12.0  # duration of a run in time constants of the slowest pole
+_LINE = 0.3  # share of a run, at its end, to which the line is fitted
 _TRAVEL = 0.8  # share of the travel that a step may use
 
 
@@ -68,14 +69,14 @@ class Ultimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReactionCurve:
-    """The answer of an axis to a step of its volts.
+    """The response of an axis to a step of its voltage.
 
     Parameters
     ----------
     slope
         Counts per second and DAC level.
     lag_s
-        Time at which the straight line leaves the start.
+        Time at which the straight line meets the initial position.
     """
 
     slope: float
@@ -126,7 +127,7 @@ def foreseen_ultimate(machine: Machine, axis: str) -> Ultimate:
 def ultimate(machine: Machine, axis: str) -> Ultimate:
     """Find the ultimate gain on the twin, and the period of the swing, within 0.1 %.
 
-    The linear model only says where to look.
+    The linear model gives only the range in which the gain is searched.
 
     Raises
     ------
@@ -174,21 +175,21 @@ def _runs(
 
 
 def _growth(runs: FloatArray) -> FloatArray:
-    """Return the (n,) growth of the swing of (samples, n) runs: later over earlier, as logarithm.
+    """Return (n,) the growth of the swing in (samples, n) runs: log of later over earlier range.
 
-    A run that has left the range of numbers counts as grown.
+    The growth of a run that overflows is infinite.
     """
     length = len(runs)
     parts = [runs[int(a * length) : int(b * length)] for a, b in ((0.4, 0.6), (0.8, 1.0))]
     early, late = (np.ptp(part, axis=0) for part in parts)
     with np.errstate(divide="ignore", invalid="ignore"):
         growth = np.log(late / early)
-    growth[late == 0.0] = -np.inf  # it has come to rest
+    growth[late == 0.0] = -np.inf  # the axis has come to rest
     return np.asarray(np.where(np.isnan(growth), np.inf, growth))
 
 
 def _period(run: FloatArray, tick_s: float) -> float:
-    """Return the mean period of the second half of a swinging run, from its rising crossings."""
+    """Return the mean period, s, of the second half of a run, from its upward zero crossings."""
     half = run[len(run) // 2 :]
     swing = half - half.mean()
     rising = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0))
@@ -197,7 +198,7 @@ def _period(run: FloatArray, tick_s: float) -> float:
 
 
 def reaction_curve(machine: Machine, axis: str) -> ReactionCurve:
-    """Find slope and lag of the answer to a step of the volts, on the twin.
+    """Measure slope and lag of the response to a voltage step on the simulated machine.
 
     The step is a tenth of the DAC's range, halved until current and travel suffice.
 
@@ -235,7 +236,7 @@ def reaction_curve(machine: Machine, axis: str) -> ReactionCurve:
             place=machine.place,
             remedy="Tune it by its margins.",
         )
-    # The volts of the first row act from tick 1 on.
+    # The voltage of the first row acts from tick 1 on.
     time_s = (np.arange(len(way)) - 1.0) * tick_s
     line = time_s > (1.0 - _LINE) * time_s[-1]
     slope, offset = np.polyfit(time_s[line], way[line] * machine.axes[axis].counts.si, 1)

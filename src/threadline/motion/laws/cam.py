@@ -1,8 +1,8 @@
 """A measured cam: its table of angle and distance, and the motion of its follower.
 
-A follower that swings stands at the angle phi between the sides b and c of a triangle whose third
-side is the measured distance h: cos(phi) = (b^2 + c^2 - h^2) / (2 b c). A follower that slides
-stands at h itself, without a triangle.
+The position of a swinging follower is the angle phi between the sides b and c of a triangle. The
+third side is the measured distance h, so cos(phi) = (b^2 + c^2 - h^2) / (2 b c). The position of a
+sliding follower is h itself.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from threadline.units import parse_quantity
 _MOST_BYTES = 20_000_000
 _MOST_ROWS = 20_000
 _FEWEST = 6
-_MOST_DIGITS = 300  # after the decimal point: a number with more is 0
+_MOST_DIGITS = 300  # largest exponent; a cell with a larger one is read as 0
 _COLUMN = re.compile(r"(?P<name>[A-Za-z]+)\s*(?:\[(?P<unit>[^\]]+)\]|_(?P<short>\w+))?")
 _KINDS = {"alpha": "rad", "h": "m", "phi": "rad"}
 _USUAL = {"alpha": "deg", "h": "mm", "phi": "deg"}
@@ -39,9 +39,9 @@ class Triangle:
     b_m, c_m
         Lengths of the sides.
     roller_m
-        Added to every measured distance, which ends at an edge of the groove: the radius of the
-        roller for the inner edge, its negative for the outer one. It is added along the radius of
-        the cam and not along the normal of its edge.
+        Length added to every measured distance, which ends at an edge of the groove: the radius of
+        the roller for the inner edge, its negative for the outer edge. The length is added along
+        the radius of the cam, not along the normal of its edge.
 
     Raises
     ------
@@ -59,20 +59,20 @@ class Triangle:
                 raise OptionError(f"cam: side {side} must be positive, got {value:g} m")
 
     def angle_rad(self, h_m: FloatArray) -> FloatArray:
-        """Return phi for distances (n,) to the edge; NaN if the triangle cannot close."""
+        """Return (n,) phi, rad, for (n,) distances, m; NaN if the triangle cannot close."""
         side = h_m + self.roller_m
-        # A distance that overflows does not close a triangle either.
+        # A distance whose square overflows does not close the triangle either.
         with np.errstate(invalid="ignore", over="ignore"):
             cosine = (self.b_m**2 + self.c_m**2 - side**2) / (2.0 * self.b_m * self.c_m)
             return np.asarray(np.where(side > 0.0, np.arccos(cosine), np.nan))
 
     def distance_m(self, phi_rad: FloatArray) -> FloatArray:
-        """Return the distance to the edge for angles (n,)."""
+        """Return the (n,) distances to the edge, m, for (n,) angles, rad."""
         square = self.b_m**2 + self.c_m**2 - 2.0 * self.b_m * self.c_m * np.cos(phi_rad)
         return np.asarray(np.sqrt(square) - self.roller_m)
 
     def slope_rad_m(self, h_m: FloatArray) -> FloatArray:
-        """Return d phi / d h at (n,) distances: h / (b c sin phi)."""
+        """Return (n,) d phi / d h = h / (b c sin phi), rad/m, at (n,) distances, m."""
         phi = self.angle_rad(h_m)
         return np.asarray((h_m + self.roller_m) / (self.b_m * self.c_m * np.sin(phi)))
 
@@ -143,8 +143,8 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
     Raises
     ------
     OptionError
-        Names the line: if it is not a row of numbers, an angle repeats or falls, the triangle
-        cannot close, or there are fewer than six rows.
+        If a line is not a row of numbers, an angle repeats or falls, the triangle cannot close, or
+        there are fewer than six rows; the error names the line.
     """
     text = read_text(file, _MOST_BYTES, OptionError, "table of a cam", "utf-8-sig")
     header: list[tuple[str, float]] = []

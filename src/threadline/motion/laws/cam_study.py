@@ -30,9 +30,9 @@ _SEED = 1954
 _OUTLIER = 4.0
 _DOUBT = 1e3
 _MISSED = 2.0
-_EVEN = 1e-4  # of the spacing: angles written with a few decimals are even
-_EXACT = 1e-9  # of the rise: below what any gauge measures
-_LOOKS = 16  # samples in each interval between rows
+_EVEN = 1e-4  # share of the mean spacing: largest difference of spacings that count as even
+_EXACT = 1e-9  # share of the rise: smaller than the resolution of any gauge
+_LOOKS = 16  # number of samples in each interval between rows
 
 
 class Fairing(StrEnum):
@@ -87,20 +87,21 @@ class CamStudy:
     rise
         Where the rise starts and ends.
     fairings
-        In the order of :class:`Fairing`; without differences where rows are not evenly spaced.
+        One result for each method of :class:`Fairing`, in its order; none for differences if the
+        rows are not evenly spaced.
     chosen
         The fairing that the law was made from.
     law
         The rise from its start to its end, normalised.
     outliers
-        Rows that lie more than four times the noise off a smoothing spline through the others. The
-        law is faired with them all the same.
+        Indices of rows whose distance from a smoothing spline through the other rows is more than
+        four times the noise. The law is nevertheless faired with these rows.
     scaled
         (n,) residuals of the rows from the smoothing spline, divided by the noise.
     rebounded
         The rebound, with its number of passes and the reason of its end.
     warnings
-        Suspicious facts about the cam or the law, a line for each.
+        Doubtful facts about the cam or the law, a line for each.
     """
 
     cam: MeasuredCam
@@ -142,7 +143,7 @@ def study_cam(
     epsilon_m, most_passes
         Parameters of the rebound: see :func:`threadline.motion.laws.fairing.rebound`.
     draws
-        Number of noise draws for the spread of the peaks; the same ones each time.
+        Number of noise draws for the spread of the peaks; every call uses the same draws.
 
     Raises
     ------
@@ -230,8 +231,9 @@ def _outliers(
 ) -> tuple[tuple[int, ...], FloatArray]:
     """Return the outliers among the rows, and (n,) residuals divided by the noise.
 
-    Outliers are found one by one, the worst first, and at most a tenth of the rows. Each loses its
-    weight before the next is sought, since it would pull the fit away from its neighbours.
+    Outliers are found one by one, the worst first; they are at most a tenth of the rows. Each
+    outlier loses its weight before the search for the next one, because it would pull the fit away
+    from its neighbours.
     """
     found: list[int] = []
     doubted = noise.copy()
@@ -252,7 +254,7 @@ def _outliers(
 def _normalised(
     t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times and rises, from 0 to 1, of the rows ``inside``; ends without a row are added.
+    """Return times and rises, from 0 to 1, of the rows ``inside``; missing ends are added.
 
     ``follower`` is (n,), or (n, draws) for the rises of many draws.
     """

@@ -43,7 +43,7 @@ def law(name: str) -> Law:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             made = FAMILIES[kind](*numbers)
     except (TypeError, ValueError, ArithmeticError) as error:
-        # A wrong count of numbers is a TypeError, whose text is about Python.
+        # A wrong count of numbers raises a TypeError, whose text is about Python and not shown.
         why = str(error) if isinstance(error, ValueError) else f"it takes {TAKES[kind]}"
         if isinstance(error, ArithmeticError):
             why = "its numbers are too small or too far apart"

@@ -1,4 +1,4 @@
-"""Peaks of any law and its derivatives, to rounding, and whether it is monotone."""
+"""Exact peaks of a law and of its derivatives, and a check that the law is monotone."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from threadline.errors import OptionError
 
 _DEGREE = 18
 _LOOKS = 33
-_MISSED = 0.02  # share of a stretch's range by which samples may fall short of its extreme
+_MISSED = 0.02  # share of a stretch's range by which an extreme may exceed all samples
 _FLAT = 1e-9
-"""Share of the peak velocity: a slower descent is rounding, not a reversal."""
+"""Share of the peak velocity; a negative velocity below it is rounding, not a reversal."""
 _STEP = 1e-7
-"""Share of the peak acceleration: a smaller step between two stretches is rounding."""
+"""Share of the peak acceleration; a step below it between two stretches is rounding."""
 
 
 class Rise(Protocol):
-    """The part of a motion law that its extremes depend on."""
+    """The members of a motion law that are needed to find its extremes."""
 
     @property
     def name(self) -> str:
@@ -32,7 +32,7 @@ class Rise(Protocol):
         """(n,) ends of the stretches on which the law is smooth, from 0 to 1."""
 
     def __call__(self, t: FloatArray | float, derivative: int = 0) -> FloatArray:
-        """Return a derivative at ``t``."""
+        """Return the ``derivative``-th derivative at (n,) times ``t``."""
 
 
 def extremes(law: Rise, derivative: int) -> tuple[float, float, float, float]:
@@ -43,7 +43,7 @@ def extremes(law: Rise, derivative: int) -> tuple[float, float, float, float]:
     """
     edges, fitted = _fitted(law, derivative)
     seen = chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)
-    # The law may exceed its samples by a small part of the stretch's range.
+    # Between samples the law may exceed them by a small share of the stretch's range.
     span = _MISSED * np.ptp(seen, axis=1)
     found = []
     for sign in (-1.0, 1.0):
@@ -70,7 +70,7 @@ def _fitted(law: Rise, derivative: int) -> tuple[FloatArray, FloatArray]:
 
 def _stationary(coefficients: FloatArray) -> FloatArray:
     """Return the ends of [-1, 1] and the roots of the slope between them."""
-    # High coefficients that are only rounding would add false roots.
+    # High coefficients that consist of rounding are dropped, because they would add false roots.
     noise = 1e-13 * max(float(np.abs(coefficients).max()), 1e-300)
     kept = chebyshev.chebtrim(coefficients, noise)
     if len(kept) < 3:
@@ -84,7 +84,7 @@ def steps(law: Rise) -> bool:
     """Return whether the acceleration jumps anywhere, including the ends of the motion."""
     _, fitted = _fitted(law, 2)
     ends = chebyshev.chebval(np.array([-1.0, 1.0]), fitted)  # (stretches, 2)
-    # Outside the law is at rest.
+    # Outside [0, 1] the law is at rest.
     after, before = np.append(ends[:, 0], 0.0), np.append(0.0, ends[:, 1])
     peak = np.abs(chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)).max()
     return bool(np.abs(after - before).max() > _STEP * peak)
@@ -97,7 +97,7 @@ def refuse_descent(law: Rise) -> None:
     Raises
     ------
     OptionError
-        Names the least velocity and its time.
+        If the velocity is negative; the error names the least velocity and its time.
     """
     low, at, high, _ = extremes(law, 1)
     if low < -_FLAT * high:

@@ -18,17 +18,18 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 
 MOST_PASSES = 50
-_INTERVALS = (16, 48)  # least and most knot intervals of the smoothing spline
-_AT_A_TIME = 256  # columns of the matrix of a pass
-_DEGREE = 3  # of the velocity's spline
+_INTERVALS = (16, 48)  # least and largest number of knot intervals of the smoothing spline
+_AT_A_TIME = 256  # number of columns of a pass's matrix that are computed together
+_DEGREE = 3  # degree of the spline of the velocity
 _STIFFEST, _LOOSEST, _STEP = 0.0, -16.0, 0.2
 
 
 def differences(y: FloatArray, noise: float) -> FloatArray:
-    """Return ``y`` (n,) with each value moved onto the least-squares cubic of five rows around it.
+    """Return ``y`` (n,) with each value replaced by a least-squares cubic through five rows.
 
-    For evenly spaced rows this is a correction by 3/35 of the fourth difference. No value moves by
-    more than twice the noise, and the two values at either end stay.
+    The five rows are the row itself and two neighbours on either side. For evenly spaced rows the
+    correction is 3/35 of the fourth difference. No value changes by more than twice the noise, and
+    the two values at either end stay.
     """
     fourth = y[:-4] - 4.0 * y[1:-3] + 6.0 * y[2:-2] - 4.0 * y[3:-1] + y[4:]
     out = y.copy()
@@ -51,7 +52,7 @@ class Rebound:
     last
         Largest correction of the last pass.
     stopped_by
-        Reason of its end: ``"noise"``, ``"passes"`` or ``"epsilon"``.
+        Rule that ended the passes: ``"noise"``, ``"passes"`` or ``"epsilon"``.
     """
 
     values: FloatArray
@@ -76,7 +77,7 @@ def one_pass(
 def pass_matrix(x: FloatArray) -> FloatArray:
     """Return the (n, n) matrix of ``one_pass`` with slopes of 0 at the ends, which is linear.
 
-    Some columns are computed at a time: a spline through one needs four times its memory.
+    Only some columns are computed at a time, because a spline needs four times their memory.
     """
     parts = (
         one_pass(x, np.eye(len(x), min(_AT_A_TIME, len(x) - first), -first))
@@ -96,8 +97,8 @@ def rebound(
 ) -> Rebound:
     """Return values faired by the paper's rebound method.
 
-    A pass puts a clamped cubic spline through the rows, a second one through the first one's values
-    midway between rows, and returns the second one's values at the rows.
+    A pass puts a clamped cubic spline through the rows, and a second spline through the values of
+    the first one midway between rows. Its result is the values of the second spline at the rows.
 
     Parameters
     ----------
@@ -109,13 +110,13 @@ def rebound(
     slopes
         Slopes of the splines at the first and the last row.
     epsilon
-        The paper's rule, used in place of ``noise`` if given: the passes end when one changes no
-        value by more than this. With that rule they flatten the cam, since their limit is a single
-        cubic.
+        The paper's rule, used in place of ``noise`` if given: the passes end when a pass changes no
+        value by more than this. With this rule the passes flatten the cam, because many passes
+        converge to a single cubic.
     most_passes
         Largest number of passes.
     """
-    # A pass is linear in the values, and there may be thousands: one spline serves them all.
+    # A pass is linear in the values, so its matrix is computed once for the thousands of passes.
     matrix, offset = pass_matrix(x), one_pass(x, np.zeros_like(y), slopes)
     values, last, moved, why = y, 0.0, 0.0, "passes"
     done = 0
@@ -170,16 +171,17 @@ def _basis(
 ) -> tuple[FloatArray, Callable[[FloatArray], FloatArray], FloatArray, list[FloatArray]]:
     """Return the data that all smoothing splines with the same number of knot intervals share.
 
-    These are the knots; the antiderivatives of the ``count`` B-splines of the velocity; their
-    jerks, weighted such that the sum of squares is the integral; and the B-splines and their first
-    two derivatives, at 20 samples per interval. The last two have a column for each B-spline.
+    The tuple holds the knots, the antiderivatives of the ``count`` B-splines of the velocity, the
+    jerks of the B-splines, and their values and first two derivatives at 20 samples per interval.
+    The jerks are weighted such that the sum of their squares is the integral of the squared jerk.
+    Jerks and samples have a column for each B-spline.
     """
     from scipy.interpolate import BSpline
 
     inner = np.linspace(0.0, 1.0, intervals + 1)
     knots = np.concatenate((np.zeros(_DEGREE), inner, np.ones(_DEGREE)))
     basis = BSpline(knots, np.eye(intervals + _DEGREE), _DEGREE)
-    # The integral of the squared jerk, exact: the jerk is linear between knots.
+    # The integral of the squared jerk is exact, because the jerk is linear between knots.
     at = inner[:-1, None] + np.array([0.5 - sqrt(1 / 12), 0.5 + sqrt(1 / 12)]) / intervals
     jerk = basis.derivative(2)(at.ravel()) / sqrt(2.0 * intervals)
     looks = np.linspace(0.0, 1.0, 20 * intervals + 1)
@@ -211,8 +213,8 @@ class Smoother:
         self.t, self.noise = np.clip(t, 0.0, 1.0), noise
         self.knots, basis, jerk, looks = _basis(intervals)
         count = intervals + _DEGREE
-        # The first and the last coefficient are the velocities at the ends; with their neighbours
-        # they set the accelerations.
+        # The first and the last coefficient are the velocities at the ends. Together with their
+        # neighbours they determine the accelerations at the ends.
         self.free = np.arange(1 + smooth_ends[0], count - 1 - smooth_ends[1])
         risen = basis(self.t)[:, self.free]
         self.count = count
@@ -224,14 +226,17 @@ class Smoother:
         self.looks = [look[:, self.free] for look in looks]
 
     def solve(self, y: FloatArray, weight: float) -> FloatArray:
-        """Return the base and the free coefficients for (n,) positions and a weight of the jerk."""
+        """Return (k + 1,) the base and the k free coefficients that fit (n,) positions.
+
+        ``weight`` is the weight of the jerk, as in ``weight_for``.
+        """
         from scipy.optimize import nnls
 
-        # nnls has no negative unknowns: the base is counted from below all measurements.
+        # nnls has no negative unknowns, so the base is counted from a value below all measurements.
         low = float(y.min()) - float(np.ptp(y)) - 1.0
         matrix = np.vstack((self.rows, sqrt(weight) * self.penalty))
         target = np.concatenate(((y - low) / self.noise, np.zeros(len(self.penalty))))
-        # Unless columns have similar size the solver finds only the base.
+        # Columns are scaled to similar size, because otherwise the solver finds only the base.
         size = np.linalg.norm(matrix, axis=0)
         found, _ = nnls(matrix / size, target)
         found = found / size
@@ -239,7 +244,7 @@ class Smoother:
         return np.asarray(found)
 
     def freedom(self, weight: float) -> tuple[float, FloatArray]:
-        """Return the effective number of parameters (bounds ignored) and (n,) shares of rows."""
+        """Return the effective number of parameters, bounds ignored, and (n,) leverages of rows."""
         inner = self.rows.T @ self.rows + weight * self.penalty.T @ self.penalty
         inner += 1e-12 * np.trace(inner) / len(inner) * np.eye(len(inner))
         pulls = np.einsum("ij,ji->i", self.rows, np.linalg.solve(inner, self.rows.T))
@@ -261,7 +266,7 @@ class Smoother:
         return kept
 
     def fit(self, y: FloatArray, weight: float) -> Smoothed:
-        """Return the fit to (n,) positions of the follower, at a weight of the jerk."""
+        """Return the fit to (n,) positions of the follower with a given weight of the jerk."""
         found = self.solve(y, weight)
         freedom, pulls = self.freedom(weight)
         coefficients = np.zeros(self.count)

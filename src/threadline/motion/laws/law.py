@@ -1,8 +1,8 @@
 """Closed forms for motion laws, accurate even where their rise is small.
 
-A form is a rise that begins at rest. Near its beginning it is computed as a sum of small terms and
-never as the difference of large ones, so that even a tiny rise is right to its last digits. A law
-keeps that accuracy at both ends, since it is evaluated from the nearer one.
+A form is a rise that begins at rest. Near its beginning the rise is computed as a sum of small
+terms and never as a difference of large ones, so that even a tiny rise is right to its last digits.
+A law has this accuracy at both ends, because it is evaluated from the nearer end.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Phase:
 
 
 def chained(phases: list[Phase]) -> tuple[Phase, ...]:
-    """Return the phases with ``v0`` and ``s0`` of each at the end of the one before."""
+    """Return the phases with ``v0`` and ``s0`` taken from the end of the previous phase."""
     done: list[Phase] = []
     v0 = s0 = 0.0
     for phase in phases:
@@ -170,7 +170,7 @@ class Harmonics:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Quarters of the highest harmonic's period, within which low-degree polynomials fit it."""
+        """Quarters of the highest harmonic's period, which polynomials of low degree fit well."""
         count = 2 * self.orders[-1]
         return tuple(k / (2.0 * count) for k in range(1, count))
 
@@ -225,7 +225,7 @@ class Pieces:
 
 
 _CELLS = 2048
-_ENOUGH = 1e-9  # a relative step of Newton's after which its error is about the square of this
+_ENOUGH = 1e-9  # relative Newton step that ends the iteration; the error is about its square
 _ROUNDS = 120
 
 
@@ -253,7 +253,7 @@ def invert(form: Form, end: float, rise: FloatArray, *, latest: bool = False) ->
     below, above = table[upper - 1], table[upper]
     span = np.where(above > below, above - below, 1.0)
     share = np.clip((rise - below) / span, 0.0, 1.0)
-    # From rest a rise starts as a power of time, which gives the first guess in the first cell.
+    # A rise from rest starts as a power of time; this gives the first guess in the first cell.
     first = upper == 1
     if first.any():
         half = float(form.value(np.array([0.5 * grid[1]]), 0)[0])
@@ -284,9 +284,9 @@ def invert(form: Form, end: float, rise: FloatArray, *, latest: bool = False) ->
 
 
 LEAST_STRETCH = 1e-7
-"""Share of the move's time; a shorter stretch is a step, whose derivatives are rounding."""
-_SAME = 1e-9  # of the time: ends this close are the same end, computed in two ways
-LEAST_HEAT = 12.0  # integral of the squared acceleration of the cubic law, the least possible
+"""Share of the move's time; in a shorter stretch the derivatives are only rounding."""
+_SAME = 1e-9  # share of the time: two ends that are closer are one end, computed in two ways
+LEAST_HEAT = 12.0  # least integral of the squared acceleration: the cubic law
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -296,7 +296,7 @@ class Law:
     Parameters
     ----------
     name
-        Hyphenated, as on the command line.
+        Name with hyphens, as on the command line.
     velocity, acceleration, jerk
         Peaks of the magnitudes of the derivatives (Cv, Ca, Cj); None if the jerk is infinite
         because the acceleration steps.
@@ -321,9 +321,13 @@ class Law:
     def __call__(self, t: FloatArray | float, derivative: int = 0) -> FloatArray:
         """Return the ``derivative``-th derivative (0 to 3) at (n,) times; at rest outside [0, 1].
 
-        At a jump of a derivative, times up to ``meets`` give the value after the jump, later times
-        the value before it. The impulse of jerk at a jump of acceleration is left out. Other
-        derivatives raise a ValueError.
+        At a jump of a derivative, times up to ``meets`` give the value after the jump, and later
+        times the value before it. The impulse of jerk at a jump of acceleration is left out.
+
+        Raises
+        ------
+        ValueError
+            If ``derivative`` is not from 0 to 3.
         """
         if not 0 <= derivative <= 3:
             raise ValueError(f"derivative must be 0 to 3, got {derivative}")
@@ -369,7 +373,8 @@ class Law:
         out = np.empty_like(x)
         out[early] = invert(self.form, self.meets, x[early])
         closing = self.form if self.closing is None else self.closing
-        # 1 - x is exact from 1/2 on, and a rise is flat at both ends: solve for the rest.
+        # From 1/2 on, 1 - x is exact, so that the equation is solved for the rest of the rise
+        # there.
         out[~early] = 1.0 - invert(closing, 1.0 - self.meets, 1.0 - x[~early], latest=True)
         return out
 
@@ -399,7 +404,7 @@ class Law:
 def measured_law(name: str, form: Form, closing: Form | None = None, meets: float = 0.5) -> Law:
     """Return the law of the given forms, with peaks computed from them.
 
-    The arguments are ``Law``'s. The jerk of the law is None where the acceleration jumps.
+    The arguments are as in ``Law``. The jerk of the law is None if the acceleration jumps.
     """
     bare = Law(
         name=name, velocity=0.0, acceleration=0.0, jerk=None, form=form, closing=closing,
@@ -430,7 +435,7 @@ def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatAr
 
 @cache
 def _of_one(points: int) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and weights from -1 to 1; cached, since they are slow eigenvalues."""
+    """Return nodes and weights on [-1, 1]; cached, because their eigenvalue problem is slow."""
     nodes, weights = np.polynomial.legendre.leggauss(points)
     nodes.flags.writeable = weights.flags.writeable = False
     return nodes, weights
@@ -442,7 +447,7 @@ def check_stretches(name: str, ends: Iterable[float]) -> None:
     Parameters
     ----------
     ends
-        End of each stretch, from the beginning of the move or before its end.
+        End of each stretch, counted from the beginning of the move or back from its end.
 
     Raises
     ------

@@ -47,7 +47,7 @@ def law_of_velocity(name: str, knots: FloatArray, coefficients: FloatArray, degr
 
 ROWS = 1001
 _MOST_BYTES = 20_000_000
-_REST = 1e-6  # share of the peak velocity: a smaller one at an end of a table is rounding
+_REST = 1e-6  # share of the peak velocity; a smaller velocity at an end of a table is rounding
 
 
 def write_law(law: Law, file: Path, rows: int = ROWS) -> None:
@@ -62,7 +62,8 @@ def write_law(law: Law, file: Path, rows: int = ROWS) -> None:
         If the file cannot be written.
     """
     even = np.linspace(0.0, 1.0, rows)
-    # Rows closer than a thousandth of the spacing are dropped: such short pieces are rounding.
+    # Rows closer than a thousandth of the spacing are dropped, because such short pieces are
+    # rounding.
     apart = np.abs(law.edges[:, None] - even).min(axis=1) > 1e-3 / rows
     t = np.union1d(even, law.edges[apart])
     columns = [t, *(law(t, derivative) for derivative in range(4))]
@@ -81,16 +82,17 @@ def read_law(file: Path) -> Law:
     Raises
     ------
     OptionError
-        Names the line, if the table cannot be read, its times do not rise, or the law goes back.
+        If the table cannot be read, its times do not rise, or the law goes back; the error names
+        the line.
     """
     return _law_of(read_text(file, _MOST_BYTES, OptionError, "table of a motion law"), file)
 
 
 @lru_cache(maxsize=4)
 def _law_of(text: str, file: Path) -> Law:
-    """Return the law of a table's text, cached by the text, as a search requests it many times.
+    """Return the law of a table's text; cached by the text, because a search needs it many times.
 
-    The law keeps its own derived data, such as its pieces.
+    The cached law keeps its derived data, such as its pieces.
     """
     where = Place(str(file))
     table, lines = _read(text, file)

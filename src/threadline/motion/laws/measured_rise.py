@@ -16,22 +16,22 @@ from threadline.motion.laws.cam import MeasuredCam
 from threadline.motion.laws.catalogue import LAWS
 from threadline.motion.laws.law import Law
 
-_ORDER = 4  # of the differences: for a smooth rise at a hundred rows they are far below its noise
-_NEAR = 1.8  # five rows spanning more than this times the median have a gap and give no noise
+_ORDER = 4  # order of the differences: a smooth rise of a hundred rows hardly contributes to them
+_NEAR = 1.8  # five rows that span more than this times the median have a gap, and are left out
 _OUTLYING = 4.0
 _FEWEST = 8
-_FEW = 20  # rows: with so few, no median is taken
-_FALL, _RISE = 7.0, 6.0  # times the noise
+_FEW = 20  # with at most so many rows, no medians are taken
+_FALL, _RISE = 7.0, 6.0  # least fall and least rise, in standard deviations of the noise
 _DWELL = 3  # least number of rows of a dwell
-CONFIDENCE = 0.9  # of the intervals of start and end
-_TAIL = 0.025  # on either side: the real shape differs from every shape tried
-_FREE = 0.5  # least share of the shapes without a name in an interval
-_POWERS = (1, 2, 3, 4)  # of the time near an end, to which the velocity is proportional
-_DEGREES = (0, 6)  # of the polynomials between the ends
-_BACK = 0.02  # of the greatest velocity: a shape that goes back by more is none
+CONFIDENCE = 0.9  # confidence of the intervals of start and end
+_TAIL = 0.025  # outside an interval at either end; below 0.05, as the true shape is unknown
+_FREE = 0.5  # least weight in an interval of the shapes that are no law by name
+_POWERS = (1, 2, 3, 4)  # powers of the time near an end to which the velocity may be proportional
+_DEGREES = (0, 6)  # degrees of the polynomials between the ends
+_BACK = 0.02  # share of the peak velocity; a shape with a larger backward velocity is no rise
 _DOUBT = 1e3
-_LOOKS = 4  # for outliers, which lose their weight
-_MOST_ROWS = 400  # more are averaged in runs
+_LOOKS = 4  # number of fits, each after a search for outliers, which lose their weight
+_MOST_ROWS = 400  # a longer table is averaged over runs of rows
 
 Within = tuple[float, float] | None
 
@@ -106,7 +106,7 @@ def refuse_no_rise(cam: MeasuredCam, noise_m: float) -> None:
     Raises
     ------
     OptionError
-        Names the first row that falls: a law that goes back has no inverse.
+        If a row falls, because a law that goes back has no inverse; the error names the first one.
     """
     h = cam.h_m
     if len(h) > _FEW:
@@ -126,7 +126,7 @@ def refuse_no_rise(cam: MeasuredCam, noise_m: float) -> None:
         return
     low = int(fallen[0])
     top = int(np.flatnonzero(h[:low] >= highest[low] - 0.5 * _FALL * noise_m)[-1])
-    near = cam.h_m[max(top - 1, 0) : low]  # a median would flatten the peak
+    near = cam.h_m[max(top - 1, 0) : low]  # no medians near the peak, which they would flatten
     top = low - 1 - int(np.argmax(near[::-1] >= near.max() - 0.5 * _FALL * noise_m))
     degrees = np.degrees(cam.alpha_rad)
     raise OptionError(
@@ -154,8 +154,9 @@ def rise_of(
     noise. Beside a dwell the rise is too flat for its end to be visible in the rows. Both ends are
     therefore fitted, together with the shape of the rise, to all rows: each of the laws by name,
     and rises of free shape that leave their ends with the second to the fifth power of the time.
-    Every shape counts as much as it is probable for the rows. Without a dwell the table begins or
-    ends within the rise; then the end of the table is taken, and ``said`` reports it.
+    The weight of a shape is its probability given the rows. Without a dwell the table begins or
+    ends within the rise. Then the end of the table is taken as the end of the rise, and ``said``
+    reports it.
 
     Parameters
     ----------
@@ -216,13 +217,14 @@ def _ends(
     ends: tuple[float, float],
     free: tuple[bool, bool],
 ) -> tuple[tuple[float, float], tuple[Within, Within]]:
-    """Return the ends of the rise and an interval for each; ends that are not free stay.
+    """Return the two ends of the rise, and an interval for each end; only ``free`` ends are fitted.
 
     Each shape of rise (:func:`_shapes`) is fitted to the rows together with its ends. Its weight is
     the probability of the rows under it, with the integral over ends and coefficients by Laplace's
-    method: MacKay, "Bayesian interpolation", Neural Computation 4 (1992). The ends are the medians
-    of the weighted sum of the shapes' normal distributions, the intervals its quantiles, where the
-    shapes without a name count for at least a half: a law by name may explain the rows by chance.
+    method: MacKay, "Bayesian interpolation", Neural Computation 4 (1992). Each end is the median of
+    the weighted sum of the shapes' normal distributions, and its interval is given by quantiles of
+    that sum. For the intervals, the shapes that are no law by name get a weight of at least a half,
+    because a law by name may explain the rows by chance.
     """
     if not any(free):
         return ends, (None, None)
@@ -246,12 +248,12 @@ def _ends(
         if not outlying.any() or outlying.sum() > len(x) // 10:
             break
         deviation = np.where(outlying, 10.0 * _DOUBT * deviation, deviation)
-    # Rows that no shape explains within the noise: the noise is larger than said.
+    # If no shape explains the rows within the noise, the noise must be larger than given.
     scale = max(1.0, float(nearest.rest @ nearest.rest) / max(len(x) - 4, 1))
     likely = np.array([fit.likely - 0.5 * fit.squares / scale for fit in fits])
     likely[[not fit.rises for fit in fits]] = -np.inf
     weight = np.exp(likely - likely.max())
-    # A rise that a law by name explains may still have another shape.
+    # The true rise may have another shape, even if a law by name explains it.
     doubtful, named = weight / weight.sum(), len(LAWS)
     free_share = doubtful[named:].sum()
     if 0.0 < free_share < _FREE:
@@ -275,7 +277,8 @@ class _Shape:
 
     ``centre`` and ``spread`` are the mean and the standard deviation of the time, weighted with the
     velocity. ``risen`` returns (n, k) rises at (n,) times, one column for each coefficient; with
-    equal coefficients the polynomial is a constant. ``velocity`` (m, k) belongs to them.
+    equal coefficients the polynomial is a constant. ``velocity`` holds the (m, k) differences of
+    these rises at even times.
     """
 
     risen: Callable[[FloatArray], FloatArray]
@@ -286,7 +289,7 @@ class _Shape:
 
 @cache
 def _shapes() -> tuple[_Shape, ...]:
-    """Return the shapes of rise that a measured one may have."""
+    """Return the shapes of rise that are fitted to a measured rise."""
     t = np.linspace(0.0, 1.0, 201)
     made: list[Callable[[FloatArray], FloatArray]] = [
         *(partial(_named, each) for each in LAWS.values()),
@@ -323,8 +326,9 @@ def _polynomial(p: int, q: int, degree: int, t: FloatArray) -> FloatArray:
 class _Fit:
     """A shape fitted to rows: its ends, their covariance, and how well it explains the rows.
 
-    ``rest`` are the (n,) residuals over the noise, ``squares`` their sum of squares together with
-    the one of the coefficients; ``likely`` is the logarithm of the volume of ends and coefficients.
+    ``rest`` holds the (n,) residuals divided by the noise. ``squares`` is the sum of their squares
+    and of the squared deviations of the coefficients. ``likely`` is the logarithm of the volume of
+    ends and coefficients.
     """
 
     ends: tuple[float, float]
@@ -341,7 +345,7 @@ def _fitted(
 ) -> _Fit:  # fmt: skip
     """Return the fit of a shape to (n,) rows, with the ends ``which`` free.
 
-    Each coefficient is expected at the height of the rise, and off it by as much.
+    The prior of each coefficient is normal, with the height of the rise as mean and deviation.
     """
     from scipy.optimize import least_squares
 
@@ -356,7 +360,7 @@ def _fitted(
     coefficients = np.hstack((np.zeros((count, 1)), np.eye(count) / height))
 
     def placed(free: FloatArray) -> FloatArray:
-        """Return both ends for the free ones, counted in lengths of the rise from its centre."""
+        """Return both ends, from the free ends in lengths of the rise from its centre."""
         both = np.array(ends)
         both[which] = centre + length * free
         return both
@@ -383,7 +387,7 @@ def _fitted(
     solved = np.linalg.solve(r, q.T @ target)
     slopes = np.asarray(found.jac)
     curvature = slopes.T @ slopes
-    # Beforehand an end may be anywhere in the table, evenly.
+    # The prior of an end is uniform over the table.
     curvature += 12.0 * (length / (x[-1] - x[0])) ** 2 * np.eye(len(which))
     covariance = length**2 * np.linalg.inv(curvature)
     rest = missed(found.x)
@@ -408,7 +412,7 @@ def _quantiles(
 
     kept = weight > 1e-6 * weight.max()
     weight, middle, spread = weight[kept] / weight[kept].sum(), middle[kept], spread[kept]
-    # A narrow distribution among wide ones has samples of its own.
+    # Every distribution adds its own samples, so that a narrow one among wide ones is seen.
     steps = np.linspace(-6.0, 6.0, 241)
     at = np.unique(middle[:, None] + spread[:, None] * steps)
     below = ndtr((at[:, None] - middle) / spread) @ weight
@@ -418,7 +422,7 @@ def _quantiles(
 def _foot(x: FloatArray, y: FloatArray, noise: float) -> tuple[float, bool]:
     """Return ``x`` of the last row of the dwell at the beginning, and True.
 
-    Where the rows begin without a dwell it is ``x`` of the first row, and False.
+    If the rows begin without a dwell, return ``x`` of the first row, and False.
     """
     count = 0
     for k in range(_DWELL, len(x) + 1):

@@ -39,9 +39,9 @@ class ShortestMove:
         return 4.0 * self.jerk_s + 2.0 * self.push_s + self.cruise_s
 
     def __call__(self, time_s: FloatArray | float, order: int = 0) -> FloatArray:
-        """Return the (n,) derivative of ``order``, 0 to 2, at times; at rest before and after.
+        """Return (n,) the derivative of ``order`` 0 to 2 at (n,) times; at rest outside the move.
 
-        Each phase is a polynomial that starts from the exact end of the phase before it.
+        Each phase is a polynomial that starts at the exact end of the previous phase.
         """
         t = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
         jerk = self.acceleration_si / self.jerk_s if self.jerk_s > 0.0 else 0.0
@@ -74,10 +74,11 @@ def shortest_move(
 ) -> ShortestMove:
     """Return the shortest move over a distance within limits of velocity, acceleration and jerk.
 
-    A long move reaches all limits. A shorter one has no cruise, and a still shorter one does not
-    acceleration. If the jerk is so low that the velocity is reached before the
-    acceleration, no move reaches the acceleration. The formulas come from Biagiotti and
-    Melchiorri, *Trajectory Planning for Automatic Machines and Robots* (2008), section 3.4.
+    A long move reaches all limits. A shorter move has no phase of constant velocity, and a still
+    shorter move has no phase of constant acceleration. If the jerk limit is so low that a move
+    reaches the velocity limit before the acceleration limit, no move reaches the acceleration
+    limit. The formulas come from Biagiotti and Melchiorri, *Trajectory Planning for Automatic
+    Machines and Robots* (2008), section 3.4.
 
     >>> round(shortest_move(1.0, 0.5, 2.0).duration_s, 12)
     2.25
@@ -111,7 +112,8 @@ def shortest_move(
     push = max(velocity_si / peak - ramp, 0.0)
     top = velocity_si
     if top * (2.0 * ramp + push) > distance_si:
-        # No cruise: the phases of constant acceleration are shortened, then the phases of jerk.
+        # Without cruise, the phases of constant acceleration are shortened first, then those of
+        # jerk.
         if finite and distance_si < 2.0 * jerk_si * ramp**3:
             ramp = (distance_si / (2.0 * jerk_si)) ** (1.0 / 3.0)
             peak, push = jerk_si * ramp, 0.0

@@ -1,7 +1,8 @@
-"""Input shapers designed exactly, their robustness, and on/off commands.
+"""Exact designs of input shapers, their robustness, and shapers for on/off commands.
 
-Frequencies are undamped, V is normalised to one unit impulse, insensitivity is (f_hi - f_lo) / f
-at the tolerance, and the damping ratio is held while the frequency sweeps.
+Frequencies are undamped. The residual vibration V is normalised to the vibration of one unit
+impulse. Insensitivity is (f_hi - f_lo) / f at the tolerance. The damping ratio is constant over a
+frequency sweep.
 """
 
 from typing import TYPE_CHECKING

@@ -1,13 +1,14 @@
 r"""Shapers on trajectories: the exact convolution of piecewise polynomials with impulses.
 
-With q(t) the planned position, held before its start and after its end, the shaped one is
-:math:`y(t) = \sum_k A_k\, q(t - t_k)`: again piecewise polynomial, with a breakpoint for each
-delayed planned one, so nothing is sampled and the limits can be checked exactly.
+The shaped position is :math:`y(t) = \sum_k A_k\, q(t - t_k)`, where q(t) is the planned position,
+constant before its start and after its end. It is piecewise polynomial, too, with a breakpoint for
+each planned breakpoint and each impulse. So nothing is sampled, and the limits can be checked
+exactly.
 
 For a positive train that sums to 1, y and each of its derivatives are weighted means of q and its
-derivatives. Travel, velocity, acceleration and jerk limits are intervals, and an interval contains
-every mean of its members, so a positive shaper breaks none. Switched and negative trains may; the
-limits are checked again in either case.
+derivatives. Limits of travel, velocity, acceleration and jerk are intervals, and an interval
+contains every mean of its members, so a positive shaper breaks no limit. Unit-magnitude and
+negative trains may break limits. The limits are checked again in either case.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from threadline.motion.timing import Trajectory, TrajectoryBlock, check_limits
 
 _UNIT_SUM = 1e-9
 _PIECES = 2048
-"""Shaped pieces made at a time, whatever the blocks of the trajectory are."""
+"""Number of shaped pieces in a block; it does not depend on the blocks of the trajectory."""
 
 _COINCIDENT_S = 1e-12
 """Breakpoints closer than this, or than four roundings of the time, are merged."""
@@ -44,10 +45,10 @@ def shape_trajectory(
 ) -> Trajectory:
     """Convolve a trajectory with a shaper, or each axis with its own.
 
-    At every standstill that an operation other than a move needs (dwell, output, wait, stop) the
-    train is played to its end before the next move begins, so that these find the machine at
-    rest; all other moves run into each other. The shaped trajectory is longer by the duration of
-    the train, and by that much again for each of these rests.
+    At a standstill for an operation other than a move (dwell, output, wait, stop), the train is
+    played to its end before the next move begins, so that the operation finds the machine at rest.
+    All other moves run into each other. The shaped trajectory is longer by the duration of the
+    train, and by the same duration for each of these rests.
 
     Parameters
     ----------
@@ -98,16 +99,16 @@ def longest_delay_s(
     centroid_shift: bool = False,
     tick_s: float | None = None,
 ) -> float:
-    """Return what :func:`shape_trajectory` adds at the end, and at every rest, s."""
+    """Return the time that :func:`shape_trajectory` adds at the end, and at every rest, s."""
     return float(_trains(axes, shaper, tick_s, centroid_shift=centroid_shift).delay_s[-1])
 
 
 def on_tick_grid(shaper: Shaper, tick_s: float) -> Shaper:
     """Return the train with every impulse shared between the two ticks beside it.
 
-    Shares follow linear interpolation: sum and centroid stay exactly as they were, and V
-    changes by at most (2 pi f tick)^2 / 8 of the impulse. To place impulses and solve their
-    amplitudes again for the modes, use :func:`threadline.motion.shaping.realise`.
+    The shares follow from linear interpolation, so that sum and centroid are unchanged. V changes
+    by at most (2 pi f tick)^2 / 8 times the impulse. :func:`threadline.motion.shaping.realise`
+    moves the impulses, and can solve their amplitudes again for the modes.
 
     Raises
     ------
@@ -203,7 +204,7 @@ def _convolved(trajectory: Trajectory, trains: _Trains) -> Iterator[TrajectoryBl
         held = joined(held, fresh)
         yield from _pieces_until(held, trains, done, held.end_s, final=False)
         first = int(np.searchsorted(held.start_s + held.duration_s, done.time_s - longest - 1e-9))
-        # One piece more: the one before the first breakpoint still to come.
+        # One more piece is kept: the piece before the first breakpoint that is not finished.
         held = held.rows(max(0, first - 1), len(held))
     if held is not None:
         end_s = held.end_s
@@ -212,7 +213,7 @@ def _convolved(trajectory: Trajectory, trains: _Trains) -> Iterator[TrajectoryBl
 
 
 def _standing(pieces: Pieces, *, begin: bool, longest: float) -> Pieces:
-    """Return one piece that stands at the start, or the end, of the trajectory."""
+    """Return one piece at rest at the start or at the end of the trajectory."""
     length = longest + 1.0
     coefficients = np.zeros((1, 1, pieces.coefficients.shape[2]))
     coefficients[0, 0] = pieces.coefficients[0, 0] if begin else pieces.coefficients[-1].sum(axis=0)
@@ -229,7 +230,7 @@ def _standing(pieces: Pieces, *, begin: bool, longest: float) -> Pieces:
 
 @dataclass(slots=True)
 class _Done:
-    """How far the shaped trajectory has been made."""
+    """Instants up to which the shaped trajectory is finished, s."""
 
     time_s: float = 0.0
     edge_s: float = 0.0
@@ -248,13 +249,13 @@ def _pieces_until(
 def _edges(
     held: Pieces, delay_s: FloatArray, done: _Done, until_s: float, *, final: bool
 ) -> FloatArray:
-    """Return the breakpoints after the finished part, its last breakpoint first.
+    """Return (n,) breakpoints, s: the last one of the finished part, and those after it.
 
-    Of breakpoints that fall together the first counts. All up to ``until_s`` are known, so it
-    makes no difference how the trajectory is cut into blocks.
+    Of breakpoints that coincide only the first is kept. All breakpoints up to ``until_s`` are
+    known, so the result does not depend on the blocks of the trajectory.
     """
     still = held.still
-    # Nothing happens between two standing pieces.
+    # The joint of two pieces at rest is no breakpoint.
     bends = np.concatenate([[False], ~(still[1:] & still[:-1])])
     source = held.start_s[bends]
     edges = np.add.outer(source, delay_s).ravel()
@@ -298,8 +299,8 @@ def _piece_at(held: Pieces, time_s: FloatArray) -> IntArray:
 def _shifted(coefficients: FloatArray, begin: FloatArray, scale: FloatArray) -> FloatArray:
     """Return (n, order, axes) the polynomials in v, where u = begin + scale v.
 
-    Each coefficient keeps its relative accuracy however short the new piece is, because the scale
-    is taken out as a factor.
+    Each coefficient keeps its relative accuracy even for a very short new piece, because powers of
+    ``scale`` are factors of the coefficients.
     """
     order = coefficients.shape[1]
     result = np.zeros_like(coefficients)
@@ -312,11 +313,11 @@ def _shifted(coefficients: FloatArray, begin: FloatArray, scale: FloatArray) -> 
 
 
 def _operations(held: Pieces, centroid_s: float, done: _Done, middle: FloatArray) -> IntArray:
-    """Return the operation at the centroid, or the operation that began after a rest."""
+    """Return (n,) operations: at the centroid of the train, but not before the latest rest."""
     runs = np.concatenate([[done.run_s], held.start_s[held.run == 1]])
     runs = np.sort(runs)
     begun = runs[np.maximum(np.searchsorted(runs, middle, side="right") - 1, 0)]
     done.run_s = max(done.run_s, float(begun[-1]))
-    # A rounding beyond the start, so that it falls into the piece that starts there.
+    # A rounding is added, so that the instant falls into the piece that starts there.
     inside = begun + 4.0 * np.spacing(np.abs(begun))
     return held.operation[_piece_at(held, np.maximum(middle - centroid_s, inside))]

@@ -1,14 +1,16 @@
 """Shapers in closed form: zero vibration, and extra-insensitive ones with any number of humps.
 
-V is zero at k + 1 frequencies and reaches the tolerance, flat, between each two of them; for
-odd k the modelled frequency is the middle peak, for even k the middle zero. Positive trains
-have k + 2 impulses, amplitudes and times both unknown; unit-magnitude and negative trains have
-2 k + 3 impulses of given amplitudes. Either way there are as many equations as unknowns.
-Undamped positive designs are Dolph-Chebyshev trains and known in closed form; everything else
-is followed from an undamped seed.
+With k humps, V is zero at k + 1 frequencies, and has a maximum at the tolerance between each two of
+them. The modelled frequency is at the middle maximum for odd k, and at the middle zero for even k.
+Positive trains have k + 2 impulses with unknown amplitudes and times. Unit-magnitude and negative
+trains have 2 k + 3 impulses with given amplitudes and unknown times. In both cases there are as
+many equations as unknowns. Undamped positive designs are Dolph-Chebyshev trains, which have a
+closed form. All other designs are found from an undamped design, by continuation in the damping
+ratio and the other parameters.
 
-Source: Singhose, Seering and Singer, "Input shaping for vibration reduction with specified
-insensitivity to modeling errors" (1996), curve fits; valid to damping ratios of 0.3 and 0.2.
+Source of the curve fits in ``fitted_humps``: Singhose, Seering and Singer, "Input shaping for
+vibration reduction with specified insensitivity to modeling errors" (1996). The fits are valid to
+damping ratios of 0.3 for two humps and 0.2 for three humps.
 """
 
 from __future__ import annotations
@@ -32,11 +34,11 @@ _LESS_DAMPED = (0.97, 0.94, 0.9, 0.8)
 _LAST_ZERO = (1.0, 1.3, 1.7, 2.2, 3.0)
 _MOST_ROUNDS = 300
 
-# Undamped unit-magnitude trains at 5 %: times after the first, in periods, then the unknown
-# zeros and peaks relative to the modelled frequency. Five digits, to be finished by Newton.
-# One hump: the shortest root that a search from 1500 random symmetric starts found. Two humps:
-# the train that Pao and Singhose's published example (3.04 Hz, damping 0.17) leads back to; that
-# it is the shortest is not proved.
+# Undamped unit-magnitude trains with a tolerance of 5 %: times after the first, in periods, then
+# the unknown zeros and maxima over the modelled frequency. Newton's method starts from these five
+# digits. One hump: the shortest solution in a search from 1500 random symmetric starts. Two humps:
+# the undamped train to which the published example of Pao and Singhose (3.04 Hz, damping 0.17)
+# leads by continuation; there is no proof that it is the shortest.
 _UNIT_MAGNITUDE_HUMPS_SEEDS = {
     1: (0.09408, 0.36837, 0.64266, 0.73673, 0.87037, 1.12276),
     2: (0.05996, 0.40099, 0.59323, 0.78546, 1.12649, 1.18645, 0.70318, 1.26911, 0.83556, 1.15593),
@@ -52,7 +54,7 @@ class Humps:
     amplitudes, times
         Shape ``(n,)``; times in undamped periods.
     zeros, peaks
-        Relative frequencies where V is 0, shape ``(k + 1,)``, and where it peaks, ``(k,)``.
+        Relative frequencies of the zeros of V, shape ``(k + 1,)``, and of its maxima, ``(k,)``.
     """
 
     amplitudes: FloatArray
@@ -67,7 +69,7 @@ def _unpack(x: FloatArray, humps: int, amplitudes: FloatArray | None) -> Humps:
     rest = x[n - 1 :]
     if amplitudes is None:
         amplitudes, rest = rest[:n], rest[n:]
-    # The middle zero (even k) or peak (odd k) is the modelled frequency: no unknown.
+    # The middle zero (even k) or maximum (odd k) is at the modelled frequency, and no unknown.
     unknown_zeros = humps + humps % 2
     zeros, peaks = rest[:unknown_zeros], rest[unknown_zeros:]
     if humps % 2:
@@ -105,11 +107,12 @@ def _system(humps: int, zeta: float, tolerance: float, amplitudes: FloatArray | 
 
 
 def chebyshev_seed(humps: int, tolerance: float) -> FloatArray:
-    """Unknowns of the undamped positive design, exact.
+    """Return the unknowns of the undamped positive design, exactly.
 
-    Impulses every half period make V = tolerance |T_m(x0 cos(pi f / 2))|, m = humps + 1, with
-    T_m(x0) = 1 / tolerance because V(0) = 1 (Dolph 1946, for antennas; the one- and two-hump
-    cases are the closed forms of Singhose, Seering and Singer 1994).
+    With impulses every half period, V = tolerance |T_m(x0 cos(pi f / 2))|, where m = humps + 1 and
+    T_m is the Chebyshev polynomial. V(0) = 1 gives T_m(x0) = 1 / tolerance. Source: Dolph (1946),
+    for antennas; for one and two humps these are the closed forms of Singhose, Seering and Singer
+    (1994).
     """
     m = humps + 1
     x0 = math.cosh(math.acosh(1.0 / tolerance) / m)
@@ -126,12 +129,12 @@ def chebyshev_seed(humps: int, tolerance: float) -> FloatArray:
 
 
 def positive_humps(humps: int, zeta: float, tolerance: float) -> Humps:
-    """EI shaper of ``humps`` humps; see the module for the equations.
+    """Return the EI shaper with ``humps`` humps; the docstring of the module has the equations.
 
     Raises
     ------
     ShaperError
-        If the continuation in the damping ratio loses the solution, and none is found from there.
+        If the continuation in the damping ratio loses the solution, and no other solution is found.
     """
     what = f"{humps}-hump EI shaper, damping {zeta:g}, tolerance {tolerance:g}"
     try:
@@ -155,10 +158,11 @@ def _damped(humps: int, zeta: float, tolerance: float, what: str) -> FloatArray:
 
 
 def _beyond(humps: int, zeta: float, tolerance: float, what: str) -> Humps | None:
-    """Look for a design where the followed one is lost; None if none is found.
+    """Return a design for a damping ratio at which the continuation fails; None if not found.
 
-    With much damping the last zero of V runs away to high frequencies, too fast to be followed.
-    So a solution of less damping is the seed, with its last zero moved up by several factors.
+    With much damping, the last zero of V moves to high frequencies faster than the continuation can
+    follow. So the search starts from a solution with less damping, whose last zero is multiplied by
+    several factors.
     """
     from scipy.optimize import least_squares
 
@@ -169,7 +173,7 @@ def _beyond(humps: int, zeta: float, tolerance: float, what: str) -> Humps | Non
             break
     if near is None:
         return None
-    # The unknowns end with the zeros, without a middle one that is fixed, and the peaks likewise.
+    # The last unknowns are the zeros, then the maxima, both without a fixed middle one.
     last = len(near) - (humps - humps % 2) - 1
     system = _system(humps, zeta, tolerance, None)
 
@@ -193,7 +197,7 @@ def _beyond(humps: int, zeta: float, tolerance: float, what: str) -> Humps | Non
                 max_nfev=_MOST_ROUNDS,
             ).x
             found = _unpack(np.asarray(x, dtype=np.float64), humps, None)
-            # Zeros and peaks take turns; two of them on one frequency are no hump.
+            # Zeros and maxima must alternate; a zero and a maximum at one frequency are no hump.
             between = np.empty(2 * humps + 1)
             between[::2], between[1::2] = found.zeros, found.peaks
             sound = (
@@ -208,9 +212,10 @@ def _beyond(humps: int, zeta: float, tolerance: float, what: str) -> Humps | Non
 
 
 def switched_humps(humps: int, zeta: float, tolerance: float, amplitudes: FloatArray) -> Humps:
-    """Hump design with given amplitudes, 2 humps + 3 of them, alternating in sign, sum 1.
+    """Return the design with (2 humps + 3,) given amplitudes of alternating sign and sum 1.
 
-    The unit-magnitude seed is led to the amplitudes, then to the tolerance, then to the damping.
+    The continuation goes from the unit-magnitude seed to the amplitudes, then to the tolerance,
+    then to the damping ratio.
 
     Raises
     ------
@@ -248,7 +253,7 @@ def switched_humps(humps: int, zeta: float, tolerance: float, amplitudes: FloatA
 
 
 def alternating(n: int) -> FloatArray:
-    """+1 -1 +1 ... of odd length: the amplitudes of a unit-magnitude train."""
+    """Return (n,) +1, -1, ... +1, n odd: the amplitudes of a unit-magnitude train."""
     return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)
 
 
@@ -265,9 +270,9 @@ def _decay(zeta: float, damped_periods: float) -> float:
 
 
 def binomial(order: int, zeta: float) -> Train:
-    """ZV (order 0), ZVD (1), ZVDD (2): the ZV pair convolved with itself ``order`` times.
+    """Return ZV (order 0), ZVD (1) or ZVDD (2): ZV convolved with itself ``order`` times.
 
-    Singer and Seering (1990). V and its first ``order`` derivatives vanish at the mode.
+    V and its first ``order`` derivatives are 0 at the mode. Source: Singer and Seering (1990).
     """
     n = order + 2
     k = _decay(zeta, 0.5)
@@ -278,18 +283,18 @@ def binomial(order: int, zeta: float) -> Train:
 
 
 def modified_zv(zeta: float, n: int = 3, lasts: float = 0.75) -> Train:
-    """MZV: ``n`` impulses evenly over ``lasts`` damped periods, so that V is 0 at the mode.
+    """Return MZV: ``n`` evenly spaced impulses over ``lasts`` damped periods; V is 0 at the mode.
 
-    The undamped train is a polynomial in z whose n - 1 roots lie on the unit circle, evenly from
-    the angle 2 pi ``lasts`` / (n - 1) to its conjugate: zeros of V at the mode, and above it at
-    steps of (n - 1 - 2 ``lasts``) / (``lasts`` (n - 2)) of its frequency. With three impulses
-    over 3/4 of a period it is 1 + sqrt(2) z + z^2.
+    The undamped train is a polynomial in z. Its n - 1 roots lie on the unit circle, evenly spaced
+    from the angle 2 pi ``lasts`` / (n - 1) to its conjugate. They are zeros of V at the mode and
+    above it, in steps of (n - 1 - 2 ``lasts``) / (``lasts`` (n - 2)) times its frequency. For three
+    impulses over 3/4 of a period the polynomial is 1 + sqrt(2) z + z^2.
 
     Raises
     ------
     OptionError
-        If there are fewer than 3 impulses; within half a period some would be negative, and from
-        (n - 1) / 2 periods on the zeros of V meet.
+        If there are fewer than 3 impulses, if ``lasts`` is below 0.5, where some impulses would be
+        negative, or if it is (n - 1) / 2 or more, where zeros of V coincide.
     """
     if n < 3:
         raise OptionError(f"mzv: n must be at least 3, got {n}")
@@ -319,15 +324,16 @@ def _zero_system(order: int, zeta: float, amplitudes: FloatArray) -> System:
     return evaluate
 
 
-# Undamped unit-magnitude trains: a sixth and a third of a period for ZV (exact); for ZVD, to
-# five digits, the root that the one-hump train tends to as its tolerance goes to 0.
+# Undamped unit-magnitude trains, times after the first in periods. ZV is exact: a sixth and a third
+# of a period. ZVD has five digits: the limit of the one-hump train for a tolerance of 0.
 _UNIT_MAGNITUDE_SEEDS = {0: (1.0 / 6.0, 1.0 / 3.0), 1: (0.08951, 0.36623, 0.64296, 0.73247)}
 
 
 def switched_zero(order: int, zeta: float, amplitudes: FloatArray) -> Train:
-    """ZV (order 0, 3 impulses) or ZVD (order 1, 5) with given alternating amplitudes, sum 1.
+    """Return ZV (order 0, 3 impulses) or ZVD (order 1, 5) with given amplitudes.
 
-    The undamped unit-magnitude train is led to the amplitudes, then to the damping.
+    The amplitudes alternate in sign and sum to 1. The continuation goes from the undamped
+    unit-magnitude train to the amplitudes, then to the damping ratio.
 
     Raises
     ------
@@ -385,7 +391,10 @@ _FITTED = {
 
 
 def fitted_humps(humps: int, damping_ratio: float) -> tuple[FloatArray, FloatArray]:
-    """Return times in periods and amplitudes of the shaper with 2 or 3 humps, 4 or 5 of each."""
+    """Return (n,) times in undamped periods and (n,) amplitudes: n = 4 for 2 humps, 5 for 3.
+
+    Source: the curve fits of Singhose, Seering and Singer (1996) at a tolerance of 5 %.
+    """
     powers = damping_ratio ** np.arange(4)
     periods, weights = (np.array(table) @ powers for table in _FITTED[humps])
     return periods, weights

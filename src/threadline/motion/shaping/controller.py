@@ -1,10 +1,10 @@
-"""A shaper as a real controller plays it, and the vibration that this costs over its band.
+"""A shaper as a real controller plays it, and the increase of vibration over the design band.
 
-A PLC switches on its scan, a valve needs time between two switchings, a program has room for a
-limited number of impulses. The train is moved onto whole ticks by
-:mod:`threadline.motion.shaping.rounding`, with the amplitudes solved again if the machine can set
-them. The cost of the grid is given over the design band of the kind, beside the result of rounding
-to the nearest ticks.
+A PLC switches only at its scans, a valve needs time between two switchings, and a program has room
+for a limited number of impulses. :mod:`threadline.motion.shaping.rounding` moves the impulses onto
+whole ticks. If the machine can set amplitudes, they are solved again. The results are the worst V
+over the design band for the exact train, for the train rounded to the nearest ticks, and for the
+realised train.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from threadline.motion.shaping.robustness import insensitivity
 from threadline.motion.shaping.rounding import Band, TickGrid, on_ticks, seconds, with_amplitudes
 from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
 
-_NONE = 1e-12  # an amplitude that counts as 0
-_ABOUT = 0.1  # of the tolerance, or of the least: trains within it count as equal
-_WIDER = 0.01  # a band must be wider by this to be preferred
+_NONE = 1e-12  # largest amplitude that counts as 0
+_ABOUT = 0.1  # share of the tolerance or of the least V: smaller differences of V count as equal
+_WIDER = 0.01  # difference by which a band must be wider to be preferred
 _LOOKED_AT = 24
 _FINER = 4
 _CHOICES = 400
 _SILENT = 1e-6
-_LONGEST = 100  # ticks or dwells beyond this many trains leave nothing of the shaping
+_LONGEST = 100  # largest tick or dwell, in durations of train and slowest period
 _MOST_TICKS = 1e12
 
 
@@ -42,13 +42,13 @@ class ControllerLimits:
     Parameters
     ----------
     tick_s
-        Every impulse falls on a whole number of these, s.
+        Tick of the controller, s; every impulse falls on a whole tick.
     dwell_s
         Shortest time between two switchings, s; 0 for none.
     max_impulses
-        Longest train, or None.
+        Largest number of impulses; None for no limit.
     amplitudes_free
-        True if amplitudes can be set anew (flow valves); False keeps them (on/off valves).
+        Whether the amplitudes may be changed (flow valves); False for on/off valves.
     """
 
     tick_s: float
@@ -145,10 +145,11 @@ def realise(
 ) -> Realised:
     """Fit ``shaper`` to a controller with the least worst V over the band of every mode.
 
-    The result is never worse over the bands than the times rounded to the nearest ticks. It keeps
-    the tolerance over a narrower band only where the worst V shrinks by a greater share. With
-    ``max_impulses``, positive trains lose their smallest impulse, others the closest pair of
-    opposite ones, one at a time. Impulses that round to the same tick are merged.
+    Over the bands the result is never worse than the train rounded to the nearest ticks. It keeps
+    the tolerance over a narrower band only if the worst V shrinks by a larger share. If there are
+    more than ``max_impulses``, a positive train loses its smallest impulse, and any other train its
+    closest pair of opposite impulses, until the number is reached. Impulses that round to the same
+    tick are merged.
 
     Parameters
     ----------
@@ -168,9 +169,9 @@ def realise(
     Raises
     ------
     OptionError
-        If there is no mode, or a time of the controller is far too long for them.
+        If there is no mode, or a time of the controller is far too long or too short for the train.
     ShaperError
-        If the train cannot be cut to that few impulses.
+        If the train cannot be reduced to ``max_impulses`` impulses.
     """
     if not modes:
         raise OptionError("controller: at least one mode is needed to judge the train by")
@@ -197,7 +198,7 @@ def realise(
         of_merged = exact if len(apart) == len(nearest[1]) else nearest[1].astype(np.float64)
         found = [(nearest[0], t) for t in on_ticks(*nearest, of_merged, gap, grid)]
         if len(apart) > len(nearest[1]):
-            # Some nearest ticks coincide: such impulses are merged, or pushed apart.
+            # If nearest ticks coincide, trains with merged and with separated impulses are tried.
             found += [(amplitudes, t) for t in on_ticks(amplitudes, apart, exact, gap, grid)]
     made = _widest(train(*nearest), [train(*pair) for pair in found], bands)
     return _priced(shaper, train(*nearest), made, bands, limits)
@@ -245,11 +246,12 @@ def _width(train: Shaper, band: Band) -> float:
 
 
 def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) -> Shaper:
-    """Return the train with the widest bands among the trains with about the least V over them.
+    """Return the train with the widest band among the trains with nearly the least V.
 
-    A train must not exceed the nearest ticks' V and its tolerance over a band. The band over which
-    it keeps the tolerance may be narrower than the band of the nearest ticks, but by a smaller
-    share than V shrinks. Trains are given with the best of their kind first.
+    Over a band, V of a train must not exceed both the tolerance and V of ``nearest``, the train on
+    the nearest ticks. The band over which a train keeps the tolerance may be narrower than the band
+    of ``nearest``, but only by a smaller share than V shrinks. ``trains`` are in order of their
+    cost, the best first.
     """
 
     def over(train: Shaper) -> FloatArray:
@@ -267,14 +269,14 @@ def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) ->
     floor = np.array([_width(nearest, band) for band in bands])
 
     def wide_enough(widths: FloatArray, share: float, slack: float) -> bool:
-        # Below the tolerance a smaller V makes up for nothing: the band is kept whole.
+        # If V is within the tolerance, a smaller V does not justify a narrower band.
         needed = floor * min(1.0, max(share, 1.0) / max(most, 1.0))
         return bool(np.all(widths >= needed * (1.0 - slack)))
 
     about = {
         k: np.array([_width_on_samples(trains[k], band, nearest) for band in bands]) for k in shares
     }
-    # A width from samples is exact to one sample distance; exact widths decide below.
+    # A width from samples is accurate to one sample distance; the decision below uses exact widths.
     likely = [k for k in shares if wide_enough(np.minimum(about[k], floor), shares[k], 0.1)]
     if not likely:
         return nearest
@@ -301,7 +303,7 @@ def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) ->
 
 
 def _width_on_samples(train: Shaper, band: Band, nearest: Shaper) -> float:
-    """Return the approximate width of the band that keeps its tolerance, as a share of it."""
+    """Return about the width of the band in which V keeps the tolerance, over the frequency."""
     f = band.samples_hz(nearest.duration_s, finer=_FINER)
     loud = f[_over(train, band, nearest.duration_s) > band.tolerance]
     own = band.mode.frequency_hz
@@ -309,7 +311,7 @@ def _width_on_samples(train: Shaper, band: Band, nearest: Shaper) -> float:
 
 
 def _over(train: Shaper, band: Band, duration_s: float) -> FloatArray:
-    """Return V over a band, sampled so finely that its worst value is right to a thousandth."""
+    """Return V over a band, with samples so fine that its largest value is accurate to 0.1 %."""
     f = band.samples_hz(duration_s, finer=_FINER)
     return residual_vibration(train, f, band.mode.damping_ratio)
 
@@ -357,7 +359,7 @@ def _fewer(shaper: Shaper, limits: ControllerLimits, gap: int) -> list[IntArray]
 
 
 def _merged(amplitudes: FloatArray, ticks: IntArray, gap: int) -> tuple[FloatArray, IntArray]:
-    """Merge impulses on one tick; if they must keep a distance, push them later."""
+    """Merge impulses on one tick; with a ``gap`` above 1, shift impulses to later ticks instead."""
     if gap > 1:
         return amplitudes, _spaced(ticks, gap)
     starts = np.concatenate(([0], np.flatnonzero(np.diff(ticks)) + 1))
@@ -372,7 +374,7 @@ def _thinned(shaper: Shaper, limits: ControllerLimits) -> tuple[FloatArray, Floa
     most = limits.max_impulses
     while most is not None and len(a) > most:
         if bool(np.all(a >= 0.0)):
-            # An inner impulse is shared by its neighbours so that its time stays the centroid.
+            # The neighbours share an inner impulse, such that the centroid stays unchanged.
             i = 1 + int(np.argmin(a[1:-1]))
             share = (t[i + 1] - t[i]) / (t[i + 1] - t[i - 1])
             a[i - 1] += share * a[i]
@@ -391,7 +393,7 @@ def _thinned(shaper: Shaper, limits: ControllerLimits) -> tuple[FloatArray, Floa
 
 
 def _spaced(ticks: IntArray, gap: int) -> IntArray:
-    """Push impulses later until they keep their distance; a cumulative maximum does it."""
+    """Shift impulses to later ticks until neighbours are at least ``gap`` ticks apart."""
     ramp = np.arange(len(ticks)) * gap
     spaced: IntArray = np.maximum.accumulate(ticks - ramp) + ramp
     return spaced

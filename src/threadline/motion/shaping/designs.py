@@ -1,9 +1,10 @@
 """Design shapers of every kind for one mode, convolve them, and prove them by simulation.
 
-A train that serves two modes lasts about a period of the slower one, and places its impulses within
-a hundredth of a period of the faster one. A grid for both grows with their ratio, while the gain of
-a joint design shrinks with it: convolving two trains adds at most the shorter one's duration. So
-modes far apart get trains of their own.
+A train for two modes takes about a period of the slower mode, and its impulses must be accurate to
+a hundredth of a period of the faster mode. So the grid of a joint design grows with the ratio of
+the frequencies. The gain of a joint design shrinks with this ratio, because convolution adds at
+most the duration of the shorter train. So modes that are far apart get separate trains, which are
+convolved.
 
 The proof uses no formula of input shaping. A unit step is cut into the levels that the shaper
 makes of it, x'' + 2 zeta omega x' + omega^2 x = omega^2 u is integrated from switching to switching
@@ -41,7 +42,7 @@ from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
 from threadline.units import parse_quantity
 
 MOST_APART = 1e3
-"""Largest ratio of the fastest mode to the slowest: modes of one machine are closer."""
+"""Largest ratio of the highest to the lowest frequency; modes of one machine are closer."""
 
 
 def check_apart(modes: Sequence[FlexibleMode]) -> None:
@@ -50,7 +51,7 @@ def check_apart(modes: Sequence[FlexibleMode]) -> None:
     Raises
     ------
     OptionError
-        If the fastest is more than ``MOST_APART`` times as fast as the slowest.
+        If the highest frequency is more than ``MOST_APART`` times the lowest.
     """
     found = sorted(mode.frequency_hz for mode in modes)
     if found and found[-1] > MOST_APART * found[0]:
@@ -62,7 +63,7 @@ def check_apart(modes: Sequence[FlexibleMode]) -> None:
 
 
 def groups(modes: Sequence[FlexibleMode], ratio: float) -> Iterator[list[int]]:
-    """Yield the indices of modes that follow each other within ``ratio``, the slowest first."""
+    """Yield groups of indices, lowest frequency first; in a group neighbours are within a ratio."""
     order = sorted(range(len(modes)), key=lambda k: modes[k].frequency_hz)
     group = order[:1]
     for slower, faster in pairwise(order):
@@ -75,10 +76,11 @@ def groups(modes: Sequence[FlexibleMode], ratio: float) -> Iterator[list[int]]:
 
 
 COINCIDENT_S = 1e-12
-"""Impulses closer than this are merged: far below any tick, far above rounding."""
+"""Impulses closer than this are merged; it is far below any tick and far above rounding."""
 
 MOST_IMPULSES = 10_000
-"""Impulse counts multiply: without a bound, a few modes too many take minutes."""
+"""Largest number of impulses: convolution multiplies numbers, and would take minutes without a
+bound."""
 
 
 def convolve(*shapers: Shaper, name: str = "") -> Shaper:
@@ -87,9 +89,9 @@ def convolve(*shapers: Shaper, name: str = "") -> Shaper:
     Parameters
     ----------
     *shapers
-        At least one; a single one is returned unchanged.
+        At least one shaper; a single shaper keeps its impulses.
     name
-        Name of the result; the names joined by ``*`` if empty.
+        Name of the result; if empty, the names of the shapers joined by ``*``.
 
     Raises
     ------
@@ -121,11 +123,12 @@ def convolve(*shapers: Shaper, name: str = "") -> Shaper:
 
 
 PROOF_TOLERANCE = 1e-9
-"""Designs are solved to 1e-10; expm and up to 20 switchings add rounding well below 1e-9."""
+"""Largest difference from the simulation: designs are solved to 1e-10, and expm over up to 20
+switchings adds rounding well below 1e-9."""
 
 
 def simulated_vibration(shaper: Shaper, frequency_hz: float, damping_ratio: float) -> float:
-    """Ringing left by a shaped unit step, relative to that left by a plain one.
+    """Return the ringing after a shaped unit step, relative to the ringing after a plain step.
 
     Parameters
     ----------
@@ -137,14 +140,14 @@ def simulated_vibration(shaper: Shaper, frequency_hz: float, damping_ratio: floa
     Returns
     -------
     float
-        Envelope of the deviation from rest at the last switching, divided by the plain step's at
-        its own switching.
+        Envelope of the deviation from rest at the last switching, divided by the envelope of the
+        plain step at its switching.
     """
     omega = 2.0 * math.pi * frequency_hz
-    # State (x, x'/omega, u): with u included, a single exponential is enough.
+    # The state is (x, x'/omega, u); because it includes u, a single matrix exponential is enough.
     matrix = omega * np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * damping_ratio, 1.0], [0.0, 0.0, 0.0]])
     steps = np.diff(shaper.times_s)
-    from scipy.linalg import expm  # slow to import, and few shapers are checked so
+    from scipy.linalg import expm  # slow to import, and seldom needed
 
     transitions = expm(matrix * steps[:, None, None]) if len(steps) else np.empty((0, 3, 3))
     state = np.zeros(3)
@@ -157,7 +160,7 @@ def simulated_vibration(shaper: Shaper, frequency_hz: float, damping_ratio: floa
 
 
 def _envelope(deviation: float, rate_over_omega: float, damping_ratio: float) -> float:
-    """Amplitude of a damped ringing from its deviation and its rate over omega."""
+    """Return the amplitude of a damped ringing from its deviation and its velocity over omega."""
     quadrature = (rate_over_omega + damping_ratio * deviation) / math.sqrt(1 - damping_ratio**2)
     return math.hypot(deviation, quadrature)
 
@@ -179,9 +182,9 @@ def prove(
     frequency_hz
         Undamped frequencies to simulate, Hz, shape ``(m,)``.
     damping_ratio
-        Held for all of them.
+        Damping ratio of all modes, in [0, 1).
     expected
-        Vibration that the design claims at each, shape ``(m,)``.
+        Vibration of the design at each frequency, shape ``(m,)``.
     at_most
         True if ``expected`` is an upper bound and not a value.
 
@@ -211,7 +214,7 @@ _BAND_SAMPLES = 15
 
 
 class ShaperKind(StrEnum):
-    """Kinds made for one mode; the words of the command line."""
+    """Kinds of shapers for one mode, by their names on the command line."""
 
     ZV = "zv"
     MZV = "mzv"
@@ -245,7 +248,7 @@ _SWITCHED_HUMPS = {
     ShaperKind.NEGATIVE_2EI: 2,
 }
 UNIT_MAGNITUDE = (ShaperKind.UM_ZV, ShaperKind.UM_ZVD, ShaperKind.UM_EI, ShaperKind.UM_2EI)
-"""Kinds whose step is only ever 0 or 1: for valves."""
+"""Kinds whose shaped step is always 0 or 1, as on/off valves need."""
 
 
 def design(
@@ -266,7 +269,7 @@ def design(
         Undamped frequency, Hz, and damping ratio: in [0, 0.3), or in [0, 0.99) for the kinds in
         closed form, ZV, MZV, ZVD and ZVDD.
     tolerance
-        Height of the humps of the EI kinds, in (0, 0.5); the others ignore it.
+        Height of the humps of the EI kinds, in (0, 0.5); other kinds ignore it.
     over_level
         Bound P of the partial sums of the negative kinds, amplitudes P, -2P, 2P ... 1 + P:
         Singhose, Singer and Seering (1997), "Time-optimal negative input shapers", JDSMC 119.
@@ -329,8 +332,9 @@ _MOST_OF_MZV = 32
 def mzv_shape(word: str) -> tuple[int, float] | None:
     """Return n and t of ``mzv(n=4,t=0.9)`` as Klipper reads it; None for any other word.
 
-    ``n`` impulses (default 3) last ``t`` damped periods (default 0.75); with ``tau`` for ``t`` a
-    train of infinitely many would last that long. Values without names come in this order.
+    ``n`` impulses (default 3) take ``t`` damped periods (default 0.75). With ``tau`` in place of
+    ``t``, a train with infinitely many impulses would take ``tau`` periods. Values without names
+    are n, t, tau in this order.
 
     Raises
     ------
@@ -396,7 +400,7 @@ def _proved_humps(kind: ShaperKind, mode: FlexibleMode, humps: Humps, tolerance:
     named = np.concatenate((humps.zeros, humps.peaks))
     claims = np.concatenate((np.zeros(len(humps.zeros)), np.full(len(humps.peaks), tolerance)))
     prove(shaper, named * mode.frequency_hz, mode.damping_ratio, claims)
-    # Between the zeros V must not exceed the humps asked for.
+    # Between the zeros V must not exceed the requested height of the humps.
     band = np.linspace(humps.zeros[0], humps.zeros[-1], _BAND_SAMPLES) * mode.frequency_hz
     return prove(shaper, band, mode.damping_ratio, np.full(_BAND_SAMPLES, tolerance), at_most=True)
 
@@ -422,7 +426,7 @@ def parse_shaper(text: str, tick_s: float | None = None) -> Shaper | dict[str, S
         If the text cannot be read, no such shaper can be designed, or a mode lies above half the
         rate of the ticks, so that no reference can excite it.
     """
-    # A comma within brackets belongs to the parameters of a kind.
+    # A comma in brackets separates parameters of a kind, not axes.
     parts = [part.strip() for part in re.split(r",(?![^()]*\))", text)]
     named = [re.fullmatch(r"([A-Z])\s*=\s*(.+)", part) for part in parts]
     if not any(named) and len(parts) == 1:

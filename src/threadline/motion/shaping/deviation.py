@@ -1,10 +1,10 @@
 """Deviation of a shaped motion from its path, and the rests that it needs.
 
-Delay along the path is no deviation. The deviation is measured both ways: from each point of the
-shaped path to the nearest point of the planned one, and from each point of the planned path (a
-corner, a turning point) to the nearest point of the shaped one. Only points that belong together in
-time are compared, because paths cross and retrace themselves: a shaped point is made of planned
-ones at most one train earlier.
+A delay along the path is no deviation. The deviation is measured in both directions: from each
+point of the shaped path to the nearest point of the planned path, and from each point of the
+planned path, such as a corner or a turning point, to the nearest point of the shaped path. Paths
+cross and retrace themselves, so only points close in time are compared: a shaped point depends only
+on the planned points within one duration of the train before it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from threadline.motion.timing import Trajectory
 from threadline.motion.timing.types import TrajectoryBlock
 
 _AT_REST = 1e-9
-"""Speed at a joint, in units of the piece's distance over its time, that counts as zero."""
+"""Largest speed at a joint that counts as zero, over the piece's distance per time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +54,7 @@ class Pieces:
 
     @property
     def still(self) -> NDArray[np.bool_]:
-        """(n,) True if a piece stands still."""
+        """(n,) True if the machine stands still in a piece."""
         return np.asarray((self.coefficients[:, 1:] == 0.0).all(axis=(1, 2)))
 
     def rows(self, first: int, stop: int) -> Pieces:
@@ -90,11 +90,12 @@ def padded(coefficients: FloatArray, order: int) -> FloatArray:
 
 
 def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pieces]:
-    """Yield the pieces of a trajectory with ``hold_s`` more at every rest that something needs.
+    """Yield the pieces of a trajectory; every rest for an operation is longer by ``hold_s``.
 
-    Such a rest is a standstill where the operation numbers skip one or more: the operations between
-    two moves are no motion, and need the machine at rest. A standing piece before it (a dwell) is
-    prolonged; without one a piece is inserted.
+    At such a rest the numbers of the operations skip one or more, because operations between two
+    moves, such as an output, have no piece of motion. They need the machine at rest. If the rest
+    has a piece at standstill, such as a dwell, the piece is prolonged; otherwise a piece is
+    inserted.
     """
     last: Pieces | None = None
     late_s = 0.0
@@ -112,7 +113,7 @@ def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pie
         if hold_s > 0.0:
             pieces, added_s = _prolonged_rests(pieces, hold_s)
             late_s += added_s
-        # The last piece waits: it may have to be prolonged.
+        # The last piece is held back, because the next block may show that it must be prolonged.
         if len(pieces) > 1:
             yield pieces.rows(0, len(pieces) - 1)
         last = pieces.rows(len(pieces) - 1, len(pieces))
@@ -148,7 +149,7 @@ def _prolonged_rests(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
 
 
 def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
-    """(n,) True if the operations skip after a dwell, or if both pieces come to rest."""
+    """Return (n,) True if the operations skip after a dwell, or between two pieces at rest."""
     skips = np.diff(pieces.operation, prepend=pieces.operation[:1]) > 1
     if not skips.any():
         return np.asarray(skips)
@@ -158,15 +159,15 @@ def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
     end = np.abs((c * power[None, :, None]).sum(axis=1)) <= _AT_REST * way
     begin = np.abs(c[:, 1]) <= _AT_REST * way if c.shape[1] > 1 else np.ones_like(end)
     comes_to_rest = np.concatenate([[False], end[:-1].all(axis=1)]) & begin.all(axis=1)
-    # Historical motion jumps to its speed: after a dwell that counts as a rest all the same.
+    # The speed of historical motion jumps from 0 after a dwell; the dwell is still a rest.
     dwelt = np.concatenate([[False], pieces.still[:-1]])
     return np.asarray(skips & (dwelt | comes_to_rest))
 
 
 _CHUNK = 1 << 14
 SAMPLES_PER_TRAIN = 128
-"""Samples within the duration of the train: a chord between two deviates from a curve followed
-with acceleration a by a (duration / 128)^2 / 8."""
+"""Number of samples within the duration of the train. With an acceleration a, the chord between two
+samples deviates from the curve by a (duration / 128)^2 / 8."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,10 +181,10 @@ class ShapingDeviation:
     missed
         True if a planned point is missed, False if the shaped path deviates.
     time_s, operation
-        Of the shaped motion there; for a missed planned point, the planned time with prolonged
-        rests.
+        Time and operation of the shaped motion at the worst place; for a missed planned point, the
+        time in the planned motion with prolonged rests.
     position
-        (axes,) there, m or rad.
+        (axes,) position at the worst place, m or rad.
     """
 
     at_tool_m: float
@@ -205,9 +206,9 @@ def shaping_deviation(
     Parameters
     ----------
     planned, shaped
-        Before and after :func:`threadline.motion.shaping.shape_trajectory`.
+        Trajectory before and after :func:`threadline.motion.shaping.shape_trajectory`.
     machine
-        Has the radius at which rotary axes act.
+        Machine with the radius at which rotary axes act.
     duration_s
         The longest delay of any axis: :func:`threadline.motion.shaping.longest_delay_s`.
 
@@ -345,7 +346,7 @@ class _Worst:
 
 @compiled
 def _distances(points: FloatArray, chain: FloatArray, back: int, ahead: int) -> FloatArray:
-    """(n,) distance of point i to the chords of ``chain`` rows i ... i + back + ahead."""
+    """Return (n,) distances of point i from the chords of rows i to i + back + ahead."""
     axes = points.shape[1]
     out = np.empty(points.shape[0])
     for i in range(points.shape[0]):

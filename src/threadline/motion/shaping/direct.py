@@ -1,11 +1,11 @@
-"""Positive shapers designed directly: a specified band, or several modes at once.
+"""Direct design of positive shapers: for a specified band, or for several modes at once.
 
-Where convolving one shaper per mode adds their durations, a direct design asks for all the
-constraints together and takes the shortest train that meets them. With impulses on a grid of
-times the least vibration within a duration is a linear program; bisection over the duration
-gives the seed. Then times and amplitudes are made exact: the shortest duration under the
-constraints (sequential quadratic programming with the peaks of V exchanged), and a final Newton
-step that puts the active constraints at 1e-11.
+The convolution of one shaper per mode adds the durations. A direct design is the shortest train
+that meets all constraints together. With impulses on a grid of times, the least vibration within a
+duration is the result of a linear program, and bisection over the duration gives a seed. Then
+sequential quadratic programming finds the shortest duration with free times and amplitudes. Its
+constraints are checked at the maxima of V, which are updated after each round. A final solution by
+Newton's method meets the active constraints to 1e-11.
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ from threadline.motion.shaping.solvers import minimise, newton
 from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
 
 FAR_APART, BANDS_FAR_APART = 50.0, 12.0
-"""Ratio of two frequencies above which the grids below are too coarse for the faster mode."""
-MOST_TOGETHER = 6  # modes that are designed together: six take seconds
+"""Largest ratio of two frequencies for a joint design, without and with bands: beyond it, the grids
+below are too coarse for the faster mode."""
+MOST_TOGETHER = 6  # largest number of modes designed together; six take seconds
 _GRIDS = (160, 210, 120, 300)
 _POLYGON = 16
 _BAND_GRID = 13
 _MERGE = 1.5
-_SETTLED = 1e-7  # Newton's method takes it from there
+_SETTLED = 1e-7  # largest change of a settled solution, from which Newton's method starts
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,8 @@ class Requirement:
     relative
         Half width of the band of frequency around the mode, in [0, 1).
     derivatives
-        With tolerance 0: number of derivatives of V that vanish too (0 ZV, 1 ZVD, 2 ZVDD).
+        With tolerance 0: number of derivatives of V that are 0, too: 0 for ZV, 1 for ZVD, 2 for
+        ZVDD.
 
     Raises
     ------
@@ -87,7 +89,7 @@ class Requirement:
 
 
 def specified_insensitivity(mode: FlexibleMode, relative: float, tolerance: float = 0.05) -> Shaper:
-    """SI shaper: V <= ``tolerance`` over f (1 +- ``relative``), as short as possible.
+    """Return the shortest positive shaper with V <= ``tolerance`` over f (1 +- ``relative``).
 
     The insensitivity, (f_hi - f_lo) / f, is at least 2 ``relative``.
 
@@ -100,11 +102,11 @@ def specified_insensitivity(mode: FlexibleMode, relative: float, tolerance: floa
 
 
 def direct_shaper(requirements: Sequence[Requirement], *, name: str = "direct") -> Shaper:
-    """Shortest train of positive impulses that meets every requirement.
+    """Return the shortest train of positive impulses that meets every requirement.
 
-    Modes farther apart than ``FAR_APART`` (``BANDS_FAR_APART`` if one has a band) get trains of
-    their own, convolved: no V grows by that, and the train exceeds the shortest one by at most the
-    trains of the faster modes.
+    Modes farther apart than ``FAR_APART`` (``BANDS_FAR_APART`` if one has a band) get separate
+    trains, which are convolved. No V is larger as a result, and the train exceeds the shortest
+    possible one by at most the trains of the faster modes.
 
     Returns
     -------
@@ -116,8 +118,8 @@ def direct_shaper(requirements: Sequence[Requirement], *, name: str = "direct") 
     OptionError
         If there is no requirement, or the modes are too far apart for any train.
     ShaperError
-        If more than ``MOST_TOGETHER`` are near each other, a program fails, or the
-        proof does.
+        If more than ``MOST_TOGETHER`` modes are near each other, a program fails, or the simulation
+        disagrees.
     """
     if not requirements:
         raise OptionError("direct shaper: at least one requirement is needed")
@@ -147,7 +149,7 @@ def _together(requirements: Sequence[Requirement], name: str) -> Shaper:
 
 
 def _solve(problem: _Problem) -> Train:
-    """Polish the seed of one grid after another: a grid can split an impulse badly."""
+    """Polish the seeds of several grids, until one succeeds; a grid can split an impulse badly."""
     failures = []
     for points in _GRIDS:
         try:
@@ -171,7 +173,7 @@ def _pruned(x: FloatArray, n: int) -> tuple[FloatArray, int]:
 
 
 class _Problem:
-    """The constraints, with times in periods of the slowest mode."""
+    """The constraints of a joint design; times are in undamped periods of the slowest mode."""
 
     def __init__(self, requirements: Sequence[Requirement], unit: float) -> None:
         self._zero = [
@@ -196,7 +198,10 @@ class _Problem:
         )
 
     def _least(self, duration: float, points: int) -> tuple[float, FloatArray, FloatArray]:
-        """Least violation within ``duration``: V / tolerance - 1, or |H| where 0 is wanted."""
+        """Return the least violation within ``duration``, and (points,) amplitudes and times.
+
+        The violation is V / tolerance - 1, or abs(H) for a tolerance of 0.
+        """
         times = np.linspace(0.0, duration, points)
         directions = np.exp(2j * np.pi * np.arange(_POLYGON) / _POLYGON)
         rows, bounds, slack = [], [], []
@@ -223,7 +228,7 @@ class _Problem:
         return float(solved.x[-1]), solved.x[:-1], times
 
     def seed(self, points: int) -> tuple[FloatArray, FloatArray]:
-        """Impulses of the shortest feasible duration on the grid, neighbours merged."""
+        """Return amplitudes and times of the shortest train on a grid, with neighbours merged."""
         small = 2e-3
         low, high = 0.0, self._longest
         for _ in range(6):
@@ -244,7 +249,7 @@ class _Problem:
         return amplitudes / amplitudes.sum(), centres
 
     def polish(self, amplitudes: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Shortest duration from a seed, then exact active constraints."""
+        """Return amplitudes and times of the shortest train near a seed, with exact constraints."""
         n = len(times)
         x = np.concatenate((times[1:], amplitudes))
         fixed = [list(np.linspace(b[0], b[1], 9 if b[1] > b[0] else 1)) for b in self._bands]
@@ -281,7 +286,7 @@ class _Problem:
 
         bounds: list[tuple[float, float | None]] = [(1e-4, None)] * (n - 1)
         bounds += [(0.0, 1.0)] * n
-        # scipy's stubs do not know a Jacobian beside constraints.
+        # The type stubs of scipy do not allow a Jacobian together with constraints.
         sequential: Any = minimize
         solved = sequential(
             lambda y: float(y[n - 2]),
@@ -338,7 +343,7 @@ class _Problem:
         return wanted
 
     def _peaks(self, x: FloatArray, n: int) -> list[list[float]]:
-        """Interior maxima of V in every band, refined by parabola and Newton on dV^2/df."""
+        """Return the interior maxima of V in every band, refined by Newton's method on dV^2/df."""
         t, a = np.concatenate(([0.0], x[: n - 1])), x[n - 1 : 2 * n - 1]
         found = []
         for low, high, s, _ in self._bands:
@@ -358,7 +363,7 @@ class _Problem:
         return found
 
     def _exact(self, x: FloatArray, n: int) -> FloatArray:
-        """Least change that puts every active constraint at its bound."""
+        """Return the solution near ``x`` that meets every active constraint exactly."""
         active: list[tuple[int, float, bool]] = []
         t, a = np.concatenate(([0.0], x[: n - 1])), x[n - 1 :]
         for i, (b, tops) in enumerate(zip(self._bands, self._peaks(x, n), strict=True)):

@@ -1,15 +1,16 @@
 """Unit-magnitude shapers for several modes at once, the shortest possible.
 
 A step shaped by such a train is a level that is 0 or 1 at every instant, and 1 in the end. The
-shortest train for given constraints is therefore a time-optimal switching. With the level free in
-[0, 1] on a grid, the least violation within a duration is a linear program (circles of V as
-polygons). It falls as the duration grows, and its optimal level is 0 or 1 except in the cells in
-which it switches: the switching function of an optimum is a sum of a few decaying waves, one for
-each active frequency, and vanishes only at isolated instants. Bisection over the duration gives the
-number of switchings and their approximate times. For exact zeros, Newton's method solves the times.
-For tolerances over bands, the shortest duration with exact circles, with the maxima of V exchanged
-as they move, is a smooth program (sequential quadratic programming). Convolved unit-magnitude
-trains are longer, or leave [0, 1] where their pulses overlap.
+shortest train for given constraints is therefore a time-optimal switching. With a level in [0, 1]
+on a grid of cells, the least violation within a duration is the result of a linear program, in
+which the circles abs(H) <= tolerance are replaced by polygons. The violation falls as the duration
+grows. The optimal level is 0 or 1 except in the cells in which it switches, because the switching
+function of an optimum is a sum of a few decaying waves, one for each active frequency, and is zero
+only at isolated instants. Bisection over the duration gives the number of switchings and their
+approximate times. For exact zeros, Newton's method solves for the times. For tolerances over bands,
+sequential quadratic programming finds the shortest duration with exact circles. Its constraints are
+checked at the maxima of V, which are updated after each round. Convolved unit-magnitude trains are
+longer, or their levels leave [0, 1] where pulses overlap.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ _SMALL = 1e-8
 def direct_unit_magnitude(
     requirements: Sequence[Requirement], *, name: str = "um-direct"
 ) -> Shaper:
-    """Shortest train of amplitudes +1 -1 ... +1 that silences every mode.
+    """Return the shortest train of amplitudes +1, -1, ... +1 that leaves no vibration of any mode.
 
     Parameters
     ----------
     requirements
-        With tolerance 0; ``derivatives`` makes a mode robust, as in UM-ZVD.
+        Modes with tolerance 0; ``derivatives`` above 0 make the train robust, as in UM-ZVD.
     name
-        Of the shaper.
+        Name of the shaper.
 
     Returns
     -------
@@ -53,7 +54,7 @@ def direct_unit_magnitude(
     OptionError
         If there is no requirement, one has a tolerance, or the modes are too far apart.
     ShaperError
-        If a program fails, or the proof does.
+        If a program fails, or the simulation disagrees.
     """
     if not requirements:
         raise OptionError("unit-magnitude shaper: at least one requirement is needed")
@@ -89,7 +90,7 @@ def direct_unit_magnitude(
 
 
 def _least(zeros: Sequence[ZeroOf], duration: float, points: int) -> tuple[float, FloatArray]:
-    """Least violation within ``duration``, in periods, and the (points,) levels."""
+    """Return the least violation within ``duration``, in periods, and the (points,) levels."""
     edges = np.linspace(0.0, duration, points + 1)
     rows, bounds = [], []
     for by_impulse in zero_rows(zeros, edges - duration):
@@ -122,7 +123,7 @@ def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
         low, high = (low, middle) if _least(zeros, middle, points)[0] <= _SMALL else (middle, high)
     _, levels = _least(zeros, high, points)
     times = switchings_of(levels, high / points)
-    # As many times as equations: any more are slivers of a cell, on and off again.
+    # There are as many times as equations; further ones are on/off pairs within a cell.
     while len(times) - 1 > 2 * len(zeros):
         narrow = int(np.argmin(np.diff(times)))
         times = np.delete(times, [narrow, narrow + 1])
@@ -131,20 +132,20 @@ def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
 
 
 def switchings_of(levels: FloatArray, cell: float) -> FloatArray:
-    """Return the times at which levels of cells of equal length switch between 0 and 1, from 0.
+    """Return (k,) the times, from the first, at which levels in equal cells switch.
 
     Parameters
     ----------
     levels
-        (n,) in [0, 1]; 0 before them and 1 after.
+        (n,) levels in [0, 1]; the level is 0 before the cells and 1 after them.
     cell
-        Duration of each.
+        Duration of a cell.
     """
     padded = np.concatenate(([0.0], levels, [1.0]))
     rounded = np.rint(padded)
     found = []
     for k in np.flatnonzero(np.diff(rounded)):
-        # A partial cell belongs to the level beside it.
+        # A level between 0 and 1 shifts the switching within its cell.
         a, b = padded[k], padded[k + 1]
         late = (1.0 - b) - a if rounded[k + 1] > rounded[k] else b - (1.0 - a)
         found.append((k + late) * cell)
@@ -154,7 +155,7 @@ def switchings_of(levels: FloatArray, cell: float) -> FloatArray:
 
 
 def _polish(seed: FloatArray, zeros: Sequence[ZeroOf]) -> FloatArray:
-    """Solve the constraints exactly from a seed."""
+    """Return the switching times that meet the constraints exactly, from a seed."""
     amplitudes = np.where(np.arange(len(seed)) % 2 == 0, 1.0, -1.0)
 
     def system(x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -184,21 +185,23 @@ _POLYGON = 16
 _BAND_GRID = 11
 _SWEEP = 201
 _ROUNDS = 12
-_MARGIN = 1e-8  # of the tolerance: room for rounding
+_MARGIN = 1e-8  # share of the tolerance that is left for rounding
 _MOST_SWITCHINGS = 40
-_APART = 1e-4  # periods between two switchings, at least
+_APART = 1e-4  # least distance of two switchings, in periods
 _SETTLED = 1e-6
 
 
 def unit_magnitude_over_bands(
     requirements: Sequence[Requirement], *, name: str = "um-si"
 ) -> Shaper:
-    """Shortest found train of amplitudes +1 -1 ... +1 within every tolerance over its band.
+    """Return the shortest found train of amplitudes +1, -1, ... +1 within every tolerance.
+
+    V of each mode stays within the tolerance over the mode's band.
 
     Parameters
     ----------
     requirements
-        Each with a tolerance above 0.
+        Modes with a tolerance above 0, and the band of each.
 
     Returns
     -------
@@ -240,7 +243,7 @@ def _signs(n: int) -> FloatArray:
 
 
 class _Problem:
-    """Bands in units of the slowest frequency, times in its periods."""
+    """The bands of a joint design, in units of the lowest frequency; times in its periods."""
 
     def __init__(self, requirements: Sequence[Requirement]) -> None:
         self._asked = tuple(dict.fromkeys(requirements))
@@ -251,7 +254,7 @@ class _Problem:
         return f * (1.0 - r.relative), f * (1.0 + r.relative)
 
     def _least(self, duration: float, points: int) -> tuple[float, FloatArray]:
-        """Least V over its tolerance within ``duration``, and the (points,) levels."""
+        """Return the least V over its tolerance within ``duration``, and the (points,) levels."""
         edges = np.linspace(0.0, duration, points + 1)
         directions = np.exp(2j * np.pi * np.arange(_POLYGON) / _POLYGON)
         rows, bounds = [], []
@@ -295,7 +298,7 @@ class _Problem:
         return times
 
     def _tops(self, times: FloatArray) -> list[FloatArray]:
-        """Return for every band its ends and the frequencies of the maxima of V inside."""
+        """Return, for every band, its ends and the frequencies of the inner maxima of V."""
         found = []
         train = Shaper(amplitudes=_signs(len(times)), times_s=times)
         for r in self._asked:
@@ -306,7 +309,7 @@ class _Problem:
             f = np.linspace(low, high, _SWEEP)
             v = residual_vibration(train, f, r.mode.damping_ratio)
             inside = np.flatnonzero((v[1:-1] >= v[:-2]) & (v[1:-1] >= v[2:])) + 1
-            # The top of the parabola through three samples.
+            # The maximum is at the vertex of the parabola through three samples.
             a, b, c = v[inside - 1], v[inside], v[inside + 1]
             bend = a - 2.0 * b + c
             shift = np.where(
@@ -316,7 +319,13 @@ class _Problem:
         return found
 
     def polished(self, seed: FloatArray) -> FloatArray:
-        """Return the shortest train with as many switchings, its bands met exactly."""
+        """Return the times of the shortest train with the seed's number of switchings.
+
+        Raises
+        ------
+        ShaperError
+            If the design does not converge.
+        """
         times = seed
         looked = [
             np.linspace(*self._edges(r), _BAND_GRID if r.relative else 1) for r in self._asked
@@ -339,7 +348,7 @@ class _Problem:
         )
 
     def _shortest(self, times: FloatArray, looked: Sequence[FloatArray]) -> FloatArray:
-        """Return the shortest train near ``times`` with V within the tolerances at ``looked``."""
+        """Return the shortest train near ``times`` with V in tolerance at all ``looked``."""
         from scipy.optimize import minimize
 
         n, signs = len(times), _signs(len(times))
@@ -387,7 +396,7 @@ class _Problem:
         return np.concatenate(([0.0], np.asarray(solved.x, dtype=np.float64)))
 
     def _excess(self, times: FloatArray) -> float:
-        """Return the worst V over its tolerance, at the maxima of every band."""
+        """Return the largest ratio of V to its tolerance over the bands."""
         train = Shaper(amplitudes=_signs(len(times)), times_s=times)
         return max(
             float(residual_vibration(train, tops, r.mode.damping_ratio).max()) / r.tolerance

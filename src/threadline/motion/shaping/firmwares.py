@@ -1,16 +1,17 @@
 """The shapers of Klipper, Marlin and RepRapFirmware, and designs expressed in their settings.
 
-A firmware plays a design if its own train leaves the same vibration over the band of ``MATCH``;
-otherwise the nearest of its trains is named.
+A firmware can play a design if one of its own trains has the same V within ``MATCH`` over f (1 +-
+25 %). Otherwise the nearest of its trains is named.
 
 Klipper computes its types from frequency and damping ratio by its own formulas: zv, mzv and zvd
 exactly, ei, 2hump_ei and 3hump_ei by published curve fits (Singhose et al.) at 5 %, valid to
 damping ratios of 0.4, 0.3 and 0.2. Since 2026 ``mzv(n=,t=,tau=)`` and ``ei(v_tol=)`` take
-parameters. Its train is computed here and judged on the mode, so that a
-coarse fit does not count as a match.
+parameters. This module computes Klipper's train and judges it on the mode, so that a coarse curve
+fit does not count as a match.
 
-Source: Marlin 2.1, ``Stepper::set_shaping_damping_ratio`` and ``set_shaping_frequency``: an echo
-half a period of F after the move, the shares of both in 128ths. So F is the damped frequency.
+Source: Marlin 2.1, ``Stepper::set_shaping_damping_ratio`` and ``set_shaping_frequency``. Marlin
+adds an echo half a period of F after the move, with both shares in 128ths. So F is the damped
+frequency.
 
 Source: RepRapFirmware 3, ``AxisShaper::Configure``: mzv, zvd, zvdd, zvddd exactly, ei2 and ei3 by
 published fits, their times in damped periods. F is the undamped frequency, S the damping ratio.
@@ -40,20 +41,20 @@ from threadline.motion.shaping.response import (
 from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 MATCH = 0.01
-"""A type fits if V differs by at most this over f (1 +- 25 %)."""
+"""Largest difference of V over f (1 +- 25 %) with which a type counts as the same shaper."""
 
 _MAX_DAMPING = {"zv": 0.99, "mzv": 0.99, "zvd": 0.99, "ei": 0.4, "2hump_ei": 0.3, "3hump_ei": 0.2}
-_V_TOL = 0.05  # Klipper's ei without parameters
+_V_TOL = 0.05  # tolerance of Klipper's ei without parameters
 _KLIPPER_HUMPS = {"2hump_ei": 2, "3hump_ei": 3}
 
 
 def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
-    """The impulses that Klipper plays for a type, normalised to sum 1.
+    """Return the impulses that Klipper plays for a type, normalised to sum 1.
 
     Parameters
     ----------
     shaper_type
-        A type, also with parameters: ``mzv(n=4,t=0.9)``, ``ei(v_tol=0.1)``.
+        A type, with or without parameters: ``zvd``, ``mzv(n=4,t=0.9)``, ``ei(v_tol=0.1)``.
 
     Raises
     ------
@@ -116,7 +117,7 @@ def _ei_weights(zeta: float, v: float) -> FloatArray:
 
 
 def _ei_middle(zeta: float, v: float) -> float:
-    """Time of the middle impulse in damped periods."""
+    """Return the time of the middle impulse of ei, in damped periods."""
     return (
         0.4999
         + (0.46159 + 8.57843 * v) * v * zeta
@@ -128,8 +129,8 @@ def _ei_middle(zeta: float, v: float) -> float:
 def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
     """Return Klipper's shortest type that keeps a mode at rest over a band, and its residual V.
 
-    The residual is ``largest_residual``, at most ``LEFT``. None if no type achieves that: each
-    accepts damping ratios up to a limit of its own.
+    The residual V is the result of ``largest_residual``, and is at most ``LEFT``. The result is
+    None if no type achieves this; each type has its own limit of the damping ratio.
     """
     for name, most in _MAX_DAMPING.items():
         if mode.damping_ratio <= most:
@@ -146,13 +147,13 @@ class FirmwareExport:
     Parameters
     ----------
     section
-        Text of ``[input_shaper]`` or ``M593``; empty where no type fits.
+        Text of ``[input_shaper]`` or ``M593``; empty if no type fits.
     shaper_type
-        The firmware's word, or empty.
+        Name of the type in the firmware; empty if no type fits.
     difference
         Largest difference of V between the firmware's nearest train and ours over f (1 +- 25 %).
     explanation
-        One sentence; it names the nearest substitute where no type fits.
+        One sentence; if no type fits, it names the nearest type.
     """
 
     section: str
@@ -167,11 +168,11 @@ def klipper_export(shaper: Shaper, mode: FlexibleMode, *, axes: str = "xy") -> F
     Parameters
     ----------
     shaper
-        Positive train; unit-magnitude and negative ones fit no type.
+        Positive train; unit-magnitude and negative trains fit no type.
     mode
-        Its mode: Klipper's frequency is the undamped one too.
+        Mode of the shaper; Klipper's frequency is the undamped frequency, too.
     axes
-        Of "x", "y" or both.
+        Axes of the section: "x", "y" or "xy".
 
     Raises
     ------
@@ -198,7 +199,7 @@ def klipper_export(shaper: Shaper, mode: FlexibleMode, *, axes: str = "xy") -> F
 
 
 def _with_parameters(shaper: Shaper, mode: FlexibleMode) -> list[str]:
-    """Return the types with parameters of a shaper's number of impulses and duration."""
+    """Return types with parameters that have the shaper's number of impulses and duration."""
     n = len(shaper.times_s)
     found: list[str] = []
     if not 3 <= n <= 32 or bool(np.any(shaper.amplitudes < 0.0)):
@@ -220,7 +221,7 @@ def _with_parameters(shaper: Shaper, mode: FlexibleMode) -> list[str]:
 def _played(
     firmware: str, shaper: Shaper, mode: FlexibleMode, trains: Mapping[str, Shaper]
 ) -> FirmwareExport:
-    """Return the train of ``trains`` that equals a shaper, or the nearest substitute."""
+    """Return the type in ``trains`` that equals a shaper, or no type and the nearest one."""
     f = mode.frequency_hz * np.linspace(0.75, 1.25, 201)
     ours = residual_vibration(shaper, f, mode.damping_ratio)
 
@@ -253,7 +254,7 @@ def _played(
 
 
 def marlin_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
-    """Return Marlin's ``M593`` for ``shaper``, made for ``mode``, or how far its ZV is from it."""
+    """Return Marlin's ``M593`` for ``shaper``, made for ``mode``, or how much its ZV differs."""
     command = f"M593 F{damped_frequency_hz(mode):.6g} D{mode.damping_ratio:.6g}"
     train = marlin_impulses(damped_frequency_hz(mode), mode.damping_ratio)
     found = _played("Marlin", shaper, mode, {command: train})
@@ -261,9 +262,10 @@ def marlin_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
 
 
 def reprap_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
-    """Return RepRapFirmware's ``M593`` for ``shaper``, made for ``mode``, or the nearest one.
+    """Return RepRapFirmware's ``M593`` for ``shaper``, made for ``mode``, or name the nearest.
 
-    Its custom type isn't used: versions of the firmware differ in what ``H`` and ``T`` mean.
+    The custom type is not used, because ``H`` and ``T`` have other meanings in other versions of
+    the firmware.
     """
     trains = {
         f'M593 P"{name}" F{mode.frequency_hz:.6g} S{mode.damping_ratio:.6g}': reprap_impulses(
@@ -280,7 +282,7 @@ _PARTS = 128.0
 
 
 def damped_frequency_hz(mode: FlexibleMode) -> float:
-    """Return the F of ``M593`` for a mode."""
+    """Return the F of Marlin's ``M593`` for a mode: its damped frequency, Hz."""
     return mode.frequency_hz * math.sqrt(1.0 - mode.damping_ratio**2)
 
 
@@ -298,10 +300,10 @@ def marlin_impulses(frequency_hz: float, damping_ratio: float) -> Shaper:
 
 _DERIVATIVES = {"zvd": 2, "zvdd": 3, "zvddd": 4}
 _HUMPS_OF_TYPE = {"ei2": 2, "ei3": 3}
-_MOST_DAMPING = {"ei2": 0.3, "ei3": 0.2}  # of the fits
+_MOST_DAMPING = {"ei2": 0.3, "ei3": 0.2}  # largest damping ratios for which the fits are valid
 TYPES = ("mzv", *_DERIVATIVES, *_HUMPS_OF_TYPE)
-"""Types of ``M593 P``, without the custom one."""
-_FREQUENCIES = 41  # tried from the slowest mode to the fastest
+"""Types of ``M593 P``, without the custom type."""
+_FREQUENCIES = 41  # number of frequencies tried, from the slowest mode to the fastest
 
 
 class Chosen(NamedTuple):
@@ -329,7 +331,7 @@ def reprap_impulses(shaper_type: str, frequency_hz: float, damping_ratio: float)
     period_s = 1.0 / (frequency_hz * root)
     if shaper_type in _HUMPS_OF_TYPE:
         periods, weights = fitted_humps(_HUMPS_OF_TYPE[shaper_type], damping_ratio)
-        weights[-1] = 1.0 - weights[:-1].sum()  # the rest
+        weights[-1] = 1.0 - weights[:-1].sum()  # so that the sum is 1
     else:
         spacing = 0.375 if shaper_type == "mzv" else 0.5
         decay = math.exp(-2.0 * math.pi * damping_ratio * spacing / root)

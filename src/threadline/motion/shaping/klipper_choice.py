@@ -1,10 +1,11 @@
 """The shaper that Klipper itself would choose from a spectrum, to stand beside another design.
 
-Source: Klipper (2026), ``klippy/extras/shaper_calibrate.py``, read for its method: each type is
-tried at frequencies 0.2 Hz apart with damping ratio 0.1. Its remaining vibration is the worst over
-damping ratios 0.075, 0.1 and 0.15 of the power above 1/20 of the peak that it leaves; its smoothing
-is the distance by which it cuts a corner at 5000 mm/s^2. The least vibration within 10 % (and
-0.0005) with the least score wins within a type, and a clearly lower score between types.
+Source of the method: Klipper (2026), ``klippy/extras/shaper_calibrate.py``. Each type is tried at
+frequencies 0.2 Hz apart with damping ratio 0.1. Its remaining vibration is the share of the power
+above 1/20 of the peak that it leaves, at the worst of the damping ratios 0.075, 0.1 and 0.15. Its
+smoothing is the distance by which it cuts a corner at 5000 mm/s^2. Within a type, of all
+frequencies whose vibration is within 10 % and 0.0005 of the least, the one with the least score
+wins. Between types a clearly lower score wins.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ _DAMPING, _DAMPINGS = 0.1, (0.075, 0.1, 0.15)
 _MOST_HZ, _STEP_HZ, _SEEN_HZ = 150.0, 0.2, 200.0
 _IGNORED = 1.0 / 20.0
 _CORNER_MM_S, _ACCELERATION_MM_S2, _SMOOTHING_MM = 5.0, 5000.0, 0.12
-_LOW_HZ = 10.0  # below it Klipper fades the power
+_LOW_HZ = 10.0  # below this frequency Klipper reduces the power
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KlipperFit:
-    """One type at the frequency that Klipper would give it.
+    """A type of shaper at one frequency, with Klipper's measures.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ class KlipperFit:
     smoothing_mm
         Distance by which a corner is cut at 5000 mm/s^2.
     score
-        Klipper's weight of both; low is good.
+        Klipper's score of vibration and smoothing together; lower is better.
     max_accel_mm_s2
         Acceleration at which a corner is cut by 0.12 mm.
     """
@@ -56,7 +57,7 @@ class KlipperFit:
 
     @property
     def train(self) -> Shaper:
-        """The impulses that Klipper plays for it."""
+        """The impulses that Klipper plays for this type and frequency."""
         return klipper_impulses(self.shaper_type, FlexibleMode(self.frequency_hz, _DAMPING))
 
 
@@ -78,7 +79,7 @@ def klipper_choice(
     frequency_hz
         (k,) lines of the spectrum.
     power
-        (k,) of x, y and z together, weighted by ``klipper_weighted``.
+        (k,) power of x, y and z together, weighted by ``klipper_weighted``.
 
     Raises
     ------
@@ -114,9 +115,9 @@ def _better(one: KlipperFit, than: KlipperFit) -> bool:
 
 
 def _tried(name: str, f: FloatArray, power: FloatArray) -> list[KlipperFit]:
-    """Return a type at all frequencies, the lowest first."""
+    """Return the results of a type at all frequencies, the lowest first."""
     tried = np.arange(TRIED[name], _MOST_HZ, _STEP_HZ)
-    # A type is the same train at every frequency, on another scale of time.
+    # The train of a type at another frequency is the same train on another scale of time.
     train = klipper_impulses(name, FlexibleMode(1.0, _DAMPING))
     vibration = _remaining(train, f / tried[:, None], power)
     found = []
@@ -136,7 +137,7 @@ def _tried(name: str, f: FloatArray, power: FloatArray) -> list[KlipperFit]:
 
 
 def _remaining(train: Shaper, ratios: FloatArray, power: FloatArray) -> FloatArray:
-    """Return (m,) share of the power that a train for 1 Hz leaves, at (m, k) frequencies."""
+    """Return (m,) shares of the power that remain with a train for 1 Hz, at (m, k) frequencies."""
     threshold = float(power.max()) * _IGNORED
     worst = np.zeros(len(ratios))
     for damping in _DAMPINGS:
@@ -161,7 +162,7 @@ def klipper_measures(
 
 
 def _of_type(tried: list[KlipperFit]) -> KlipperFit:
-    # Klipper goes down from the highest frequency, so of equals the highest is its best.
+    # Klipper starts at the highest frequency, so the highest of equal frequencies is its best.
     least = min(reversed(tried), key=lambda one: one.vibration)
     chosen = least
     for one in tried:
@@ -171,12 +172,12 @@ def _of_type(tried: list[KlipperFit]) -> KlipperFit:
 
 
 def _smoothing(train: Shaper, frequency_hz: float) -> tuple[float, float]:
-    """Return mm by which a shaped corner is cut, and the acceleration that cuts 0.12 mm.
+    """Return the cut of a shaped corner, mm, and the acceleration, mm/s^2, with a cut of 0.12 mm.
 
     Parameters
     ----------
     train
-        Made for 1 Hz, and played for ``frequency_hz``.
+        Train for 1 Hz; its times are scaled to ``frequency_hz``.
     """
     late = (train.times_s - train.centroid_s) / frequency_hz
     after = late >= 0.0

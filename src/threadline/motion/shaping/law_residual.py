@@ -21,13 +21,13 @@ from threadline.errors import OptionError
 from threadline.motion.laws import Law, gauss
 from threadline.motion.shaping.types import FlexibleMode
 
-_RADIANS, _POINTS = 6.0, 16  # of the mode per panel, and nodes in it: accurate to rounding
+_RADIANS, _POINTS = 6.0, 16  # phase of the mode, and number of nodes, per panel: exact to rounding
 _LITTLE, _FEW_POINTS = 0.5, 6
-_PER_PERIOD = 32  # windows tried per period of the mode
+_PER_PERIOD = 32  # number of windows tried per period of the mode
 _CHUNK = 2_000_000
-_FINER = 16  # times as many in a scan for all lengths at once
-_SHORTEST = 1e-2  # periods in the shortest window of such a scan: the whole move remains
-_FINEST = 1e-6  # of the move: smaller residuals are not searched for
+_FINER = 16  # factor on the number of windows in a scan for all lengths at once
+_SHORTEST = 1e-2  # periods in the shortest window of that scan, in which the load hardly moves
+_FINEST = 1e-6  # share of the move: least residual of a search
 _MOST_PERIODS = 3000.0
 _SHORTEST_M, _LONGEST_M = 1e-9, 1e6
 
@@ -43,10 +43,10 @@ class Ringing:
     residual_m
         Amplitude at the end of the move.
     worst_m, worst_window_s
-        The largest over this and every longer window, and the window that has it.
+        The largest amplitude over this and all longer windows, and the window of that amplitude.
     window_s
-        The shortest window from which on every window keeps the wanted residual and acceleration;
-        None without a wanted residual.
+        The shortest window such that it and all longer windows keep the wanted residual and
+        acceleration; None without a wanted residual.
     """
 
     law: Law
@@ -59,15 +59,16 @@ class Ringing:
 def swing(law: Law, mode: FlexibleMode, window_s: FloatArray) -> ComplexArray:
     """Return the (n,) residual vibration at the end of a move of 1 m, for (n,) windows, s.
 
-    A complex number Z whose imaginary part is the position of the load relative to its base; it
-    continues as ``Z exp(-p t)``, and the residuals of several moves add up.
+    The imaginary part of the complex number Z is the position of the load relative to its base. It
+    continues as ``Z exp(-p t)`` after the move, and the residuals of several moves add up.
     """
     omega = 2.0 * pi * mode.frequency_hz
     damped = omega * sqrt(1.0 - mode.damping_ratio**2)
     pole = mode.damping_ratio * omega + 1j * damped
     edges = law.edges
     turned = omega * float(window_s.max(initial=0.0)) * float(np.diff(edges).max())
-    # On the short stretches of a table the law is a cubic and the mode hardly turns.
+    # On a short stretch of a table the law is a cubic and the phase of the mode hardly changes, so
+    # few nodes are enough.
     points = _POINTS if turned > _LITTLE else _FEW_POINTS
     u, weights = gauss(edges, max(1, ceil(turned / _RADIANS)), points)
     moment = law(u, 2) * weights
@@ -88,7 +89,7 @@ def residual_m(law: Law, mode: FlexibleMode, move_m: float, window_s: FloatArray
 def lasting_windows_s(
     law: Law, mode: FlexibleMode, moves_m: FloatArray, residual: float, longest_s: float = np.inf
 ) -> FloatArray:
-    """Return (n,) shortest windows from which on every longer one keeps the residual.
+    """Return (n,) the shortest windows such that all longer windows keep the residual, s.
 
     One scan of windows, 512 per period of the mode, serves all moves: the amplitude is proportional
     to the length. If no window up to ``longest_s`` keeps the residual, the result is ``longest_s``.
@@ -96,7 +97,8 @@ def lasting_windows_s(
     Parameters
     ----------
     moves_m
-        (n,) lengths, 0 or more; a move so short that every window keeps the residual has 0.
+        (n,) lengths, m, 0 or more; the result is 0 for a move so short that every window keeps the
+        residual.
     residual
         Amplitude, m.
     longest_s
@@ -108,7 +110,7 @@ def lasting_windows_s(
     begin = _SHORTEST / mode.frequency_hz
     coarse = _grid(law, mode, longest, begin, residual, longest_s)
     windows = np.linspace(begin, float(coarse[-1]), _FINER * len(coarse))
-    # The largest amplitude from each window on, which is decreasing.
+    # The largest amplitude over a window and all longer windows decreases with the window.
     worst = np.maximum.accumulate(np.abs(swing(law, mode, windows))[::-1])[::-1]
     allowed = np.divide(residual, moves_m, out=np.full(len(moves_m), np.inf), where=moves_m > 0.0)
     at = np.searchsorted(-worst, -allowed)
@@ -129,9 +131,9 @@ def ringing(
     Parameters
     ----------
     residual
-        Amplitude, m, for which to find the shortest window.
+        Allowed amplitude, m, for the search of the shortest window; None for no search.
     acceleration
-        Largest acceleration of that window, m/s^2.
+        Largest acceleration of the law in that window, m/s^2.
 
     Raises
     ------
@@ -172,10 +174,11 @@ def ringing(
 
 
 def _bound_s(law: Law, mode: FlexibleMode, move_m: float, residual: float) -> float:
-    """Return a window from which on the residual stays below ``residual``.
+    """Return a window, s, such that all longer windows have less than ``residual``, m.
 
-    The integral is at most V2 / (omega T), V2 the total variation of s'', and V3 / (omega T)^2
-    if the jerk is finite.
+    The integral in the docstring of the module is at most V2 / (omega T), where V2 is the total
+    variation of s''. If the jerk is finite, it is also at most V3 / (omega T)^2, where V3 is the
+    total variation of s'''.
     """
     u = np.linspace(0.0, 1.0, 8001)
     omega = 2.0 * pi * mode.frequency_hz
@@ -198,7 +201,7 @@ def _grid(
     residual: float,
     longest_s: float = np.inf,
 ) -> FloatArray:
-    """Return the windows to try, from ``window_s`` to the window whose bound is ``residual``."""
+    """Return (n,) windows, s, from ``window_s`` to the window whose bound is ``residual``."""
     bound = min(_bound_s(law, mode, move_m, residual), longest_s)
     end = max(bound, window_s + 1.0 / mode.frequency_hz)
     periods = (end - window_s) * mode.frequency_hz
@@ -214,7 +217,7 @@ def _grid(
 def _peak(
     law: Law, mode: FlexibleMode, move_m: float, windows: FloatArray, at: int
 ) -> tuple[float, float]:
-    """Return the largest residual near ``windows[at]`` and its window."""
+    """Return the largest residual near ``windows[at]``, m, and its window, s."""
     low, high = windows[max(at - 1, 0)], windows[min(at + 1, len(windows) - 1)]
     for _ in range(3):
         fine = np.linspace(low, high, 33)
@@ -225,12 +228,13 @@ def _peak(
 
 
 def _window_for(law: Law, mode: FlexibleMode, move_m: float, residual: float) -> float:
-    """Return the shortest window from which on every residual is at most ``residual``."""
+    """Return the shortest window, s, such that all longer ones have at most ``residual``."""
     begin = 0.25 / mode.frequency_hz
     windows = _grid(law, mode, move_m, begin, residual)
     near = residual_m(law, mode, move_m, windows)
     over = np.flatnonzero(near > residual)
-    # A lobe above the line between two windows has its peak beside the largest of them.
+    # If the residual exceeds the limit only between two windows, its peak is beside a local
+    # maximum.
     lobes = 1 + np.flatnonzero((near[1:-1] >= near[:-2]) & (near[1:-1] >= near[2:]))
     last = int(over[-1]) if len(over) else 0
     for at in lobes[(lobes > last) & (near[lobes] > 0.98 * residual)][::-1]:

@@ -1,12 +1,12 @@
 """The law made for a mode: the shortest window that keeps the residual over a band of frequency.
 
-The acceleration is a spline of degree 2 on even knots. Its coefficients bound it, the coefficients
-of its derivative bound the jerk and the coefficients of its integral the velocity, so that limits
-and monotonicity are rows of a linear program that hold everywhere, not only at samples. The
-residual at a frequency (:mod:`threadline.motion.shaping.law_residual`) is linear in the
-coefficients as a complex number; its magnitude is bounded by the sides of a regular polygon inside
-the circle. For a given window the program finds the least residual over the band; bisection finds
-the shortest window in which that is small enough.
+The acceleration is a spline of degree 2 on even knots. Its coefficients bound the acceleration, the
+coefficients of its derivative bound the jerk, and the coefficients of its integral bound the
+velocity. So limits and monotonicity are rows of a linear program that hold at all times, not only
+at samples. The complex residual at a frequency (:mod:`threadline.motion.shaping.law_residual`) is
+linear in the coefficients. Its magnitude is bounded by the sides of a regular polygon inside the
+circle. For a given window, the program finds the least residual over the band. Bisection finds the
+shortest window whose least residual is small enough.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from threadline.motion.shaping.solvers import InfeasibleError, minimise
 from threadline.motion.shaping.types import FlexibleMode, ShaperError
 
 RAMPS = 16.0
-"""Default jerk limit: from zero to full acceleration in this part of the rigid window."""
+"""The default jerk reaches full acceleration from zero in the rigid window divided by this."""
 _COEFFICIENTS = 80
 _LEVELS = 160
-_FREQUENCIES = 50  # per turn of phase between the band's two ends over the window
+_FREQUENCIES = 50  # number per turn of the phase between the ends of the band, over the window
 MOST_FREQUENCIES = 161
-_KEPT = 0.996  # of the residual: it may bulge a little between two frequencies
+_KEPT = 0.996  # share of the residual: between two frequencies it may be a little larger
 _SIDES = 16
 _CHECKED = 41
-_LEAST = 1e-6  # of the move: the tolerance of the solver is a tenth of it
+_LEAST = 1e-6  # share of the move: least residual; the tolerance of the solver is a tenth of it
 _STEP_S = 5e-5
-_LONGEST = 12.0  # periods of the mode
-_PERIODS = (0.02, 12.0)  # of the mode in the rigid window
+_LONGEST = 12.0  # periods of the mode by which a window may exceed 1.25 rigid windows
+_PERIODS = (0.02, 12.0)  # least and largest rigid window, in periods of the mode
 
 ProgressCall = Callable[[str, float], None]
 
@@ -99,7 +99,8 @@ class Demand:
 def usual_jerk_m_s3(move_m: float, acceleration_m_s2: float) -> float:
     """Return the jerk that reaches the acceleration in a 16th of the rigid window.
 
-    In that window it is Cj = 64; 3-4-5 has 60, modified sine 69.
+    In the rigid window this is Cj = 64. For comparison, Cj is 60 for 3-4-5 and 69 for modified
+    sine.
     """
     return acceleration_m_s2 * RAMPS / (2.0 * sqrt(move_m / acceleration_m_s2))
 
@@ -117,9 +118,9 @@ class MadeLaw:
     acceleration_m_s2, jerk_m_s3, velocity_m_s
         Peaks.
     free_levels_s
-        Shortest window for the same band with the acceleration free to step between its limits.
+        Shortest window for the same band, s, if the acceleration may step between its limits.
     time_optimal_s
-        The same for the exact mode alone.
+        Shortest window, s, for the mode's exact frequency, if the acceleration may step.
     """
 
     demand: Demand
@@ -139,8 +140,8 @@ def made_law(demand: Demand, progress: ProgressCall | None = None) -> MadeLaw:
     Raises
     ------
     ShaperError
-        If no window up to 12 periods of the mode suffices, a program fails, or the simulation
-        exceeds the demand.
+        If no window up to 1.25 rigid windows and 12 periods of the mode suffices, a program fails,
+        or the simulation exceeds the demand.
     """
     smooth = _Spline(demand, _COEFFICIENTS, 2)
     window = _shortest(smooth, demand, progress, "law for the mode", 0.0)
@@ -173,9 +174,10 @@ def made_law(demand: Demand, progress: ProgressCall | None = None) -> MadeLaw:
 
 
 def simulate_band(law: Law, demand: Demand, window_s: float) -> float:
-    """Return the largest amplitude over the band when the move ends, m, by integrating the mode.
+    """Return the largest amplitude over the band at the end of the move, m, by integration.
 
-    scipy's DOP853 on relative position and velocity, with the law's acceleration for the base.
+    scipy's DOP853 integrates the relative position and velocity of the load; the base has the
+    acceleration of the law.
     """
     from scipy.integrate import solve_ivp
 
@@ -222,7 +224,7 @@ def _band(demand: Demand, count: int) -> FloatArray:
 
 
 class _Spline:
-    """The program for splines of one degree; data independent of the window is kept."""
+    """The linear program for splines of one degree; only some of its data depends on the window."""
 
     def __init__(self, demand: Demand, count: int, degree: int) -> None:
         self.demand, self.count, self.degree = demand, count, degree
@@ -236,12 +238,12 @@ class _Spline:
 
         self.basis = BSpline.design_matrix(self.u, self.knots, degree).toarray()
         spans = self.knots[degree + 1 : degree + 1 + count] - self.knots[:count]
-        # Coefficients of the velocity, a spline of the next degree, from its derivative's.
+        # The velocity is a spline of the next degree; this matrix gives its coefficients.
         self.velocity = np.cumsum(np.eye(count) * spans / (degree + 1), axis=0)
         self.rise = (self.weights * (1.0 - self.u)) @ self.basis
 
     def residual_rows(self, window_s: float) -> FloatArray:
-        """(rows, count): residual over the wanted one, per coefficient, frequency and direction."""
+        """Return (rows, count) residual over the wanted one, by frequency and direction."""
         d = self.demand
         parted = 2.0 * d.band * d.mode.frequency_hz * window_s
         count = int(min(max(5.0, np.ceil(_FREQUENCIES * parted)), MOST_FREQUENCIES))
@@ -254,7 +256,7 @@ class _Spline:
             :, None
         ]
         angles = 2.0 * pi * np.arange(_SIDES) / _SIDES
-        # Sides of a polygon inside the circle: staying within them is staying in the circle.
+        # A residual within the sides of a polygon inside the circle is within the circle.
         sides = np.exp(-1j * angles)[:, None, None] * per / cos(pi / _SIDES)
         return np.asarray(sides.real.reshape(-1, self.count))
 
@@ -320,7 +322,7 @@ def _shortest(
 
 
 def _law(spline: _Spline, coefficients: FloatArray) -> Law:
-    """Return the law of a solution; its velocity has no negative coefficient, so it is monotone."""
+    """Return the law of a solution; no coefficient of its velocity is negative: it is monotone."""
     degree = spline.degree + 1
     velocity = np.maximum(np.concatenate(([0.0], spline.velocity @ coefficients)), 0.0)
     velocity[-1] = 0.0

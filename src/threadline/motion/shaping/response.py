@@ -21,11 +21,11 @@ from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 
 def crossing(function: Callable[[float], float], start: float, end: float, *, xtol: float) -> float:
-    """A root between ``start`` and ``end``; the function is positive at one of the two.
+    """Return a root between ``start`` and ``end``, of which one has a positive value.
 
-    Values computed in an array are rounded differently from single ones. A root at one of the two
-    ends may show a change of sign in the array and none to ``function``: then the end with the
-    smaller value is the root, to rounding.
+    Values that are computed in an array have another rounding than single values. If a root is
+    close to ``start`` or ``end``, the array may show a change of sign that ``function`` does not
+    show. Then the end with the smaller value is returned; it is the root but for rounding.
 
     >>> round(crossing(lambda x: x * x - 2.0, 1.0, 2.0, xtol=1e-12), 9)
     1.414213562
@@ -45,14 +45,14 @@ ZeroOf: TypeAlias = tuple[float, complex, int]
 
 
 def pole(damping_ratio: float) -> complex:
-    """Return 2 pi (zeta + j sqrt(1 - zeta^2)): -1 times a pole of a mode of 1 Hz."""
+    """Return 2 pi (zeta + j sqrt(1 - zeta^2)), the negative of a pole of a mode with 1 Hz."""
     return 2.0 * math.pi * complex(damping_ratio, math.sqrt(1.0 - damping_ratio**2))
 
 
 def response(
     amplitudes: FloatArray, times: FloatArray, frequency: float, s: complex, order: int
 ) -> complex:
-    """Derivative of ``order`` of H with respect to the frequency."""
+    """Return the derivative of ``order`` of H with respect to the frequency."""
     delay = times - times[-1]
     return complex(np.sum(amplitudes * (s * delay) ** order * np.exp(s * frequency * delay)))
 
@@ -60,14 +60,14 @@ def response(
 def response_gradient(
     amplitudes: FloatArray, times: FloatArray, frequency: float, s: complex, order: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Gradient of that derivative: by the times after the first (n-1,), by the amplitudes (n,)."""
+    """Return the gradients of ``response`` by (n - 1,) later times and by (n,) amplitudes."""
     delay = times - times[-1]
     decay = np.exp(s * frequency * delay)
     power = (s * delay) ** order
     by_delay = amplitudes * s * frequency * power * decay
     if order:
         by_delay = by_delay + amplitudes * order * s * (s * delay) ** (order - 1) * decay
-    # d_k decreases with the last time for every k but the last, which stays 0.
+    # A later last time decreases every d_k but the last, which stays 0.
     by_times = by_delay.copy()
     by_times[-1] = -by_delay[:-1].sum()
     return by_times[1:], power * decay
@@ -76,7 +76,7 @@ def response_gradient(
 def responses(
     amplitudes: FloatArray, times: FloatArray, frequencies: FloatArray, s: complex
 ) -> tuple[ComplexArray, ComplexArray]:
-    """H (m,) at many frequencies, and its gradients (m, 2 n - 1) by later times and amplitudes."""
+    """Return (m,) H at m frequencies, and (m, 2 n - 1) gradients by later times and amplitudes."""
     delay = times - times[-1]
     decay: ComplexArray = np.exp(s * np.outer(frequencies, delay))
     values: ComplexArray = decay @ amplitudes
@@ -86,10 +86,11 @@ def responses(
 
 
 def zero_rows(zeros: Sequence[ZeroOf], delay: FloatArray) -> list[ComplexArray]:
-    """Return the contribution of an impulse at each (n,) ``delay`` before the end to constraints.
+    """Return, for each constraint, the (n,) responses to a unit impulse at the (n,) ``delay``.
 
-    Constraints of modes that nearly coincide are replaced by their divided differences: of two
-    almost equal rows a program would meet only one.
+    A delay is 0 or negative: the time of the impulse minus the time of the last impulse.
+    Constraints of modes that nearly coincide are replaced by their divided differences, because a
+    program would meet only one of two almost equal rows.
     """
     rows: list[ComplexArray] = []
     before: tuple[complex, ComplexArray] | None = None
@@ -173,7 +174,7 @@ class Rows:
         self._add(float(self._a.sum()) - 1.0, row)
 
     def system(self) -> tuple[FloatArray, FloatArray]:
-        """Residuals (m,) and Jacobian (m, n)."""
+        """Return the (m,) residuals and the (m, n) Jacobian."""
         return np.array(self._residuals), np.array(self._rows)
 
 
@@ -181,7 +182,7 @@ _F = TypeVar("_F", bound=Callable[..., object])
 
 
 def compiled(function: _F) -> _F:
-    """Compile with numba, keeping the type that mypy knows."""
+    """Compile a function with numba, without a change of its type for mypy."""
     return cast("_F", njit()(function))
 
 
@@ -206,7 +207,7 @@ def _vibration_kernel(
         s = 0.0
         for k in range(times_s.shape[1]):
             t = times_s[row, k]
-            # The decay is taken from the last impulse back, so that nothing overflows.
+            # The decay is counted back from the last impulse, so that nothing overflows.
             a = amplitudes[row, k] * math.exp(sigma * (t - last))
             c += a * math.cos(omega_d * t)
             s += a * math.sin(omega_d * t)
@@ -216,7 +217,7 @@ def _vibration_kernel(
 def residual_vibration(
     shaper: Shaper, frequency_hz: ArrayLike, damping_ratio: ArrayLike
 ) -> FloatArray:
-    r"""Residual vibration V of ``shaper`` for modes of any frequency and damping.
+    r"""Return the residual vibration V of ``shaper`` for modes of any frequency and damping.
 
     Parameters
     ----------
@@ -253,7 +254,7 @@ def residual_vibration(
 def residual_vibration_batch(
     amplitudes: FloatArray, times_s: FloatArray, frequency_hz: FloatArray, damping_ratio: FloatArray
 ) -> FloatArray:
-    """Residual vibration of m trains on m modes, case by case.
+    """Return the residual vibration of m trains on m modes, case by case.
 
     Parameters
     ----------
@@ -273,7 +274,7 @@ def residual_vibration_batch(
     OptionError
         If shapes disagree, a frequency is negative or a damping ratio is outside [0, 1).
     """
-    # Copies: numba compiles a separate version for locked arrays.
+    # Read-only arrays are copied, because numba would compile a separate version for them.
     a = np.array(amplitudes, dtype=np.float64, order="C")
     t = np.array(times_s, dtype=np.float64, order="C")
     f = np.ascontiguousarray(frequency_hz, dtype=np.float64)
@@ -295,14 +296,14 @@ def residual_vibration_batch(
 
 
 def vibration_of(shaper: Shaper, mode: FlexibleMode) -> float:
-    """Residual vibration V of ``shaper`` on one mode; see :func:`residual_vibration`."""
+    """Return the residual vibration V of ``shaper`` on one mode; see :func:`residual_vibration`."""
     return float(residual_vibration(shaper, mode.frequency_hz, mode.damping_ratio))
 
 
 BAND = 0.1
-"""Relative frequency error to cover when the shortest of a firmware's types is chosen."""
+"""Half width of the band over which the shortest type of a firmware must keep ``LEFT``."""
 LEFT = 0.05
-"""Largest V that such a type may leave: the tolerance of the firmwares' own EI types."""
+"""Largest residual V of a firmware's shortest type: the tolerance of the firmwares' EI types."""
 
 
 def largest_residual(shaper: Shaper, modes: Sequence[FlexibleMode], *, band: float = BAND) -> float:

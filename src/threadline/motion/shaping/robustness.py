@@ -1,10 +1,10 @@
-"""How far a machine may differ from its model before a shaper stops working.
+"""The tolerance of a shaper to differences between a machine and its model.
 
-Frequencies are undamped, V is normalised to one unit impulse, and the damping ratio is held
-while the frequency sweeps.
+Frequencies are undamped, V is normalised to one unit impulse, and the damping ratio is constant
+over a frequency sweep.
 
-A positive train never amplifies: V <= 1 everywhere. A switched one has 3 to 7 impulses of full
-size, and somewhere above its mode they add up.
+A positive train never amplifies: V <= 1 at every frequency. A unit-magnitude train has 3 to 7
+impulses of full size, which add up at some frequency above its mode.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from threadline.errors import OptionError
 from threadline.motion.shaping.response import crossing, residual_vibration, vibration_of
 from threadline.motion.shaping.types import FlexibleMode, Shaper
 
-_GRID_POINTS_A_STEP = 16384  # points of a grid per step
+_GRID_POINTS_A_STEP = 16384  # number of grid points per step
 _SLACK = 1.0 + 1e-8
-"""Designed humps touch the tolerance; rounding must not turn that into a gap."""
+"""Factor on the tolerance: designed humps touch it, and rounding must not end the band there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,9 +49,9 @@ class SensitivityMap(Locked):
 def sensitivity_map(
     shaper: Shaper, frequency_hz: ArrayLike, damping_ratio: ArrayLike
 ) -> SensitivityMap:
-    """V of ``shaper`` on every pair of frequency (Hz, (m,)) and damping ratio ((k,)).
+    """Return V of ``shaper`` for every pair of (m,) frequencies, Hz, and (k,) damping ratios.
 
-    A curve is a map with one damping ratio, or with one frequency.
+    With one damping ratio or one frequency the map is a curve.
     """
     f = np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64))
     z = np.atleast_1d(np.asarray(damping_ratio, dtype=np.float64))
@@ -65,7 +65,7 @@ class Insensitivity:
     Parameters
     ----------
     low_hz, high_hz
-        Its ends; both the modelled frequency if V exceeds the tolerance even there.
+        Ends of the interval; both are the modelled frequency if V exceeds the tolerance there.
     frequency_hz
         The modelled frequency.
     tolerance
@@ -84,11 +84,11 @@ class Insensitivity:
 
 
 def insensitivity(shaper: Shaper, mode: FlexibleMode, tolerance: float = 0.05) -> Insensitivity:
-    """Interval around the mode in which V <= ``tolerance``, its ends to 1e-12 of f.
+    """Return the interval around the mode in which V <= ``tolerance``, with ends to 1e-12 of f.
 
-    The upper end is looked for up to 10 f. Crossings are found on a grid of a hundredth of the
-    finest ripple that a train of this length can have, and every maximum near the tolerance
-    is refined, so that a hump above it isn't stepped over.
+    The upper end is searched up to 10 f. The grid has a hundredth of the finest ripple that a train
+    of this duration can have. Every maximum near the tolerance is refined, so that no hump above
+    the tolerance is missed.
 
     Raises
     ------
@@ -119,18 +119,21 @@ def insensitivity(shaper: Shaper, mode: FlexibleMode, tolerance: float = 0.05) -
 def _stretches(begin: float, end: float, count: int) -> Iterator[FloatArray]:
     """Yield the points of a grid of ``count`` steps; neighbouring stretches share a point.
 
-    The crossing is usually near the mode: for a long train on a fast mode a grid over the whole
-    range would have millions of points.
+    The crossing is usually in the first stretch. For a long train on a fast mode, a grid over the
+    whole range would have millions of points.
     """
     for first in range(0, count, _GRID_POINTS_A_STEP):
         at = np.arange(max(first - 1, 0), min(first + _GRID_POINTS_A_STEP + 1, count) + 1)
-        yield np.maximum(begin + (end - begin) / count * at, 0.0)  # clamp a rounding below 0
+        yield np.maximum(begin + (end - begin) / count * at, 0.0)  # a rounding below 0 is clamped
 
 
 def _first_crossing(
     excess: Callable[[float], float], grid: FloatArray, v: FloatArray, limit: float
 ) -> float | None:
-    """Return where V, ``v`` on the (n,) ``grid``, first exceeds the limit; None if nowhere."""
+    """Return the first frequency of the (n,) ``grid`` at which V exceeds the limit, or None.
+
+    ``v`` holds the (n,) values of V on the grid.
+    """
     from scipy.optimize import minimize_scalar
 
     over = np.flatnonzero(v > limit)
@@ -148,11 +151,12 @@ def _first_crossing(
     return crossing(excess, float(grid[stop - 1]), float(grid[stop]), xtol=1e-14)
 
 
-_FREQUENCIES_A_STEP = 65536  # frequencies per step
-# An undamped train's V repeats: of peaks that are equal but for rounding the lowest is reported.
+_FREQUENCIES_A_STEP = 65536  # number of frequencies per step
+# V of an undamped train is periodic. Of peaks that are equal but for rounding, the lowest frequency
+# is reported.
 _ALIKE = 1.0 + 1e-9
 SEARCHED_RATIO = (1.5, 10.0)
-"""Searched range of f / f_mode."""
+"""Range of f / f_mode that is searched for amplification."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +168,7 @@ class HigherModes:
     peak
         Largest V over 1.5 to 10 times the shaped frequency, at the mode's damping.
     peak_hz
-        Its frequency; the lowest of equal peaks.
+        Frequency of the largest V; the lowest of equal peaks.
     excited
         The machine's known modes that the shaper amplifies, each with its V.
     warnings
@@ -185,11 +189,11 @@ def check_higher_modes(
     Parameters
     ----------
     shaper
-        Any train.
+        The impulse train.
     mode
         The mode that it was made for.
     known
-        Other modes of the machine; those above ``mode`` are judged one by one.
+        Other modes of the machine; every mode above ``mode`` is judged by itself.
     """
     ripple = 0.02 / max(shaper.duration_s * mode.frequency_hz, 0.1)
     low, high = SEARCHED_RATIO

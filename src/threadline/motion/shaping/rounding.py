@@ -1,14 +1,14 @@
-"""A train on whole ticks that keeps the properties its kind was chosen for.
+"""A train on whole ticks that keeps the robustness of its exact design.
 
-A kind is chosen for the band of frequency in which it stays within its tolerance: a zero of V, its
-slope and its humps all show there. So the search looks for trains on the grid with the least worst
-V over that band, and among equal ones for the least mean square, which distinguishes a zero or a
-flat foot from a hump. It starts from the nearest ticks and, for short trains, from the best choice
-of the ticks to either side and from the train compressed by a few ticks; it moves impulses singly
-and in pairs by one or two ticks, and makes no train more than two ticks longer than its design. For
-short trains every one within a few ticks is tried. A hump slightly above its tolerance at the
-modelled frequency leaves no band around it at all, so trains without such a hump are kept besides
-the best.
+A kind of shaper is chosen for the band of frequency in which V stays within its tolerance. So the
+search looks for the train on the grid with the smallest largest V over that band. Among equal
+trains it prefers the least mean square, which distinguishes a zero or a flat minimum of V from a
+hump. The search starts from the nearest ticks. For short trains it also starts from the best choice
+of the ticks on either side, and from the train compressed by a few ticks. It moves single impulses
+and pairs by one or two ticks, and makes no train more than two ticks longer than its design. Of
+short trains, all trains within a few ticks are tried. If V at the modelled frequency is slightly
+above the tolerance, the train has no band at all, so the best trains without such a hump are kept,
+too.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from threadline.motion.shaping.types import FlexibleMode
 _SHIFTS = np.array([-2, -1, 1, 2])
 _MOST_EXCHANGES = 60
 _MEAN_WEIGHTS = (0.2, 1.0)
-"""Weights of the root mean square beside the worst V: each leads the search to other trains."""
-_EITHER_SIDE = 11  # impulses: 2**10 choices of the tick to the left or right of each
+"""Weights of the root mean square added to the worst V; each weight leads to other trains."""
+_EITHER_SIDE = 11  # largest number of impulses for this start: 2**10 choices of left or right ticks
 _STARTS = 8
-_PAIRS_OF = 40  # impulses: in longer trains one impulse at a time is moved, not two
-_LONGER = 2  # ticks that a train may end later than designed
-_SHORTER = 6  # ticks by which it is compressed at most, for further starts
+_PAIRS_OF = 40  # largest number of impulses for moves in pairs; longer trains move one at a time
+_LONGER = 2  # largest number of ticks by which a train may be longer than designed
+_SHORTER = 6  # largest number of ticks by which a start is compressed
 _KEPT = 40
-_EVERY = 20000  # trains around the start that are all tried
-_FARTHEST = 8  # most ticks from the start, for trains of two or three impulses
+_EVERY = 20000  # largest number of trains around the start that are all tried
+_FARTHEST = 8  # largest distance from the start, in ticks, for trains of two or three impulses
 _AT_ONCE = 2000
 _FEWEST, _MOST = 17, 257
 _PER_RIPPLE = 16
@@ -43,7 +43,7 @@ _PER_RIPPLE = 16
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Frequencies of one mode that count, Hz, with its damping ratio held, and the permitted V."""
+    """The design band of a mode, Hz, at its damping ratio, and the largest permitted V."""
 
     mode: FlexibleMode
     low_hz: float
@@ -51,7 +51,10 @@ class Band:
     tolerance: float
 
     def samples_hz(self, duration_s: float, finer: int = 1) -> FloatArray:
-        """Return (n,) frequencies over the band, finer than any ripple of a train so long."""
+        """Return (n,) frequencies over the band, Hz, finer than any ripple of V.
+
+        The ripple is as fine as a train of ``duration_s`` allows.
+        """
         width = self.high_hz - self.low_hz
         if width <= 0.0:
             return np.array([self.mode.frequency_hz])
@@ -61,18 +64,18 @@ class Band:
 
 
 class TickGrid:
-    """V over the bands of trains whose impulses lie on whole ticks.
+    """Computes V over the bands, for trains with impulses on whole ticks.
 
-    If bands have different tolerances, V of a mode is scaled to the largest.
+    If the tolerances of the bands differ, V of each mode is scaled to the largest tolerance.
 
     Parameters
     ----------
     bands
-        At least one.
+        At least one band.
     tick_s
         Tick of the controller, s.
     last
-        Approximate last tick of the trains: decays are counted from there, to avoid overflow.
+        Approximate last tick of the trains; decays are counted back from it, to avoid overflow.
     """
 
     def __init__(self, bands: Sequence[Band], tick_s: float, last: int) -> None:
@@ -95,7 +98,7 @@ class TickGrid:
             [np.full(len(f), b.tolerance / largest) for f, b in zip(samples, bands, strict=True)]
         )
 
-        # The sample of each band that is nearest to the modelled frequency, and its tolerance.
+        # The index of the sample nearest to the modelled frequency in each band, and the tolerance.
         begins = np.cumsum([0, *(len(f) for f in samples)])
         self._own = np.array(
             [
@@ -106,17 +109,17 @@ class TickGrid:
         self._allowed = largest
 
     def keeps_its_mode(self, vibration: FloatArray) -> NDArray[np.bool_]:
-        """Return whether V (..., frequencies) is within the tolerance at the modelled ones."""
+        """Return whether V (..., frequencies) is in tolerance at the modelled frequencies."""
         found: NDArray[np.bool_] = np.all(vibration[..., self._own] <= self._allowed, axis=-1)
         return found
 
     def impulses(self, ticks: IntArray) -> ComplexArray:
-        """Return the response to a unit impulse at each of ``ticks`` (...,), (..., frequencies)."""
+        """Return (..., frequencies) responses to a unit impulse at each of the ``ticks`` (...,)."""
         found: ComplexArray = np.exp(self._turn * (np.asarray(ticks)[..., None] - self._last))
         return found
 
     def vibration(self, response: ComplexArray, last: IntArray) -> FloatArray:
-        """Return V of sums of impulses, (..., frequencies), for trains that end at ``last``."""
+        """Return V (..., frequencies) from sums of impulses, for trains that end at ``last``."""
         decay = np.exp(-self._turn.real * (np.asarray(last)[..., None] - self._last))
         found: FloatArray = np.abs(response) * decay / self._share
         return found
@@ -128,7 +131,7 @@ def seconds(ticks: IntArray, tick_s: float) -> FloatArray:
 
 
 def cost(vibration: FloatArray, mean_weight: float = _MEAN_WEIGHTS[0]) -> FloatArray:
-    """Return the worst V over (..., frequencies) plus a share of its root mean square."""
+    """Return (...,) the largest V over the frequencies plus a share of its root mean square."""
     mean_square = np.mean(vibration**2, axis=-1)
     found: FloatArray = vibration.max(axis=-1) + mean_weight * np.sqrt(mean_square)
     return found
@@ -137,16 +140,16 @@ def cost(vibration: FloatArray, mean_weight: float = _MEAN_WEIGHTS[0]) -> FloatA
 def on_ticks(
     amplitudes: FloatArray, start: IntArray, exact: FloatArray, gap: int, grid: TickGrid
 ) -> list[IntArray]:
-    """Return trains of these amplitudes on whole ticks, the best by the cost first.
+    """Return the ticks of trains with given amplitudes, the train with the least cost first.
 
     Parameters
     ----------
     amplitudes
-        (n,), each kept at its impulse.
+        (n,) amplitudes of the impulses.
     start
-        Ticks (n,), at least ``gap`` apart.
+        (n,) ticks from which the search starts, at least ``gap`` apart.
     exact
-        The designed times, (n,), in ticks.
+        (n,) designed times, in ticks.
     gap
         Fewest ticks between two impulses.
     """
@@ -165,9 +168,9 @@ def on_ticks(
 
 
 class _Search:
-    """Descends from one start after the other; ``seen`` collects its trains, by cost.
+    """Improves trains from several starts; ``seen`` collects the trains with their costs.
 
-    ``sound`` trains are within the tolerance at the modelled frequencies.
+    ``sound`` holds the trains with V in tolerance at the modelled frequencies.
     """
 
     def __init__(
@@ -181,7 +184,7 @@ class _Search:
     def every_one_about(self, start: IntArray) -> None:
         """Try every train with each impulse within a few ticks of its start."""
         free = len(start) - 1
-        if not free:  # a train of one impulse: its start is time 0
+        if not free:  # a train of one impulse stays at time 0
             return
         reach = (
             _FARTHEST if free == 1 else min(int((_EVERY ** (1.0 / free) - 1.0) / 2.0), _FARTHEST)
@@ -213,7 +216,7 @@ class _Search:
         return cost(self._grid.vibration(response, last), self._weight)
 
     def either_side(self, exact: FloatArray) -> Iterator[IntArray]:
-        """Yield the best trains with each impulse at the tick to the left or right of its time."""
+        """Yield the best trains with every impulse at the tick before or after its time."""
         n = len(exact)
         if n > _EITHER_SIDE:
             return
@@ -227,7 +230,7 @@ class _Search:
         yield from choices[np.argsort(values, kind="stable")[:_STARTS]]
 
     def shrunk(self, exact: FloatArray) -> Iterator[IntArray]:
-        """Yield the designed train compressed to end a few ticks earlier: often leaves less."""
+        """Yield the designed train compressed by a few ticks, which often has a smaller V."""
         n = len(exact)
         if not 1 < n <= _EITHER_SIDE:
             return
@@ -238,7 +241,7 @@ class _Search:
                 yield ticks
 
     def improve(self, start: IntArray) -> None:
-        """Apply the best shift of one impulse or two until none is better."""
+        """Apply the best shift of one impulse or of two, until no shift reduces the cost."""
         response = self._amplitudes @ self._grid.impulses(start)
         ticks, value = start, float(self._cost(response, start[-1]))
         self._note(ticks, value)
@@ -261,7 +264,7 @@ class _Search:
         return found
 
     def _one_by_one(self, ticks: IntArray, value: float) -> tuple[IntArray, float] | None:
-        """Move each impulse once to its best place; None if all stay."""
+        """Move each impulse once to its best tick; return train and cost, None if all stay."""
         now, best = ticks.copy(), value
         response = self._amplitudes @ self._grid.impulses(now)
         for i in range(1, len(now)):
@@ -284,7 +287,7 @@ class _Search:
         return fits
 
     def _pair(self, ticks: IntArray, value: float) -> tuple[IntArray, float] | None:
-        """Return the best shift of two impulses at once; None if none is better."""
+        """Return train and cost after the best shift of two impulses; None if not better."""
         n = len(ticks)
         gains = np.array([self._shifted(ticks, i) for i in range(1, n)])  # (n - 1, 4, f)
         response = self._amplitudes @ self._grid.impulses(ticks)
@@ -321,18 +324,18 @@ def with_amplitudes(
     *,
     positive: bool,
 ) -> tuple[FloatArray, IntArray]:
-    """Return amplitudes and ticks, with the amplitudes solved again.
+    """Return (n,) amplitudes, solved again, and (n,) ticks of the best train found.
 
     Parameters
     ----------
     starts
-        Ticks (n,) to start from; the best of them is improved.
+        Trains to start from, (n,) ticks each; the best one is improved.
     gap
         Fewest ticks between two impulses.
     silent
-        Modes that the design silences: they stay silent if there are enough impulses.
+        Modes without residual vibration in the design; they keep this with enough impulses.
     positive
-        No amplitude may be negative.
+        Whether every amplitude must be 0 or more.
     """
 
     def fit(ticks: IntArray) -> FloatArray:
@@ -370,7 +373,7 @@ def _descend(ticks: IntArray, gap: int, value: Callable[[IntArray], float]) -> I
 def _amplitudes(
     times_s: FloatArray, grid: TickGrid, silent: Sequence[FlexibleMode], *, positive: bool
 ) -> FloatArray:
-    """Amplitudes of sum 1 with the least sum of V squared over the bands for given times."""
+    """Return (n,) amplitudes of sum 1 with the least sum of V^2 over the bands, for (n,) times."""
     from scipy.optimize import lsq_linear
 
     delay = times_s - times_s[-1]

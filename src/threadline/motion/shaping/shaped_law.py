@@ -1,4 +1,4 @@
-"""Laws made by a shaper: a law convolved with an impulse train, as one law of the whole window."""
+"""Shaped laws: the convolution of a law with an impulse train is one law over the whole window."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BAND = 9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShapedWindow:
-    """A shaped law in the shortest window that keeps a demand."""
+    """A shaped law, and the shortest window in which it meets a demand, s."""
 
     law: Law
     window_s: float
@@ -32,7 +32,7 @@ class ShapedWindow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shifted:
-    """The rise ``sum(shares[i] s((t - delays[i]) / length))``, from one of its ends on."""
+    """The rise ``sum(shares[i] s((t - delays[i]) / length))``, evaluated from one of its ends."""
 
     law: Law
     shares: tuple[float, ...]
@@ -62,9 +62,10 @@ class _Shifted:
 
 
 def _left(law: Law, since: FloatArray, derivative: int) -> FloatArray:
-    """Return 1 minus the rise at the times 1 - ``since``, or a derivative of it by ``since``.
+    """Return (n,) 1 minus the rise at the times 1 - ``since``, or its derivative by ``since``.
 
-    ``since`` (n,) counts back from the end of the law; above 1, before the law begins, it is 1.
+    ``since`` (n,) counts back from the end of the law. Above 1, before the law begins, the result
+    is 1.
     """
     near = since <= 1.0 - law.meets
     out = np.empty_like(since)
@@ -81,11 +82,11 @@ def shaped_law(law: Law, shaper: Shaper, window_s: float) -> Law:
     Parameters
     ----------
     law
-        Fills the part of the window that the shaper leaves.
+        Law that takes the window less the duration of the shaper.
     shaper
-        Impulses that sum to 1. With negative ones the law may go back, and then has no inverse.
+        Impulses that sum to 1. With negative impulses the law may go back; then it has no inverse.
     window_s
-        The whole window; the shape of the result is specific to it.
+        The whole window, s; the shape of the result depends on it.
 
     Raises
     ------
@@ -114,7 +115,7 @@ def shaped_windows(law: Law, demand: Demand) -> list[ShapedWindow]:
     """Return ``law`` with a shaper of each kind, in the shortest window that keeps ``demand``.
 
     Windows are tried in steps of a millisecond, up to four rigid windows beyond the shaper. Kinds
-    that keep the demand in none of them are left out. The jerk is free.
+    that meet the demand in none of them are left out. The jerk is not limited.
     """
     d = demand
     found = []
@@ -124,10 +125,10 @@ def shaped_windows(law: Law, demand: Demand) -> list[ShapedWindow]:
     left = np.array([residual_m(law, FlexibleMode(f, zeta), d.move_m, own) for f in frequencies])
     for kind in SHAPED:
         shaper = design(kind, d.mode)
-        # The shaper scales the law's residual by its response.
+        # The residual of the shaped law is the residual of the law times V of the shaper.
         share = residual_vibration(shaper, frequencies, zeta)
         for length in own[(left * share[:, None] <= d.residual_m).all(axis=0)].tolist():
-            # Rounded to whole microseconds, so that its name is exact.
+            # The window is rounded up to whole microseconds, so that the name states it exactly.
             window = ceil((length + shaper.duration_s) * 1e6) / 1e6
             words = f"{law.name}*{kind.value}:{d.mode.frequency_hz!r}Hz:{zeta!r}"
             name = f"{words} in {round(window * 1e3, 3)!r} ms"
@@ -146,8 +147,8 @@ def law_named(text: str) -> Law:
 
     ``"modified-sine"`` and other names of ``threadline.motion.laws.law``;
     ``"modified-sine*zv:12Hz:0.02 in 160 ms"`` is a law convolved with a shaper so that both
-    together take the window. Played in another window it keeps its shape, and silences
-    the frequency scaled by the ratio of the windows.
+    together take the window. In another window the law keeps its shape, and the frequency without
+    residual vibration is scaled by the ratio of the windows.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Newton's method for square systems, and linear programs with failure as an error."""
+"""Newton's method for systems of equations, continuation, and linear programs that raise errors."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from threadline.base.linear_programs import Bounds, solved
 from threadline.motion.shaping.types import ShaperError
 
 System: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""Unknowns (n,) -> residuals (m,) and Jacobian (m, n)."""
+"""Function of (n,) unknowns that returns (m,) residuals and the (m, n) Jacobian."""
 
 RESIDUAL = 1e-11
-"""Largest residual of a solved system: ten times below the 1e-10 that designs promise."""
+"""Largest residual of a solved system, a tenth of the 1e-10 that designs promise."""
 
 
 def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30) -> FloatArray:
-    """Solve ``system`` from ``seed``; with a least-squares step if it is not square.
+    """Solve ``system`` from ``seed`` by Newton's method, with least-squares steps if not square.
 
     Parameters
     ----------
     system
-        Residuals and Jacobian.
+        Function that returns residuals and Jacobian.
     seed
         Shape ``(n,)``.
     what
@@ -41,7 +41,7 @@ def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30)
     worst = np.inf
     for _ in range(iterations):
         try:
-            # A diverging step overflows: that is failure to converge, not a warning.
+            # A diverging step may overflow; this is a failure to converge, and needs no warning.
             with np.errstate(over="ignore", invalid="ignore"):
                 residual, jacobian = system(x)
         except OverflowError:
@@ -49,11 +49,11 @@ def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30)
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
             break
         previous, worst = worst, float(np.abs(residual).max())
-        # One more step after convergence costs little and polishes to rounding.
+        # One more step after convergence costs little, and reduces the error to rounding.
         if worst < RESIDUAL and previous < 1e-6:
             return x
-        # In symmetric trains with more constraints than unknowns some repeat one another: these
-        # directions are ignored in a system that is not square.
+        # In a symmetric train with more constraints than unknowns, some constraints are dependent.
+        # In a system that is not square, their directions are ignored.
         cutoff = 1e-14 if jacobian.shape[0] == jacobian.shape[1] else 1e-8
         x = x - np.linalg.lstsq(jacobian, residual, rcond=cutoff)[0]
     raise ShaperError(
@@ -72,21 +72,21 @@ def follow(
     step: float,
     what: str,
 ) -> FloatArray:
-    """Follow a solution as a parameter goes from ``start`` to ``end``.
+    """Return the solution at ``end``, by continuation of a parameter from ``start``.
 
     Parameters
     ----------
     system_at
-        Parameter -> system.
+        Function of the parameter that returns the system.
     seed
         Approximate solution at ``start``.
     step
-        Largest step of the parameter; halved where Newton fails.
+        Largest step of the parameter; it is halved if Newton's method fails.
 
     Raises
     ------
     ShaperError
-        If the solution is lost: 2**-12 of a step was too far.
+        If the solution is lost even with 2**-12 of the step.
     """
     x = newton(system_at(start), seed, what)
     at, tangent = start, np.zeros_like(x)
@@ -96,7 +96,7 @@ def follow(
         size = end - at if abs(end - at) <= abs(size) else size
         try:
             moved = newton(system_at(at + size), x + tangent * size, what, iterations=12)
-            # A jump leads to another branch, not the followed solution.
+            # A large jump means that Newton's method found another branch.
             if np.abs(moved - x - tangent * size).max() > 0.1:
                 raise ShaperError(f"{what}: the followed solution was lost")
         except ShaperError:
@@ -114,7 +114,7 @@ def follow(
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Minimiser, minimum and the duals of the equalities."""
+    """Solution of a linear program: minimiser, minimum, and dual values of the equalities."""
 
     x: FloatArray
     value: float
@@ -122,7 +122,7 @@ class Solution:
 
 
 class InfeasibleError(ShaperError):
-    """No point meets the constraints of one linear program; off its grid there may be one."""
+    """No point on a grid meets the constraints of a linear program; between grid points one may."""
 
 
 def minimise(
@@ -134,7 +134,7 @@ def minimise(
     what: str,
     seconds: float | None = None,
 ) -> Solution:
-    """Minimise ``cost`` @ x under rows @ x = values and rows @ x <= values.
+    """Minimise ``cost`` @ x with rows @ x = values (``equal``) and rows @ x <= values (``below``).
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Impulse trains and the flexible modes that they are made for.
 
-Conventions of this whole folder, stated once:
+Conventions of this package:
 
 * ``frequency_hz`` is the *undamped* natural frequency, omega = 2 pi f;
 * the residual vibration ``V`` is normalised to one unit impulse, each measured as an envelope
@@ -21,13 +21,13 @@ from threadline.base.arrays import FloatArray, Locked, read_only
 from threadline.errors import OptionError, PlanError
 
 MAX_DAMPING_RATIO = 0.3
-"""Searched designs are for damping ratios in [0, 0.3): beyond it a shaper buys little."""
+"""Designs without a closed form need a damping ratio below this; above it a shaper gains little."""
 
 MOST_DAMPED = 0.99
-"""Bound of every damping ratio: closer to 1 a mode no longer rings."""
+"""Bound of every damping ratio; a mode with a ratio closer to 1 does not ring."""
 
 MIN_HZ, MAX_HZ = 1e-6, 1e9
-"""Within these a frequency, its square and its period are numbers to calculate with."""
+"""Range of frequencies, Hz, in which the square and the period neither overflow nor underflow."""
 
 
 class ShaperError(PlanError):
@@ -77,7 +77,7 @@ class FlexibleMode:
             )
 
     def refuse_much_damping(self, what: str) -> None:
-        """Raise if the mode has more damping than searched designs are made for.
+        """Raise an error if the mode has too much damping for a design without closed form.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class Shaper(Locked):
     times_s
         Shape ``(n,)``, s, strictly increasing, the first 0.
     name
-        For tables and messages.
+        Name for tables and messages.
     """
 
     amplitudes: FloatArray
@@ -133,12 +133,12 @@ class Shaper(Locked):
 
     @property
     def duration_s(self) -> float:
-        """Time of the last impulse: what shaping adds to every move."""
+        """Time of the last impulse, s: shaping makes every move longer by it."""
         return float(self.times_s[-1])
 
     @property
     def centroid_s(self) -> float:
-        """Mean delay sum(A t) / sum(A): shift by it and constant speed stays exact."""
+        """Mean delay sum(A t) / sum(A), s; it is the delay of motion at constant speed."""
         return float(self.amplitudes @ self.times_s / self.amplitudes.sum())
 
     @property
@@ -148,7 +148,7 @@ class Shaper(Locked):
 
     @property
     def over_level(self) -> float:
-        """By how much a shaped unit step leaves [0, 1], at worst; 0 where it never does."""
+        """Largest distance of a shaped unit step from [0, 1]; 0 if the step never leaves it."""
         levels = self.levels
         return float(max(0.0, -levels.min(), levels.max() - 1.0))
 
