@@ -131,7 +131,7 @@ def _read_lines(read: _Read, lines: Sequence[str], within: tuple[Path, ...], nam
 def _beside(
     name: str, place: Place, settings: Settings, within: tuple[Path, ...]
 ) -> Iterator[Path]:
-    """Yield the file that M98 runs, if it stands beside the first one; note it, if it does not."""
+    """Yield the file that M98 runs, if it lies in the folder of the first file; else note it."""
     found = files_beside(glob.escape(name), within[0].parent)
     if not found:
         settings.unheeded.append(
