@@ -6,8 +6,8 @@ They have a file of their own, so that showing a help text does not import the p
 from __future__ import annotations
 
 DEFAULT_INTERPOLATION = "default"
-"""``--interpolation`` of the machine's own choice: ``firmware`` where its file names the motion
-planner of a firmware, else ``AUTO``."""
+"""Value of ``--interpolation`` for the default of the machine: ``firmware`` if its file has the
+motion planner of a firmware, else ``AUTO``."""
 AUTO = "auto"
 USUAL = frozenset({DEFAULT_INTERPOLATION, AUTO})
 """Interpolations that feed-forward replaces by chords, because the user chose no path."""
@@ -32,5 +32,6 @@ OPTIMAL_FEED_FORWARD = "10 ms"
 MOST_REPEATS = 1000
 """Largest number of runs in one verdict: every run is kept until the last one is judged."""
 MOST_RUNS = 1200
-"""Runs where twenty come near a limit: with 95 % confidence 99.75 % of all runs are no worse, and
-so the worst of any twenty in 19 of 20 cases. 1169 are needed for that."""
+"""Number of runs if twenty runs come near a limit. With 95 % confidence, 99.75 % of all runs are no
+worse than the worst of these. The worst of any twenty further runs is then no worse in 19 of 20
+cases. This needs 1169 runs."""
