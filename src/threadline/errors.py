@@ -18,7 +18,7 @@
         CommandError       [COMMAND]        a command that a machine cannot take in its state
       LinkFaultError       [FAULT]          the machine or its link: the program exits with 3
 
-``threadline.motion.shaping.ShaperError``, code SHAPER, is a ``PlanError``, too: an input shaper
+``threadline.motion.shaping.ShaperError``, code SHAPER, is also a ``PlanError``: an input shaper
 that cannot be designed, or that fails its own proof.
 """
 

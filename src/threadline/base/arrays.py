@@ -116,7 +116,7 @@ def _check_ndim(found: int, name: str, wanted: int) -> None:
 
 
 class Locked:
-    """Base of frozen dataclasses that hold read-only arrays: their copies are read-only too.
+    """Base of frozen dataclasses with read-only arrays, whose unpickled copies are also read-only.
 
     Pickling an array drops its read-only flag; unpickling one of these classes sets it again.
     """
@@ -140,7 +140,7 @@ def _locked(cls: type[Any], state: Mapping[str, Any]) -> Any:
 
 
 def finite(value: float | None) -> float | None:
-    """Return ``value``, or None where it is not finite: JSON cannot express infinity or NaN."""
+    """Return ``value``, or None if it is not finite: JSON cannot express infinity or NaN."""
     return value if value is not None and math.isfinite(value) else None
 
 

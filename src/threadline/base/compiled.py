@@ -114,7 +114,11 @@ class CacheFile(IndexDataCacheFile):
         return found
 
     def save(self, key: Hashable, data: object) -> None:
-        """Write machine code, then its index entry; a process that finds none compiles again."""
+        """Write machine code, then its index entry.
+
+        If two processes write the index at the same time, one entry is lost, and a process that
+        needs it compiles again.
+        """
         name = self._name_of(key)
         inherited: Any = self
         try:
@@ -158,7 +162,7 @@ class CacheFile(IndexDataCacheFile):
             part.unlink(missing_ok=True)
 
     def _load_index(self) -> dict[Hashable, str]:
-        """Return key -> file name; empty where the index is missing or damaged."""
+        """Return key -> file name; empty if the index is missing or damaged."""
         try:
             content = BytesIO(_checked(Path(self._index_path)))
         except OSError:
@@ -260,7 +264,7 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
 
 
 def cache_folder(function: Callable[..., Any]) -> Path | None:
-    """Return the cache folder of a function's file; None where no folder can be written.
+    """Return the cache folder of a function's file; None if no folder can be written.
 
     It is NUMBA_CACHE_DIR if that is set, else a folder beside the source file, else the user's
     cache folder if the source folder is read-only.
@@ -273,7 +277,7 @@ def cache_folder(function: Callable[..., Any]) -> Path | None:
 
 
 def _can_be_kept(function: Any) -> bool:
-    """Turn on numba's cache of a function; False where none of its folders can be written."""
+    """Turn on numba's cache of a function; False if none of its folders can be written."""
     try:
         function.enable_caching()
     except RuntimeError as error:

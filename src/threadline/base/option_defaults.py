@@ -1,6 +1,6 @@
 """Defaults of the planning options, for help texts.
 
-They have a file of their own, so that showing a help text does not import the planner.
+They are in a separate file, so that showing a help text does not import the planner.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ DEFAULT_INTERPOLATION = "default"
 motion planner of a firmware, else ``AUTO``."""
 AUTO = "auto"
 USUAL = frozenset({DEFAULT_INTERPOLATION, AUTO})
-"""Interpolations that feed-forward replaces by chords, because the user chose no path."""
+"""Interpolations that feed-forward replaces by chords, because the user did not choose a path."""
 DEFAULT_LIMITS = "100 %"
 DEFAULT_CONTOUR_M = 3e-4
 """Default of ``--contour``, m: largest contour error of the load that the control loops may cause
-on the path of ``optimal``. Together with the path tolerance this uses 0.4 mm of the +-0.5 mm
-allowed on the winder and the stitcher. The rest covers effects outside the plan: encoder counts,
-DAC levels, friction, and the spread from run to run."""
+on the path of ``optimal``. Together with the path tolerance this is 0.4 mm of the +-0.5 mm that are
+allowed on the winder and the stitcher. The remainder covers effects outside of the plan: encoder
+counts, DAC levels, friction, and the spread from run to run."""
 NO_CONTOUR = "none"
 """Value of ``--contour`` for no limit."""
 UNSHAPED_WORD = "none"

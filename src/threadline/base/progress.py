@@ -24,7 +24,7 @@ class Compiling:
     began_s
         Start of the outermost compilation in progress, on the monotonic clock, s.
     kept
-        Whether the machine code is kept on disk; False where no folder for it can be written.
+        Whether the machine code is kept on disk; False if no folder for it can be written.
     """
 
     done_s: float = 0.0

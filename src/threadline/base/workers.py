@@ -128,8 +128,8 @@ def _in_threads(
     waiting: deque[Future[R]] = deque()
     try:
         for item in items:
-            # A thread of a pool has no context of its own: progress is reported to the command
-            # that asked.
+            # A thread of a pool does not inherit the context, which says to which command progress
+            # is reported.
             waiting.append(pool.submit(copy_context().run, work.answer, item, report))
             if len(waiting) >= _AHEAD * threads:
                 yield waiting.popleft().result()

@@ -247,7 +247,7 @@ class Recording:
     def find(self, kind: ChannelKind, axis: str = "") -> Channel | None:
         """Return the channel of ``kind`` and ``axis``, or None if there is none.
 
-        If there are several, return the one called ``AXIS.kind``, else the first.
+        If there are several such channels, return the channel called ``AXIS.kind``, else the first.
         """
         return self._by_kind.get((kind, axis))
 

@@ -37,7 +37,7 @@ class Pieces:
     begin_rad, sweep_rad
         (n,) angle at the beginning, and signed sweep, rad; 0 for polynomial pieces.
     line
-        (n,) int: line of the file, 0 where it is unknown.
+        (n,) int: line of the file, 0 if it is unknown.
     """
 
     top: FloatArray

@@ -35,10 +35,10 @@ class DrawnShape:
     Parameters
     ----------
     kind
-        ``line`` and ``polygon`` have their corners as points. The points of an ``arc`` are its
-        beginning, a point on it and its end; those of a ``circle`` are its centre and a point on
-        it. A ``spline`` is a Catmull-Rom spline through its points. The first point of a ``leader``
-        is the arrow head.
+        The points of a ``line`` or ``polygon`` are its corners. The points of an ``arc`` are its
+        beginning, a point on it and its end. The points of a ``circle`` are its centre and a point
+        on it. A ``spline`` is a Catmull-Rom spline through its points. The first point of a
+        ``leader`` is the arrow head.
     points
         (n, 2) points, m.
     style

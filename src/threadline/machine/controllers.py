@@ -56,7 +56,7 @@ class Dac:
     range: Annotated[Quantity, Units(("V",), positive=True)]
     """The levels span -range to +range."""
     zero_on_reversal: StrictBool = False
-    """Whether the output is 0 for one tick where it changes sign."""
+    """Whether the output is 0 for one tick when it changes sign."""
     rounding: Rounding = "nearest"
     """Rounding of an output between two levels: to the nearest level (a half to the even level), to
     the level below (``floor``), or to the level towards zero (``truncate``)."""
@@ -307,7 +307,7 @@ class StateSpaceController:
         return self
 
     def matrix(self, name: Literal["A", "B", "C", "D", "L"]) -> FloatArray:
-        """Return a matrix as an array, with 0 where the file leaves it out."""
+        """Return a matrix as an array, zeros if the file leaves it out."""
         n, axes = len(self.A), len(self.references)
         inputs = axes + len(self.sensors)
         shape = {"A": (n, n), "B": (n, inputs), "C": (axes, n), "D": (axes, inputs), "L": (n, axes)}

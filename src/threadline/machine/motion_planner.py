@@ -45,7 +45,7 @@ class GrblPlanner(Planner):
 
     @property
     def look_ahead(self) -> int:
-        """Number of blocks planned together, including the current one."""
+        """Number of blocks planned together, including the block in execution."""
         return max(1, (_RING if self.blocks is None else round(self.blocks.si)) - 1)
 
 
@@ -89,7 +89,7 @@ class MarlinPlanner(Planner):
 
     @property
     def look_ahead(self) -> int:
-        """Number of blocks that are planned together, without the one under way."""
+        """Number of blocks that are planned together, without the block in execution."""
         return max(1, (_RING if self.blocks is None else round(self.blocks.si)) - 2)
 
 
@@ -151,7 +151,7 @@ class RepRapPlanner(Planner):
 
     @property
     def look_ahead(self) -> int:
-        """Number of blocks that are planned together, without the one under way."""
+        """Number of blocks that are planned together, without the block in execution."""
         return max(1, (_DUET_RING if self.blocks is None else round(self.blocks.si)) - 2)
 
 

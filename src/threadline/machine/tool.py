@@ -379,7 +379,7 @@ class AxisArrays:
 
     @property
     def jerk_limit(self) -> FloatArray:
-        """(axes,) m/s^3 or rad/s^3; infinite where the file gives none."""
+        """(axes,) m/s^3 or rad/s^3; infinite if the file gives none."""
         return np.array(
             [np.inf if axis.jerk is None else axis.jerk.si for axis in self.axes.values()]
         )

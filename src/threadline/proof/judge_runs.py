@@ -156,7 +156,7 @@ class SerialJudge:
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # parameters of mallopt, malloc.h
 _LARGEST = 32 << 20
-"""Size from which an array gets a mapping of its own, bytes; glibc's largest value."""
+"""Size, in bytes, from which an array gets its own memory mapping; the largest value of glibc."""
 _KEPT = 512 << 20
 
 

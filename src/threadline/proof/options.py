@@ -422,7 +422,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         said["par"] = machine.parameters
     for one, recorded in RECORDED:
         value = getattr(options, one.attribute)
-        if recorded.key == _CONTOUR:  # write the default, too, but nothing if it bounds nothing
+        if recorded.key == _CONTOUR:  # write also the default, but nothing if it has no effect
             value = options.allowance_m if options.interpolation == OPTIMAL else None
         if (text := recorded.write(value)) is not None:
             said[recorded.key] = text

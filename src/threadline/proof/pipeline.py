@@ -216,7 +216,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     kind.check_options(machine, options)
     known = with_radii(machine, options.radius)
     if options.product is not None:
-        from threadline.winding.product import with_mandrel  # of windings alone
+        from threadline.winding.product import with_mandrel  # only windings need it
 
         known = with_mandrel(known, options.product)
     plan = kind.plan(job, known, options)

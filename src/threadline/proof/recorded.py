@@ -59,7 +59,7 @@ def judge_files(
         Options of ``judge``. An option that is left out is taken from the recording; if the
         recording does not have it either, it has its default.
     job, machine
-        The job and the machine, if the recording does not name them; None: the named ones.
+        The job and the machine, if the recording does not name them; None: as it names them.
     read_one
         Reads one file.
 

@@ -167,7 +167,7 @@ class WithinTolerances:
         return self._many.judged_each(variants, done)
 
     def _products(self, parts: FloatArray) -> FloatArray | None:
-        """Return the parts of the products of machines; None where no product varies."""
+        """Return the parts of the products of machines; None if no product varies."""
         return self.product(parts) if len(self._wound) else None
 
     def in_days(self, parts: FloatArray, days: Days) -> EachRun:

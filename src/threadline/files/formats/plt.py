@@ -50,7 +50,7 @@ def write_plt(
     kind: ChannelKind = ChannelKind.MEASURED,
     limit_lines: int | None = None,
 ) -> Written:
-    """Write the positions of those of the axes X, Y, A, Z, B, C that exist, in mm and degrees.
+    """Write the positions of the existing axes among X, Y, A, Z, B, C, in mm and degrees.
 
     Parameters
     ----------

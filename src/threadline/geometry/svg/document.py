@@ -109,7 +109,7 @@ def pixels(key: str, written: str, whole: float = math.nan) -> float:
 
 
 def numbers(text: str) -> list[float]:
-    """Return the numbers in a text; blanks, commas or a sign alone separate them.
+    """Return the numbers in a text, which are separated by blanks, commas or only by a sign.
 
     Raises
     ------

@@ -222,7 +222,7 @@ class _Reader:
 def arc_segment(
     begin: Point, end: Point, radii: Point, turn_deg: float, large: bool, sweep: bool
 ) -> tuple[Point, Point, Point, float, float] | None:
-    """Return an elliptic arc by its centre, or None where it is a straight line.
+    """Return an elliptic arc by its centre, or None if it is a straight line.
 
     Notes
     -----

@@ -40,7 +40,7 @@ class SettingValue:
 
 @dataclass(slots=True)
 class AxisSettings:
-    """Settings of an axis in the firmware's units; None where the file gives none.
+    """Settings of an axis in the firmware's units; None if the file gives none.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Settings:
     file
         Path of the settings file.
     form
-        Variant of the settings format; empty where there is only one.
+        Variant of the settings format; empty if there is only one.
     dialect
         Dialect of its part programs; empty for the dialect with the name of the firmware.
     axes

@@ -1,7 +1,7 @@
 """Reader of a ``config.g`` of RepRapFirmware: settings of axes and planner in its M codes.
 
 Sources: docs.duet3d.com, "Gcode dictionary": M92, M201, M203, M204, M205, M208, M350, M425, M556,
-M566, M579, M584, M593, M595, M98 (files of the folder ``/sys``, where ``config.g`` stands, too);
+M566, M579, M584, M593, M595, M98 (files of the folder ``/sys``, which also has ``config.g``);
 RepRapFirmware, ``GCodes2.cpp``: M350 keeps the travel per full step,
 and ``DDARing.cpp``: M595 enlarges the queue of moves but never shrinks it.
 """

@@ -13,7 +13,7 @@ Marlin 1.1 and later  ``M204 P R T`` ``M205 S T B`` (``Q`` in 1.1.9)       ``X Y
 Sources: Marlin 1.0.2, ``ConfigurationStore.cpp`` (S acceleration, T acceleration of retracting, X
 "maximum XY jerk"); 1.1.9 and 2.1, ``configuration_store.cpp`` and ``settings.cpp`` (P printing, R
 retracting, T travel); MarlinKimbra, ``configuration_store.cpp`` (V travel, ``M204 T0 R`` of a
-tool); ``planner.cpp`` of these (what each holds for a move without extrusion);
+tool); ``planner.cpp`` of these versions (limits of a move without extrusion);
 marlinfw.org/docs/gcode, M92, M201, M203 to M206, M420, M425, M493, M593, M665, M852.
 """
 

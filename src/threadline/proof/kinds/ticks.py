@@ -303,7 +303,7 @@ def _days(
 
 
 def _ranges_of_days(commands: Commands) -> int:
-    from threadline.machine.days import RANGES_OF_DAYS  # of searches alone
+    from threadline.machine.days import RANGES_OF_DAYS  # only searches need it
 
     return RANGES_OF_DAYS + len(tick_table(commands).axes)
 
@@ -365,7 +365,7 @@ def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:
     does not name.
     """
     if options.product is not None:
-        from threadline.jobs.winding.layers import tensions_in  # of windings alone
+        from threadline.jobs.winding.layers import tensions_in  # only windings need it
         from threadline.verdict.fibre import criteria_of
 
         given = {criterion.name for criterion in spec.criteria}
